@@ -1,0 +1,244 @@
+"""Small real MCAP logs for tests: messages of ROS 2 and Foxglove with known geometry."""
+
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf import (
+    CameraCalibration_pb2,
+    FrameTransform_pb2,
+    FrameTransforms_pb2,
+    PackedElementField_pb2,
+    PointCloud_pb2,
+    RawImage_pb2,
+)
+from google.protobuf.message import Message as ProtobufMessage
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+T = STORE.types
+START = 1_700_000_000_000_000_000  # nanoseconds
+PERIOD = 33_000_000
+K = np.array([[100.0, 0.0, 15.5], [0.0, 110.0, 11.5], [0.0, 0.0, 1.0]])
+WIDTH, HEIGHT = 32, 24
+HALF = float(np.sqrt(0.5))
+
+
+def header(stamp_ns: int, frame: str) -> Any:
+    time = T["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+    return T["std_msgs/msg/Header"](time, frame)
+
+
+def depth_metres(i: int = 0) -> np.ndarray:
+    """[24, 32] metres, a tilted wall in whole millimetres; the first pixel saw nothing."""
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH]
+    metres = np.round(1.5 + 0.01 * u + 0.02 * v + 0.001 * i, 3)
+    metres[0, 0] = 0.0
+    return metres
+
+
+def depth_points(metres: np.ndarray) -> np.ndarray:
+    """[point, 3] in the optical frame, row by row, pinhole K, without pixels that saw nothing."""
+    v, u = np.mgrid[0 : metres.shape[0], 0 : metres.shape[1]]
+    points = np.stack([(u - K[0, 2]) / K[0, 0] * metres, (v - K[1, 2]) / K[1, 1] * metres, metres], axis=-1)
+    return points[metres > 0]
+
+
+def ros_image(
+    stamp_ns: int, frame: str, metres: np.ndarray, encoding: str = "16UC1", padding: int = 0, big: bool = False
+) -> Any:
+    order = ">" if big else "<"
+    pixels = metres.astype(order + "f4") if encoding == "32FC1" else np.round(metres * 1000).astype(order + "u2")
+    rows = np.full((metres.shape[0], pixels.dtype.itemsize * metres.shape[1] + padding), 0xAB, np.uint8)
+    rows[:, : rows.shape[1] - padding] = pixels.view(np.uint8).reshape(metres.shape[0], -1)
+    h, w = metres.shape
+    return T["sensor_msgs/msg/Image"](header(stamp_ns, frame), h, w, encoding, int(big), rows.shape[1], rows.ravel())
+
+
+def ros_calibration(
+    frame: str, k: np.ndarray = K, d: tuple[float, ...] = (), model: str = "plumb_bob", size: tuple[int, int] = (24, 32)
+) -> Any:
+    roi = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    p = np.hstack([k, np.zeros((3, 1))]).ravel()
+    return T["sensor_msgs/msg/CameraInfo"](
+        header(START, frame), *size, model, np.array(d, float), k.ravel(), np.eye(3).ravel(), p, 0, 0, roi
+    )
+
+
+def ros_cloud(
+    stamp_ns: int,
+    frame: str,
+    points: np.ndarray,
+    kind: str = "f4",
+    big: bool = False,
+    point_padding: int = 0,
+    row_padding: int = 0,
+) -> Any:
+    """points [point, 3] or [row, column, 3]; before x stands one foreign field of 4 bytes."""
+    grid = points if points.ndim == 3 else points[None]
+    h, w, _ = grid.shape
+    size = int(kind[1])
+    dtype = np.dtype(
+        {
+            "names": ["ring", "x", "y", "z"],
+            "formats": ["<u2", *[(">" if big else "<") + kind] * 3],
+            "offsets": [0, 4, 4 + size, 4 + 2 * size],
+            "itemsize": 4 + 3 * size + point_padding,
+        }
+    )
+    packed = np.full((h, w * dtype.itemsize + row_padding), 0xCD, np.uint8)
+    view = np.ndarray((h, w), dtype, buffer=packed, strides=(packed.shape[1], dtype.itemsize))
+    for i, axis in enumerate("xyz"):
+        view[axis] = grid[..., i]
+    field_type = T["sensor_msgs/msg/PointField"]
+    fields: list[Any] = [field_type("ring", 0, 4, 1)]
+    fields += [field_type(a, 4 + i * size, 7 if kind == "f4" else 8, 1) for i, a in enumerate("xyz")]
+    return T["sensor_msgs/msg/PointCloud2"](
+        header(stamp_ns, frame), h, w, fields, big, dtype.itemsize, packed.shape[1], packed.ravel(), False
+    )
+
+
+def ros_tf(*items: tuple[int, str, str, tuple[float, ...], tuple[float, ...]]) -> Any:
+    """(stamp, parent, child, translation, quaternion xyzw)."""
+    g = "geometry_msgs/msg/"
+    made: list[Any] = [
+        T[g + "TransformStamped"](
+            header(stamp, parent), child, T[g + "Transform"](T[g + "Vector3"](*xyz), T[g + "Quaternion"](*q))
+        )
+        for stamp, parent, child, xyz, q in items
+    ]
+    return T["tf2_msgs/msg/TFMessage"](made)
+
+
+def foxglove_cloud(stamp_ns: int, frame: str, points: np.ndarray, pose: tuple | None = None, padding: int = 0) -> Any:
+    m = PointCloud_pb2.PointCloud(frame_id=frame, point_stride=16 + padding)
+    m.timestamp.FromNanoseconds(stamp_ns)
+    kinds = PackedElementField_pb2.PackedElementField
+    m.fields.add(name="i", offset=0, type=kinds.UINT32)
+    for i, axis in enumerate("xyz"):
+        m.fields.add(name=axis, offset=4 + 4 * i, type=kinds.FLOAT32)
+    packed = np.full((len(points), 16 + padding), 0xEF, np.uint8)
+    packed[:, 4:16] = points.astype("<f4").view(np.uint8).reshape(len(points), 12)
+    m.data = packed.tobytes()
+    if pose is not None:
+        xyz, q = pose
+        m.pose.position.x, m.pose.position.y, m.pose.position.z = xyz
+        m.pose.orientation.x, m.pose.orientation.y, m.pose.orientation.z, m.pose.orientation.w = q
+    return m
+
+
+def foxglove_image(stamp_ns: int, frame: str, metres: np.ndarray, encoding: str = "16UC1") -> Any:
+    image = ros_image(stamp_ns, frame, metres, encoding, padding=6)
+    m = RawImage_pb2.RawImage(frame_id=frame, width=image.width, height=image.height, encoding=encoding)
+    m.step, m.data = image.step, image.data.tobytes()
+    m.timestamp.FromNanoseconds(stamp_ns)
+    return m
+
+
+def foxglove_calibration(frame: str) -> Any:
+    p = np.hstack([K, np.zeros((3, 1))]).ravel()
+    m = CameraCalibration_pb2.CameraCalibration(frame_id=frame, width=WIDTH, height=HEIGHT, K=K.ravel(), P=p)
+    m.timestamp.FromNanoseconds(START)
+    return m
+
+
+def foxglove_tf(stamp_ns: int, parent: str, child: str, xyz: tuple, q: tuple) -> Any:
+    m = FrameTransform_pb2.FrameTransform(parent_frame_id=parent, child_frame_id=child)
+    m.timestamp.FromNanoseconds(stamp_ns)
+    m.translation.x, m.translation.y, m.translation.z = xyz
+    m.rotation.x, m.rotation.y, m.rotation.z, m.rotation.w = q
+    return m
+
+
+def foxglove_tfs(*transforms: Any) -> Any:
+    return FrameTransforms_pb2.FrameTransforms(transforms=transforms)
+
+
+@dataclass
+class Log:
+    """Collects (topic, log_time, message) and writes them. A message is a ROS or protobuf object, or
+    (type name, raw bytes) for broken ones."""
+
+    items: list[tuple[str, int, Any]] = field(default_factory=list)
+    schema_text: dict[str, bytes] = field(default_factory=dict)  # to give a type another definition
+    schema_encoding: str = "ros2msg"
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def add(self, topic: str, log_time: int, message: Any) -> "Log":
+        self.items.append((topic, log_time, message))
+        return self
+
+    def write(
+        self,
+        path: Path,
+        compression: CompressionType = CompressionType.ZSTD,
+        chunk_size: int = 1024 * 1024,
+        finish: bool = True,
+        **options: Any,
+    ) -> Path:
+        with open(path, "wb") as stream:
+            writer = Writer(stream, compression=compression, chunk_size=chunk_size, **options)
+            writer.start("", "voodoo_jax tests")
+            channels: dict[tuple[str, str], int] = {}
+            schemas: dict[str, int] = {}
+            for i, (topic, log_time, message) in enumerate(self.items):
+                name, encoding, data = serialise(message)
+                if name not in schemas:
+                    text = self.schema_text.get(name) or definition(name, encoding, message)
+                    kind = self.schema_encoding if encoding == "cdr" else "protobuf"
+                    schemas[name] = writer.register_schema(name, kind, text)
+                key = topic, name
+                if key not in channels:
+                    more = self.metadata.get(topic, {})
+                    channels[key] = writer.register_channel(topic, encoding, schemas[name], metadata=more)
+                writer.add_message(channels[key], log_time, data, log_time, i)
+            if finish:
+                writer.finish()
+        return path
+
+
+def serialise(message: Any) -> tuple[str, str, bytes]:
+    if isinstance(message, tuple):
+        return message[0], "protobuf" if message[0].startswith("foxglove.") else "cdr", message[1]
+    if isinstance(message, ProtobufMessage):
+        return message.DESCRIPTOR.full_name, "protobuf", message.SerializeToString()
+    return message.__msgtype__, "cdr", bytes(STORE.serialize_cdr(message, message.__msgtype__))
+
+
+def definition(name: str, encoding: str, message: Any) -> bytes:
+    if encoding == "cdr":
+        return STORE.generate_msgdef(name, ros_version=2)[0].encode()
+    kind = RawImage_pb2.RawImage if isinstance(message, tuple) else type(message)
+    return build_file_descriptor_set(kind).SerializeToString()
+
+
+def depth_log(n: int = 40) -> Log:
+    """A depth camera over a fixed base: calibration and transform once, n depth images, log time = stamp."""
+    log = Log()
+    log.add("/tf_static", START, ros_tf((START, "base", "cam_optical", (0.0, 0.0, 1.25), (-0.5, 0.5, -0.5, 0.5))))
+    log.add("/cam/camera_info", START, ros_calibration("cam_optical"))
+    for i in range(n):
+        stamp = START + i * PERIOD
+        log.add("/cam/depth", stamp, ros_image(stamp, "cam_optical", depth_metres(i)))
+    return log
+
+
+def in_base(points: np.ndarray) -> np.ndarray:
+    """Points of `depth_log`'s camera in its base frame: x forward, y left, z up, 1.25 m high."""
+    x, y, z = points.T
+    return np.column_stack([z, -x, -y + 1.25])
+
+
+def chunks(data: bytes) -> list[tuple[int, int]]:
+    """(offset of the content, length) of each chunk record."""
+    found, at = [], 8
+    while at + 9 <= len(data) - 8:
+        opcode, length = data[at], struct.unpack_from("<Q", data, at + 1)[0]
+        if opcode == 6:
+            found.append((at + 9, length))
+        at += 9 + length
+    return found

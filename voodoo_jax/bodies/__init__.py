@@ -1,0 +1,1 @@
+"""Body files that come with the package: `human`, `human10` (Knoop 2007), `arm`, `dog`."""

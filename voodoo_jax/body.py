@@ -1,0 +1,107 @@
+"""The body: a tree of degenerated cylinders held together by elastic bands (Knoop 2007, sec. 4).
+
+Limb frame: origin in the centre of the bottom ellipse, +z along the cylinder to the top ellipse, x and y along the
+ellipses' axes. Body frame: the frame in which the rest pose is given, z up, x forward, y left, origin on the floor.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from voodoo_jax.pose import Poses, apply, rotate
+
+
+class Topology(NamedTuple):
+    """What a compiled program depends on: names and who hangs on whom. Hashable, never traced."""
+
+    limbs: tuple[str, ...]  # limb 0 is the root
+    joints: tuple[str, ...]  # joint names (H-Anim for people)
+    parents: tuple[int, ...]  # [joint] limb index
+    children: tuple[int, ...]  # [joint] limb index; every limb but the root is the child of exactly one joint
+    centres: tuple[str, ...]  # names of the joint centres that tracks report
+    centre_limbs: tuple[int, ...]  # [centre] limb that carries it
+    sites: tuple[str, ...]  # named feature points on the body
+    site_limbs: tuple[int, ...]  # [site]
+    segments: tuple[tuple[str, str, str], ...]  # (segment name, centre, centre): reported lengths, same names averaged
+
+
+class Body(eqx.Module):
+    """Sizes, rest pose, joints and named points of an articulated body. Arrays are traced, `topology` is static."""
+
+    sizes: Float[Array, "limb 5"]  # a0, b0 (bottom semi-axes along x, y), a1, b1 (top), length; metres
+    rest: Poses  # [limb] T_body_limb in the rest pose
+    parent_anchor: Poses  # [joint] T_parent_joint: where the joint's ellipse sits on the parent limb
+    child_anchor: Poses  # [joint] T_child_joint
+    axes: Float[Array, "joint 2"]  # semi-axes of the joint's ellipse along the joint frame's x and y, metres
+    weights: Float[Array, " joint"]  # stiffness relative to the measured weight of a limb, times the ratio r
+    centres: Float[Array, "centre 3"]  # joint centres in the frame of their limb, metres
+    sites: Float[Array, "site 3"]  # feature points in the frame of their limb, metres
+    scale: Float[Array, ""]  # the length that all others follow (a person's stature), metres
+    topology: Topology = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    scale_name: str = eqx.field(static=True)  # what `scale` is called, "stature" for people
+
+    @property
+    def limb_count(self) -> int:
+        return len(self.topology.limbs)
+
+
+class Bands(NamedTuple):
+    """Elastic bands of all joints: up to four point pairs per joint, unused ones have weight zero."""
+
+    parent_points: Float[Array, "joint band 3"]  # in the parent's limb frame
+    child_points: Float[Array, "joint band 3"]  # in the child's limb frame
+    weights: Float[Array, "joint band"]  # sum to the joint's weight
+
+
+def scaled(body: Body, scale: Float[Array, ""] | float) -> Body:
+    """The same body with another `scale` (stature for people): every length and offset in proportion."""
+    factor = scale / body.scale
+    lengths = lambda b: (  # noqa: E731
+        b.sizes, b.rest.translation, b.parent_anchor.translation, b.child_anchor.translation, b.axes, b.centres,
+        b.sites, b.scale,
+    )  # fmt: skip
+    return eqx.tree_at(lengths, body, tuple(x * factor for x in lengths(body)))
+
+
+def band_mask(axes: Float[Array, "joint 2"]) -> Bool[Array, "joint band"]:
+    """Which of the four bands (+x, -x, +y, -y) a joint has: one, two or four (2007, sec. 4.2)."""
+    has_x, has_y = axes[:, 0] > 0, axes[:, 1] > 0
+    # no axis: the first band alone, it then sits in the middle
+    return jnp.stack([has_x | ~has_y, has_x, has_y, has_y], -1)
+
+
+def bands(body: Body) -> Bands:
+    """Band points and weights: universal (both axes zero), hinge (one zero) and elliptic are one formula."""
+    zero = jnp.zeros_like(body.axes[:, 0])
+    a, b = body.axes[:, 0], body.axes[:, 1]
+    ends = jnp.stack(
+        [jnp.stack(p, -1) for p in ([a, zero, zero], [-a, zero, zero], [zero, b, zero], [zero, -b, zero])], 1
+    )
+    mask = band_mask(body.axes).astype(body.axes.dtype)
+    place = lambda anchor: rotate(anchor.rotation[:, None], ends) + anchor.translation[:, None]  # noqa: E731
+    weights = body.weights[:, None] * mask / mask.sum(-1, keepdims=True)
+    return Bands(place(body.parent_anchor), place(body.child_anchor), weights)
+
+
+def joint_centres(body: Body, poses: Poses) -> Float[Array, "centre 3"]:
+    """Joint centres that tracks report, in the frame of the poses."""
+    return apply(poses[jnp.array(body.topology.centre_limbs, int)], body.centres)
+
+
+def site_points(body: Body, poses: Poses) -> Float[Array, "site 3"]:
+    """Feature points in the frame of the poses."""
+    return apply(poses[jnp.array(body.topology.site_limbs, int)], body.sites)
+
+
+def segment_lengths(body: Body) -> dict[str, float]:
+    """Distance between the joint centres of each named segment in the rest pose, metres; left and right averaged."""
+    centres = joint_centres(body, body.rest)
+    index = {name: i for i, name in enumerate(body.topology.centres)}
+    found: dict[str, list[float]] = {}
+    for name, start, end in body.topology.segments:
+        length = jnp.sqrt(jnp.sum((centres[index[start]] - centres[index[end]]) ** 2))
+        found.setdefault(name, []).append(float(length))
+    return {name: sum(values) / len(values) for name, values in found.items()}

@@ -1,0 +1,118 @@
+"""One frame: the ICP step and its loop (Knoop 2006 sec. III-B, 2007 secs. 3.2 and 5.2).
+
+A step is a pure function `(poses, problem) -> poses`: correspondences for all limbs, bands, prediction, one weighted
+absolute orientation per limb, all limbs in one vmapped solve.
+"""
+
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from voodoo_jax.body import Bands, Body, Topology, bands
+from voodoo_jax.kernels.bands import band_moments, prior_moments
+from voodoo_jax.kernels.correspond import MatchOptions, Points, match, moments
+from voodoo_jax.kernels.procrustes import align
+from voodoo_jax.pose import Poses, compose, quat_normalize
+
+
+class IcpOptions(eqx.Module):
+    """Parameters of a frame's solve. Numbers are traced arrays: changing one compiles nothing anew (pitfall P20)."""
+
+    match: MatchOptions
+    ratio: Float[Array, ""]  # r: weight of a joint's bands over the limb's measured weight (2007, sec. 4.3)
+    floor: Float[Array, ""]  # least measured weight that bands refer to, as a share of the frame's total
+    prior: Float[Array, ""]  # weight of the pull to the predicted pose, as a share of the frame's total
+    prior_radius: Float[Array, ""]  # metres, see prior_moments
+    epsilon: Float[Array, ""]  # stop when the quality measure changes by less, square metres
+    max_steps: Int[Array, ""]
+
+
+class Problem(eqx.Module):
+    """All that one frame's solve depends on, prepared once per frame."""
+
+    body: Body
+    bands: Bands
+    points: Points
+    predicted: Poses
+    options: IcpOptions
+
+    @classmethod
+    def build(cls, body: Body, points: Points, predicted: Poses, options: IcpOptions) -> "Problem":
+        return cls(body, bands(body), points, predicted, options)
+
+
+class StepInfo(NamedTuple):
+    """What a step saw on entry and how well its solves were determined."""
+
+    quality: Float[Array, ""]  # weighted mean of squared pair distances, square metres
+    limb_weight: Float[Array, " limb"]  # measured weight
+    gap: Float[Array, " limb"]  # relative eigenvalue gap of Horn's matrix
+
+
+class FrameResult(NamedTuple):
+    """Solution of one frame."""
+
+    poses: Poses
+    steps: Int[Array, ""]
+    converged: Bool[Array, ""]
+
+
+def adjacency(topology: Topology) -> Bool[Array, "limb limb"]:
+    """Which limbs share a joint; every limb is adjacent to itself."""
+    near = jnp.eye(len(topology.limbs), dtype=bool)
+    parents, children = jnp.array(topology.parents, int), jnp.array(topology.children, int)
+    return near.at[parents, children].set(True).at[children, parents].set(True)
+
+
+def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
+    """One ICP step: new poses of all limbs, and what was seen on entry.
+
+    Every limb's problem is set up in its own frame on entry, so that the solve is for a small motion near the
+    origin: float32 keeps its digits wherever the person stands (pitfall P28).
+    """
+    body, options = problem.body, problem.options
+    poses = Poses(quat_normalize(poses.rotation), poses.translation)
+    found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match)
+    measured = moments(found)
+    limb_weight = measured[:, 0, 0]
+    total = jnp.maximum(jnp.sum(problem.points.weight), 1e-6)
+
+    strength = options.ratio * jnp.maximum(limb_weight, options.floor * total)
+    held = band_moments(body.topology, problem.bands, poses, strength)
+    middle = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)
+    pull = jax.vmap(prior_moments, in_axes=(0, 0, 0, None, None))(
+        middle, poses, problem.predicted, options.prior * total, options.prior_radius
+    )
+    motion = jax.vmap(align)(measured + held + pull)
+    moved = compose(poses, Poses(motion.rotation, motion.translation))
+    quality = jnp.sum(found.weight * found.distance**2) / jnp.maximum(jnp.sum(limb_weight), 1e-6)
+    return Poses(quat_normalize(moved.rotation), moved.translation), StepInfo(quality, limb_weight, motion.gap)
+
+
+def solve_frame(
+    start: Poses, problem: Problem, kind: Literal["lax", "checkpointed", "bounded"] = "lax", capacity: int = 64
+) -> FrameResult:
+    """Repeats the step until the quality measure changes by less than epsilon, or max_steps is reached (sec. 3.2).
+
+    `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed (pitfall P9).
+    `capacity` bounds `max_steps` at compile time.
+    """
+
+    def unfinished(state):
+        _, quality, previous, step = state
+        rest = (step >= 2) & (jnp.abs(previous - quality) < problem.options.epsilon)
+        return (step < problem.options.max_steps) & ~rest
+
+    def body(state):
+        poses, quality, _, step = state
+        poses, info = icp_step(poses, problem)
+        return poses, info.quality, quality, step + 1
+
+    huge = jnp.array(jnp.inf, start.translation.dtype)
+    state = (start, huge, huge, jnp.array(0, jnp.int32))
+    poses, quality, previous, steps = eqxi.while_loop(unfinished, body, state, max_steps=capacity, kind=kind)
+    return FrameResult(poses, steps, jnp.abs(previous - quality) < problem.options.epsilon)

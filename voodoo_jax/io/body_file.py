@@ -1,0 +1,392 @@
+"""Body files: a body as TOML that people can read and edit.
+
+Positions are in the body frame of the rest pose (z up, x forward, y left, origin on the floor), every length is a
+multiple of the key `scale`. A file that does not describe a body is refused with its name, the line and the reason.
+"""
+
+import difflib
+import json
+import math
+import os
+import re
+import tomllib
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+from typing import Any, NoReturn
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from voodoo_jax.body import Body, Topology
+from voodoo_jax.pose import Poses
+
+HEADER = """\
+# A body: degenerated cylinders (limbs) held together by elastic bands (joints).
+# scale: metres; every other length here is a multiple of it. scale_name: what it is called, "stature" for people.
+# Positions: body frame of the rest pose, z up, x forward, y left, origin on the floor below the body.
+# [[limb]]    bottom, top: centres of the two ellipses, bottom nearest the parent; x_axis: direction of the first
+#             semi-axis; bottom_axes, top_axes: the two semi-axes. The first limb is the root.
+# [[joint]]   at: position, on the parent; child_at: on the child, if elsewhere; axes: semi-axes of the joint's ellipse,
+#             both 0: universal, one 0: hinge about the other, none 0: elliptic; x_axis, z_axis (child_x_axis,
+#             child_z_axis): directions of the ellipse's frame, default those of the body; weight: default 1.
+# [[centre]]  a joint centre that tracks report, carried by a limb. [[site]]: a feature point.
+# [[segment]] a length to report, between two centres; equal names are averaged.
+"""
+# kind of table: (keys it must have, keys it may have)
+KEYS = {
+    "": (("name", "scale"), ("scale_name", "limb", "joint", "centre", "site", "segment")),
+    "limb": (("name", "bottom", "top", "bottom_axes", "top_axes"), ("x_axis",)),
+    "joint": (
+        ("name", "parent", "child", "at", "axes"),
+        ("child_at", "x_axis", "z_axis", "child_x_axis", "child_z_axis", "weight"),
+    ),
+    "centre": (("name", "limb", "at"), ()),
+    "site": (("name", "limb", "at"), ()),
+    "segment": (("name", "from", "to"), ()),
+}
+BUILT_IN = ("human", "human10", "arm", "dog")
+
+
+class BodyFileError(ValueError):
+    """A body file that does not describe a body: `path`, `line` (1-based, None for the file itself) and `reason`."""
+
+    def __init__(self, path: str, line: int | None, reason: str):
+        super().__init__(f"{path}:{line}: {reason}" if line else f"{path}: {reason}")
+        self.path, self.line, self.reason = path, line, reason
+
+
+def load_body(name_or_path: str | os.PathLike) -> Body:
+    """A built-in body ("human", "human10", "arm", "dog") or the body in a file. Raises BodyFileError."""
+    text = str(name_or_path)
+    if text in BUILT_IN:
+        resource = resources.files("voodoo_jax.bodies") / f"{text}.toml"
+        return parse_body(resource.read_text(encoding="utf-8"), f"{text}.toml")
+    if not Path(text).exists() and Path(text).suffix == "" and Path(text).name == text:
+        raise BodyFileError(text, None, f"no such file, and no built-in body of that name{_nearest(text, BUILT_IN)}")
+    return read_body(name_or_path)
+
+
+def human() -> Body:
+    """The default body: a person of 15 limbs, sizes in proportion to `scale` (stature, metres)."""
+    return load_body("human")
+
+
+def read_body(path: str | os.PathLike) -> Body:
+    """Reads a body file; lengths in metres, float32. Raises BodyFileError if it cannot be read or is no body."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise BodyFileError(str(path), None, error.strerror or str(error)) from error
+    except UnicodeDecodeError as error:
+        raise BodyFileError(str(path), None, f"not UTF-8 text: {error.reason} at byte {error.start}") from error
+    return parse_body(text, str(path))
+
+
+def write_body(body: Body, path: str | os.PathLike) -> None:
+    """Writes a body file that read_body turns into the same body (to 1e-6; rotations up to the quaternion's sign).
+
+    The file appears under its name only when it is complete. Raises OSError.
+    """
+    target = Path(path)
+    partial = target.with_name(f".{target.name}.tmp")
+    try:
+        partial.write_text(format_body(body), encoding="utf-8")
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def parse_body(text: str, source: str = "<text>") -> Body:
+    """Body from the text of a body file; `source` names it in errors. Raises BodyFileError."""
+    file = _File(text, source)
+    root = file.root()
+    scale = root.number("scale", above=0)
+    tables = {kind: file.tables(kind) for kind in KEYS if kind}
+    if not tables["limb"]:
+        file.fail(None, "a body needs at least one [[limb]]")
+    limbs, joints = _names(tables["limb"]), _names(tables["joint"])
+    centres, sites = _names(tables["centre"]), _names(tables["site"])
+
+    bottoms, tops = ([t.numbers(key, 3) for t in tables["limb"]] for key in ("bottom", "top"))
+    rotations, sizes = [], []
+    for table, bottom, top in zip(tables["limb"], bottoms, tops):
+        length = float(np.linalg.norm(top - bottom))
+        if length < 1e-6:
+            table.fail("top", f"limb '{table.name}' has no length: bottom and top are the same point")
+        z = (top - bottom) / length
+        rotations.append(table.frame("x_axis", z, np.array([1.0, 0, 0] if abs(z[0]) < 0.9 else [0, 0, 1.0])))
+        sizes.append([*table.numbers("bottom_axes", 2, above=0), *table.numbers("top_axes", 2, above=0), length])
+    rest = _poses(rotations, bottoms, scale)
+
+    parents = tuple(t.index("parent", limbs, "limb") for t in tables["joint"])
+    children = tuple(t.index("child", limbs, "limb") for t in tables["joint"])
+    _check_tree(tables["limb"], tables["joint"], limbs, parents, children)
+    at = [t.numbers("at", 3) for t in tables["joint"]]
+    child_at = [t.numbers("child_at", 3) if "child_at" in t.data else p for t, p in zip(tables["joint"], at)]
+    ex, ez = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+    frames = [t.frame("x_axis", t.numbers("z_axis", 3, default=ez), ex) for t in tables["joint"]]
+    child_frames = [
+        t.frame("child_x_axis", t.numbers("child_z_axis", 3, default=f[:, 2]), f[:, 0])
+        for t, f in zip(tables["joint"], frames)
+    ]
+
+    def carried(kind: str) -> tuple[tuple[int, ...], np.ndarray]:
+        found = tuple(t.index("limb", limbs, "limb") for t in tables[kind])
+        points = np.array([t.numbers("at", 3) for t in tables[kind]]).reshape(-1, 3) * scale
+        local = [rotations[i].T @ (p - bottoms[i] * scale) for i, p in zip(found, points)]
+        return found, np.array(local).reshape(-1, 3)
+
+    centre_limbs, centre_points = carried("centre")
+    site_limbs, site_points = carried("site")
+    ends = [(t.index("from", centres, "centre"), t.index("to", centres, "centre")) for t in tables["segment"]]
+    topology = Topology(
+        limbs=limbs, joints=joints, parents=parents, children=children, centres=centres, centre_limbs=centre_limbs,
+        sites=sites, site_limbs=site_limbs,
+        segments=tuple((t.name, centres[i], centres[j]) for t, (i, j) in zip(tables["segment"], ends)),
+    )  # fmt: skip
+    array = lambda x, *shape: jnp.array(np.array(x, np.float64).reshape(shape), jnp.float32)  # noqa: E731
+    return Body(
+        sizes=array(np.array(sizes) * scale, -1, 5),
+        rest=_to_jax(rest),
+        parent_anchor=_to_jax(_relative(rest, parents, _poses(frames, at, scale))),
+        child_anchor=_to_jax(_relative(rest, children, _poses(child_frames, child_at, scale))),
+        axes=array(np.array([t.numbers("axes", 2, above=-1e-300) for t in tables["joint"]]) * scale, -1, 2),
+        weights=array([t.number("weight", above=0, default=1.0) for t in tables["joint"]], -1),
+        centres=array(centre_points, -1, 3),
+        sites=array(site_points, -1, 3),
+        scale=array(scale),
+        topology=topology,
+        name=root.name,
+        scale_name=root.string("scale_name", "scale"),
+    )
+
+
+def format_body(body: Body) -> str:
+    """Text of the body file of a body (see write_body)."""
+    scale = float(body.scale)
+    sizes, axes, weights = (np.asarray(x, np.float64) for x in (body.sizes, body.axes, body.weights))
+    rest = _from_jax(body.rest)
+    lines = [HEADER, f"name = {_string(body.name)}", f"scale = {_number(scale)}"]
+    lines += [f"scale_name = {_string(body.scale_name)}"]
+    t = body.topology
+    for i, name in enumerate(t.limbs):
+        rotation, bottom = rest[0][i], rest[1][i] / scale
+        lines += ["", "[[limb]]", f"name = {_string(name)}", f"bottom = {_list(bottom)}"]
+        lines += [f"top = {_list(bottom + rotation[:, 2] * sizes[i, 4] / scale)}", f"x_axis = {_list(rotation[:, 0])}"]
+        lines += [f"bottom_axes = {_list(sizes[i, :2] / scale)}", f"top_axes = {_list(sizes[i, 2:4] / scale)}"]
+    anchors = [(t.parents, _from_jax(body.parent_anchor)), (t.children, _from_jax(body.child_anchor))]
+    for j, name in enumerate(t.joints):
+        lines += ["", "[[joint]]", f"name = {_string(name)}", f"parent = {_string(t.limbs[t.parents[j]])}"]
+        lines += [f"child = {_string(t.limbs[t.children[j]])}"]
+        for prefix, (owner, (rotation, translation)) in zip(("", "child_"), anchors):
+            limb = owner[j]
+            frame, at = rest[0][limb] @ rotation[j], rest[0][limb] @ translation[j] + rest[1][limb]
+            lines += [f"{prefix}at = {_list(at / scale)}", f"{prefix}x_axis = {_list(frame[:, 0])}"]
+            lines += [f"{prefix}z_axis = {_list(frame[:, 2])}"]
+        lines += [f"axes = {_list(axes[j] / scale)}", f"weight = {_number(weights[j])}"]
+    named = (("centre", t.centres, t.centre_limbs, body.centres), ("site", t.sites, t.site_limbs, body.sites))
+    for kind, names, owner, points in named:
+        for name, limb, point in zip(names, owner, np.asarray(points, np.float64)):
+            at = rest[0][limb] @ point + rest[1][limb]
+            lines += ["", f"[[{kind}]]", f"name = {_string(name)}", f"limb = {_string(t.limbs[limb])}"]
+            lines += [f"at = {_list(at / scale)}"]
+    for name, start, end in t.segments:
+        lines += ["", "[[segment]]", f"name = {_string(name)}", f"from = {_string(start)}", f"to = {_string(end)}"]
+    return "\n".join(lines) + "\n"
+
+
+class _File:
+    """TOML text with the line of every table and key, which tomllib does not tell."""
+
+    def __init__(self, text: str, source: str):
+        self.source, self.lines = source, {}
+        try:
+            self.data = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            where = re.search(r"\(at line (\d+),", str(error))
+            line = int(where[1]) if where else text.count("\n") + 1
+            raise BodyFileError(source, line, f"not TOML: {error}") from error
+        kind, number, counts = "", 0, dict.fromkeys(KEYS, -1)
+        for line, content in enumerate(text.splitlines(), 1):
+            if header := re.match(r"\s*\[\[?\s*[\"']?([^\"'\]]*?)[\"']?\s*\]\]?\s*(#.*)?$", content):
+                kind = header[1]
+                counts[kind] = number = counts.get(kind, -1) + 1
+                self.lines[kind, number, ""] = line
+            elif key := re.match(r"\s*[\"']?([^\"'\s=#\[\],]+)[\"']?\s*=", content):
+                self.lines.setdefault((kind, number if kind else 0, key[1]), line)
+
+    def line(self, kind: str, number: int, key: str | None) -> int:
+        # tables written inline have no header: then the line of the list that holds them
+        tries = ((kind, number, key), (kind, number, ""), ("", 0, kind), ("", 0, key))
+        return next((self.lines[t] for t in tries if t in self.lines), 1)
+
+    def fail(self, key: str | None, reason: str, kind: str = "", number: int = 0) -> NoReturn:
+        raise BodyFileError(self.source, self.line(kind, number, key), reason)
+
+    def root(self) -> "_Table":
+        return _Table(self, "", 0, self.data)
+
+    def tables(self, kind: str) -> list["_Table"]:
+        found = self.data.get(kind, [])
+        if not isinstance(found, list) or not all(isinstance(t, dict) for t in found):
+            self.fail("", f"'{kind}' must be written as [[{kind}]]", kind)
+        return [_Table(self, kind, i, t) for i, t in enumerate(found)]
+
+
+class _Table:
+    """One table of a body file: gives checked values or says where the file is wrong."""
+
+    def __init__(self, file: _File, kind: str, number: int, data: dict[str, Any]):
+        self.file, self.kind, self.place, self.data = file, kind, number, data
+        needed, allowed = KEYS[kind]
+        for key in data:
+            if key not in needed + allowed:
+                self.fail(key, f"unknown key '{key}' in {self.title}{_nearest(key, needed + allowed)}")
+        for key in needed:
+            if key not in data:
+                self.fail("", f"{self.title} has no '{key}'")
+        self.name = self.string("name")
+
+    @property
+    def title(self) -> str:
+        name = self.data.get("name")
+        return f"[[{self.kind}]]" + (f" '{name}'" if name else "") if self.kind else "the top of the file"
+
+    def fail(self, key: str, reason: str) -> NoReturn:
+        self.file.fail(key, reason, self.kind, self.place)
+
+    def string(self, key: str, default: str = "") -> str:
+        value = self.data.get(key, default)
+        if not isinstance(value, str) or not value:
+            self.fail(key, f"'{key}' of {self.title} must be a text in quotes, not {value!r}")
+        return value
+
+    def number(self, key: str, above: float, default: float | None = None) -> float:
+        return float(self.numbers(key, 1, np.array([default]) if default is not None else None, above)[0])
+
+    def numbers(self, key: str, count: int, default: np.ndarray | None = None, above: float = -math.inf) -> np.ndarray:
+        if key not in self.data and default is not None:
+            return default
+        value = self.data[key]
+        values = [value] if count == 1 else value
+        if not isinstance(values, list) or len(values) != count or not all(type(v) in (int, float) for v in values):
+            self.fail(key, f"'{key}' of {self.title} must be {count} number{'s' * (count > 1)}, not {value!r}")
+        if not all(math.isfinite(v) for v in values):
+            self.fail(key, f"'{key}' of {self.title} must be finite, not {value!r}")
+        if min(values) <= above:
+            self.fail(key, f"'{key}' of {self.title} must be {'above' if above >= 0 else 'at least'} 0, not {value!r}")
+        return np.array(values, np.float64)
+
+    def index(self, key: str, names: tuple[str, ...], what: str) -> int:
+        name = self.string(key)
+        if name not in names:
+            self.fail(key, f"'{key}' of {self.title}: there is no {what} '{name}'{_nearest(name, names)}")
+        return names.index(name)
+
+    def frame(self, key: str, z: np.ndarray, default_x: np.ndarray) -> Float[np.ndarray, "3 3"]:
+        """Rotation matrix with the given z axis and an x axis as near as possible to that of the file."""
+        x = self.numbers(key, 3, default=default_x)
+        zn = float(np.linalg.norm(z))
+        x = x - z * (x @ z) / zn**2 if zn > 1e-9 else 0 * x
+        xn = float(np.linalg.norm(x))
+        if xn < 1e-6:
+            self.fail(key, f"{self.title}: the x axis is zero or points along the z axis, so the frame is not defined")
+        return np.stack([x / xn, np.cross(z / zn, x / xn), z / zn], 1)
+
+
+def _check_tree(
+    limbs: list[_Table],
+    joints: list[_Table],
+    names: tuple[str, ...],
+    parents: tuple[int, ...],
+    children: tuple[int, ...],
+) -> None:
+    above: dict[int, int] = {}
+    for table, parent, child in zip(joints, parents, children):
+        if child == 0:
+            table.fail("child", f"{table.title}: limb '{names[0]}' is the root (the first limb) and cannot be a child")
+        if child in above:
+            table.fail("child", f"{table.title}: limb '{names[child]}' already hangs on '{names[above[child]]}'")
+        above[child] = parent
+    for i, table in enumerate(limbs):
+        path = [i]
+        while path[-1] != 0:
+            if path[-1] not in above:
+                limbs[path[-1]].fail("", f"limb '{names[path[-1]]}' hangs on nothing: no joint has it as child")
+            path.append(above[path[-1]])
+            if path[-1] in path[:-1]:
+                table.fail("", f"limb '{names[i]}' is in a circle: {' on '.join(names[p] for p in path)}")
+
+
+def _names(tables: list[_Table]) -> tuple[str, ...]:
+    seen: set[str] = set()
+    for table in tables:
+        if table.name in seen:
+            table.fail("name", f"there are two of [[{table.kind}]] '{table.name}'")
+        seen.add(table.name)
+    return tuple(table.name for table in tables)
+
+
+def _nearest(name: str, names: Iterable[str]) -> str:
+    """The end of a sentence about an unknown name."""
+    names = list(names)
+    close = difflib.get_close_matches(name, names, 1)
+    return f"; did you mean '{close[0]}'?" if close else f"; there is {', '.join(names)}" if names else ""
+
+
+_Frames = tuple[np.ndarray, np.ndarray]  # rotation matrices [n, 3, 3] and translations [n, 3] in float64
+
+
+def _poses(rotations: list[np.ndarray], points: list[np.ndarray], scale: float) -> _Frames:
+    return np.array(rotations).reshape(-1, 3, 3), np.array(points).reshape(-1, 3) * scale
+
+
+def _relative(rest: _Frames, owner: tuple[int, ...], frames: _Frames) -> _Frames:
+    """Frames given in the body frame, seen from the limbs that own them."""
+    rotation, translation = rest[0][list(owner)], rest[1][list(owner)]
+    turned = np.einsum("nji,njk->nik", rotation, frames[0])
+    return turned, np.einsum("nji,nj->ni", rotation, frames[1] - translation)
+
+
+def _to_jax(frames: _Frames) -> Poses:
+    rotations = np.array([_quaternion(m) for m in frames[0]]).reshape(-1, 4)
+    return Poses(jnp.array(rotations, jnp.float32), jnp.array(frames[1], jnp.float32))
+
+
+def _from_jax(poses: Poses) -> _Frames:
+    q = np.asarray(poses.rotation, np.float64)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    w, v = q[:, 0], q[:, 1:]
+    cross = np.cross(v[:, None], np.eye(3)[None]).transpose(0, 2, 1)  # column k is v x e_k
+    square = np.einsum("ni,nj->nij", v, v)
+    rotation = (w**2 - (v**2).sum(-1))[:, None, None] * np.eye(3) + 2 * square + 2 * w[:, None, None] * cross
+    return rotation, np.asarray(poses.translation, np.float64)
+
+
+def _quaternion(m: np.ndarray) -> np.ndarray:
+    """Unit quaternion wxyz of a rotation matrix, first component that is not zero positive."""
+    # the largest column of the outer product q q^T times 4 is free of cancellation
+    outer = np.array([
+        [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+        [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+        [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
+        [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
+    ])  # fmt: skip
+    q = outer[np.argmax(np.diag(outer))]
+    q = q / np.linalg.norm(q)
+    return q * np.sign(q[np.argmax(np.abs(q) > 1e-4)])
+
+
+def _number(value: float) -> str:
+    text = f"{float(value) + 0.0:.9g}"  # + 0.0: no minus zero
+    return text if any(c in text for c in ".e") else text + ".0"
+
+
+def _list(values: np.ndarray) -> str:
+    return "[" + ", ".join(_number(v) for v in np.round(values, 9) + 0.0) + "]"
+
+
+def _string(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

@@ -1,0 +1,245 @@
+"""Message iteration over an MCAP file that may be damaged: keeps all that can be read and says what could not be."""
+
+import os
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from typing import BinaryIO
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, DataEnd, Message, Schema, Statistics
+from mcap.stream_reader import CRCValidationError, breakup_chunk
+from mcap.summary import Summary
+
+MAGIC = b"\x89MCAP0\r\n"
+COMPRESSIONS = ("", "lz4", "zstd")
+# What mcap 1.6 and its decompressors raise on bad bytes (lz4: RuntimeError; lengths over 2^63: OverflowError).
+READ_ERRORS = (
+    McapError,
+    CRCValidationError,
+    struct.error,
+    KeyError,
+    UnicodeDecodeError,
+    zstandard.ZstdError,
+    RuntimeError,
+    OSError,
+    OverflowError,
+    EOFError,
+    MemoryError,
+)
+
+Item = tuple[Schema | None, Channel, Message]
+
+
+class LogError(Exception):
+    """A log cannot be used. The text says what is wrong, where, and what to try."""
+
+
+class LogFile:
+    """An MCAP file, read by its index where that can be trusted and else from start to end.
+
+    After `messages` has run through: `channels` and `schemas` by id, `counts` messages met per channel id, `declared`
+    the number per channel id that the file itself states (None if it does not), `damage` one sentence for each
+    damaged part. Raises `LogError` if the file is missing, empty, or not MCAP.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self.path = os.fspath(path)
+        self.size = _check(self.path)
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.declared: dict[int, int] | None = None
+        self.time_range: tuple[int, int] | None = None
+        self.counts: Counter[int] = Counter()
+        self.damage: list[str] = []
+        self._trouble = ""  # why the index is not used, if that is a sign of damage
+        with open(self.path, "rb") as stream:
+            self._summary = self._read_summary(stream)
+
+    def messages(self, wanted: Callable[[Schema | None, Channel], bool]) -> Iterator[Item]:
+        """The messages of wanted channels: in order of log time within a chunk, chunks by their start time if there
+        is an index, else in file order. Two runs give the same messages in the same order."""
+        self.counts, self.damage = Counter(), []
+        with open(self.path, "rb") as stream:
+            if self._summary is not None:
+                source = self._indexed(stream, self._summary, wanted)
+            else:
+                source = self._linear(stream)
+            lost = 0
+            for records in source:
+                held = []
+                for record in records:
+                    if isinstance(record, Schema):
+                        self.schemas[record.id] = record
+                    elif isinstance(record, Channel):
+                        self.channels[record.id] = record
+                    elif isinstance(record, Message):
+                        held.append(record)
+                held.sort(key=lambda message: message.log_time)
+                for message in held:
+                    channel = self.channels.get(message.channel_id)
+                    if channel is None:
+                        lost += 1
+                        continue
+                    self.counts[channel.id] += 1
+                    schema = self.schemas.get(channel.schema_id)
+                    if wanted(schema, channel):
+                        yield schema, channel, message
+            if lost:
+                self.damage.append(f"Messages of no known channel, left out: {lost}.")
+
+    def _read_summary(self, stream: BinaryIO) -> Summary | None:
+        """The index at the end of the file, None if it is missing or cannot be trusted."""
+        try:
+            # No record can be longer than the file: this limit stops absurd lengths before any memory is asked for.
+            summary = SeekingReader(stream, record_size_limit=self.size).get_summary()
+            if summary is None:
+                return None
+            stream.seek(-28, os.SEEK_END)
+            start, _, crc = struct.unpack("<QQI", stream.read(20))
+            stream.seek(start)
+            # The summary's own checksum covers the footer up to the checksum itself.
+            if crc and zlib.crc32(stream.read(self.size - start - 12)) != crc:
+                raise McapError("its checksum does not match")
+            known = all(c.schema_id == 0 or c.schema_id in summary.schemas for c in summary.channels.values())
+            for index in summary.chunk_indexes:
+                stream.seek(min(index.chunk_start_offset, self.size))
+                if stream.read(1) != bytes([Opcode.CHUNK]):
+                    raise McapError("it points to places where no chunk is")
+                known = known and all(i in summary.channels for i in index.message_index_offsets)
+            if not known or not summary.channels or not summary.chunk_indexes:
+                return None  # legal: channels not repeated at the end, or a file without chunks
+        except READ_ERRORS as error:
+            self._trouble = _words(error)
+            return None
+        self.channels, self.schemas = dict(summary.channels), dict(summary.schemas)
+        if summary.statistics is not None:
+            self._note_statistics(summary.statistics)
+        return summary
+
+    def _note_statistics(self, statistics: Statistics) -> None:
+        self.declared = dict(statistics.channel_message_counts)
+        if statistics.message_count:
+            self.time_range = (statistics.message_start_time, statistics.message_end_time)
+
+    def _indexed(self, stream: BinaryIO, summary: Summary, wanted: Callable) -> Iterator[list]:
+        ids = {i for i, c in self.channels.items() if wanted(self.schemas.get(c.schema_id), c)}
+        bad: list[str] = []
+        for index in sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
+            offsets = index.message_index_offsets
+            if offsets and ids.isdisjoint(offsets):
+                continue
+            stream.seek(index.chunk_start_offset + 9)
+            try:
+                yield _chunk_records(stream.read(max(min(index.chunk_length - 9, self.size), 0)))
+            except READ_ERRORS as error:
+                bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
+        self._note_chunks(bad, len(summary.chunk_indexes))
+
+    def _linear(self, stream: BinaryIO) -> Iterator[list]:
+        """All records from the start. Each is bounded by its own length, so that one bad chunk costs only itself."""
+        stream.seek(len(MAGIC))
+        crc, chunks, bad, ended, stop = zlib.crc32(MAGIC), 0, [], False, ""
+        position = len(MAGIC)
+        while True:
+            head = stream.read(9)
+            if len(head) < 9:
+                stop = "" if ended and head == MAGIC else "the file ends before its closing mark"
+                break
+            opcode, length = struct.unpack("<BQ", head)
+            if opcode == MAGIC[0] and ended:
+                break
+            if length > self.size - position - 9:
+                stop = f"the record at byte {position} is cut off or has an impossible length"
+                break
+            body = stream.read(length)
+            try:
+                if opcode == Opcode.CHUNK:
+                    chunks += 1
+                    yield _chunk_records(body)
+                elif opcode == Opcode.DATA_END:
+                    expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
+                    if expected and expected != crc and not bad:
+                        self.damage.append("The checksum of the whole data does not match: some messages may be wrong.")
+                    ended = True
+                elif opcode == Opcode.STATISTICS:
+                    self._note_statistics(Statistics.read(ReadDataStream(BytesIO(body))))
+                elif opcode == Opcode.FOOTER:
+                    stop = "" if stream.read() == MAGIC else "the file ends before its closing mark"
+                    break
+                elif opcode == Opcode.SCHEMA and not ended:
+                    yield [Schema.read(ReadDataStream(BytesIO(body)))]
+                elif opcode == Opcode.CHANNEL and not ended:
+                    yield [Channel.read(ReadDataStream(BytesIO(body)))]
+                elif opcode == Opcode.MESSAGE:
+                    yield [Message.read(ReadDataStream(BytesIO(body)), length)]
+            except READ_ERRORS as error:
+                bad.append(f"at byte {position}: {_words(error)}")
+            if not ended:
+                crc = zlib.crc32(body, zlib.crc32(head, crc))
+            position += 9 + length
+        self._note_chunks(bad, chunks)
+        kept = sum(self.counts.values())
+        if ended and (stop or self._trouble):
+            why = stop or self._trouble
+            self.damage.append(f"The index at the end is damaged ({why}); the data before it were read in file order.")
+        elif stop or not ended:
+            self.damage.append(
+                f"The log is incomplete: {stop or 'it ends early'} (byte {position} of {self.size}); "
+                f"kept the {kept} messages before that, how many are missing is not known. "
+                "Was the recorder stopped hard, or the copy broken off?"
+            )
+
+    def _note_chunks(self, bad: list[str], total: int) -> None:
+        if bad:
+            first = "the first " if len(bad) > 1 else ""
+            self.damage.append(f"{len(bad)} of {max(total, len(bad))} chunks cannot be read ({first}{bad[0]}).")
+
+
+def _check(path: str) -> int:
+    """Size of the file in bytes; LogError unless it starts as MCAP."""
+    if os.path.isdir(path):
+        raise LogError(f"'{path}' is a directory. Give the .mcap file itself (ROS 2 keeps it inside the bag's folder).")
+    try:
+        with open(path, "rb") as stream:
+            head = stream.read(len(MAGIC))
+        size = os.path.getsize(path)
+    except FileNotFoundError:
+        raise LogError(f"There is no file '{path}'. Check the name and the folder.") from None
+    except OSError as error:
+        raise LogError(f"'{path}' cannot be opened: {error.strerror}. Check that you may read it.") from error
+    if not head:
+        raise LogError(f"'{path}' is empty (0 bytes). Was the recording started, and the copy finished?")
+    if head != MAGIC:
+        hint = ""
+        if head.startswith(b"#ROSBAG"):
+            hint = " It is a ROS 1 bag: `mcap convert` or `rosbags-convert` makes an MCAP file of it."
+        elif head.startswith(b"SQLite"):
+            hint = " It is an SQLite bag of ROS 2: `ros2 bag convert` makes an MCAP file of it."
+        raise LogError(
+            f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint or ' Give a .mcap file.'}"
+        )
+    return size
+
+
+def _chunk_records(body: bytes) -> list:
+    """Schemas, channels and messages of one chunk record; raises one of READ_ERRORS if its bytes are not as written."""
+    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+    if chunk.compression not in COMPRESSIONS:
+        # mcap 1.6 would take the bytes for uncompressed ones and lose them without a word.
+        raise McapError(f"compression '{chunk.compression}' is not known")
+    if not chunk.uncompressed_crc and not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
+        raise McapError("its length is not the one stated")
+    return breakup_chunk(chunk, validate_crc=True)
+
+
+def _words(error: BaseException) -> str:
+    if isinstance(error, CRCValidationError):
+        return "checksum does not match, bytes were changed"
+    return str(error).strip().rstrip(".") or f"broken off ({type(error).__name__})"

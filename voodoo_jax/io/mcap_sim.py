@@ -1,0 +1,146 @@
+"""Writes a simulated recording: MCAP with ROS 2 or Foxglove messages, and the truth beside it."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.body import segment_lengths
+from voodoo_jax.simulate import Camera, Simulation
+
+OPTICAL_FRAME = "depth_optical"
+IMAGE_TOPIC, INFO_TOPIC = "/depth/image", "/depth/camera_info"
+CHUNK_SIZE = 1 << 20
+
+
+def write_simulation(
+    simulation: Simulation, path: str | os.PathLike[str], format: Literal["ros2", "foxglove"] = "ros2"
+) -> Path:
+    """Writes `path` (MCAP) and `<stem>.truth.npz` beside it; equal simulations give equal bytes. Returns `path`.
+
+    ros2: sensor_msgs/Image 16UC1 and CameraInfo, transform on /tf_static; foxglove: RawImage, CameraCalibration,
+    FrameTransform on /tf. Depth in millimetres. Truth: time_ns [frame], joints [frame, centre, 3] metres, names, dims
+    (JSON, metres). Files appear under their names only when complete. Raises OSError, ValueError for another format.
+    """
+    if format not in ("ros2", "foxglove"):
+        raise ValueError(f"format is 'ros2' or 'foxglove', not '{format}'")
+    path = Path(path)
+    fill = _ros2 if format == "ros2" else _foxglove
+    _replace(path, lambda stream: fill(simulation, stream))
+    _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: np.savez_compressed(stream, **_truth(simulation)))
+    return path
+
+
+def _truth(simulation: Simulation) -> dict[str, np.ndarray]:
+    body = simulation.body
+    dims = segment_lengths(body) | ({"stature": float(body.scale)} if body.scale_name == "stature" else {})
+    names = np.array(body.topology.centres)
+    return dict(time_ns=simulation.time_ns, joints=simulation.joints, names=names, dims=np.array(json.dumps(dims)))
+
+
+def _replace(path: Path, fill: Callable[[BinaryIO], None]) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(partial, "wb") as stream:
+            fill(stream)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _matrices(camera: Camera) -> tuple[list[float], list[float], list[float]]:
+    """Row-major k, r, p of a calibration."""
+    k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
+    p = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return k, np.eye(3).ravel().tolist(), p
+
+
+def _ros2(simulation: Simulation, stream: BinaryIO) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+    writer.start(profile="ros2", library="voodoo_jax")
+    channels: dict[str, int] = {}
+
+    def put(topic: str, stamp: int, message: Any) -> None:
+        name = message.__msgtype__
+        if topic not in channels:
+            text, _ = store.generate_msgdef(name, ros_version=2)
+            schema = writer.register_schema(name, "ros2msg", text.encode())
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+        writer.add_message(channels[topic], stamp, bytes(store.serialize_cdr(message, name)), stamp)
+
+    t, camera = store.types, simulation.camera
+
+    def header(stamp: int, frame: str) -> Any:
+        time = t["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+        return t["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+    if len(simulation.time_ns):
+        start = int(simulation.time_ns[0])
+        x, y, z, w = Rotation.from_matrix(camera.rotation).as_quat().tolist()
+        px, py, pz = camera.position
+        transform = t["geometry_msgs/msg/Transform"](
+            translation=t["geometry_msgs/msg/Vector3"](x=px, y=py, z=pz),
+            rotation=t["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
+        )
+        stamped = t["geometry_msgs/msg/TransformStamped"](
+            header=header(start, simulation.fixed_frame), child_frame_id=OPTICAL_FRAME, transform=transform
+        )
+        put("/tf_static", start, t["tf2_msgs/msg/TFMessage"](transforms=[stamped]))
+        k, r, p = (np.array(m) for m in _matrices(camera))
+        put(INFO_TOPIC, start, t["sensor_msgs/msg/CameraInfo"](
+            header=header(start, OPTICAL_FRAME), height=camera.height, width=camera.width,
+            distortion_model="plumb_bob", d=np.zeros(5), k=k, r=r, p=p, binning_x=0, binning_y=0,
+            roi=t["sensor_msgs/msg/RegionOfInterest"](x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+        ))  # fmt: skip
+    for stamp, image in zip(simulation.time_ns.tolist(), simulation.depth):
+        put(IMAGE_TOPIC, stamp, t["sensor_msgs/msg/Image"](
+            header=header(stamp, OPTICAL_FRAME), height=camera.height, width=camera.width, encoding="16UC1",
+            is_bigendian=0, step=2 * camera.width, data=image.astype("<u2").reshape(-1).view(np.uint8),
+        ))  # fmt: skip
+    writer.finish()
+
+
+def _foxglove(simulation: Simulation, stream: BinaryIO) -> None:
+    writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+    writer.start(profile="", library="voodoo_jax")
+    channels: dict[str, int] = {}
+
+    def put(topic: str, stamp: int, message: Any) -> None:
+        message.timestamp.FromNanoseconds(stamp)
+        if topic not in channels:
+            descriptors = build_file_descriptor_set(type(message)).SerializeToString(deterministic=True)
+            schema = writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", descriptors)
+            channels[topic] = writer.register_channel(topic, "protobuf", schema)
+        writer.add_message(channels[topic], stamp, message.SerializeToString(deterministic=True), stamp)
+
+    camera = simulation.camera
+    if len(simulation.time_ns):
+        start = int(simulation.time_ns[0])
+        transform = FrameTransform(parent_frame_id=simulation.fixed_frame, child_frame_id=OPTICAL_FRAME)
+        part = transform.translation
+        part.x, part.y, part.z = camera.position
+        turn = transform.rotation
+        turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(camera.rotation).as_quat().tolist()
+        put("/tf", start, transform)
+        k, r, p = _matrices(camera)
+        put(INFO_TOPIC, start, CameraCalibration(
+            frame_id=OPTICAL_FRAME, width=camera.width, height=camera.height, distortion_model="plumb_bob",
+            D=[0.0] * 5, K=k, R=r, P=p,
+        ))  # fmt: skip
+    for stamp, image in zip(simulation.time_ns.tolist(), simulation.depth):
+        put(IMAGE_TOPIC, stamp, RawImage(
+            frame_id=OPTICAL_FRAME, width=camera.width, height=camera.height, encoding="16UC1",
+            step=2 * camera.width, data=image.astype("<u2").tobytes(),
+        ))  # fmt: skip
+    writer.finish()

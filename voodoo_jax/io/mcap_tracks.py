@@ -1,0 +1,197 @@
+"""Tracks as an MCAP file that Foxglove and Rerun show: frames, poses, the body, quality, and how it was made.
+
+Frames: `voodoo/<limb>` (the limb frame of body.py) and `voodoo/joint/<name>`, both in the tracks' fixed frame.
+"""
+
+import colorsys
+import json
+import math
+import os
+from importlib import metadata
+
+import numpy as np
+import trimesh
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.duration_pb2 import Duration
+from google.protobuf.timestamp_pb2 import Timestamp
+from jaxtyping import Float
+from mcap.writer import Writer
+from mcap_protobuf.schema import register_schema
+
+from voodoo_jax.body import Body
+from voodoo_jax.io.body_file import format_body
+from voodoo_jax.io.tracks_file import replacing
+from voodoo_jax.tracks import Status, Tracks
+
+SCENE_PERIOD_NS = 1_000_000_000  # the body is written again this often, for readers that seek without looking back
+SAME_RATIO = 0.02  # ends whose axis ratios differ less are one CylinderPrimitive
+QUALITY_SCHEMA = {
+    "title": "voodoo_jax.Quality",
+    "type": "object",
+    "properties": {
+        "residual_m": {"type": ["number", "null"], "description": "root mean square distance of the used points, m"},
+        "explained": {"type": ["number", "null"], "description": "share of the person's points that the body explains"},
+        "steps": {"type": "integer"},
+        "tracked": {"type": "boolean"},
+        "status": {"type": "integer", "description": ", ".join(f"{s.value} {s.name}" for s in Status)},
+    },
+}
+
+
+def write_tracks_mcap(tracks: Tracks, path: str | os.PathLike, parameters: dict[str, str] | None = None) -> None:
+    """Writes `.voodoo.mcap`; log times are the frames' stamps, lengths metres, all in the tracks' fixed frame.
+
+    Topics: /voodoo/tf (FrameTransforms, limbs and joint centres), /voodoo/poses (PosesInFrame, limbs in the order of
+    the body), /voodoo/body (SceneUpdate), /voodoo/quality (JSON). Frames without poses have quality only. Metadata
+    record `voodoo_jax`: version, source, fixed_frame and `parameters`; attachment `body.toml`: the body file.
+    The file appears under its name only when complete. Raises OSError.
+    """
+    with replacing(path) as partial, open(partial, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="", library=f"voodoo_jax {_version()}")
+        start = int(tracks.time_ns[0]) if len(tracks.time_ns) else 0
+        own = {"version": _version(), "source": tracks.source, "fixed_frame": tracks.fixed_frame}
+        writer.add_metadata("voodoo_jax", (parameters or {}) | own)
+        writer.add_attachment(start, start, "body.toml", "application/toml", format_body(tracks.body).encode())
+        _write_frames(writer, tracks)
+        writer.finish()
+
+
+def _write_frames(writer: Writer, tracks: Tracks) -> None:
+    topics = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate}
+    channel = {
+        name: writer.register_channel(f"/voodoo/{name}", "protobuf", register_schema(writer, message))
+        for name, message in topics.items()
+    }
+    schema = writer.register_schema("voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode())
+    channel["quality"] = writer.register_channel("/voodoo/quality", "json", schema)
+
+    entities = body_entities(tracks.body)
+    next_scene = None
+    for i, stamp in enumerate(tracks.time_ns.tolist()):
+        seconds, nanos = divmod(stamp, 1_000_000_000)
+        time = Timestamp(seconds=seconds, nanos=nanos)
+        messages = {"quality": _quality(tracks, i)}
+        if transforms := _transforms(tracks, i, time):
+            messages["tf"] = FrameTransforms(transforms=transforms).SerializeToString()
+            limbs = [t for t in transforms if not t.child_frame_id.startswith("voodoo/joint/")]
+            poses = [Pose(position=t.translation, orientation=t.rotation) for t in limbs]
+            if len(poses) == tracks.body.limb_count:  # a list with gaps would name the wrong limbs
+                message = PosesInFrame(timestamp=time, frame_id=tracks.fixed_frame, poses=poses)
+                messages["poses"] = message.SerializeToString()
+            if next_scene is None or stamp >= next_scene:
+                next_scene = stamp + SCENE_PERIOD_NS
+                for entity in entities:
+                    entity.timestamp.CopyFrom(time)
+                messages["body"] = SceneUpdate(entities=entities).SerializeToString()
+        for name, data in messages.items():
+            writer.add_message(channel[name], log_time=stamp, data=data, publish_time=stamp, sequence=i)
+
+
+def _transforms(tracks: Tracks, frame: int, time: Timestamp) -> list[FrameTransform]:
+    """Where the limbs and the joint centres are in one frame; those that are NaN are left out."""
+    names = [f"voodoo/{name}" for name in tracks.body.topology.limbs]
+    names += [f"voodoo/joint/{name}" for name in tracks.body.topology.centres]
+    turns = np.tile(np.array([1.0, 0, 0, 0]), (len(names), 1))
+    turns[: tracks.body.limb_count] = tracks.rotation[frame]
+    places = np.concatenate([tracks.translation[frame], tracks.joints[frame]]).astype(float)
+    there = np.all(np.isfinite(np.concatenate([turns, places], 1)), axis=1).tolist()
+    return [
+        FrameTransform(
+            timestamp=time,
+            parent_frame_id=tracks.fixed_frame,
+            child_frame_id=name,
+            translation=Vector3(x=p[0], y=p[1], z=p[2]),
+            rotation=Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]),
+        )
+        for name, p, q, use in zip(names, places.tolist(), turns.tolist(), there)
+        if use
+    ]
+
+
+def _quality(tracks: Tracks, frame: int) -> bytes:
+    number = lambda x: float(x) if math.isfinite(x) else None  # noqa: E731  (JSON has no NaN)
+    scalars = {
+        "residual_m": number(tracks.residual[frame]),
+        "explained": number(tracks.explained[frame]),
+        "steps": int(tracks.steps[frame]),
+        "tracked": bool(tracks.tracked[frame]),
+        "status": int(tracks.status[frame]),
+    }
+    return json.dumps(scalars, allow_nan=False).encode()
+
+
+def body_entities(body: Body) -> list[SceneEntity]:
+    """One SceneEntity per limb, id = limb name, in the frame `voodoo/<limb>` that it moves with; no timestamp.
+
+    Metadata of each entity: a0, b0, a1, b1, length in metres, as in Body.sizes.
+    """
+    entities = []
+    for i, (name, sizes) in enumerate(zip(body.topology.limbs, np.asarray(body.sizes, float))):
+        entity = SceneEntity(id=name, frame_id=f"voodoo/{name}", frame_locked=True, lifetime=Duration())
+        for key, value in zip(("a0", "b0", "a1", "b1", "length"), sizes):
+            entity.metadata.append(KeyValuePair(key=key, value=f"{value:.9g}"))
+        # golden ratio steps keep the colours of neighbours apart
+        r, g, b = colorsys.hsv_to_rgb(i * 0.618 % 1, 0.55, 0.95)
+        color = Color(r=r, g=g, b=b, a=0.7)
+        a0, b0, a1, b1, _ = sizes
+        if abs(a0 * b1 / (a1 * b0) - 1) < SAME_RATIO:
+            entity.cylinders.append(_cylinder(sizes, color))
+        else:
+            entity.triangles.append(_triangles(sizes, color))
+        entities.append(entity)
+    return entities
+
+
+def _cylinder(sizes: Float[np.ndarray, "5"], color: Color) -> CylinderPrimitive:
+    a0, b0, a1, b1, length = sizes.tolist()
+    # `size` is the bounding box, so that of the wider end; the ratio of the ends is the same along x and y here
+    ratio = math.sqrt(a1 * b1 / (a0 * b0))
+    a, b = (a0, b0) if ratio <= 1 else (a1, b1)
+    return CylinderPrimitive(
+        # the primitive is centred, the limb frame sits in the bottom ellipse
+        pose=Pose(position=Vector3(z=length / 2), orientation=Quaternion(w=1)),
+        size=Vector3(x=2 * a, y=2 * b, z=length),
+        bottom_scale=min(1.0, 1 / ratio),
+        top_scale=min(1.0, ratio),
+        color=color,
+    )
+
+
+def limb_mesh(sizes: Float[np.ndarray, "5"], sections: int = 24) -> trimesh.Trimesh:
+    """Closed mesh of one limb in its limb frame, metres; vertices lie on the elliptic frustum."""
+    a0, b0, a1, b1, length = np.asarray(sizes, float)
+    mesh = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=sections)
+    x, y, z = mesh.vertices.T
+    up = z + 0.5
+    points = np.stack([x * (a0 + (a1 - a0) * up), y * (b0 + (b1 - b0) * up), up * length], -1)
+    return trimesh.Trimesh(points, mesh.faces, process=False)
+
+
+def _triangles(sizes: Float[np.ndarray, "5"], color: Color) -> TriangleListPrimitive:
+    mesh = limb_mesh(sizes)
+    return TriangleListPrimitive(
+        pose=Pose(position=Vector3(), orientation=Quaternion(w=1)),
+        points=[Point3(x=x, y=y, z=z) for x, y, z in mesh.vertices.tolist()],
+        indices=mesh.faces.ravel().tolist(),
+        color=color,
+    )
+
+
+def _version() -> str:
+    try:
+        return metadata.version("voodoo_jax")
+    except metadata.PackageNotFoundError:  # run from a source tree
+        return "unknown"

@@ -1,0 +1,93 @@
+"""Tracks as one `.npz` file: what score.py and notebooks read, and all that is needed to have the Tracks again."""
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from voodoo_jax.body import segment_lengths
+from voodoo_jax.io.body_file import format_body, parse_body
+from voodoo_jax.tracks import Tracks
+
+FRAME_ARRAYS = (
+    "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",
+)  # fmt: skip
+
+
+class TracksFileError(ValueError):
+    """A file that is not a complete tracks file."""
+
+
+@contextmanager
+def replacing(path: str | os.PathLike) -> Iterator[Path]:
+    """Gives a temporary path in the same folder; it becomes `path` at the end, or is removed if anything was raised."""
+    target = Path(path)
+    partial = target.with_name(f".{target.name}.tmp")
+    try:
+        yield partial
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_tracks_npz(tracks: Tracks, path: str | os.PathLike) -> None:
+    """Writes `.tracks.npz`: arrays in metres and nanoseconds, in the tracks' fixed frame; no pickled objects.
+
+    Keys: time_ns, joint_names, joints, tracked, body_json (name, stature or what the body's scale is called,
+    segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
+    fixed_frame, source, seconds, notes, body_toml. The file appears under its name only when complete. Raises OSError.
+    """
+    body = tracks.body
+    summary = {
+        "name": body.name,
+        body.scale_name: float(body.scale),
+        "segment_lengths": segment_lengths(body),
+    }
+    arrays: dict[str, Any] = {name: getattr(tracks, name) for name in FRAME_ARRAYS}
+    arrays |= {
+        "tracked": tracks.tracked,
+        "joint_names": np.array(body.topology.centres, np.str_),
+        "limb_names": np.array(body.topology.limbs, np.str_),
+        "body_json": np.array(json.dumps(summary, allow_nan=False)),
+        "body_toml": np.array(format_body(body)),
+        "fixed_frame": np.array(tracks.fixed_frame),
+        "source": np.array(tracks.source),
+        "seconds": np.array(tracks.seconds, np.float64),
+        "notes": np.array(tracks.notes, np.str_),
+    }
+    with replacing(path) as partial, open(partial, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_tracks_npz(path: str | os.PathLike) -> Tracks:
+    """Reads what write_tracks_npz wrote. Raises TracksFileError if it is something else, OSError if it is not there."""
+    try:
+        # opened here, because np.load leaves a file open that it refuses
+        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
+            data = {name: file[name] for name in file.files}
+    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, AttributeError, TypeError) as error:
+        raise TracksFileError(f"{path}: not a tracks file: {error}") from error
+    missing = [name for name in (*FRAME_ARRAYS, "body_toml", "fixed_frame", "source") if name not in data]
+    if missing:
+        raise TracksFileError(f"{path}: not a tracks file of this version: it has no {', '.join(missing)}")
+    body = parse_body(str(data["body_toml"]), f"{path}, body_toml")
+    frames, limbs, joints = len(data["time_ns"]), body.limb_count, len(body.topology.centres)
+    shapes = {"rotation": (limbs, 4), "translation": (limbs, 3), "joints": (joints, 3), "limb_weight": (limbs,)}
+    for name in FRAME_ARRAYS:
+        expected = (frames, *shapes.get(name, ()))
+        if data[name].shape != expected:
+            raise TracksFileError(f"{path}: '{name}' has shape {data[name].shape} where its body asks for {expected}")
+    return Tracks(
+        source=str(data["source"]),
+        fixed_frame=str(data["fixed_frame"]),
+        body=body,
+        **{name: data[name] for name in FRAME_ARRAYS},
+        seconds=float(data.get("seconds", 0.0)),
+        notes=tuple(str(note) for note in data.get("notes", ())),
+    )

@@ -1,0 +1,146 @@
+"""Coordinate frames of a log: a tree of rigid transforms over time, looked up at the stamp of a measurement."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int64
+from scipy.spatial.transform import Rotation, Slerp
+
+HOLD_NS = 500_000_000  # a moving transform is believed for this long before its first and after its last sample
+
+
+@dataclass(frozen=True)
+class Transform:
+    """`parent_T_child` at one time: a point p of the child frame is rotation * p + translation in the parent frame."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    translation: Float[np.ndarray, "3"]  # metres
+    rotation: Float[np.ndarray, "4"]  # quaternion x, y, z, w; any length but 0
+
+
+@dataclass(frozen=True)
+class _Edge:
+    parent: str
+    stamps: Int64[np.ndarray, " moving"]  # empty for a transform that never changes
+    translations: Float[np.ndarray, "sample 3"]
+    rotations: Rotation
+
+    def at(self, stamp_ns: int, hold_ns: int | None) -> tuple[np.ndarray, np.ndarray] | None:
+        times = self.stamps
+        if len(times) == 0:
+            return self.rotations[0].as_matrix(), self.translations[0]
+        if hold_ns is not None and not times[0] - hold_ns <= stamp_ns <= times[-1] + hold_ns:
+            return None
+        i = int(np.searchsorted(times, stamp_ns))
+        if i == 0 or i == len(times) or times[i] == stamp_ns:
+            i = min(i, len(times) - 1)
+            return self.rotations[i].as_matrix(), self.translations[i]
+        f = (stamp_ns - int(times[i - 1])) / int(times[i] - times[i - 1])
+        translation = (1 - f) * self.translations[i - 1] + f * self.translations[i]
+        return Slerp([0.0, 1.0], self.rotations[i - 1 : i + 1])(f).as_matrix(), translation
+
+
+class TransformTree:
+    """All transforms of a log. Collect with `add`, then `close`, then look up. `notes` says what was odd."""
+
+    def __init__(self):
+        self._samples: dict[tuple[str, str], list[Transform]] = {}  # (child, parent)
+        self._static: set[tuple[str, str]] = set()
+        self._edges: dict[str, _Edge] = {}
+        self._cache: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]] = {}
+        self._odd: Counter[str] = Counter()
+        self.notes: list[str] = []
+
+    def add(self, transform: Transform, static: bool) -> None:
+        """Keep one sample. A static transform holds for the whole log, the last one given wins."""
+        finite = np.isfinite(transform.translation).all() and np.isfinite(transform.rotation).all()
+        if not finite or not transform.child or transform.child == transform.parent:
+            self._odd["transforms without a child frame or finite numbers were left out"] += 1
+            return
+        if not np.any(transform.rotation):
+            self._odd["transforms have a rotation of all zeros, taken as no rotation"] += 1
+        key = (transform.child, transform.parent)
+        if static:
+            if key in self._static and not _same(self._samples[key][-1], transform):
+                self._odd["times a static transform changed; its last value is used for the whole log"] += 1
+            self._static.add(key)
+            self._samples[key] = [transform]
+        elif key not in self._static:
+            self._samples.setdefault(key, []).append(transform)
+
+    def close(self) -> None:
+        """Sort the samples and settle on one parent for each frame."""
+        for (child, parent), samples in self._samples.items():
+            if child in self._edges:
+                other = self._edges[child].parent
+                self.notes.append(f"Frame '{child}' has two parents, '{other}' and '{parent}'; the first is used.")
+                continue
+            # Stable sort, then the last of equal stamps: a later message corrects an earlier one.
+            by_stamp = {s.stamp_ns: s for s in sorted(samples, key=lambda s: s.stamp_ns)}
+            kept = list(by_stamp.values())
+            translations = np.array([s.translation for s in kept], float)
+            quaternions = np.array([s.rotation if np.any(s.rotation) else [0, 0, 0, 1] for s in kept], float)
+            if max(np.ptp(translations, axis=0).max(), np.ptp(quaternions, axis=0).max()) < 1e-9:
+                kept = kept[:1]  # never moves; Foxglove has no word for static, and such logs may give it only once
+            stamps = np.array([s.stamp_ns for s in kept] if len(kept) > 1 else [], dtype=np.int64)
+            self._edges[child] = _Edge(parent, stamps, translations, Rotation.from_quat(quaternions))
+        self.notes += [f"{n} {what}." for what, n in self._odd.items()]
+        self._samples.clear()
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all frames, sorted."""
+        return tuple(sorted({*self._edges, *(e.parent for e in self._edges.values())}))
+
+    def _up(self, frame: str) -> list[str]:
+        """The frame and its ancestors; a loop in a bad log ends the way."""
+        way = [frame]
+        while way[-1] in self._edges and self._edges[way[-1]].parent not in way:
+            way.append(self._edges[way[-1]].parent)
+        return way
+
+    def root(self, frame: str) -> str:
+        """The top of the tree that holds `frame`; the frame itself if it has no parent."""
+        return self._up(frame)[-1]
+
+    def connected(self, a: str, b: str) -> bool:
+        """Whether the log has any chain of transforms between two frames."""
+        return self.root(a) == self.root(b)
+
+    def lookup(
+        self, target: str, source: str, stamp_ns: int, hold_ns: int | None = HOLD_NS
+    ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]] | None:
+        """Rotation matrix and translation (metres) which take points of `source` to `target` at a time, or None.
+
+        Between samples: linear and slerp. Outside of them the nearest sample holds for `hold_ns`, None: for ever.
+        """
+        if (target, source) in self._cache:
+            return self._cache[target, source]
+        below, above = self._up(source), self._up(target)
+        meet = next((frame for frame in below if frame in above), None)
+        if meet is None:
+            return None
+        chains = below[: below.index(meet)], above[: above.index(meet)]
+        both = []
+        for chain in chains:
+            rotation, translation = np.eye(3), np.zeros(3)
+            for frame in chain:
+                step = self._edges[frame].at(stamp_ns, hold_ns)
+                if step is None:
+                    return None
+                rotation, translation = step[0] @ rotation, step[0] @ translation + step[1]
+            both.append((rotation, translation))
+        (rs, ts), (rt, tt) = both
+        result = rt.T @ rs, rt.T @ (ts - tt)
+        if all(len(self._edges[frame].stamps) == 0 for frame in chains[0] + chains[1]):
+            self._cache[target, source] = result
+        return result
+
+
+def _same(a: Transform, b: Transform) -> bool:
+    return bool(np.allclose(a.translation, b.translation, atol=1e-9, rtol=0)) and bool(
+        np.allclose(a.rotation, b.rotation, atol=1e-9, rtol=0)
+    )

@@ -1,0 +1,60 @@
+"""Artificial point pairs: elastic bands between limbs (Knoop 2007, sec. 4.3) and weak pairs towards a predicted pose.
+
+Both are added to the moments of the measured pairs: one path for measurements and model knowledge.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from voodoo_jax.body import Bands, Topology
+from voodoo_jax.pose import Poses, compose, inverse, rotate, unrotate
+
+
+def _pair_moments(
+    weight: Float[Array, " pair"], model: Float[Array, "pair 3"], data: Float[Array, "pair 3"]
+) -> Float[Array, "4 4"]:
+    """Sum of w [1, c] [1, p]^T over a few pairs."""
+    one = jnp.ones_like(weight)[:, None]
+    c, p = jnp.concatenate([one, model], -1), jnp.concatenate([one, data], -1)
+    return jnp.sum((weight[:, None] * c)[:, :, None] * p[:, None, :], 0)
+
+
+def band_moments(
+    topology: Topology, bands: Bands, poses: Poses, strength: Float[Array, " limb"]
+) -> Float[Array, "limb 4 4"]:
+    """Moments of all bands, each added twice: model to data on one limb, data to model on the other (sec. 4.3).
+
+    **Arguments:** `strength` [limb] what a joint of weight 1 weighs on that limb: ratio r times the limb's measured
+    weight, with a floor so that a limb without measurements still hangs on its bands.
+
+    **Returns:** moments [limb], both points of each pair in the frame of the limb.
+    """
+    parents, children = jnp.array(topology.parents, int), jnp.array(topology.children, int)
+
+    def side(limbs, others, own_points, other_points):
+        own, other = poses[limbs], poses[others]
+        world = rotate(other.rotation[:, None], other_points) + other.translation[:, None]
+        data = unrotate(own.rotation[:, None], world - own.translation[:, None])
+        return jax.vmap(_pair_moments)(bands.weights * strength[limbs][:, None], own_points, data)
+
+    up = side(parents, children, bands.parent_points, bands.child_points)
+    down = side(children, parents, bands.child_points, bands.parent_points)
+    zero = jnp.zeros((len(topology.limbs), 4, 4), up.dtype)
+    return zero.at[parents].add(up).at[children].add(down)
+
+
+def prior_moments(
+    middle: Float[Array, "3"], pose: Poses, predicted: Poses, weight: Float[Array, ""], radius: Float[Array, ""]
+) -> Float[Array, "4 4"]:
+    """Moments of six weak pairs that pull one limb to its predicted pose and determine it where nothing else does.
+
+    **Arguments:** `middle` of the limb, limb frame; `pose`, `predicted` of this limb; `weight` of all six pairs
+    together; the pairs sit `radius` metres from the middle along the limb's axes: turning by an angle costs
+    2/3 weight radius^2 angle^2 (pitfall P11: never leave a direction undetermined).
+    """
+    difference = compose(inverse(pose), predicted)
+    offsets = jnp.concatenate([jnp.eye(3, dtype=middle.dtype), -jnp.eye(3, dtype=middle.dtype)]) * radius
+    model = middle + offsets
+    data = rotate(difference.rotation, model) + difference.translation
+    return _pair_moments(jnp.broadcast_to(weight / 6, (6,)), model, data)

@@ -1,0 +1,270 @@
+"""Tells the body's points apart from floor, walls and furniture. Host side, NumPy; one frame at a time, no look ahead.
+
+Nothing here knows what the body looks like but its height at rest.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from voodoo_jax.recording import Frame
+from voodoo_jax.settings import PersonSettings
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Points p with normal . p = offset."""
+
+    normal: Float32[np.ndarray, "3"]  # unit
+    offset: float  # metres
+
+    def height(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, " point"]:
+        """Signed distance of points, metres."""
+        return points @ self.normal - np.float32(self.offset)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The room's planes, found once from the first frames."""
+
+    floor: Plane  # normal upwards
+    walls: tuple[Plane, ...]
+    floor_seen: bool  # False: no floor was visible and the lowest points stand for it
+
+
+def fit_plane(
+    points: Float32[np.ndarray, "point 3"],
+    normals_ok,
+    rng: np.random.Generator,
+    tolerance: float,
+    trials: int = 300,
+) -> tuple[Plane, Bool[np.ndarray, " point"]] | None:
+    """The plane with the most points within `tolerance` metres (random samples of three, then least squares).
+
+    `normals_ok(normals [trial, 3]) -> bool [trial]` says which directions are wanted. None where none was found.
+    """
+    if len(points) < 50:
+        return None
+    sample = points[rng.integers(0, len(points), (trials, 3))]
+    normals = np.cross(sample[:, 1] - sample[:, 0], sample[:, 2] - sample[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    good = length > 1e-3
+    normals = normals[good] / length[good, None]
+    keep = normals_ok(normals)
+    normals, at = normals[keep], sample[good][keep][:, 0]
+    if not len(normals):
+        return None
+    subset = points[rng.permutation(len(points))[:4000]]
+    near = np.abs(subset @ normals.T - np.sum(normals * at, 1)) < tolerance
+    best = int(np.argmax(near.sum(0)))
+    normal, offset = normals[best], float(normals[best] @ at[best])
+    for _ in range(3):
+        inside = np.abs(points @ normal - offset) < tolerance
+        if inside.sum() < 20:
+            return None
+        middle = points[inside].mean(0)
+        _, _, axes = np.linalg.svd(points[inside][:: max(1, int(inside.sum()) // 3000)] - middle, full_matrices=False)
+        normal = axes[2] * np.sign(axes[2] @ normal or 1.0)
+        offset = float(normal @ middle)
+    plane = Plane(normal.astype(np.float32), offset)
+    return plane, np.abs(plane.height(points)) < tolerance
+
+
+def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bool = True) -> Scene:
+    """Floor and walls from a few frames: `up` need be right to 40 degrees only.
+
+    Where no floor is visible it is taken to be z = 0 of a fixed frame whose z points up (`up_is_sure`; robots' base,
+    odometry and map frames are so by convention), or else the height of the lowest points.
+    """
+    rng = np.random.default_rng(0)
+    clouds = [f.points for f in frames if len(f.points)]
+    points = np.concatenate(clouds) if clouds else np.zeros((0, 3), np.float32)
+    if len(points) > 60_000:
+        points = points[rng.permutation(len(points))[:60_000]]
+    floor, seen = _find_floor(points, np.asarray(up, np.float32), up_is_sure, rng)
+    walls: list[Plane] = []
+    for frame in frames:  # one by one: a person who walks is as wide as a wall over several frames together
+        if len(frame.points) and len(walls) < 6:
+            walls += _find_walls(frame, floor, walls, rng)
+    return Scene(floor, tuple(walls), seen)
+
+
+def _find_walls(frame: Frame, floor: Plane, known: list[Plane], rng) -> list[Plane]:
+    """Wide upright planes with nothing behind them."""
+    points = frame.points[rng.permutation(len(frame.points))[:20_000]]
+    points = points[floor.height(points) > 0.1]
+    rest = points
+    for wall in known:
+        rest = rest[np.abs(wall.height(rest)) > 0.05]
+    found: list[Plane] = []
+    for _ in range(3):
+        fit = fit_plane(rest, lambda n: np.abs(n @ floor.normal) < 0.17, rng, 0.04)
+        if fit is None or not fit[1].any():
+            break
+        plane, inside = fit
+        along = np.cross(floor.normal, plane.normal)
+        wide = np.ptp(np.percentile(rest[inside] @ along, [2, 98]))
+        side = np.sign(plane.height(frame.origins[:1]))[0]
+        behind = (plane.height(points) * side < -0.15).mean()
+        if wide < 2.0 or inside.sum() < 0.08 * len(points) or behind > 0.03:
+            break
+        found.append(plane)
+        rest = rest[~inside]
+    return found
+
+
+def _find_floor(points, up, up_is_sure, rng) -> tuple[Plane, bool]:
+    if not len(points):
+        return Plane(up, 0.0), False
+    height = points @ up
+    low = points[height < np.percentile(height, 70)]
+    found = fit_plane(low, lambda n: np.abs(n @ up) > 0.77, rng, 0.03)
+    if found is not None:
+        plane, _ = found
+        if plane.normal @ up < 0:
+            plane = Plane(-plane.normal, -plane.offset)
+        above = plane.height(points)
+        # a floor has next to nothing below it, and a fair share of the picture on it
+        if (np.abs(above) < 0.03).mean() > 0.04 and (above < -0.1).mean() < 0.03:
+            return plane, True
+    lowest = float(np.percentile(height, 0.5))
+    return Plane(up, 0.0 if up_is_sure and abs(lowest) < 0.2 else lowest), False
+
+
+def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.ndarray, " point"]:
+    """Labels of connected things: points in touching cells of half of `link` metres belong together."""
+    cells = np.floor(points / np.float32(link / 2)).astype(np.int64)
+    cells -= cells.min(0)
+    span = cells.max(0) + 5
+    key = (cells[:, 0] * span[1] + cells[:, 1]) * span[2] + cells[:, 2]
+    unique, inverse = np.unique(key, return_inverse=True)
+    middle = np.stack([unique // (span[1] * span[2]), unique // span[2] % span[1], unique % span[2]], 1)
+    # the 26 cells around: a distance between half and the whole of `link`
+    pairs = cKDTree(middle).query_pairs(1.8, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique),) * 2)
+    return connected_components(graph, directed=False)[1][inverse]
+
+
+def point_spacing(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:
+    """Angle between neighbouring points as seen from the sensor, radians (median)."""
+    rays = points - origin
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return float(np.median(cKDTree(rays).query(rays[:: max(1, len(rays) // 2000)], k=[2])[0]))
+
+
+def without_strays(
+    points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"], spacing: float
+) -> Bool[np.ndarray, " point"]:
+    """False for flying pixels: points with fewer than three others as near as neighbours on a surface are.
+
+    `spacing` is the sensor's, radians. Flying pixels at the edge of a near thing bridge the gap to what is behind it.
+    """
+    if len(points) < 5:
+        return np.zeros(len(points), bool)
+    third = cKDTree(points).query(points, k=[4])[0][:, 0]
+    return third < 0.02 + 3 * spacing * np.linalg.norm(points - origin, axis=1)
+
+
+@dataclass(frozen=True)
+class PersonFrame:
+    """The points of one frame that seem to be on the body."""
+
+    time_ns: int
+    points: Float32[np.ndarray, "point 3"]  # fixed frame, metres
+    sensor: Int[np.ndarray, " point"]
+    origins: Float32[np.ndarray, "sensor 3"]
+
+
+class PersonFinder:
+    """Follows one thing of a body's height through the frames: first the best candidate, then what hangs together with
+    where it was. Places where other things were seen several times count as background from then on."""
+
+    def __init__(self, scene: Scene, body_height: float, settings: PersonSettings):
+        self.scene, self.settings, self.body_height = scene, settings, body_height
+        self.last: np.ndarray | None = None  # the body's points in the last frame that had some
+        self.unseen = 0
+        self._spacing = 0.0
+        self._background: dict[tuple[int, int, int], int] = {}
+
+    def __call__(self, frame: Frame) -> PersonFrame:
+        s = self.settings
+        points, floor = frame.points, self.scene.floor
+        keep = floor.height(points) > s.floor_margin
+        for wall in self.scene.walls:
+            keep &= np.abs(wall.height(points)) > 0.06
+        index = np.flatnonzero(keep)
+        if self.last is not None:
+            # flat distance only: somebody who sits down or jumps is still here
+            away = points[index] - np.median(self.last, 0)
+            away -= np.outer(away @ floor.normal, floor.normal)
+            index = index[np.linalg.norm(away, axis=1) < s.reach * self.body_height / 1.75]
+        if len(index) > 20_000:
+            index = index[:: len(index) // 20_000 + 1]
+        if len(index) > 100 and not self._spacing:
+            self._spacing = point_spacing(points[index], frame.origins[0])
+        if len(index):
+            index = index[without_strays(points[index], frame.origins[0], self._spacing)]
+        if len(index):
+            index = index[~self._known(points[index])]
+        chosen = self._choose(points[index])
+        self._learn(points[index][~chosen], points[index][chosen])
+        index = index[chosen]
+        if len(index) >= 30:
+            self.last, self.unseen = points[index], 0
+        else:
+            self.unseen += 1
+            if self.unseen > s.forget:
+                self.last = None  # gone: look everywhere again
+        return PersonFrame(frame.time_ns, points[index], frame.sensor[index], frame.origins)
+
+    def _choose(self, points) -> Bool[np.ndarray, " point"]:
+        if len(points) < 30:
+            return np.zeros(len(points), bool)
+        label = components(points, self.settings.link)
+        count = np.bincount(label)
+        if self.last is None:
+            return label == self._candidate(points, label, count)
+        near = cKDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0] < np.inf
+        touching = np.bincount(label, near)
+        return (touching > np.maximum(5, 0.3 * count))[label]
+
+    def _candidate(self, points, label, count) -> int:
+        """Label of the largest thing that is as high as the body and not much wider; -1 where there is none."""
+        height = self.scene.floor.height(points)
+        best, size = -1, 0
+        for k in np.flatnonzero(count >= 50):
+            mine = label == k
+            low, top = np.percentile(height[mine], [0.5, 99.5])
+            spread = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
+            tall = self.settings.min_height * self.body_height <= top <= 1.35 * self.body_height
+            if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * self.body_height and count[k] > size:
+                best, size = int(k), count[k]
+        return best
+
+    def _cells(self, points):
+        return np.floor(points / np.float32(0.08)).astype(np.int64)
+
+    def _known(self, points) -> Bool[np.ndarray, " point"]:
+        """Whether points lie where something else than the body was seen before."""
+        if not self._background:
+            return np.zeros(len(points), bool)
+        unique, inverse = np.unique(self._cells(points), axis=0, return_inverse=True)
+        known = np.array([self._background.get(tuple(c), 0) >= 3 for c in unique.tolist()])
+        return known[inverse.ravel()]
+
+    def _learn(self, others, mine) -> None:
+        if self.last is None or not len(others) or not len(mine):
+            return
+        far = cKDTree(mine).query(others, distance_upper_bound=0.25)[0] == np.inf
+        for cell in set(map(tuple, self._cells(others[far]).tolist())):
+            self._background[cell] = self._background.get(cell, 0) + 1
+
+
+def person_frames(frames: Iterable[Frame], finder: PersonFinder) -> Iterator[PersonFrame]:
+    """The body's points frame by frame; empty frames where nothing was found."""
+    return (finder(frame) for frame in frames)

@@ -1,0 +1,110 @@
+"""Rigid poses of limbs: unit quaternions (wxyz) and translations, written out by component.
+
+Products over an axis of length 3 or 4 are slow and imprecise on some devices (matrix units), so everything here is sums
+of components. Last axis is always the component; leading axes are free.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class Poses(eqx.Module):
+    """One rigid pose per limb, `T_world_limb`: world point = rotate(rotation, limb point) + translation."""
+
+    rotation: Float[Array, "*limb 4"]  # unit quaternion wxyz
+    translation: Float[Array, "*limb 3"]  # metres
+
+    def __getitem__(self, index: Any) -> "Poses":
+        return Poses(self.rotation[index], self.translation[index])
+
+
+def quat_multiply(p: Float[Array, "*#b 4"], q: Float[Array, "*#b 4"]) -> Float[Array, "*b 4"]:
+    """Hamilton product p q: first rotate by q, then by p."""
+    pw, px, py, pz = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
+    qw, qx, qy, qz = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    return jnp.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        -1,
+    )
+
+
+def quat_conjugate(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Inverse of a unit quaternion."""
+    return q * jnp.array([1, -1, -1, -1], q.dtype)
+
+
+def quat_normalize(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Scales to unit length; the zero quaternion becomes the identity (pitfall P6: no division by zero in any branch)."""
+    n2 = jnp.sum(q * q, -1, keepdims=True)
+    zero = n2 < 1e-30
+    unit = q / jnp.sqrt(jnp.where(zero, 1.0, n2))
+    return jnp.where(zero, jnp.array([1, 0, 0, 0], q.dtype), unit)
+
+
+def rotate(q: Float[Array, "*#b 4"], v: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
+    """Rotates v by the unit quaternion q: v + 2 w (u x v) + 2 u x (u x v)."""
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    a, b, c = v[..., 0], v[..., 1], v[..., 2]
+    tx, ty, tz = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    return jnp.stack([a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx], -1)
+
+
+def unrotate(q: Float[Array, "*#b 4"], v: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
+    """Rotates v by the inverse of the unit quaternion q."""
+    return rotate(quat_conjugate(q), v)
+
+
+def matrix(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
+    """Rotation matrix of a unit quaternion."""
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return jnp.stack([jnp.stack(r, -1) for r in rows], -2)
+
+
+def quat_exp(r: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion of a rotation vector (axis times angle, radians); smooth at zero."""
+    angle2 = jnp.sum(r * r, -1, keepdims=True)
+    small = angle2 < 1e-8
+    half = 0.5 * jnp.sqrt(jnp.where(small, 1.0, angle2))
+    scale = jnp.where(small, 0.5 - angle2 / 48, 0.5 * jnp.sin(half) / half)
+    w = jnp.where(small, 1 - angle2 / 8, jnp.cos(half))
+    return jnp.concatenate([w, scale * r], -1)
+
+
+def quat_log(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
+    """Rotation vector (radians, length at most pi) of a unit quaternion; smooth at the identity."""
+    q = q * jnp.where(q[..., :1] >= 0, 1.0, -1.0).astype(q.dtype)
+    w, v = q[..., :1], q[..., 1:]
+    n2 = jnp.sum(v * v, -1, keepdims=True)
+    small = n2 < 1e-10
+    n = jnp.sqrt(jnp.where(small, 1.0, n2))
+    safe_w = jnp.where(small, 1.0, w)
+    return v * jnp.where(small, 2 + n2 / 3, 2 * jnp.arctan2(n, safe_w) / n)
+
+
+def compose(a: Poses, b: Poses) -> Poses:
+    """T_x_z = T_x_y T_y_z."""
+    return Poses(quat_multiply(a.rotation, b.rotation), a.translation + rotate(a.rotation, b.translation))
+
+
+def inverse(a: Poses) -> Poses:
+    """T_y_x of T_x_y."""
+    q = quat_conjugate(a.rotation)
+    return Poses(q, -rotate(q, a.translation))
+
+
+def apply(a: Poses, point: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
+    """World point of a limb point."""
+    return rotate(a.rotation, point) + a.translation

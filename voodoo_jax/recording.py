@@ -1,0 +1,47 @@
+"""A sensor log as the tracker sees it: frames of measurements with stamps and sensor positions. Host side, NumPy only."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What all sensors measured at one time, in the recording's fixed frame.
+
+    `points` are `free` points in the sense of Knoop 2007 sec. 5.1: nobody has said yet whether they belong to the body.
+    """
+
+    time_ns: int  # stamp of the leading depth sensor (message header), nanoseconds
+    points: Float32[np.ndarray, "point 3"]  # metres, finite
+    sensor: Int32[np.ndarray, " point"]  # which row of `origins` saw the point
+    origins: Float32[np.ndarray, "sensor 3"]  # where each sensor stood, metres
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A log held in memory. `up` is the fixed frame's best known upward direction (unit vector)."""
+
+    path: str
+    fixed_frame: str
+    up: Float32[np.ndarray, "3"]
+    sensors: tuple[str, ...]  # topic of each depth sensor, in the order of Frame.origins
+    frames: tuple[Frame, ...]
+    notes: tuple[str, ...] = field(default=())  # what was left out, missing or damaged, one sentence each
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self.frames)
+
+    def __str__(self) -> str:
+        n = len(self.frames)
+        seconds = (self.frames[-1].time_ns - self.frames[0].time_ns) / 1e9 if n else 0.0
+        lines = [
+            f"{self.path}: {n} frames in {seconds:.2f} s, fixed frame '{self.fixed_frame}', "
+            f"depth from {', '.join(self.sensors) or 'nothing'}"
+        ]
+        return "\n".join(lines + [f"  note: {note}" for note in self.notes])

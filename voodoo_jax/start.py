@@ -1,0 +1,107 @@
+"""Finds size, place and pose at the beginning: trials with different headings, tracked as one batch, the best kept."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Float32
+
+from voodoo_jax.body import Body, scaled
+from voodoo_jax.kernels.correspond import Points
+from voodoo_jax.person import Plane, PersonFrame, point_spacing
+from voodoo_jax.pose import Poses, compose
+from voodoo_jax.settings import StartSettings
+from voodoo_jax.track import State, TrackOptions, at_rest, track_frame
+
+
+def rest_height(body: Body) -> float:
+    """Height of the body above the floor in its rest pose, metres: its stature, or the top of its highest limb."""
+    if body.scale_name == "stature":
+        return float(body.scale)
+    z = np.asarray(body.rest.translation)[:, 2]
+    q, length = np.asarray(body.rest.rotation), np.asarray(body.sizes)[:, 4]
+    along = 1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2)  # z component of the limb's own z axis
+    return float(np.max(np.maximum(z, z + along * length)))
+
+
+def measured_height(frames: list[PersonFrame], floor: Plane, pixel: float) -> float:
+    """Height of a standing body from its points, metres: median over frames of the third highest point.
+
+    `pixel` is the angle between neighbouring points, radians: the top lies between the highest point and the next.
+    """
+    heights = []
+    for frame in frames:
+        if len(frame.points) >= 50:
+            above = floor.height(frame.points)
+            third = np.argsort(above)[-3]
+            heights.append(above[third] + 1.1 * pixel * np.linalg.norm(frame.points[third] - frame.origins[0]))
+    return float(np.median(heights)) if heights else float("nan")
+
+
+def place(body: Body, at: Float32[np.ndarray, "3"], up: Float32[np.ndarray, "3"], heading: Float32[np.ndarray, "3"]) -> Poses:
+    """The rest pose standing on `at` (fixed frame, metres), its z axis along `up`, its x axis towards `heading`."""
+    z = up / np.linalg.norm(up)
+    x = heading - (heading @ z) * z
+    x = x / np.linalg.norm(x)
+    from scipy.spatial.transform import Rotation
+
+    q = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], 1)).as_quat(scalar_first=True)
+    root = Poses(jnp.asarray(q, jnp.float32), jnp.asarray(at, jnp.float32))
+    return compose(Poses(root.rotation[None], root.translation[None]), body.rest)
+
+
+def standing_places(body: Body, frames: list[PersonFrame], floor: Plane, headings: int) -> list[Poses]:
+    """Rest poses at the cloud's place in evenly spread headings, the first one facing the sensor."""
+    cloud = np.concatenate([f.points for f in frames])
+    up = floor.normal
+    height = floor.height(cloud)
+    # the upper half only: furniture that touches the body is low
+    middle = np.median(cloud[height > 0.5 * np.percentile(height, 99)], 0)
+    foot = middle - floor.height(middle[None])[0] * up
+    towards = frames[0].origins[0] - foot
+    towards = towards - (towards @ up) * up
+    distance = np.linalg.norm(towards)
+    side = np.array([1.0, 0, 0]) if abs(up[0]) < 0.9 else np.array([0, 1.0, 0])
+    towards = towards / distance if distance > 0.1 else np.cross(up, side)
+    # the cloud is the near surface: the body's axis lies deeper by about its half thickness
+    thickness = float(np.max(np.asarray(body.sizes)[:, 0]))
+    foot = foot - 0.8 * thickness * towards
+    out = []
+    for k in range(headings):
+        angle = 2 * np.pi * k / headings
+        direction = np.cos(angle) * towards + np.sin(angle) * np.cross(up, towards)
+        out.append(place(body, foot.astype(np.float32), up, direction.astype(np.float32)))
+    return out
+
+
+class Trial(eqx.Module):
+    """How the trials of one start went."""
+
+    state: State  # leading axis: trial
+    cost: Float[Array, " trial"]  # mean robust squared distance plus unexplained share; lower is better
+
+
+@eqx.filter_jit
+def run_trials(body: Body, options: TrackOptions, starts: Poses, points: Points, seconds: Float[Array, " frame"]) -> Trial:
+    """Tracks the first frames from every start pose (leading axis: trial) as one batch."""
+
+    def one(start):
+        def step(state, inputs):
+            state, out = track_frame(body, options, state, *inputs)
+            return state, out.residual**2 + 0.02 * (1 - out.explained)
+
+        state, costs = jax.lax.scan(step, at_rest(start), (points, seconds))
+        return state, jnp.mean(costs)
+
+    return Trial(*jax.vmap(one)(starts))
+
+
+def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSettings) -> Body:
+    """The body scaled to what was seen, or to what the settings say."""
+    if settings.scale > 0:
+        return scaled(body, jnp.asarray(settings.scale, jnp.float32))
+    seen = [f for f in frames if len(f.points) >= 50]
+    if not seen:
+        return body
+    height = measured_height(seen, floor, point_spacing(seen[0].points, seen[0].origins[0]))
+    return scaled(body, body.scale * jnp.asarray(1.0045 * height / rest_height(body), jnp.float32))

@@ -1,0 +1,136 @@
+"""From frame to frame: prediction, one solve per frame, status; a recording is one scan over its frames."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from voodoo_jax.body import Body
+from voodoo_jax.icp import IcpOptions, Problem, adjacency, solve_frame
+from voodoo_jax.kernels.correspond import MatchOptions, Points, match
+from voodoo_jax.pose import Poses, compose, inverse, quat_exp, quat_log, quat_multiply, quat_normalize
+from voodoo_jax.settings import SolveSettings, TrackSettings
+
+
+class TrackOptions(eqx.Module):
+    """Parameters of tracking over time; numbers are traced."""
+
+    icp: IcpOptions
+    damping: Float[Array, ""]  # share of the velocity that goes on
+    lost_explained: Float[Array, ""]
+
+
+class State(NamedTuple):
+    """What one frame hands to the next."""
+
+    poses: Poses
+    spin: Float[Array, "limb 3"]  # radians per second, in the limb's frame
+    velocity: Float[Array, "limb 3"]  # metres per second, world frame
+
+
+class Step(NamedTuple):
+    """What one frame gives out."""
+
+    poses: Poses
+    residual: Float[Array, ""]  # root of the weighted mean squared distance, metres
+    explained: Float[Array, ""]  # share of the points with a pair close by, 0..1
+    limb_weight: Float[Array, " limb"]
+    steps: Int[Array, ""]
+    converged: Bool[Array, ""]
+    points: Int[Array, ""]
+
+
+def options_from(solve: SolveSettings, track: TrackSettings) -> TrackOptions:
+    """Traced options from settings."""
+    number = lambda v: jnp.asarray(v, jnp.float32)  # noqa: E731
+    matching = MatchOptions(
+        body_enlarge=number(solve.body_enlarge),
+        limb_enlarge=number(solve.limb_enlarge),
+        max_distance=number(solve.max_distance),
+        robust_scale=number(solve.robust_scale),
+        overlap=solve.overlap,
+        near_side=solve.near_side,
+        refine=solve.refine,
+    )
+    icp = IcpOptions(
+        match=matching,
+        ratio=number(solve.ratio),
+        floor=number(solve.floor),
+        prior=number(solve.prior),
+        prior_radius=number(solve.prior_radius),
+        epsilon=number(solve.epsilon),
+        max_steps=jnp.asarray(solve.max_steps, jnp.int32),
+    )
+    return TrackOptions(icp, number(track.damping), number(track.lost_explained))
+
+
+def at_rest(poses: Poses) -> State:
+    """A state without motion."""
+    zero = jnp.zeros_like(poses.translation)
+    return State(poses, zero, zero)
+
+
+def predict(state: State, seconds: Float[Array, ""], damping: Float[Array, ""]) -> Poses:
+    """Poses after `seconds` if a share `damping` of the velocity goes on."""
+    turn = quat_exp(damping * seconds * state.spin)
+    rotation = quat_normalize(quat_multiply(state.poses.rotation, turn))
+    return Poses(rotation, state.poses.translation + damping * seconds * state.velocity)
+
+
+def track_frame(
+    body: Body, options: TrackOptions, state: State, points: Points, seconds: Float[Array, ""]
+) -> tuple[State, Step]:
+    """Tracks one frame: predict, solve, measure how well it went."""
+    predicted = predict(state, seconds, options.damping)
+    problem = Problem.build(body, points, predicted, options.icp)
+    solved = solve_frame(predicted, problem)
+    count = jnp.sum(points.weight > 0)
+    # a frame without a point keeps the prediction, a broken one (NaN) is not passed on
+    good = (count > 0) & jnp.all(jnp.isfinite(solved.poses.translation)) & jnp.all(jnp.isfinite(solved.poses.rotation))
+    poses = jax.tree.map(lambda a, b: jnp.where(good, a, b), solved.poses, predicted)
+
+    found = match(body.sizes, poses, points, adjacency(body.topology), options.icp.match)
+    weight = jnp.sum(found.weight, -1)
+    quality = jnp.sum(found.weight * found.distance**2) / jnp.maximum(jnp.sum(weight), 1e-6)
+    close = jnp.any((found.weight > 0) & (found.distance < 0.1), 0)
+    explained = jnp.sum(close) / jnp.maximum(count, 1)
+
+    safe = jnp.where(seconds > 0, seconds, 1.0)
+    turn = compose(inverse(state.poses), poses).rotation
+    moving = (seconds > 0) & good
+    spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
+    velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
+    step = Step(poses, jnp.sqrt(quality), explained, weight, solved.steps, solved.converged, count)
+    return State(poses, spin, velocity), step
+
+
+@eqx.filter_jit
+def track_chunk(
+    body: Body,
+    options: TrackOptions,
+    state: State,
+    points: Points,
+    seconds: Float[Array, " frame"],
+    valid: Bool[Array, " frame"],
+) -> tuple[State, Step]:
+    """Tracks consecutive frames in one scan. Padded frames (`valid` false) leave the state as it is.
+
+    **Arguments:** `points` with a leading frame axis; `seconds` since the frame before.
+
+    **Returns:** the state after the last valid frame, and one Step per frame (leading frame axis).
+    """
+
+    def one(state, inputs):
+        points, seconds, valid = inputs
+        new, step = jax.lax.cond(
+            valid,
+            lambda: track_frame(body, options, state, points, seconds),
+            lambda: (state, jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)),
+        )
+        return new, step
+
+    first = jax.tree.map(lambda x: x[0], (points, seconds))
+    shape = eqx.filter_eval_shape(lambda: track_frame(body, options, state, *first))[1]
+    return jax.lax.scan(one, state, (points, seconds, valid))

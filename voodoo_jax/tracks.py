@@ -1,0 +1,48 @@
+"""The result of tracking one recording, on the host: NumPy arrays and the body they belong to."""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int8, Int32, Int64
+
+from voodoo_jax.body import Body
+
+
+class Status(IntEnum):
+    """What happened in one frame."""
+
+    TRACKED = 0  # the body explains the person's points
+    NOT_STARTED = 1  # before the tracker found somebody; poses are NaN
+    NO_DATA = 2  # no points on the person in this frame; poses are predicted
+    LOST = 3  # the body does not explain the points; poses are the best guess
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Poses of a body over a recording, in the recording's fixed frame. NaN where there is none."""
+
+    source: str  # path of the log
+    fixed_frame: str
+    body: Body  # sizes as used or found, metres
+    time_ns: Int64[np.ndarray, " frame"]
+    rotation: Float32[np.ndarray, "frame limb 4"]  # T_fixed_limb, unit quaternion wxyz
+    translation: Float32[np.ndarray, "frame limb 3"]  # metres
+    joints: Float32[np.ndarray, "frame joint 3"]  # joint centres `body.topology.centres`, metres
+    status: Int8[np.ndarray, " frame"]  # values of Status
+    residual: Float32[np.ndarray, " frame"]  # root mean square distance of the used points, metres
+    explained: Float32[np.ndarray, " frame"]  # share of the person's points that the body explains, 0..1
+    steps: Int32[np.ndarray, " frame"]  # ICP steps taken
+    points: Int32[np.ndarray, " frame"]  # points given to the tracker
+    limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
+    seconds: float = 0.0  # time spent on tracking, without reading and writing
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def tracked(self) -> Bool[np.ndarray, " frame"]:
+        """The tracker's own word that it has the person."""
+        return self.status == Status.TRACKED
+
+    def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
+        """Positions of one joint centre over time, metres."""
+        return self.joints[:, self.body.topology.centres.index(name)]
