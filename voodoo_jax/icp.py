@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Bands, Body, Topology, bands
 from voodoo_jax.kernels.bands import band_moments, prior_moments
-from voodoo_jax.kernels.correspond import MatchOptions, Points, match, moments
+from voodoo_jax.kernels.correspond import MatchOptions, Points, match, moments, second_moments
+from voodoo_jax.kernels.coupled import coupled_step, pair_normals
 from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, compose, quat_normalize
 
@@ -29,6 +30,8 @@ class IcpOptions(eqx.Module):
     prior_radius: Float[Array, ""]  # metres, see prior_moments
     epsilon: Float[Array, ""]  # stop when the quality measure changes by less, square metres
     max_steps: Int[Array, ""]
+    damping: Float[Array, ""]  # Levenberg-Marquardt damping of the coupled solver
+    solver: Literal["per_limb", "coupled"] = eqx.field(static=True)
 
 
 class Problem(eqx.Module):
@@ -46,11 +49,10 @@ class Problem(eqx.Module):
 
 
 class StepInfo(NamedTuple):
-    """What a step saw on entry and how well its solves were determined."""
+    """What a step saw on entry."""
 
     quality: Float[Array, ""]  # weighted mean of squared pair distances, square metres
     limb_weight: Float[Array, " limb"]  # measured weight
-    gap: Float[Array, " limb"]  # relative eigenvalue gap of Horn's matrix
 
 
 class FrameResult(NamedTuple):
@@ -82,15 +84,22 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     total = jnp.maximum(jnp.sum(problem.points.weight), 1e-6)
 
     strength = options.ratio * jnp.maximum(limb_weight, options.floor * total)
-    held = band_moments(body.topology, problem.bands, poses, strength)
     middle = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)
-    pull = jax.vmap(prior_moments, in_axes=(0, 0, 0, None, None))(
+    pull, pull_second = jax.vmap(prior_moments, in_axes=(0, 0, 0, None, None))(
         middle, poses, problem.predicted, options.prior * total, options.prior_radius
     )
-    motion = jax.vmap(align)(measured + held + pull)
-    moved = compose(poses, Poses(motion.rotation, motion.translation))
+    if options.solver == "coupled":
+        normals, rhs = jax.vmap(pair_normals)(measured + pull, second_moments(found) + pull_second)
+        topology = body.topology
+        ends = strength[jnp.array(topology.parents, int)] + strength[jnp.array(topology.children, int)]
+        motion = coupled_step(topology, problem.bands, poses, normals, rhs, ends / 2, options.damping)
+    else:
+        held = band_moments(body.topology, problem.bands, poses, strength)
+        solved = jax.vmap(align)(measured + held + pull)
+        motion = solved.rotation, solved.translation
+    moved = compose(poses, Poses(*motion))
     quality = jnp.sum(found.weight * found.distance**2) / jnp.maximum(jnp.sum(limb_weight), 1e-6)
-    return Poses(quat_normalize(moved.rotation), moved.translation), StepInfo(quality, limb_weight, motion.gap)
+    return Poses(quat_normalize(moved.rotation), moved.translation), StepInfo(quality, limb_weight)
 
 
 def solve_frame(

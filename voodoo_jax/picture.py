@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STATUS_WORDS = {
+STATUS_WORDS: dict[int, str] = {
     Status.TRACKED: "tracked",
     Status.NOT_STARTED: "not started",
     Status.NO_DATA: "no data",
     Status.LOST: "lost",
 }
+LABELS = {"cloud": "cloud, from the sensor", "front": "body, from the sensor", "side": "body, from the side"}
 RING = 32  # points on each end ellipse
 
 
@@ -52,9 +53,9 @@ def show(
 ) -> "Figure":
     """Figure of evenly spaced frames, one column each: cloud, body over the cloud, body from the side.
 
-    The front view is that of the first sensor, the side view looks along its image to the right; axes in metres, equal
-    scale. truth: joint centres for the frames of `tracks`, metres in the fixed frame, drawn as crosses. Raises ValueError
-    if there is no frame or the truth has another number of frames.
+    The front view is that of the first sensor, the side view that from the right edge of its image; axes in metres,
+    equal scale. truth: joint centres for the frames of `tracks`, metres in the fixed frame, drawn as crosses. Raises
+    ValueError if there is no frame or the truth has another number of frames.
     """
     from matplotlib.figure import Figure
 
@@ -82,15 +83,15 @@ def show(
         posed = bool(np.isfinite(tracks.translation[i]).all())
         for row, ((h, v, depth), what) in enumerate((((0, 1, 2), "cloud"), ((0, 1, 2), "front"), ((2, 1, 0), "side"))):
             ax = grid[row, column]
-            # the farther, the lighter; nearer points over farther ones
-            order = np.argsort(-points[:, 2])
+            # the farther from the sensor, the lighter; nearer points over farther ones
+            order = np.argsort(-points[:, 2] if depth == 2 else points[:, 0])
             shade = np.clip((points[order, 2] - window[0, 2]) / spans[2], 0, 1)
             ax.scatter(
-                points[order, h], points[order, v], s=1.2, c=0.35 + 0.5 * shade, cmap="gray", vmin=0, vmax=1,
+                points[order, h], points[order, v], s=2.2, c=0.25 + 0.55 * shade, cmap="gray", vmin=0, vmax=1,
                 linewidths=0, rasterized=True,
             )  # fmt: skip
             if what != "cloud" and posed:
-                _draw_body(ax, tracks, i, middle, axes3, (h, v, depth), colours)
+                _draw_body(ax, tracks, int(i), middle, axes3, (h, v, depth), colours)
             if what != "cloud" and truth is not None:
                 cross = (np.asarray(truth[i], float) - middle) @ axes3.T
                 ax.plot(cross[:, h], cross[:, v], "x", color="black", markersize=5, markeredgewidth=1.0, zorder=900)
@@ -102,17 +103,18 @@ def show(
             ax.set_aspect("equal")
             ax.tick_params(labelsize=7)
             if column == 0:
-                ax.set_ylabel({"cloud": "cloud, from the sensor", "front": "body, from the sensor", "side": "body, from the side"}[what] + "\nup, m", fontsize=8)
+                ax.set_ylabel(f"{LABELS[what]}\nup, m", fontsize=8)
             else:
                 ax.tick_params(labelleft=False)
             ax.set_xlabel("right, m" if h == 0 else "away from the sensor, m", fontsize=8)
         grid[0, column].set_title(_title(tracks, int(i), start), fontsize=9)
+    figure.supxlabel("circles: joint centres" + ("" if truth is None else "; crosses: truth"), fontsize=8)
     return figure
 
 
 def _title(tracks: Tracks, i: int, start: int) -> str:
     status = int(tracks.status[i])
-    words = STATUS_WORDS[Status(status)] if status in iter(Status) else f"status {status}"
+    words = STATUS_WORDS.get(status, f"status {status}")
     residual = tracks.residual[i]
     error = f"residual {1000 * residual:.0f} mm" if np.isfinite(residual) else "no residual"
     return f"{(int(tracks.time_ns[i]) - start) / 1e9:.2f} s, {words}\n{error}"

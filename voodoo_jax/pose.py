@@ -8,20 +8,24 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+# The functions here serve the host side too, where poses are NumPy arrays; what they return is always a JAX array.
+AnyArray = Array | np.ndarray
 
 
 class Poses(eqx.Module):
     """One rigid pose per limb, `T_world_limb`: world point = rotate(rotation, limb point) + translation."""
 
-    rotation: Float[Array, "*limb 4"]  # unit quaternion wxyz
-    translation: Float[Array, "*limb 3"]  # metres
+    rotation: Float[AnyArray, "*limb 4"]  # unit quaternion wxyz
+    translation: Float[AnyArray, "*limb 3"]  # metres
 
     def __getitem__(self, index: Any) -> "Poses":
         return Poses(self.rotation[index], self.translation[index])
 
 
-def quat_multiply(p: Float[Array, "*#b 4"], q: Float[Array, "*#b 4"]) -> Float[Array, "*b 4"]:
+def quat_multiply(p: Float[AnyArray, "*#b 4"], q: Float[AnyArray, "*#b 4"]) -> Float[Array, "*b 4"]:
     """Hamilton product p q: first rotate by q, then by p."""
     pw, px, py, pz = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
     qw, qx, qy, qz = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
@@ -36,12 +40,12 @@ def quat_multiply(p: Float[Array, "*#b 4"], q: Float[Array, "*#b 4"]) -> Float[A
     )
 
 
-def quat_conjugate(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+def quat_conjugate(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 4"]:
     """Inverse of a unit quaternion."""
     return q * jnp.array([1, -1, -1, -1], q.dtype)
 
 
-def quat_normalize(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+def quat_normalize(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 4"]:
     """Scales to unit length; the zero quaternion becomes the identity (pitfall P6: no division by zero in any branch)."""
     n2 = jnp.sum(q * q, -1, keepdims=True)
     zero = n2 < 1e-30
@@ -49,7 +53,7 @@ def quat_normalize(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
     return jnp.where(zero, jnp.array([1, 0, 0, 0], q.dtype), unit)
 
 
-def rotate(q: Float[Array, "*#b 4"], v: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
+def rotate(q: Float[AnyArray, "*#b 4"], v: Float[AnyArray, "*#b 3"]) -> Float[Array, "*b 3"]:
     """Rotates v by the unit quaternion q: v + 2 w (u x v) + 2 u x (u x v)."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     a, b, c = v[..., 0], v[..., 1], v[..., 2]
@@ -57,12 +61,12 @@ def rotate(q: Float[Array, "*#b 4"], v: Float[Array, "*#b 3"]) -> Float[Array, "
     return jnp.stack([a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx], -1)
 
 
-def unrotate(q: Float[Array, "*#b 4"], v: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
+def unrotate(q: Float[AnyArray, "*#b 4"], v: Float[AnyArray, "*#b 3"]) -> Float[Array, "*b 3"]:
     """Rotates v by the inverse of the unit quaternion q."""
     return rotate(quat_conjugate(q), v)
 
 
-def matrix(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
+def matrix(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 3 3"]:
     """Rotation matrix of a unit quaternion."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     rows = [
@@ -73,7 +77,7 @@ def matrix(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
     return jnp.stack([jnp.stack(r, -1) for r in rows], -2)
 
 
-def quat_exp(r: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
+def quat_exp(r: Float[AnyArray, "*b 3"]) -> Float[Array, "*b 4"]:
     """Unit quaternion of a rotation vector (axis times angle, radians); smooth at zero."""
     angle2 = jnp.sum(r * r, -1, keepdims=True)
     small = angle2 < 1e-8
@@ -83,7 +87,7 @@ def quat_exp(r: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
     return jnp.concatenate([w, scale * r], -1)
 
 
-def quat_log(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
+def quat_log(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 3"]:
     """Rotation vector (radians, length at most pi) of a unit quaternion; smooth at the identity."""
     q = q * jnp.where(q[..., :1] >= 0, 1.0, -1.0).astype(q.dtype)
     w, v = q[..., :1], q[..., 1:]
@@ -105,6 +109,6 @@ def inverse(a: Poses) -> Poses:
     return Poses(q, -rotate(q, a.translation))
 
 
-def apply(a: Poses, point: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
+def apply(a: Poses, point: Float[AnyArray, "*#b 3"]) -> Float[Array, "*b 3"]:
     """World point of a limb point."""
     return rotate(a.rotation, point) + a.translation

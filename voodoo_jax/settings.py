@@ -58,6 +58,10 @@ class StartSettings:
 class SolveSettings:
     """The ICP of one frame (Knoop 2007, sec. 5.2)."""
 
+    solver: Literal["coupled", "per_limb"] = "coupled"
+    """coupled: all limbs and bands in one Gauss-Newton step; per_limb: the papers' absolute orientation limb by limb."""
+    damping: float = 1e-4
+    """Levenberg-Marquardt damping of the coupled solver, as a share of the diagonal."""
     max_steps: int = 20
     """Most ICP steps per frame (the papers: 6 online, 3 to 15 in general)."""
     epsilon: float = 1e-7

@@ -38,10 +38,10 @@ class Motion:
 
 
 def pose_body(body: Body, root: Poses, rotations: Float[np.ndarray, "*frame joint 3"]) -> Poses:
-    """Forward kinematics: poses [*frame, limb] in the frame of `root` [*frame]; NumPy in float64, leading axes are free.
+    """Forward kinematics: poses [*frame, limb] in the frame of `root` [*frame]; NumPy, leading axes are free.
 
-    Each child is hung on its parent with the two anchors together, turned by the joint's rotation vector (radians, in the
-    joint's frame). All rotations zero gives the rest pose if the anchors coincide in it.
+    Each child is hung on its parent with the two anchors together, turned by the joint's rotation vector (radians, in
+    the joint's frame). All rotations zero gives the rest pose if the anchors coincide in it.
     """
     # not JAX: compiled for the CPU, the chain of quaternion products is fused without end (minutes)
     t = body.topology
@@ -62,7 +62,7 @@ def pose_body(body: Body, root: Poses, rotations: Float[np.ndarray, "*frame join
 
 
 def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.0) -> Body:
-    """The body with the named limbs longer by a factor (anchors, centres and sites move along) and all radii by `girth`.
+    """The body with the named limbs longer by a factor (what they carry moves along) and all radii by `girth`.
 
     The rest pose follows from the joints; the root stays. Raises ValueError for an unknown limb.
     """
@@ -149,7 +149,7 @@ def _ease(t, start: float, end: float):
 
 
 def _motion(body: Body, time, turns: Mapping[str, np.ndarray], rotations=None, lean=None) -> Motion:
-    """From rotation vectors about the body frame's axes; `lean` [frame, 3] turns the root about the middle of the hips."""
+    """From rotation vectors about the body frame's axes; `lean` [frame, 3] turns the root about the hips' middle."""
     t, count = body.topology, len(time)
     rotations = np.zeros((count, len(t.joints), 3), np.float32) if rotations is None else rotations
     for j, name in enumerate(t.joints):
@@ -186,7 +186,8 @@ def _grounded(body: Body, motion: Motion, rolling: bool = False) -> Motion:
     shift[:, 2] = rest_heights.min() - heights.min(-1)
     if rolling:
         low, frames = heights.argmin(-1), np.arange(len(motion) - 1)
-        shift[1:, 0] = -np.cumsum(ends[frames + 1, low[:-1], 0] - ends[frames, low[:-1], 0])
+        # never backwards: a person who stops draws the rear leg up
+        shift[1:, 0] = np.cumsum(np.maximum(ends[frames, low[:-1], 0] - ends[frames + 1, low[:-1], 0], 0))
     root = Poses(motion.root.rotation, motion.root.translation + jnp.asarray(shift, jnp.float32))
     return replace(motion, root=root)
 
@@ -476,4 +477,3 @@ def truth_tracks(simulation: Simulation, source: str = "simulation") -> Tracks:
         points=points,
         limb_weight=weight,
     )
-

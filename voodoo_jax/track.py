@@ -62,6 +62,8 @@ def options_from(solve: SolveSettings, track: TrackSettings) -> TrackOptions:
         prior_radius=number(solve.prior_radius),
         epsilon=number(solve.epsilon),
         max_steps=jnp.asarray(solve.max_steps, jnp.int32),
+        damping=number(solve.damping),
+        solver=solve.solver,
     )
     return TrackOptions(icp, number(track.damping), number(track.lost_explained))
 

@@ -1,8 +1,8 @@
 """Makes the demo recording that the package brings along: python experiments/demo/make_demo.py
 
 Writes voodoo_jax/data/demo.mcap and demo.truth.npz (another folder: first argument). Wholly simulated, seeded, the same
-bytes on every run of one machine: a person of 1.74 m, whose limbs are not quite those of the default body, stands relaxed
-2.8 m in front of a time-of-flight camera, turned 20 degrees away from it, waves with the right arm and bows a little.
+bytes on every run of one machine: a person of 1.74 m, whose limbs are not quite those of the default body, stands
+relaxed 2.8 m in front of a time-of-flight camera, turned 20 degrees away from facing it, waves and bows a little.
 """
 
 import sys
@@ -14,10 +14,19 @@ import numpy as np
 from voodoo_jax.body import Body, scaled
 from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_sim import write_simulation
-from voodoo_jax.simulate import TOF_NOISE, Simulation, make_motion, placed, sequence, simulate, tof_camera, with_proportions
+from voodoo_jax.simulate import (
+    TOF_NOISE,
+    Simulation,
+    make_motion,
+    placed,
+    sequence,
+    simulate,
+    tof_camera,
+    with_proportions,
+)
 
 STATURE = 1.74  # metres
-RATE = 20.0  # frames per second: keeps the file small
+RATE = 30.0  # frames per second
 
 
 def demo_body() -> Body:
@@ -29,7 +38,7 @@ def demo_body() -> Body:
 def demo() -> Simulation:
     """The demo recording and its truth, in memory."""
     body = demo_body()
-    parts = [("stand", 0.5), ("wave", 2.2), ("bow", 1.6)]
+    parts = [("stand", 0.5), ("wave", 1.9), ("bow", 1.5)]
     motion = sequence(*(make_motion(body, name, seconds, RATE) for name, seconds in parts))
     # nothing beyond 4.5 m: the noise of an empty wall would be most of the file
     noise = replace(TOF_NOISE, max_range=4.5)

@@ -4,22 +4,17 @@ Positions are in the body frame of the rest pose (z up, x forward, y left, origi
 multiple of the key `scale`. A file that does not describe a body is refused with its name, the line and the reason.
 """
 
-import difflib
 import json
-import math
 import os
-import re
-import tomllib
-from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
-from typing import Any, NoReturn
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from voodoo_jax.body import Body, Topology
+from voodoo_jax.io.atomic import replacing
+from voodoo_jax.io.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
 from voodoo_jax.pose import Poses
 
 HEADER = """\
@@ -49,12 +44,8 @@ KEYS = {
 BUILT_IN = ("human", "human10", "arm", "dog")
 
 
-class BodyFileError(ValueError):
+class BodyFileError(TomlFileError):
     """A body file that does not describe a body: `path`, `line` (1-based, None for the file itself) and `reason`."""
-
-    def __init__(self, path: str, line: int | None, reason: str):
-        super().__init__(f"{path}:{line}: {reason}" if line else f"{path}: {reason}")
-        self.path, self.line, self.reason = path, line, reason
 
 
 def load_body(name_or_path: str | os.PathLike) -> Body:
@@ -64,7 +55,7 @@ def load_body(name_or_path: str | os.PathLike) -> Body:
         resource = resources.files("voodoo_jax.bodies") / f"{text}.toml"
         return parse_body(resource.read_text(encoding="utf-8"), f"{text}.toml")
     if not Path(text).exists() and Path(text).suffix == "" and Path(text).name == text:
-        raise BodyFileError(text, None, f"no such file, and no built-in body of that name{_nearest(text, BUILT_IN)}")
+        raise BodyFileError(text, None, f"no such file, and no built-in body of that name{nearest(text, BUILT_IN)}")
     return read_body(name_or_path)
 
 
@@ -89,25 +80,20 @@ def write_body(body: Body, path: str | os.PathLike) -> None:
 
     The file appears under its name only when it is complete. Raises OSError.
     """
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.tmp")
-    try:
+    with replacing(path) as partial:
         partial.write_text(format_body(body), encoding="utf-8")
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def parse_body(text: str, source: str = "<text>") -> Body:
     """Body from the text of a body file; `source` names it in errors. Raises BodyFileError."""
-    file = _File(text, source)
+    file = TomlFile(text, source, KEYS, BodyFileError)
     root = file.root()
     scale = root.number("scale", above=0)
     tables = {kind: file.tables(kind) for kind in KEYS if kind}
     if not tables["limb"]:
         file.fail(None, "a body needs at least one [[limb]]")
-    limbs, joints = _names(tables["limb"]), _names(tables["joint"])
-    centres, sites = _names(tables["centre"]), _names(tables["site"])
+    limbs, joints = unique_names(tables["limb"]), unique_names(tables["joint"])
+    centres, sites = unique_names(tables["centre"]), unique_names(tables["site"])
 
     bottoms, tops = ([t.numbers(key, 3) for t in tables["limb"]] for key in ("bottom", "top"))
     rotations, sizes = [], []
@@ -197,108 +183,9 @@ def format_body(body: Body) -> str:
     return "\n".join(lines) + "\n"
 
 
-class _File:
-    """TOML text with the line of every table and key, which tomllib does not tell."""
-
-    def __init__(self, text: str, source: str):
-        self.source, self.lines = source, {}
-        try:
-            self.data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            where = re.search(r"\(at line (\d+),", str(error))
-            line = int(where[1]) if where else text.count("\n") + 1
-            raise BodyFileError(source, line, f"not TOML: {error}") from error
-        kind, number, counts = "", 0, dict.fromkeys(KEYS, -1)
-        for line, content in enumerate(text.splitlines(), 1):
-            if header := re.match(r"\s*\[\[?\s*[\"']?([^\"'\]]*?)[\"']?\s*\]\]?\s*(#.*)?$", content):
-                kind = header[1]
-                counts[kind] = number = counts.get(kind, -1) + 1
-                self.lines[kind, number, ""] = line
-            elif key := re.match(r"\s*[\"']?([^\"'\s=#\[\],]+)[\"']?\s*=", content):
-                self.lines.setdefault((kind, number if kind else 0, key[1]), line)
-
-    def line(self, kind: str, number: int, key: str | None) -> int:
-        # tables written inline have no header: then the line of the list that holds them
-        tries = ((kind, number, key), (kind, number, ""), ("", 0, kind), ("", 0, key))
-        return next((self.lines[t] for t in tries if t in self.lines), 1)
-
-    def fail(self, key: str | None, reason: str, kind: str = "", number: int = 0) -> NoReturn:
-        raise BodyFileError(self.source, self.line(kind, number, key), reason)
-
-    def root(self) -> "_Table":
-        return _Table(self, "", 0, self.data)
-
-    def tables(self, kind: str) -> list["_Table"]:
-        found = self.data.get(kind, [])
-        if not isinstance(found, list) or not all(isinstance(t, dict) for t in found):
-            self.fail("", f"'{kind}' must be written as [[{kind}]]", kind)
-        return [_Table(self, kind, i, t) for i, t in enumerate(found)]
-
-
-class _Table:
-    """One table of a body file: gives checked values or says where the file is wrong."""
-
-    def __init__(self, file: _File, kind: str, number: int, data: dict[str, Any]):
-        self.file, self.kind, self.place, self.data = file, kind, number, data
-        needed, allowed = KEYS[kind]
-        for key in data:
-            if key not in needed + allowed:
-                self.fail(key, f"unknown key '{key}' in {self.title}{_nearest(key, needed + allowed)}")
-        for key in needed:
-            if key not in data:
-                self.fail("", f"{self.title} has no '{key}'")
-        self.name = self.string("name")
-
-    @property
-    def title(self) -> str:
-        name = self.data.get("name")
-        return f"[[{self.kind}]]" + (f" '{name}'" if name else "") if self.kind else "the top of the file"
-
-    def fail(self, key: str, reason: str) -> NoReturn:
-        self.file.fail(key, reason, self.kind, self.place)
-
-    def string(self, key: str, default: str = "") -> str:
-        value = self.data.get(key, default)
-        if not isinstance(value, str) or not value:
-            self.fail(key, f"'{key}' of {self.title} must be a text in quotes, not {value!r}")
-        return value
-
-    def number(self, key: str, above: float, default: float | None = None) -> float:
-        return float(self.numbers(key, 1, np.array([default]) if default is not None else None, above)[0])
-
-    def numbers(self, key: str, count: int, default: np.ndarray | None = None, above: float = -math.inf) -> np.ndarray:
-        if key not in self.data and default is not None:
-            return default
-        value = self.data[key]
-        values = [value] if count == 1 else value
-        if not isinstance(values, list) or len(values) != count or not all(type(v) in (int, float) for v in values):
-            self.fail(key, f"'{key}' of {self.title} must be {count} number{'s' * (count > 1)}, not {value!r}")
-        if not all(math.isfinite(v) for v in values):
-            self.fail(key, f"'{key}' of {self.title} must be finite, not {value!r}")
-        if min(values) <= above:
-            self.fail(key, f"'{key}' of {self.title} must be {'above' if above >= 0 else 'at least'} 0, not {value!r}")
-        return np.array(values, np.float64)
-
-    def index(self, key: str, names: tuple[str, ...], what: str) -> int:
-        name = self.string(key)
-        if name not in names:
-            self.fail(key, f"'{key}' of {self.title}: there is no {what} '{name}'{_nearest(name, names)}")
-        return names.index(name)
-
-    def frame(self, key: str, z: np.ndarray, default_x: np.ndarray) -> Float[np.ndarray, "3 3"]:
-        """Rotation matrix with the given z axis and an x axis as near as possible to that of the file."""
-        x = self.numbers(key, 3, default=default_x)
-        zn = float(np.linalg.norm(z))
-        x = x - z * (x @ z) / zn**2 if zn > 1e-9 else 0 * x
-        xn = float(np.linalg.norm(x))
-        if xn < 1e-6:
-            self.fail(key, f"{self.title}: the x axis is zero or points along the z axis, so the frame is not defined")
-        return np.stack([x / xn, np.cross(z / zn, x / xn), z / zn], 1)
-
-
 def _check_tree(
-    limbs: list[_Table],
-    joints: list[_Table],
+    limbs: list[Table],
+    joints: list[Table],
     names: tuple[str, ...],
     parents: tuple[int, ...],
     children: tuple[int, ...],
@@ -318,22 +205,6 @@ def _check_tree(
             path.append(above[path[-1]])
             if path[-1] in path[:-1]:
                 table.fail("", f"limb '{names[i]}' is in a circle: {' on '.join(names[p] for p in path)}")
-
-
-def _names(tables: list[_Table]) -> tuple[str, ...]:
-    seen: set[str] = set()
-    for table in tables:
-        if table.name in seen:
-            table.fail("name", f"there are two of [[{table.kind}]] '{table.name}'")
-        seen.add(table.name)
-    return tuple(table.name for table in tables)
-
-
-def _nearest(name: str, names: Iterable[str]) -> str:
-    """The end of a sentence about an unknown name."""
-    names = list(names)
-    close = difflib.get_close_matches(name, names, 1)
-    return f"; did you mean '{close[0]}'?" if close else f"; there is {', '.join(names)}" if names else ""
 
 
 _Frames = tuple[np.ndarray, np.ndarray]  # rotation matrices [n, 3, 3] and translations [n, 3] in float64

@@ -4,7 +4,7 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -23,9 +23,7 @@ IMAGE_TOPIC, INFO_TOPIC = "/depth/image", "/depth/camera_info"
 CHUNK_SIZE = 1 << 20
 
 
-def write_simulation(
-    simulation: Simulation, path: str | os.PathLike[str], format: Literal["ros2", "foxglove"] = "ros2"
-) -> Path:
+def write_simulation(simulation: Simulation, path: str | os.PathLike[str], format: str = "ros2") -> Path:
     """Writes `path` (MCAP) and `<stem>.truth.npz` beside it; equal simulations give equal bytes. Returns `path`.
 
     ros2: sensor_msgs/Image 16UC1 and CameraInfo, transform on /tf_static; foxglove: RawImage, CameraCalibration,
@@ -37,15 +35,16 @@ def write_simulation(
     path = Path(path)
     fill = _ros2 if format == "ros2" else _foxglove
     _replace(path, lambda stream: fill(simulation, stream))
-    _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: np.savez_compressed(stream, **_truth(simulation)))
+    _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: _save_truth(simulation, stream))
     return path
 
 
-def _truth(simulation: Simulation) -> dict[str, np.ndarray]:
+def _save_truth(simulation: Simulation, stream: BinaryIO) -> None:
     body = simulation.body
     dims = segment_lengths(body) | ({"stature": float(body.scale)} if body.scale_name == "stature" else {})
     names = np.array(body.topology.centres)
-    return dict(time_ns=simulation.time_ns, joints=simulation.joints, names=names, dims=np.array(json.dumps(dims)))
+    s, text = simulation, np.array(json.dumps(dims))
+    np.savez_compressed(stream, time_ns=s.time_ns, joints=s.joints, names=names, dims=text)
 
 
 def _replace(path: Path, fill: Callable[[BinaryIO], None]) -> None:

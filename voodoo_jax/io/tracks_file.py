@@ -4,14 +4,12 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from voodoo_jax.body import segment_lengths
+from voodoo_jax.io.atomic import replacing
 from voodoo_jax.io.body_file import format_body, parse_body
 from voodoo_jax.tracks import Tracks
 
@@ -22,18 +20,6 @@ FRAME_ARRAYS = (
 
 class TracksFileError(ValueError):
     """A file that is not a complete tracks file."""
-
-
-@contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """Gives a temporary path in the same folder; it becomes `path` at the end, or is removed if anything was raised."""
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.tmp")
-    try:
-        yield partial
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def write_tracks_npz(tracks: Tracks, path: str | os.PathLike) -> None:

@@ -46,15 +46,18 @@ def band_moments(
 
 def prior_moments(
     middle: Float[Array, "3"], pose: Poses, predicted: Poses, weight: Float[Array, ""], radius: Float[Array, ""]
-) -> Float[Array, "4 4"]:
+) -> tuple[Float[Array, "4 4"], Float[Array, "3 3"]]:
     """Moments of six weak pairs that pull one limb to its predicted pose and determine it where nothing else does.
 
     **Arguments:** `middle` of the limb, limb frame; `pose`, `predicted` of this limb; `weight` of all six pairs
     together; the pairs sit `radius` metres from the middle along the limb's axes: turning by an angle costs
     2/3 weight radius^2 angle^2 (pitfall P11: never leave a direction undetermined).
+
+    **Returns:** sum of w [1, c] [1, p]^T and sum of w c c^T.
     """
     difference = compose(inverse(pose), predicted)
     offsets = jnp.concatenate([jnp.eye(3, dtype=middle.dtype), -jnp.eye(3, dtype=middle.dtype)]) * radius
     model = middle + offsets
     data = rotate(difference.rotation, model) + difference.translation
-    return _pair_moments(jnp.broadcast_to(weight / 6, (6,)), model, data)
+    second = weight / 6 * jnp.sum(model[:, :, None] * model[:, None, :], 0)
+    return _pair_moments(jnp.broadcast_to(weight / 6, (6,)), model, data), second

@@ -89,3 +89,9 @@ def moments(found: Match) -> Float[Array, "limb 4 4"]:
         wc = w if c is None else w * c
         rows.append(jnp.stack([jnp.sum(wc if p is None else wc * p, -1) for p in (None, *found.data)], -1))
     return jnp.stack(rows, -2)
+
+
+def second_moments(found: Match) -> Float[Array, "limb 3 3"]:
+    """Sum over points of w c c^T for every limb, limb frame."""
+    rows = [jnp.stack([jnp.sum(found.weight * a * b, -1) for b in found.model], -1) for a in found.model]
+    return jnp.stack(rows, -2)

@@ -29,22 +29,29 @@ def _ellipse_step(a, b, px, py, cos, sin):
     """
     ex, ey = (a * a - b * b) * cos**3 / a, (b * b - a * a) * sin**3 / b  # centre of curvature
     rx, ry, qx, qy = a * cos - ex, b * sin - ey, px - ex, py - ey
-    ratio = jnp.sqrt((rx * rx + ry * ry + 1e-20) / (qx * qx + qy * qy + 1e-20))
-    cos, sin = jnp.clip((qx * ratio + ex) / a, 0.0, 1.0), jnp.clip((qy * ratio + ey) / b, 0.0, 1.0)
-    norm = jnp.sqrt(cos * cos + sin * sin + 1e-20)
-    return cos / norm, sin / norm
+    q2 = qx * qx + qy * qy
+    # at the centre of curvature no direction is better than the one at hand
+    lost = q2 < 1e-16
+    ratio = jnp.sqrt((rx * rx + ry * ry + 1e-20) / jnp.where(lost, 1.0, q2))
+    c, s = jnp.clip((qx * ratio + ex) / a, 0.0, 1.0), jnp.clip((qy * ratio + ey) / b, 0.0, 1.0)
+    n2 = c * c + s * s
+    lost = lost | (n2 < 1e-12)
+    norm = jnp.sqrt(jnp.where(lost, 1.0, n2))
+    return jnp.where(lost, cos, c / norm), jnp.where(lost, sin, s / norm)
 
 
 def _refine(size, px, py, z, first, iterations):
     """Alternates between the angle (closest point of the ellipse at s) and s (closest point of the generator line).
 
-    Starts from the first guess and from both rims, and keeps the best: a very flat limb has several local minima.
+    Starts from the first guess and, half way round the quadrant, from both rims, and keeps the best: a flat limb has
+    several local minima, and a point inside it would run to the tip of the ellipse from most other angles.
     """
     a0, b0, a1, b1, length = size
     x0, y0, s0 = first
     s = jnp.stack([s0, jnp.zeros_like(s0), jnp.ones_like(s0)])
     a, b = a0 + s * (a1 - a0), b0 + s * (b1 - b0)
-    cos, sin = x0 / a, y0 / b
+    diagonal = jnp.array([[False], [True], [True]])
+    cos, sin = jnp.where(diagonal, 1.0, x0 / a), jnp.where(diagonal, 1.0, y0 / b)
     norm = jnp.sqrt(cos * cos + sin * sin + 1e-20)
     cos, sin = cos / norm, sin / norm
     for _ in range(iterations):

@@ -1,0 +1,23 @@
+"""Runtime checks of shapes and types in the whole package, and double precision for the tests that ask for it."""
+
+import jax
+import numpy as np
+import pytest
+from jaxtyping import install_import_hook
+
+# before any test module imports the package: a module that is already loaded would go unchecked
+# tower: an int is welcome where a float is asked for (PEP 484), as for the type checker
+install_import_hook(["voodoo_jax"], "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+
+
+@pytest.fixture
+def rng(request) -> np.random.Generator:
+    """Random numbers that depend on the test's name only: tests may be run alone or in any order."""
+    return np.random.default_rng(list(request.node.nodeid.split("/")[-1].encode()))
+
+
+@pytest.fixture
+def x64():
+    """float64 for this test; elsewhere the tests run in float32 as the product does (part of jit's cache key)."""
+    with jax.enable_x64(True):
+        yield

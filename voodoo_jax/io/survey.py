@@ -1,0 +1,55 @@
+"""What a log holds, as a table for a person, without reading its depth data."""
+
+import os
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from voodoo_jax.io.container import LogError
+from voodoo_jax.io.plan import make_plan
+from voodoo_jax.io.scan import Scan
+from voodoo_jax.settings import ReadSettings
+
+
+@dataclass(frozen=True)
+class TopicSurvey:
+    """One topic of a log. `use` is what replay takes it for, or "not used: <reason>"."""
+
+    topic: str
+    type: str
+    encoding: str
+    count: int
+    use: str
+
+
+@dataclass(frozen=True)
+class LogSurvey:
+    """What a log holds, and what of it replay would use. `str()` gives a table for a person."""
+
+    path: str
+    start_ns: int  # log time of the first message, nanoseconds since 1970
+    duration: float  # seconds
+    topics: tuple[TopicSurvey, ...]
+    warnings: tuple[str, ...]
+
+    def __str__(self) -> str:
+        start = datetime.fromtimestamp(self.start_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        rows = [("topic", "messages", "type", "encoding", "used as")]
+        rows += [(t.topic, str(t.count), t.type, t.encoding, t.use) for t in self.topics]
+        width = [max(len(row[i]) for row in rows) for i in range(5)]
+        lines = [f"{self.path}: {self.duration:.2f} s from {start}, {sum(t.count for t in self.topics)} messages"]
+        for row in rows:
+            cells = [c.rjust(w) if i == 1 else c.ljust(w) for i, (c, w) in enumerate(zip(row, width))]
+            lines.append(("  " + "  ".join(cells)).rstrip())
+        return "\n".join(lines + [f"  note: {w}" for w in self.warnings])
+
+
+def survey(path: str | os.PathLike[str]) -> LogSurvey:
+    """List what a log holds. Raises LogError only if nothing can be read at all."""
+    scan = Scan(path, ReadSettings())
+    try:
+        warnings = [*scan.notes, *scan.tree.notes, *make_plan(scan, ReadSettings()).notes]
+    except LogError as error:
+        warnings = [*scan.notes, str(error)]
+    start, end = scan.log.time_range or scan.log_times or (0, 0)
+    topics = [TopicSurvey(n, t.type, t.encoding, t.count, scan.uses[n]) for n, t in sorted(scan.topics.items())]
+    return LogSurvey(scan.log.path, start, (end - start) / 1e9, tuple(topics), tuple(warnings))

@@ -1,0 +1,89 @@
+"""All limbs and all bands in one damped Gauss-Newton step, beside the paper's solve limb by limb.
+
+The solve per limb hands a correction down the chain one limb per step; here the bands couple the limbs' twists in one
+linear system, so that a limb pulls the whole chain at once. Same correspondences, same bands, same weights.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Array, Float
+
+from voodoo_jax.body import Bands, Topology
+from voodoo_jax.pose import Poses, matrix, quat_exp, rotate
+
+
+def _cross(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Matrix of the cross product: _cross(v) w = v x w."""
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    o = jnp.zeros_like(x)
+    return jnp.stack([jnp.stack(r, -1) for r in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
+
+
+def pair_normals(
+    moments: Float[Array, "4 4"], second: Float[Array, "3 3"]
+) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
+    """Normal matrix and right-hand side of one limb's twist (turn, shift; limb frame) from its point pairs.
+
+    **Arguments:** `moments` sum of w [1, c] [1, p]^T; `second` sum of w c c^T; c model, p data points, limb frame.
+    """
+    weight, c, p, cp = moments[0, 0], moments[1:, 0], moments[0, 1:], moments[1:, 1:]
+    turn = jnp.trace(second) * jnp.eye(3, dtype=second.dtype) - second
+    mixed = _cross(c)
+    # sum of w c x p, from the antisymmetric part of the cross moments
+    torque = jnp.stack([cp[1, 2] - cp[2, 1], cp[2, 0] - cp[0, 2], cp[0, 1] - cp[1, 0]])
+    h = jnp.block([[turn, mixed], [-mixed, weight * jnp.eye(3, dtype=second.dtype)]])
+    return h, jnp.concatenate([torque, p - c])
+
+
+def coupled_step(
+    topology: Topology,
+    bands: Bands,
+    poses: Poses,
+    normals: Float[Array, "limb 6 6"],
+    rhs: Float[Array, "limb 6"],
+    strength: Float[Array, " joint"],
+    damping: Float[Array, ""],
+) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
+    """Motions of all limbs, each in its own frame: unit quaternions and shifts (metres).
+
+    **Arguments:** `normals, rhs` of each limb's own pairs; `strength` weight of a joint of weight 1; `damping` added
+    to the diagonal, as a share of each limb's mean diagonal.
+    """
+    count = len(topology.limbs)
+    parents, children = jnp.array(topology.parents, int), jnp.array(topology.children, int)
+    r = matrix(poses.rotation)
+
+    def arm(limbs, points):
+        """World place of band points and its derivative by the limb's twist."""
+        rot = r[limbs][:, None]
+        place = rotate(poses.rotation[limbs][:, None], points) + poses.translation[limbs][:, None]
+        turn = -jnp.sum(rot[..., :, :, None] * _cross(points)[..., None, :, :], -2)
+        return place, jnp.concatenate([turn, jnp.broadcast_to(rot, turn.shape)], -1)
+
+    xp, jp = arm(parents, bands.parent_points)
+    xc, jc = arm(children, bands.child_points)
+    w = bands.weights * strength[:, None]
+    gap = xc - xp
+
+    def outer(a, b):
+        return jnp.einsum("jb,jbki,jbkl->jil", w, a, b, precision="highest")
+
+    def along(a, v):
+        return jnp.einsum("jb,jbki,jbk->ji", w, a, v, precision="highest")
+
+    h = jnp.zeros((count, count, 6, 6), normals.dtype)
+    limbs = jnp.arange(count)
+    h = h.at[limbs, limbs].add(normals)
+    h = h.at[parents, parents].add(outer(jp, jp)).at[children, children].add(outer(jc, jc))
+    h = h.at[parents, children].add(-outer(jp, jc)).at[children, parents].add(-outer(jc, jp))
+    g = rhs.at[parents].add(along(jp, gap)).at[children].add(-along(jc, gap))
+    full = h.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count)
+    own = jax.vmap(lambda k: jnp.trace(h[k, k]) / 6)(limbs)
+    full = full + jnp.diag(jnp.repeat(damping * own + 1e-9, 6))
+    twist = cho_solve(cho_factor(full, lower=True), g.reshape(-1)).reshape(count, 6)
+    # a first step from far away may ask for more than the linearisation is good for
+    turn = twist[:, :3]
+    angle = jnp.sqrt(jnp.sum(turn * turn, -1, keepdims=True) + 1e-12)
+    turn = turn * jnp.minimum(1.0, 0.5 / angle)
+    return quat_exp(turn), twist[:, 3:]
