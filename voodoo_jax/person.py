@@ -268,3 +268,45 @@ class PersonFinder:
 def person_frames(frames: Iterable[Frame], finder: PersonFinder) -> Iterator[PersonFrame]:
     """The body's points frame by frame; empty frames where nothing was found."""
     return (finder(frame) for frame in frames)
+
+
+def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -> list[PersonFrame]:
+    """Takes out what stayed in its place while the body came or went: furniture that the body touched.
+
+    A cell counts as furniture where points were seen in most of the frames in which the body's axis was more than half
+    a metre away, and the axis came closer or went farther by 0.4 m meanwhile. Uses all frames. A body that never leaves
+    its place tells nothing, and its frames come back as they are.
+    """
+    seen = [i for i, f in enumerate(frames) if len(f.points) >= 30]
+    if len(seen) < 10:
+        return frames
+    axis = np.full((len(frames), 3), np.nan, np.float32)
+    for i in seen:
+        height = frames[i].points @ up
+        axis[i] = np.median(frames[i].points[height > np.percentile(height, 60)], 0)
+        axis[i] -= (axis[i] @ up) * up
+    cells = [np.unique(np.floor(frames[i].points / np.float32(0.1)).astype(np.int64), axis=0) for i in seen]
+    frame_of = np.repeat(np.arange(len(seen)), [len(c) for c in cells])
+    unique, which = np.unique(np.concatenate(cells), axis=0, return_inverse=True)
+    which = which.ravel()
+    middle = (unique + 0.5).astype(np.float32) * np.float32(0.1)
+    middle -= (middle @ up)[:, None] * up
+    distance = np.linalg.norm(middle[:, None] - axis[seen][None], axis=2)  # [cell, frame]
+    occupied = np.zeros(distance.shape, bool)
+    occupied[which, frame_of] = True
+    away = distance > 0.55
+    share = (occupied & away).sum(1) / np.maximum(away.sum(1), 1)
+    here = np.where(occupied, distance, np.nan)
+    varied = np.nanmax(here, 1) - np.nanmin(here, 1) > 0.4
+    furniture = unique[varied & (share > 0.5) & (away.sum(1) >= 8)]
+    if not len(furniture):
+        return frames
+    # the cells around too: noise at the faces
+    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+    blocked = set(map(tuple, (furniture[:, None] + around[None]).reshape(-1, 3).tolist()))
+    out = []
+    for frame in frames:
+        cell = np.floor(frame.points / np.float32(0.1)).astype(np.int64).tolist()
+        keep = np.array([tuple(c) not in blocked for c in cell], bool)
+        out.append(PersonFrame(frame.time_ns, frame.points[keep], frame.sensor[keep], frame.origins))
+    return out

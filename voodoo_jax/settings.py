@@ -1,7 +1,15 @@
 """Every option in one place, nested by stage. The same names serve Python, TOML files and command line flags."""
 
-from dataclasses import dataclass, field
-from typing import Literal
+import ast
+import inspect
+import json
+import os
+import textwrap
+import tomllib
+from dataclasses import Field, dataclass, field, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
 
 
 @dataclass(frozen=True)
@@ -98,6 +106,8 @@ class TrackSettings:
     """Share of the last frame's velocity that is expected to go on (0: stand still, 1: constant velocity)."""
     lost_explained: float = 0.6
     """Less than this share of the person's points explained: the frame counts as lost."""
+    patience: int = 15
+    """After so many lost or empty frames on end the body is looked for anew."""
     chunk: int = 128
     """Frames per compiled run."""
 
@@ -111,3 +121,93 @@ class Settings:
     start: StartSettings = field(default_factory=StartSettings)
     solve: SolveSettings = field(default_factory=SolveSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
+
+
+class SettingsError(ValueError):
+    """A settings file that cannot be used; says where, what, and what would be right."""
+
+
+def _check(stage: str, f: Field, value: Any) -> Any:
+    """The value as the field wants it, or SettingsError."""
+    name, default = f"{stage}.{f.name}", getattr(_STAGES[stage](), f.name)
+    if get_origin(f.type) is Literal:
+        if value not in get_args(f.type):
+            raise SettingsError(f"{name} = {value!r}: must be one of {', '.join(map(repr, get_args(f.type)))}")
+        return value
+    if isinstance(default, tuple):
+        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+            raise SettingsError(f"{name} = {value!r}: must be a list of texts")
+        return tuple(value)
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not type(default):
+        raise SettingsError(f"{name} = {value!r}: must be {_WORDS[type(default)]}, such as {default!r}")
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and not value >= 0:
+        raise SettingsError(f"{name} = {value!r}: must not be negative")
+    return value
+
+
+def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) -> "Settings":
+    """Settings from a TOML file with a table per stage; what it does not name stays as in `base`. Raises SettingsError,
+    OSError."""
+    base = base or Settings()
+    try:
+        content = tomllib.loads(Path(path).read_text())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise SettingsError(f"{path}: not a TOML file: {problem}") from problem
+    stages = {}
+    for stage, values in content.items():
+        if stage not in _STAGES or not isinstance(values, dict):
+            near = get_close_matches(stage, _STAGES, 1)
+            hint = f"; did you mean [{near[0]}]?" if near else f"; there are {', '.join(f'[{s}]' for s in _STAGES)}"
+            raise SettingsError(f"{path}: [{stage}] is no stage{hint}")
+        known = {f.name: f for f in fields(_STAGES[stage])}
+        checked = {}
+        for name, value in values.items():
+            if name not in known:
+                near = get_close_matches(name, known, 1)
+                hint = f"; did you mean '{near[0]}'?" if near else f"; there are {', '.join(known)}"
+                raise SettingsError(f"{path}: [{stage}] has no option '{name}'{hint}")
+            try:
+                checked[name] = _check(stage, known[name], value)
+            except SettingsError as problem:
+                raise SettingsError(f"{path}: {problem}") from None
+        stages[stage] = replace(getattr(base, stage), **checked)
+    return replace(base, **stages)
+
+
+def _help_texts(cls: type) -> dict[str, str]:
+    """The text under each field of a settings class."""
+    node = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0]
+    assert isinstance(node, ast.ClassDef)
+    texts = {}
+    for item, below in zip(node.body, node.body[1:]):
+        if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name) and isinstance(below, ast.Expr):
+            texts[item.target.id] = " ".join(str(ast.literal_eval(below.value)).split())
+    return texts
+
+
+def settings_text(settings: "Settings | None" = None) -> str:
+    """Settings as a TOML file with every option's meaning as a comment."""
+    settings = settings or Settings()
+    lines = ["# Settings of voodoo-jax. Use: voodoo-jax replay LOG... --out DIR --config THIS_FILE"]
+    for stage, cls in _STAGES.items():
+        texts = _help_texts(cls)
+        lines += ["", f"# {cls.__doc__}", f"[{stage}]"]
+        for f in fields(cls):
+            value = getattr(getattr(settings, stage), f.name)
+            written = json.dumps(list(value)) if isinstance(value, tuple) else json.dumps(value)
+            written = {"Infinity": "inf"}.get(written, written)
+            choices = f" ({', '.join(get_args(f.type))})" if get_origin(f.type) is Literal else ""
+            lines += [f"# {texts[f.name]}{choices}", f"{f.name} = {written}"]
+    return "\n".join(lines) + "\n"
+
+
+_STAGES: dict[str, type] = {
+    "read": ReadSettings,
+    "person": PersonSettings,
+    "start": StartSettings,
+    "solve": SolveSettings,
+    "track": TrackSettings,
+}
+_WORDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}

@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import segment_lengths
+from voodoo_jax.io.atomic import replacing
 from voodoo_jax.simulate import Camera, Simulation
 
 OPTICAL_FRAME = "depth_optical"
@@ -48,13 +49,8 @@ def _save_truth(simulation: Simulation, stream: BinaryIO) -> None:
 
 
 def _replace(path: Path, fill: Callable[[BinaryIO], None]) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(partial, "wb") as stream:
-            fill(stream)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path) as partial, open(partial, "wb") as stream:
+        fill(stream)
 
 
 def _matrices(camera: Camera) -> tuple[list[float], list[float], list[float]]:

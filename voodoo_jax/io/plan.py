@@ -23,7 +23,7 @@ class Plan:
     fixed_frame: str
     up: Float32[np.ndarray, "3"]  # unit, in the fixed frame
     sensors: tuple[str, ...]  # topics
-    stamps: tuple[Int64[np.ndarray, " message"], ...]  # per sensor, nanoseconds, in the order of reading
+    stamps: tuple[Int64[np.ndarray, " _"], ...]  # of the messages per sensor, nanoseconds, in the order of reading
     frames: tuple[tuple[int, list[tuple[int, int]]], ...]  # (time_ns, [(sensor, message)]) in order of time
     notes: tuple[str, ...]
 

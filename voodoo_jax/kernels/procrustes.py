@@ -43,6 +43,7 @@ def top_eigenpair(k: Float[Array, "4 4"]) -> tuple[Float[Array, "4"], Float[Arra
 
     The derivative of `eigh` is NaN in reverse mode when any two eigenvalues meet, even if the wanted one stands apart
     (pitfall P1); this rule needs only the top one to stand apart and is damped, hence finite, where it does not.
+    Second derivatives hold for the top pair; those of the other three eigenvalues leave out the turn of their vectors.
     """
     values, vectors = jnp.linalg.eigh(k)
     return values, vectors[:, -1]
@@ -51,15 +52,35 @@ def top_eigenpair(k: Float[Array, "4 4"]) -> tuple[Float[Array, "4"], Float[Arra
 @top_eigenpair.defjvp
 def _top_eigenpair_jvp(primals, tangents):
     (k,), (dk,) = primals, tangents
-    values, vectors = jnp.linalg.eigh(k)
-    top = vectors[:, -1]
+    values, top = top_eigenpair(k)
     dkv = jnp.sum(dk * top, -1)
+    # only for the lower eigenvalues; their own derivative is the one that is NaN
+    others = jnp.linalg.eigh(jax.lax.stop_gradient(k))[1][:, :-1]
+    dothers = jnp.sum(others * jnp.sum(dk[:, :, None] * others[None], 1), 0)
+    return (values, top), (jnp.append(dothers, jnp.sum(top * dkv)), _below_top(k, dkv))
+
+
+@jax.custom_jvp
+def _below_top(k: Float[Array, "4 4"], x: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Damped pseudo-inverse of (top eigenvalue - k) times x: how the top eigenvector turns."""
+    values, vectors = jnp.linalg.eigh(k)
     gaps = values[-1] - values
     scale = jnp.maximum(jnp.max(jnp.abs(values)), 1e-30)
     inverse = gaps / (gaps * gaps + (GAP_DAMPING * scale) ** 2)  # damped 1/gap; 0 for the top one itself
-    dtop = jnp.sum(vectors * (inverse * jnp.sum(vectors * dkv[:, None], 0)), -1)
-    dvalues = jnp.sum(vectors * jnp.sum(dk[:, :, None] * vectors[None], 1), 0)
-    return (values, top), (dvalues, dtop)
+    return jnp.sum(vectors * (inverse * jnp.sum(vectors * x[:, None], 0)), -1)
+
+
+@_below_top.defjvp
+def _below_top_jvp(primals, tangents):
+    # derivative of a pseudo-inverse of constant rank (Golub and Pereyra 1973, eq. 4.12), damping held constant
+    (k, x), (dk, dx) = primals, tangents
+    values, top = top_eigenpair(k)
+    slope = jnp.sum(top * jnp.sum(dk * top, -1))
+    change = lambda v: slope * v - jnp.sum(dk * v, -1)  # noqa: E731
+    y = _below_top(k, x)
+    along = jnp.sum(top * x)
+    turned = _below_top(k, dx - change(y) + along * _below_top(k, change(top)))
+    return y, turned + top * jnp.sum(top * change(_below_top(k, y)))
 
 
 def align(moments: Float[Array, "4 4"]) -> Alignment:
@@ -76,10 +97,11 @@ def align(moments: Float[Array, "4 4"]) -> Alignment:
     w = jnp.where(none, 1.0, weight)
     model, data = moments[1:, 0] / w, moments[0, 1:] / w
     cross = moments[1:, 1:] / w - model[:, None] * data[None, :]
-    spread = jnp.sqrt(jnp.sum(cross * cross))
-    flat = spread < 1e-12
+    spread2 = jnp.sum(cross * cross)
+    flat = spread2 < 1e-24
+    spread = jnp.sqrt(jnp.where(flat, 1.0, spread2))  # the root of 0 has no derivative (pitfall P6)
     # normalised by the limb's own spread: eigenvalues near one, whatever unit or weight (pitfall P2)
-    k = horn_matrix(cross / jnp.where(flat, 1.0, spread))
+    k = horn_matrix(cross / spread)
     identity = jnp.zeros((4, 4), k.dtype).at[0, 0].set(1.0)
     values, q = top_eigenpair(jnp.where(flat, identity, k))
     # nearest to the identity, never sign(): that is 0 at 0 (pitfall P5)

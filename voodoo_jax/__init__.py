@@ -1,0 +1,68 @@
+"""Tracks articulated bodies, people first, in recorded 3D sensor logs: VooDoo (Knoop et al. 2006, 2007) in JAX.
+
+import voodoo_jax as vj
+recording = vj.read_log("log.mcap")
+tracks = vj.track(vj.human(), recording)
+vj.show(tracks, recording)
+"""
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from voodoo_jax.body import Body as Body
+    from voodoo_jax.io.body_file import human as human
+    from voodoo_jax.io.body_file import load_body as load_body
+    from voodoo_jax.io.body_file import read_body as read_body
+    from voodoo_jax.io.body_file import write_body as write_body
+    from voodoo_jax.io.mcap_log import LogError as LogError
+    from voodoo_jax.io.mcap_log import read_log as read_log
+    from voodoo_jax.io.mcap_log import survey as survey
+    from voodoo_jax.io.tracks_file import read_tracks_npz as read_tracks
+    from voodoo_jax.io.tracks_file import write_tracks_npz as write_tracks
+    from voodoo_jax.picture import picture as picture
+    from voodoo_jax.picture import show as show
+    from voodoo_jax.recording import Recording as Recording
+    from voodoo_jax.replay import replay as replay
+    from voodoo_jax.settings import Settings as Settings
+    from voodoo_jax.tracker import track as track
+    from voodoo_jax.tracks import Tracks as Tracks
+
+# name -> (module, name there); imported on first use, so that the command's --help need not wait for jax
+_PUBLIC = {
+    "Body": ("body", "Body"),
+    "LogError": ("io.mcap_log", "LogError"),
+    "Recording": ("recording", "Recording"),
+    "Settings": ("settings", "Settings"),
+    "Tracks": ("tracks", "Tracks"),
+    "human": ("io.body_file", "human"),
+    "load_body": ("io.body_file", "load_body"),
+    "picture": ("picture", "picture"),
+    "read_body": ("io.body_file", "read_body"),
+    "read_log": ("io.mcap_log", "read_log"),
+    "read_tracks": ("io.tracks_file", "read_tracks_npz"),
+    "replay": ("replay", "replay"),
+    "show": ("picture", "show"),
+    "survey": ("io.mcap_log", "survey"),
+    "track": ("tracker", "track"),
+    "write_body": ("io.body_file", "write_body"),
+    "write_tracks": ("io.tracks_file", "write_tracks_npz"),
+}
+__all__ = sorted(_PUBLIC)
+
+try:
+    __version__ = version("voodoo_jax")
+except PackageNotFoundError:  # run from a source tree that is not installed
+    __version__ = "0"
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        module, attribute = _PUBLIC[name]
+        return getattr(import_module(f"voodoo_jax.{module}"), attribute)
+    raise AttributeError(f"module 'voodoo_jax' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_PUBLIC])

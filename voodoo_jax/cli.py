@@ -1,0 +1,157 @@
+"""The command `voodoo-jax`. Nothing heavy is imported before a command runs: `--help` answers at once."""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import Positional, arg, subcommand
+
+from voodoo_jax.settings import Settings, SettingsError, read_settings, settings_text
+
+BODY_HELP = "Body to track: human, human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
+CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Track a person (or another body) in recorded logs.
+
+    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove or Rerun) for each
+    log. Nothing about the person need be given: start, place and size are found.
+    """
+
+    logs: Positional[tuple[Path, ...]]
+    """MCAP logs with depth images or point clouds."""
+    out: Path
+    """Folder for the results; made if it is missing."""
+    body: Annotated[str, arg(help=BODY_HELP)] = "human"
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    picture: bool = False
+    """Also write <log>.png: cloud and tracked body side by side."""
+    settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+
+
+@dataclass(frozen=True)
+class Info:
+    """Show what is in logs and what replay would use of it."""
+
+    logs: Positional[tuple[Path, ...]]
+    """MCAP logs."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Track the person in the recording that comes with the package, and compare with the truth."""
+
+    out: Path = Path("demo-out")
+    """Folder for the results; made if it is missing."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Print the settings with their meanings, as a file for --config."""
+
+
+Command = (
+    Annotated[Demo, subcommand("demo")]
+    | Annotated[Replay, subcommand("replay")]
+    | Annotated[Info, subcommand("info")]
+    | Annotated[Config, subcommand("config")]
+)
+
+
+def run_replay(command: Replay) -> int:
+    """0 if every log was tracked, 1 if one failed."""
+    if not command.logs:
+        raise SystemExit("voodoo-jax replay: name at least one log")
+    from voodoo_jax.io.body_file import BodyFileError, load_body
+    from voodoo_jax.replay import output_paths, replay
+
+    try:
+        body = load_body(command.body)
+        outcomes = replay(command.logs, command.out, body, command.settings)
+    except (BodyFileError, ValueError, OSError) as problem:
+        print(f"voodoo-jax replay: {problem}", file=sys.stderr)
+        return 2
+    if command.picture:
+        from voodoo_jax.io.mcap_log import read_log
+        from voodoo_jax.picture import picture
+
+        for outcome in outcomes:
+            if outcome.tracks is not None:
+                path = output_paths(outcome.path, command.out)[0]
+                target = path.with_name(path.name.removesuffix(".tracks.npz") + ".png")
+                picture(outcome.tracks, read_log(outcome.path, command.settings.read), target)
+                print(f"wrote {target}")
+    failed = [o for o in outcomes if not o.ok]
+    frames = sum(len(o.tracks.time_ns) for o in outcomes if o.tracks)
+    print(f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked, {frames} frames, results in {command.out}")
+    if failed:
+        print("not tracked: " + ", ".join(Path(o.path).name for o in failed), file=sys.stderr)
+    return 1 if failed else 0
+
+
+def run_info(command: Info) -> int:
+    """0 if every log could be read."""
+    from voodoo_jax.io.mcap_log import LogError, survey
+
+    status = 0
+    for path in command.logs:
+        try:
+            print(survey(path))
+        except LogError as problem:
+            print(f"voodoo-jax info: {problem}", file=sys.stderr)
+            status = 1
+    return status
+
+
+def run_demo(command: Demo) -> int:
+    """Replays the shipped recording; 0 if it was tracked."""
+    from voodoo_jax.demo import demo
+
+    return demo(command.out)
+
+
+def _config_flag(argv: list[str]) -> Path | None:
+    """The settings file named on the command line: it gives the defaults that --help and other flags start from."""
+    for i, word in enumerate(argv):
+        if word == "--config" and i + 1 < len(argv):
+            return Path(argv[i + 1])
+        if word.startswith("--config="):
+            return Path(word.split("=", 1)[1])
+    return None
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point; the exit status."""
+    argv = sys.argv[1:] if argv is None else argv
+    try:
+        path = _config_flag(argv)
+        base = read_settings(path) if path else Settings()
+    except (SettingsError, OSError) as problem:
+        print(f"voodoo-jax: {problem}", file=sys.stderr)
+        return 2
+    if argv[:1] == ["replay"]:
+        default = tyro.MISSING
+        command = tyro.cli(
+            Replay,
+            prog="voodoo-jax replay",
+            args=argv[1:],
+            default=Replay(logs=default, out=default, settings=base),
+        )
+    else:
+        command = tyro.cli(Command, prog="voodoo-jax", args=argv or ["--help"])
+    if isinstance(command, Replay):
+        return run_replay(command)
+    if isinstance(command, Info):
+        return run_info(command)
+    if isinstance(command, Demo):
+        return run_demo(command)
+    print(settings_text(base), end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,176 @@
+"""A whole recording: finds the body, starts, tracks in chunks, starts anew where it was lost. Host side."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain, islice
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float32
+
+from voodoo_jax.batch import BUCKETS, pad_frames
+from voodoo_jax.body import Body, joint_centres
+from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
+from voodoo_jax.pose import Poses
+from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.settings import Settings, StartSettings
+from voodoo_jax.start import rest_height, run_trials, sized, standing_places
+from voodoo_jax.track import State, Step, TrackOptions, at_rest, options_from, track_chunk
+from voodoo_jax.tracks import Status, Tracks
+
+Progress = Callable[[int], None]
+FEW_POINTS = 20  # fewer on the body: nothing to track by
+SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
+
+
+def find_person(
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings
+) -> tuple[Scene, list[PersonFrame]]:
+    """Floor and walls, and the body's points of every frame. Frames are taken one by one, only these points are kept."""
+    stream: Iterator[Frame] = iter(frames)
+    first = list(islice(stream, SCENE_FRAMES))
+    scene = find_scene(first[::3], up, up_is_sure=bool(up[2] > 0.99))
+    finder = PersonFinder(scene, settings.start.scale or rest_height(body), settings.person)
+    people = list(person_frames(chain(first, stream), finder))
+    return scene, without_furniture(people, scene.floor.normal)
+
+
+class _Run:
+    """Tracks one recording's person frames with one body."""
+
+    def __init__(self, body: Body, options: TrackOptions, people: list[PersonFrame], scene: Scene, settings: Settings):
+        self.body, self.options, self.people, self.scene, self.settings = body, options, people, scene, settings
+        self.sensors = len(people[0].origins) if people else 1
+        self.capacity = next(b for b in BUCKETS if b >= min(settings.person.points, BUCKETS[-1]))
+
+    def start(self, at: int) -> tuple[State, float]:
+        """State after the best trial from frame `at`, and its cost."""
+        s: StartSettings = self.settings.start
+        frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
+        chunk = pad_frames(frames, self.capacity, s.frames, None, self.sensors)
+        places = standing_places(self.body, frames, self.scene.floor, s.headings)
+        starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
+        trial = run_trials(self.body, self.options, starts, chunk.points, jnp.asarray(chunk.seconds))
+        best = int(np.argmin(np.asarray(trial.cost)))
+        # standing still: the trial ends some frames later than it begins
+        return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses)), float(trial.cost[best])
+
+    def chunk(self, state: State, at: int) -> tuple[State, Step, int]:
+        """Tracks up to one chunk of frames from `at`; the number tracked."""
+        length = self.settings.track.chunk
+        frames = self.people[at : at + length]
+        previous = self.people[at - 1].time_ns if at else None
+        padded = pad_frames(frames, self.capacity, length, previous, self.sensors)
+        seconds, valid = jnp.asarray(padded.seconds), jnp.asarray(padded.valid)
+        state, step = track_chunk(self.body, self.options, state, padded.points, seconds, valid)
+        return state, jax.tree.map(np.asarray, step), len(frames)
+
+
+def _status(step: Step, lost_explained: float) -> np.ndarray:
+    """Status of each frame of a chunk."""
+    few = np.asarray(step.points) < FEW_POINTS
+    lost = np.asarray(step.explained) < lost_explained
+    return np.where(few, Status.NO_DATA, np.where(lost, Status.LOST, Status.TRACKED)).astype(np.int8)
+
+
+def _first_run(mask: np.ndarray, length: int) -> int:
+    """Index of the first run of `length` True, or the array's length."""
+    if len(mask) < length:
+        return len(mask)
+    full = np.convolve(mask, np.ones(length, int), "valid") == length
+    return int(np.argmax(full)) if full.any() else len(mask)
+
+
+def track(
+    body: Body, recording: Recording, settings: Settings | None = None, progress: Progress | None = None
+) -> Tracks:
+    """Tracks a body through a recording; nothing about the person need be known.
+
+    **Arguments:** `body` any body, scaled to what is seen unless `settings.start.scale` says otherwise; `progress` is
+    called with the number of frames done since the last call.
+
+    **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
+    """
+    settings = settings or Settings()
+    scene, people = find_person(recording, recording.up, body, settings)
+    return track_person(body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress)
+
+
+def track_person(
+    body: Body,
+    scene: Scene,
+    people: list[PersonFrame],
+    settings: Settings,
+    source: str,
+    fixed_frame: str,
+    notes: tuple[str, ...] = (),
+    progress: Progress | None = None,
+) -> Tracks:
+    """Tracks a body through frames in which it was already told apart from its surroundings (see find_person)."""
+    began = time.perf_counter()
+    count, limbs = len(people), body.limb_count
+    enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
+    at = int(np.argmax(enough)) if enough.any() else count
+    body = sized(body, people[at : at + settings.start.size_frames], scene.floor, settings.start)
+    run = _Run(body, options_from(settings.solve, settings.track), people, scene, settings)
+    out = {
+        "rotation": np.full((count, limbs, 4), np.nan, np.float32),
+        "translation": np.full((count, limbs, 3), np.nan, np.float32),
+        "status": np.full(count, Status.NOT_STARTED, np.int8),
+        "residual": np.full(count, np.nan, np.float32),
+        "explained": np.zeros(count, np.float32),
+        "steps": np.zeros(count, np.int32),
+        "points": np.array([len(f.points) for f in people], np.int32),
+        "limb_weight": np.zeros((count, limbs), np.float32),
+    }
+    patience = settings.track.patience
+    state: State | None = None
+    tried = -1
+    if progress is not None:
+        progress(at)
+    while at < count:
+        if state is None:
+            state, _ = run.start(at)
+        after, step, taken = run.chunk(state, at)
+        status = _status(step, settings.track.lost_explained)[:taken]
+        # gone or lost for long: stop here and look anew
+        gone = _first_run(status == Status.NO_DATA, patience)
+        lost = _first_run(status == Status.LOST, patience) if tried < at else taken
+        keep = min(gone, lost + patience if lost < taken else taken, taken)
+        span = slice(at, at + keep)
+        out["rotation"][span] = step.poses.rotation[:keep]
+        out["translation"][span] = step.poses.translation[:keep]
+        out["status"][span] = status[:keep]
+        for name in ("residual", "explained", "steps", "limb_weight"):
+            out[name][span] = getattr(step, name)[:keep]
+        at += keep
+        state = after
+        if keep < taken:
+            if gone == keep:
+                later = np.flatnonzero(enough[at:])
+                skip = int(later[0]) if len(later) else count - at
+                out["status"][at : at + skip] = Status.NO_DATA
+                at, keep, state = at + skip, keep + skip, None
+            else:
+                state = None
+            tried = at + patience
+        if progress is not None:
+            progress(keep)
+    poses = Poses(jnp.asarray(out["rotation"]), jnp.asarray(out["translation"]))
+    joints = np.asarray(jax.jit(jax.vmap(joint_centres, (None, 0)))(body, poses)) if count else np.zeros((0, 0, 3))
+    joints = joints.reshape(count, len(body.topology.centres), 3).astype(np.float32)
+    seconds = time.perf_counter() - began
+    stamps = np.array([f.time_ns for f in people], np.int64)
+    return Tracks(
+        source, fixed_frame, body, stamps, joints=joints, seconds=seconds, notes=tuple(notes) + _notes(scene, out), **out
+    )
+
+
+def _notes(scene: Scene, out: dict[str, np.ndarray]) -> tuple[str, ...]:
+    notes = []
+    if not scene.floor_seen:
+        notes.append("No floor was seen: its height was taken from the fixed frame or from the lowest points.")
+    if len(out["status"]) and np.all(out["status"] == Status.NOT_STARTED):
+        notes.append("Nothing of the body's height was found: not one frame is tracked.")
+    return tuple(notes)
