@@ -142,8 +142,9 @@ def test_any_unit_and_weight_in_float32(unit, weight_scale):
 def test_rule_of_the_eigenvector(x64, rng, seed):
     """Against central differences, and against the library's own rule where that one is defined."""
     k, direction = (x + x.T for x in rng.normal(size=(2, 4, 4)))
-    values, vectors = np.linalg.eigh(k)
-    k = k + 0.2 * np.outer(vectors[:, -1], vectors[:, -1])  # the top one stands apart
+    _, vectors = np.linalg.eigh(k)
+    # the top one stands apart
+    k, direction = jnp.asarray(k + 0.2 * np.outer(vectors[:, -1], vectors[:, -1])), jnp.asarray(direction)
     exact = jax.jvp(top_eigenpair, (k,), (direction,))[1]
     sign = lambda pair: (pair[0], pair[1] * np.sign(pair[1] @ vectors[:, -1]))  # noqa: E731
     numeric = central_difference(lambda m: sign(top_eigenpair(m)), jnp.asarray(k), jnp.asarray(direction), 1e-6)
@@ -173,8 +174,8 @@ def test_second_derivatives(x64, name):
     target = jnp.array([0.3, -0.5, 0.2, 0.7])
     loss = lambda d: jnp.sum(align(moments_of(jnp.ones(len(model)), model, d)).rotation * target)  # noqa: E731
     direction = jnp.asarray(np.random.default_rng(1).normal(size=data.shape)) * 0.1
-    slope = lambda d: jnp.sum(jax.grad(loss)(d) * direction)  # noqa: E731
-    second = jnp.sum(jax.grad(slope)(data) * direction)
+    slope = jax.jit(lambda d: jnp.sum(jax.grad(loss)(d) * direction))
+    second = jnp.sum(jax.jit(jax.grad(slope))(data) * direction)
     assert np.isfinite(second)
     if name not in UNDETERMINED:
         numeric = central_difference(lambda d: slope(d), data, direction, 1e-5)
@@ -197,9 +198,8 @@ def test_turning_the_data_turns_the_result(seed, angle, shift):
     axis = rng.normal(size=3)
     extra = Rotation.from_rotvec(axis / np.linalg.norm(axis) * angle)
     with jax.enable_x64(True):  # a fixture would last for all examples at once
-        before = jax.tree.map(np.asarray, solve(moments_of(weight, model, data)))
-        after = solve(moments_of(weight, model, extra.apply(data) + shift))
-        after = jax.tree.map(np.asarray, after)
+        before = jax.tree.map(np.array, solve(moments_of(weight, model, data)))
+        after = jax.tree.map(np.array, solve(moments_of(weight, model, extra.apply(data) + shift)))
     rotation = extra * scipy_rotation(before.rotation)
     if before.gap > 1e-3:
         assert_same(after, rotation, extra.apply(before.translation) + shift, 1e-5, 1e-8)

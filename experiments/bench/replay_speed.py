@@ -3,9 +3,10 @@
     python experiments/bench/replay_speed.py [LOG.mcap ...] [--truth FILE] [--points 500 1000] [--solvers coupled]
 
 Equal work for every row: exactly `--steps` ICP steps a frame (epsilon 0), every frame has exactly that many points: a
-random choice, or above the sensor's own number copies with 2 mm jitter, seeded. The start (size, place, heading) is
-found once per log and not timed. Every row is run once to compile and then `--repeats` times in rounds over all rows,
-so that a busy machine hits all rows alike; each run is waited for. Compile time is the first call less the best warm one.
+random choice, or above the sensor's own number copies with 2 mm jitter, seeded. The log is first replayed as the
+product does it; size and first pose of every row come from there. Every row is run once to compile and then `--repeats`
+times, in rounds over all rows, so that a busy machine hits all alike; each run is waited for. Compile time is the first
+call less the best warm one.
 """
 
 import json
@@ -23,17 +24,19 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import tyro
-from jaxtyping import Float32, Int64
 from tqdm import tqdm
 
 from voodoo_jax.batch import Chunk, pad_frames
 from voodoo_jax.body import Body, joint_centres
+from voodoo_jax.demo import joint_errors
 from voodoo_jax.io.body_file import load_body
-from voodoo_jax.io.mcap_log import read_log
-from voodoo_jax.person import PersonFinder, PersonFrame, find_scene
+from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.person import PersonFrame
+from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Settings
-from voodoo_jax.start import rest_height, run_trials, sized, standing_places
-from voodoo_jax.track import State, Step, TrackOptions, at_rest, options_from, track_chunk
+from voodoo_jax.track import Step, at_rest, options_from, track_chunk
+from voodoo_jax.tracker import find_person, track_person
+from voodoo_jax.tracks import Tracks
 
 ROOT = Path(__file__).parents[2]
 JITTER = 0.002  # metres
@@ -42,11 +45,10 @@ SKIP_NS = 500_000_000  # of the truth's beginning, not scored: the tracker finds
 
 @dataclass(frozen=True)
 class Started:
-    """A recording up to the point where tracking begins."""
+    """A recording replayed as the product does it, and its frames for the measurements."""
 
-    body: Body  # sized
-    frames: list[PersonFrame]
-    state: State
+    tracks: Tracks  # of `frames`
+    frames: list[PersonFrame]  # from the first tracked one on
     prepare_fps: float  # frames per second of reading the log and finding the person, on the host
 
 
@@ -65,27 +67,17 @@ class Row:
 
 
 def prepare(log: Path, body: Body, settings: Settings) -> Started:
-    """Reads a log, finds the person, and settles size, place and heading with the settings as they are."""
+    """Reads a log, finds the person and tracks it with the settings as they are."""
     begin = time.perf_counter()
-    recording = read_log(log, settings.read)
-    scene = find_scene(list(recording.frames[:: max(1, len(recording) // 5)]), recording.up)
-    finder = PersonFinder(scene, rest_height(body), settings.person)
-    frames = [finder(frame) for frame in recording]
-    seconds = time.perf_counter() - begin
-    seen = next((i for i, f in enumerate(frames) if len(f.points) >= 50), None)
-    if seen is None:
-        raise SystemExit(f"{log}: nobody was found in it, there is nothing to track")
-    frames = frames[seen:]
-    body = sized(body, frames[: settings.start.size_frames], scene.floor, settings.start)
-    first = frames[: settings.start.frames]
-    chunk = pad_frames(first, settings.person.points, len(first), None, len(recording.sensors))
-    starts = standing_places(body, first, scene.floor, settings.start.headings)
-    starts = jax.tree.map(lambda *poses: jnp.stack(poses), *starts)
-    options = options_from(settings.solve, settings.track)
-    trial = run_trials(body, options, starts, chunk.points, jnp.asarray(chunk.seconds))
-    best = int(jnp.argmin(trial.cost))
-    poses = jax.tree.map(lambda x: x[best], trial.state.poses)
-    return Started(body, frames, at_rest(poses), len(recording) / seconds)
+    reader = open_log(log, settings.read)
+    scene, people = find_person(reader.frames(), reader.up, body, settings)
+    prepare_fps = len(people) / (time.perf_counter() - begin)
+    first = int(np.argmax(track_person(body, scene, people, settings, reader.path, reader.fixed_frame).tracked))
+    # once more, compiled: for its time, and without the frames before the first tracked one
+    tracks = track_person(body, scene, people[first:], settings, reader.path, reader.fixed_frame)
+    if not tracks.tracked[0]:
+        raise SystemExit(f"{log}: nobody was tracked in it, there is nothing to measure")
+    return Started(tracks, people[first:], prepare_fps)
 
 
 def resample(frame: PersonFrame, count: int) -> PersonFrame:
@@ -105,8 +97,9 @@ class Case:
 
     def __init__(self, started: Started, settings: Settings, count: int):
         frames = [resample(f, count) for f in started.frames]
-        self.body, self.state = started.body, started.state
-        self.options: TrackOptions = options_from(settings.solve, settings.track)
+        tracks = started.tracks
+        self.body, self.options = tracks.body, options_from(settings.solve, settings.track)
+        self.state = at_rest(Poses(jnp.asarray(tracks.rotation[0]), jnp.asarray(tracks.translation[0])))
         self.chunk: Chunk = pad_frames(frames, count, len(frames), None, len(frames[0].origins))
         self.seconds, self.valid = jnp.asarray(self.chunk.seconds), jnp.asarray(self.chunk.valid)
 
@@ -124,32 +117,24 @@ def centres(body: Body, step: Step) -> jax.Array:
     return jax.vmap(lambda poses: joint_centres(body, poses))(step.poses)
 
 
-def joint_error(
-    joints: Float32[np.ndarray, "frame joint 3"],
-    names: tuple[str, ...],
-    time_ns: Int64[np.ndarray, " frame"],
-    truth: Path,
-) -> float:
-    """Mean distance from the true joint centres, cm; a joint without an answer or frame counts as 1 m off."""
+def joint_error(tracks: Tracks, truth: Path) -> float:
+    """Mean distance from the true joint centres, cm; a joint without an answer, or a frame, counts as 1 m off."""
     with np.load(truth, allow_pickle=False) as file:
-        true_ns, true, wanted = file["time_ns"], file["joints"], [str(n) for n in file["names"]]
+        known = dict(file)
+    # names of H-Anim version 1
     alias = {
         "l_wrist": "l_radiocarpal",
         "r_wrist": "r_radiocarpal",
         "l_ankle": "l_talocrural",
         "r_ankle": "r_talocrural",
     }
-    wanted = [alias.get(n, n) for n in wanted]
-    if missing := sorted(set(wanted) - set(names)):
-        raise SystemExit(f"{truth}: the body has no joint centres {', '.join(missing)}")
-    use = true_ns >= true_ns[0] + SKIP_NS
-    gap = np.abs(time_ns[None] - true_ns[use][:, None])
-    nearest = gap.argmin(1)
-    found = joints[nearest][:, [names.index(n) for n in wanted]].astype(float)
-    found[gap.min(1) > 17_000_000] = np.nan  # half a frame at 30 Hz
-    error = np.linalg.norm(found - true[use], axis=-1)
-    known = np.isfinite(true[use]).all(-1)
-    return 100 * float(np.where(np.isfinite(error), error, 1.0)[known].mean())
+    known["names"] = np.array([alias.get(str(n), str(n)) for n in known["names"]])
+    error = joint_errors(tracks, known)
+    stamps = known["time_ns"]
+    # half a frame at 30 Hz; farther stamps are of other frames
+    error[np.abs(tracks.time_ns[None] - stamps[:, None]).min(1) > 17_000_000] = np.nan
+    scored = np.isfinite(known["joints"]).all(-1) & (stamps >= stamps[0] + SKIP_NS)[:, None]
+    return 100 * float(np.where(np.isfinite(error), error, 1.0)[scored].mean())
 
 
 def machine() -> dict[str, str | int | float]:
@@ -184,7 +169,10 @@ def plot(rows: list[Row], where: Path, title: str) -> None:
     speed.set(xscale="log", yscale="log", xlabel="points per frame", ylabel="frames per second")
     speed.set_title("best (line) and median (dots)")
     accuracy.set(xscale="log", ylim=(0, None), xlabel="points per frame", ylabel="mean joint error, cm")
+    ticks = sorted({r.points for r in rows})
     for axes in (speed, accuracy):
+        axes.set_xticks(ticks, [str(t) for t in ticks])
+        axes.minorticks_off()
         axes.grid(True, which="both", alpha=0.3)
     speed.legend(fontsize=8)
     figure.suptitle(title, fontsize=9)
@@ -224,12 +212,16 @@ def main(
     for log in logs or (ROOT / "voodoo_jax" / "data" / "demo.mcap",):
         answer = truth or log.with_name(f"{log.stem}.truth.npz")
         started = prepare(log, load_body(body), Settings())
-        native = np.median([len(f.points) for f in started.frames])
+        answer = answer if answer.exists() else None
+        tracks, native = started.tracks, np.median([len(f.points) for f in started.frames])
+        error = f", {joint_error(tracks, answer):.2f} cm" if answer else ""
         print(
-            f"{log.stem}: {len(started.frames)} frames, {native:.0f} points on the person (median), {steps} steps a frame; "
-            f"reading and finding the person: {started.prepare_fps:.0f} frames/s"
+            f"{log.stem}: {len(started.frames)} frames, {native:.0f} points on the person (median); "
+            f"reading and finding the person: {started.prepare_fps:.0f} frames/s\n"
+            f"replay as it is, start included: {len(started.frames) / tracks.seconds:.0f} frames/s, "
+            f"{tracks.steps.mean():.1f} steps a frame{error}; now {steps} steps each:"
         )
-        rows += measure(started, log.stem, answer if answer.exists() else None, points, solvers, steps, repeats)
+        rows += measure(started, log.stem, answer, points, solvers, steps, repeats)
     load = round(os.getloadavg()[0], 2)
     print(table(rows), f"load average {info['load_1min']} before, {load} after", sep="\n")
     out.mkdir(parents=True, exist_ok=True)
@@ -252,15 +244,14 @@ def measure(
     first: dict[tuple[str, int], float] = {}
     errors: dict[tuple[str, int], float | None] = {}
     wanted = [(solver, n) for solver in solvers for n in points]
-    stamps = np.array([f.time_ns for f in started.frames], np.int64)
     for key in tqdm(wanted, desc="compile", leave=False, disable=None):
         solve = replace(Settings().solve, solver=key[0], max_steps=steps, epsilon=0.0)
         cases[key] = Case(started, replace(Settings(), solve=solve), key[1])
         first[key], step = cases[key].run()
         if not bool(jnp.all(step.steps == steps)):
             raise SystemExit(f"{name}: not every frame took {steps} steps; the rows would not be equal work")
-        joints = np.asarray(centres(started.body, step))
-        errors[key] = joint_error(joints, started.body.topology.centres, stamps, truth) if truth else None
+        tracks = replace(started.tracks, joints=np.asarray(centres(started.tracks.body, step)))
+        errors[key] = joint_error(tracks, truth) if truth else None
     warm: dict[tuple[str, int], list[float]] = {key: [] for key in wanted}
     for _ in tqdm(range(repeats), desc="rounds", leave=False, disable=None):
         for key in wanted:
@@ -281,9 +272,8 @@ def table(rows: list[Row]) -> str:
     lines += ["|---|---|---:|---:|---:|---:|---:|"]
     for r in rows:
         error = "no truth" if r.joint_error_cm is None else f"{r.joint_error_cm:.2f}"
-        lines.append(
-            f"| {r.log} | {r.solver} | {r.points} | {r.compile_s:.1f} | {r.best_fps:.0f} | {r.median_fps:.0f} | {error} |"
-        )
+        speed = f"{r.compile_s:.1f} | {r.best_fps:.0f} | {r.median_fps:.0f}"
+        lines.append(f"| {r.log} | {r.solver} | {r.points} | {speed} | {error} |")
     return "\n".join(lines)
 
 

@@ -13,12 +13,12 @@ from voodoo_jax.pose import Poses, unrotate
 
 
 class Points(eqx.Module):
-    """One frame's free points, padded. A padded entry has weight zero and any finite place."""
+    """One frame's free points (or a batch of frames), padded. A padded entry has weight zero and any finite place."""
 
-    xyz: Float[Array, "point 3"]  # world frame, metres
-    weight: Float[Array, " point"]  # 0 for padding; 1 for a depth camera's point (2007, sec. 6)
-    sensor: Int[Array, " point"]  # which sensor saw it
-    origins: Float[Array, "sensor 3"]  # where the sensors stand, world frame, metres
+    xyz: Float[Array, "*frame point 3"]  # world frame, metres
+    weight: Float[Array, "*frame point"]  # 0 for padding; 1 for a depth camera's point (2007, sec. 6)
+    sensor: Int[Array, "*frame point"]  # which sensor saw it
+    origins: Float[Array, "*frame sensor 3"]  # where the sensors stand, world frame, metres
 
 
 class MatchOptions(eqx.Module):

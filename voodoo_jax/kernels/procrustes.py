@@ -54,33 +54,47 @@ def _top_eigenpair_jvp(primals, tangents):
     (k,), (dk,) = primals, tangents
     values, top = top_eigenpair(k)
     dkv = jnp.sum(dk * top, -1)
-    # only for the lower eigenvalues; their own derivative is the one that is NaN
-    others = jnp.linalg.eigh(jax.lax.stop_gradient(k))[1][:, :-1]
+    others = _frozen_vectors(k)[:, :-1]
     dothers = jnp.sum(others * jnp.sum(dk[:, :, None] * others[None], 1), 0)
-    return (values, top), (jnp.append(dothers, jnp.sum(top * dkv)), _below_top(k, dkv))
+    return (values, top), (jnp.append(dothers, jnp.sum(top * dkv)), jnp.sum(_turn_of_top(k) * dkv, -1))
 
 
 @jax.custom_jvp
-def _below_top(k: Float[Array, "4 4"], x: Float[Array, "4"]) -> Float[Array, "4"]:
-    """Damped pseudo-inverse of (top eigenvalue - k) times x: how the top eigenvector turns."""
+def _frozen_vectors(k: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+    """Eigenvectors held constant: not even their derivative times zero is taken, which would be NaN."""
+    return jnp.linalg.eigh(k)[1]
+
+
+@_frozen_vectors.defjvp
+def _frozen_vectors_jvp(primals, tangents):
+    vectors = _frozen_vectors(*primals)
+    return vectors, jnp.zeros_like(vectors)
+
+
+@jax.custom_jvp
+def _turn_of_top(k: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+    """Damped pseudo-inverse of (top eigenvalue - k): takes a change of k times the top eigenvector to its turn."""
     values, vectors = jnp.linalg.eigh(k)
     gaps = values[-1] - values
     scale = jnp.maximum(jnp.max(jnp.abs(values)), 1e-30)
     inverse = gaps / (gaps * gaps + (GAP_DAMPING * scale) ** 2)  # damped 1/gap; 0 for the top one itself
-    return jnp.sum(vectors * (inverse * jnp.sum(vectors * x[:, None], 0)), -1)
+    return _product(vectors * inverse, vectors.T)
 
 
-@_below_top.defjvp
-def _below_top_jvp(primals, tangents):
-    # derivative of a pseudo-inverse of constant rank (Golub and Pereyra 1973, eq. 4.12), damping held constant
-    (k, x), (dk, dx) = primals, tangents
-    values, top = top_eigenpair(k)
-    slope = jnp.sum(top * jnp.sum(dk * top, -1))
-    change = lambda v: slope * v - jnp.sum(dk * v, -1)  # noqa: E731
-    y = _below_top(k, x)
-    along = jnp.sum(top * x)
-    turned = _below_top(k, dx - change(y) + along * _below_top(k, change(top)))
-    return y, turned + top * jnp.sum(top * change(_below_top(k, y)))
+@_turn_of_top.defjvp
+def _turn_of_top_jvp(primals, tangents):
+    # derivative of a pseudo-inverse of constant rank (Golub and Pereyra 1973), damping held constant
+    (k,), (dk,) = primals, tangents
+    _, top = top_eigenpair(k)
+    inverse = _turn_of_top(k)
+    change = jnp.sum(top * jnp.sum(dk * top, -1)) * jnp.eye(4, dtype=k.dtype) - dk
+    across = _product(inverse, _product(inverse, jnp.sum(change * top, -1)[:, None])) * top
+    return inverse, across + across.T - _product(inverse, _product(change, inverse))
+
+
+def _product(a, b):
+    """Matrix product as sums: no reduced precision on any device (pitfall P27)."""
+    return jnp.sum(a[:, :, None] * b[None], 1)
 
 
 def align(moments: Float[Array, "4 4"]) -> Alignment:

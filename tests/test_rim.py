@@ -1,0 +1,23 @@
+"""Libraries of the rim stay there: the core imports none of them, and host-side modules do not import jax."""
+
+import subprocess
+import sys
+
+import pytest
+
+RIM = ("mcap", "trimesh", "matplotlib", "rosbags", "foxglove_schemas_protobuf")
+
+
+@pytest.mark.parametrize(
+    "modules,forbidden",
+    [
+        (("kernels.correspond", "kernels.coupled", "icp", "track"), RIM),
+        (("recording", "settings", "person"), (*RIM, "jax")),
+    ],
+)
+def test_imports(modules, forbidden):
+    program = "import sys\n" + "".join(f"import voodoo_jax.{m}\n" for m in modules)
+    program += f"print([m for m in {forbidden} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
