@@ -8,16 +8,35 @@ from jaxtyping import Float32, Int32
 
 
 @dataclass(frozen=True)
+class Rays:
+    """2D features (`ray` measurements of Knoop 2007, sec. 5.1): lines from a camera through a named feature."""
+
+    names: tuple[str, ...] = ()  # as the log calls the features: "face", "left_hand", ...
+    origins: Float32[np.ndarray, "ray 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # metres
+    directions: Float32[np.ndarray, "ray 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # unit
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """3D measurements of named features (`point` measurements): markers, wrists of another tracker."""
+
+    names: tuple[str, ...] = ()  # as the log calls them
+    points: Float32[np.ndarray, "pair 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # metres
+
+
+@dataclass(frozen=True)
 class Frame:
     """What all sensors measured at one time, in the recording's fixed frame.
 
     `points` are `free` points in the sense of Knoop 2007 sec. 5.1: nobody has said yet whether they belong to the body.
     """
 
-    time_ns: int  # stamp of the leading depth sensor (message header), nanoseconds
+    time_ns: int  # stamp of the leading sensor (message header), nanoseconds
     points: Float32[np.ndarray, "point 3"]  # metres, finite
     sensor: Int32[np.ndarray, " point"]  # which row of `origins` saw the point
     origins: Float32[np.ndarray, "sensor 3"]  # where each sensor stood, metres
+    rays: Rays = field(default_factory=Rays)
+    pairs: Pairs = field(default_factory=Pairs)
 
 
 @dataclass(frozen=True)
@@ -29,7 +48,8 @@ class Recording:
     up: Float32[np.ndarray, "3"]
     sensors: tuple[str, ...]  # topic of each depth sensor, in the order of Frame.origins
     frames: tuple[Frame, ...]
-    notes: tuple[str, ...] = field(default=())  # what was left out, missing or damaged, one sentence each
+    features: tuple[str, ...] = ()  # topics that gave rays and pairs
+    notes: tuple[str, ...] = ()  # what was left out, missing or damaged, one sentence each
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -18,6 +18,8 @@ class ReadSettings:
 
     topics: tuple[str, ...] = ()
     """Depth topics to use; empty: all that are found."""
+    features: bool = True
+    """Use named 2D and 3D features too: detections, annotations, points, markers."""
     fixed_frame: str = ""
     """Frame in which everything is expressed; empty: the root of the transform tree."""
     min_range: float = 0.1
@@ -60,6 +62,26 @@ class StartSettings:
     """Frames over which the trials are compared."""
     size_frames: int = 12
     """Frames over which the size is measured."""
+
+
+@dataclass(frozen=True)
+class FeatureSettings:
+    """Named features: which point of the body each is, and what it weighs (Knoop 2007, secs. 5.1 and 6)."""
+
+    names: tuple[str, ...] = (
+        "face=sellion",
+        "left_hand=l_metacarpal_phalanx_3",
+        "right_hand=r_metacarpal_phalanx_3",
+    )
+    """Feature in the log = feature point or joint centre of the body. Features with a name of the body need no entry."""
+    weights: tuple[str, ...] = ("face=30", "left_hand=20", "right_hand=20")
+    """Feature in the log = weight; a point of a depth camera weighs 1 (the papers: face 30, hand 20)."""
+    weight: float = 20.0
+    """Weight of features without an entry above."""
+    robust_scale: float = 0.12
+    """Distance at which a feature counts a quarter, metres: wrong detections happen."""
+    max_distance: float = 0.5
+    """Features farther than this from their place on the body are ignored, metres."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +141,7 @@ class Settings:
     read: ReadSettings = field(default_factory=ReadSettings)
     person: PersonSettings = field(default_factory=PersonSettings)
     start: StartSettings = field(default_factory=StartSettings)
+    features: FeatureSettings = field(default_factory=FeatureSettings)
     solve: SolveSettings = field(default_factory=SolveSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
 
@@ -207,6 +230,7 @@ _STAGES: dict[str, type] = {
     "read": ReadSettings,
     "person": PersonSettings,
     "start": StartSettings,
+    "features": FeatureSettings,
     "solve": SolveSettings,
     "track": TrackSettings,
 }

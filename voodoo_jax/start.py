@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float32
+from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, scaled
 from voodoo_jax.kernels.correspond import Points
@@ -18,10 +19,12 @@ def rest_height(body: Body) -> float:
     """Height of the body above the floor in its rest pose, metres: its stature, or the top of its highest limb."""
     if body.scale_name == "stature":
         return float(body.scale)
-    z = np.asarray(body.rest.translation)[:, 2]
-    q, length = np.asarray(body.rest.rotation), np.asarray(body.sizes)[:, 4]
-    along = 1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2)  # z component of the limb's own z axis
-    return float(np.max(np.maximum(z, z + along * length)))
+    turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()[:, 2]  # [limb] row of z
+    a0, b0, a1, b1, length = np.asarray(body.sizes, np.float64).T
+    x, y, z = turn.T
+    bottom = np.asarray(body.rest.translation, np.float64)[:, 2]
+    # highest points of both end ellipses
+    return float(np.max(np.maximum(bottom + np.hypot(a0 * x, b0 * y), bottom + length * z + np.hypot(a1 * x, b1 * y))))
 
 
 def measured_height(frames: list[PersonFrame], floor: Plane, pixel: float) -> float:
@@ -43,8 +46,6 @@ def place(body: Body, at: Float32[np.ndarray, "3"], up: Float32[np.ndarray, "3"]
     z = up / np.linalg.norm(up)
     x = heading - (heading @ z) * z
     x = x / np.linalg.norm(x)
-    from scipy.spatial.transform import Rotation
-
     q = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], 1)).as_quat(scalar_first=True)
     root = Poses(jnp.asarray(q, jnp.float32), jnp.asarray(at, jnp.float32))
     return compose(Poses(root.rotation[None], root.translation[None]), body.rest)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from voodoo_jax.batch import BUCKETS, pad_frames
-from voodoo_jax.body import Body, joint_centres
+from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
@@ -31,7 +31,10 @@ def find_person(
     stream: Iterator[Frame] = iter(frames)
     first = list(islice(stream, SCENE_FRAMES))
     scene = find_scene(first[::3], up, up_is_sure=bool(up[2] > 0.99))
-    finder = PersonFinder(scene, settings.start.scale or rest_height(body), settings.person)
+    scale = settings.start.scale
+    # a body's scale need not be its height
+    height = rest_height(scaled(body, scale) if scale > 0 else body)
+    finder = PersonFinder(scene, height, settings.person)
     people = list(person_frames(chain(first, stream), finder))
     return scene, without_furniture(people, scene.floor.normal)
 
