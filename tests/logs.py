@@ -10,14 +10,18 @@ from foxglove_schemas_protobuf import (
     CameraCalibration_pb2,
     FrameTransform_pb2,
     FrameTransforms_pb2,
+    ImageAnnotations_pb2,
+    LaserScan_pb2,
     PackedElementField_pb2,
     PointCloud_pb2,
+    PosesInFrame_pb2,
     RawImage_pb2,
+    SceneUpdate_pb2,
 )
 from google.protobuf.message import Message as ProtobufMessage
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
@@ -156,6 +160,174 @@ def foxglove_tf(stamp_ns: int, parent: str, child: str, xyz: tuple, q: tuple) ->
 
 def foxglove_tfs(*transforms: Any) -> Any:
     return FrameTransforms_pb2.FrameTransforms(transforms=transforms)
+
+
+_HYPOTHESIS = "MSG: vision_msgs/ObjectHypothesis\nstring class_id\nfloat64 score\n"
+_PART = "=" * 80 + "\n"
+DETECTION_TEXTS = {  # what differs between the releases of vision_msgs; 2 is that of ROS 2 Foxy
+    2: "string id\nfloat64 score\n" + _PART + "MSG: vision_msgs/BoundingBox2D\ngeometry_msgs/Pose2D center\n",
+    3: "vision_msgs/ObjectHypothesis hypothesis\n"
+    + _PART
+    + _HYPOTHESIS
+    + _PART
+    + "MSG: vision_msgs/BoundingBox2D\ngeometry_msgs/Pose2D center\n",
+    4: "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
+    + _PART
+    + _HYPOTHESIS
+    + _PART
+    + "MSG: vision_msgs/Point2D\nfloat64 x\nfloat64 y\n"
+    + _PART
+    + "MSG: vision_msgs/Pose2D\nvision_msgs/Point2D position\nfloat64 theta\n"
+    + _PART
+    + "MSG: vision_msgs/BoundingBox2D\nvision_msgs/Pose2D center\n",
+}
+DETECTIONS = "vision_msgs/msg/Detection2DArray"
+
+
+def _vision(version: int) -> Any:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    text = (
+        "std_msgs/Header header\nvision_msgs/Detection2D[] detections\n"
+        + _PART
+        + "MSG: vision_msgs/Detection2D\nstd_msgs/Header header\n"
+        + "vision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox2D bbox\n"
+        + _PART
+        + "MSG: vision_msgs/ObjectHypothesisWithPose\n"
+        + DETECTION_TEXTS[version]
+        + "float64 size_x\nfloat64 size_y\n"
+    )
+    store.register(get_types_from_msg(text, DETECTIONS))
+    return store
+
+
+def detections(
+    stamp_ns: int, frame: str, items: list[tuple[list[tuple[str, float]], float, float]], version: int = 4
+) -> tuple[str, bytes, bytes]:
+    """items: ([(name, score), ...], u, v). Gives type, message and definition."""
+    store = _vision(version)
+    t, v = store.types, "vision_msgs/msg/"
+    g = "geometry_msgs/msg/"
+    pose = t[g + "Pose"](t[g + "Point"](0.0, 0.0, 0.0), t[g + "Quaternion"](0.0, 0.0, 0.0, 1.0))
+    pose = t[g + "PoseWithCovariance"](pose, np.zeros(36))
+    made = []
+    for names, x, y in items:
+        results: list[Any] = []
+        for name, score in names:
+            hypothesis = (name, score) if version == 2 else (t[v + "ObjectHypothesis"](name, score),)
+            results.append(t[v + "ObjectHypothesisWithPose"](*hypothesis, *([pose] if version == 4 else [])))
+        if version == 4:
+            center = t[v + "Pose2D"](t[v + "Point2D"](x, y), 0.0)
+        else:
+            center = t[g + "Pose2D"](x, y, 0.0)
+        made.append(t[v + "Detection2D"](header(0, ""), results, t[v + "BoundingBox2D"](center, 8.0, 8.0)))
+    message = t[DETECTIONS](header(stamp_ns, frame), made)
+    text = store.generate_msgdef(DETECTIONS, ros_version=2)[0].encode()
+    return DETECTIONS, bytes(store.serialize_cdr(message, DETECTIONS)), text
+
+
+def ros_point(stamp_ns: int, frame: str, point: Any) -> Any:
+    return T["geometry_msgs/msg/PointStamped"](
+        header(stamp_ns, frame), T["geometry_msgs/msg/Point"](*map(float, point))
+    )
+
+
+def ros_pose(stamp_ns: int, frame: str, point: Any) -> Any:
+    return T["geometry_msgs/msg/PoseStamped"](header(stamp_ns, frame), _pose(point))
+
+
+def _pose(point: Any, q: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)) -> Any:
+    g = "geometry_msgs/msg/"
+    return T[g + "Pose"](T[g + "Point"](*map(float, point)), T[g + "Quaternion"](*q))
+
+
+def ros_marker(stamp_ns: int, frame: str, ns: str, point: Any, id: int = 0, **more: Any) -> Any:
+    """more: type (2: sphere), action, text, points, alpha, q."""
+    g, s = "geometry_msgs/msg/", "std_msgs/msg/"
+    image = T["sensor_msgs/msg/CompressedImage"](header(0, ""), "", np.zeros(0, np.uint8))
+    return T["visualization_msgs/msg/Marker"](
+        header=header(stamp_ns, frame),
+        ns=ns,
+        id=id,
+        type=more.get("type", 2),
+        action=more.get("action", 0),
+        pose=_pose(point, more.get("q", (0.0, 0.0, 0.0, 1.0))),
+        scale=T[g + "Vector3"](0.01, 0.01, 0.01),
+        color=T[s + "ColorRGBA"](1.0, 1.0, 1.0, more.get("alpha", 1.0)),
+        lifetime=T["builtin_interfaces/msg/Duration"](0, 0),
+        frame_locked=False,
+        points=[T[g + "Point"](*map(float, p)) for p in more.get("points", [])],
+        colors=[],
+        texture_resource="",
+        texture=image,
+        uv_coordinates=[],
+        text=more.get("text", ""),
+        mesh_resource="",
+        mesh_file=T["visualization_msgs/msg/MeshFile"]("", np.zeros(0, np.uint8)),
+        mesh_use_embedded_materials=False,
+    )
+
+
+def ros_markers(*markers: Any) -> Any:
+    return T["visualization_msgs/msg/MarkerArray"](list(markers))
+
+
+def ros_laser(stamp_ns: int, frame: str, start: float, step: float, ranges: Any) -> Any:
+    values = np.array(ranges, np.float32)
+    end = start + step * (len(values) - 1)
+    return T["sensor_msgs/msg/LaserScan"](
+        header(stamp_ns, frame), start, end, step, 0.0, 0.0, 0.05, 10.0, values, np.zeros(0, np.float32)
+    )
+
+
+def foxglove_laser(stamp_ns: int, frame: str, start: float, end: float, ranges: Any, pose: tuple | None = None) -> Any:
+    m = LaserScan_pb2.LaserScan(frame_id=frame, start_angle=start, end_angle=end, ranges=ranges)
+    m.timestamp.FromNanoseconds(stamp_ns)
+    if pose is not None:
+        _fill_pose(m.pose, *pose)
+    return m
+
+
+def _fill_pose(pose: Any, point: Any, q: Any = (0.0, 0.0, 0.0, 1.0)) -> None:
+    pose.position.x, pose.position.y, pose.position.z = map(float, point)
+    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = q
+
+
+def annotations(stamp_ns: int, items: list[tuple[str, float, float]], kind: str = "circles") -> Any:
+    """items: (text, u, v); kind: circles, points or boxes."""
+    m = ImageAnnotations_pb2.ImageAnnotations()
+    for text, u, v in items:
+        if kind == "circles":
+            mark = m.circles.add(diameter=5)
+            mark.position.x, mark.position.y = u, v
+        else:
+            mark = m.points.add(type=1 if kind == "points" else 2)
+            for du, dv in [(0, 0)] if kind == "points" else [(-3, -2), (3, -2), (3, 2), (-3, 2)]:
+                mark.points.add(x=u + du, y=v + dv)
+        mark.timestamp.FromNanoseconds(stamp_ns)
+        label = m.texts.add(text=text)
+        label.timestamp.FromNanoseconds(stamp_ns)
+    return m
+
+
+def scene(stamp_ns: int, frame: str, items: list[tuple[str, str, list]]) -> Any:
+    """items: (entity id, "spheres" | "cubes" | "texts", points)."""
+    m = SceneUpdate_pb2.SceneUpdate()
+    for name, kind, points in items:
+        entity = m.entities.add(id=name, frame_id=frame)
+        entity.timestamp.FromNanoseconds(stamp_ns)
+        for point in points:
+            shape = getattr(entity, kind).add()
+            _fill_pose(shape.pose, point)
+            shape.color.a = 1.0
+    return m
+
+
+def poses_in_frame(stamp_ns: int, frame: str, points: Any) -> Any:
+    m = PosesInFrame_pb2.PosesInFrame(frame_id=frame)
+    m.timestamp.FromNanoseconds(stamp_ns)
+    for point in points:
+        _fill_pose(m.poses.add(), point)
+    return m
 
 
 @dataclass

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from voodoo_jax.io.mcap_log import LogError as LogError
     from voodoo_jax.io.mcap_log import read_log as read_log
     from voodoo_jax.io.mcap_log import survey as survey
-    from voodoo_jax.io.tracks_file import read_tracks_npz as read_tracks
-    from voodoo_jax.io.tracks_file import write_tracks_npz as write_tracks
+    from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
     from voodoo_jax.picture import picture as picture
     from voodoo_jax.picture import show as show
     from voodoo_jax.recording import Recording as Recording
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
     from voodoo_jax.settings import Settings as Settings
     from voodoo_jax.tracker import track as track
     from voodoo_jax.tracks import Tracks as Tracks
+
+    read_tracks, write_tracks = read_tracks_npz, write_tracks_npz
 
 # name -> (module, name there); imported on first use, so that the command's --help need not wait for jax
 _PUBLIC = {

@@ -5,11 +5,15 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from voodoo_jax.body import Topology
 from voodoo_jax.kernels.correspond import Points
+from voodoo_jax.kernels.features import Features
 from voodoo_jax.person import PersonFrame
+from voodoo_jax.settings import FeatureSettings
 
 # Point capacities; a program is compiled once for each that occurs.
 BUCKETS = (256, 512, 1024, 2048, 4096, 8192)
+FEATURE_BUCKETS = (0, 8, 64, 512)
 
 
 class Chunk(NamedTuple):
@@ -21,9 +25,65 @@ class Chunk(NamedTuple):
     left_out: int  # points beyond the capacity, over all frames
 
 
-def bucket(count: int) -> int:
-    """Smallest capacity that holds `count` points, or the largest there is."""
-    return next((b for b in BUCKETS if b >= count), BUCKETS[-1])
+def bucket(count: int, buckets: tuple[int, ...] = BUCKETS) -> int:
+    """Smallest capacity that holds `count` entries, or the largest there is."""
+    return next((b for b in buckets if b >= count), buckets[-1])
+
+
+def _entries(words: tuple[str, ...]) -> dict[str, str]:
+    """ "a=b" words as a dictionary. Raises ValueError for a word without "="."""
+    wrong = [w for w in words if "=" not in w]
+    if wrong:
+        raise ValueError(f"features: '{wrong[0]}' must look like name=value")
+    return dict(w.split("=", 1) for w in words)
+
+
+class FeatureNames:
+    """Which point of the body each name in a log is, and what it weighs; names that are neither are counted."""
+
+    def __init__(self, topology: Topology, settings: FeatureSettings):
+        points = {name: i for i, name in enumerate((*topology.sites, *topology.centres))}
+        # a site and a joint centre of one name: the centre, which tracks report
+        alias = _entries(settings.names)
+        self.point = {**points, **{name: points[target] for name, target in alias.items() if target in points}}
+        self.weights = {name: float(value) for name, value in _entries(settings.weights).items()}
+        self.weight = settings.weight
+        self.unknown: dict[str, int] = {}
+
+    def find(self, name: str) -> tuple[int, float] | None:
+        """Row of kernels.features.named_points and weight; None for a name that the body does not have."""
+        name = V1_NAMES.get(name, name)
+        if name not in self.point:
+            self.unknown[name] = self.unknown.get(name, 0) + 1
+            return None
+        return self.point[name], self.weights.get(name, self.weight)
+
+
+# H-Anim v1 names that logs still use
+V1_NAMES = {
+    "l_wrist": "l_radiocarpal",
+    "r_wrist": "r_radiocarpal",
+    "l_ankle": "l_talocrural",
+    "r_ankle": "r_talocrural",
+    "skull_tip": "skull_vertex",
+}
+
+
+def pad_features(frames: list[PersonFrame], length: int, capacity: int, names: FeatureNames) -> Features | None:
+    """Named features of `frames`, padded to [length, capacity]; None where the capacity is zero."""
+    if capacity == 0:
+        return None
+    point = np.zeros((length, capacity), np.int32)
+    origin, direction = np.zeros((2, length, capacity, 3), np.float32)
+    weight = np.zeros((length, capacity), np.float32)
+    for i, frame in enumerate(frames):
+        rays, pairs = frame.rays, frame.pairs
+        rows = [(n, rays.origins[k], rays.directions[k]) for k, n in enumerate(rays.names)]
+        rows += [(n, pairs.points[k], np.zeros(3)) for k, n in enumerate(pairs.names)]
+        known = [(found, o, d) for n, o, d in rows if (found := names.find(n)) is not None]
+        for k, ((row, w), o, d) in enumerate(known[:capacity]):
+            point[i, k], weight[i, k], origin[i, k], direction[i, k] = row, w, o, d
+    return Features(jnp.asarray(point), jnp.asarray(origin), jnp.asarray(direction), jnp.asarray(weight))
 
 
 def pad_frames(

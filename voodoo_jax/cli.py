@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional, arg, subcommand
 
-from voodoo_jax.settings import Settings, SettingsError, read_settings, settings_text
+from voodoo_jax.settings import Settings, SettingsError, check_settings, read_settings, settings_text
 
 BODY_HELP = "Body to track: human, human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
@@ -22,9 +22,9 @@ class Replay:
     log. Nothing about the person need be given: start, place and size are found.
     """
 
-    logs: Positional[tuple[Path, ...]]
+    logs: Positional[tuple[Path, ...]] = ()
     """MCAP logs with depth images or point clouds."""
-    out: Path
+    out: Path = Path("voodoo-out")
     """Folder for the results; made if it is missing."""
     body: Annotated[str, arg(help=BODY_HELP)] = "human"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
@@ -63,9 +63,10 @@ Command = (
 
 
 def run_replay(command: Replay) -> int:
-    """0 if every log was tracked, 1 if one failed."""
+    """0 if every log was tracked, 1 if one failed, 2 if nothing could be begun."""
     if not command.logs:
-        raise SystemExit("voodoo-jax replay: name at least one log")
+        print("voodoo-jax replay: name at least one log", file=sys.stderr)
+        return 2
     from voodoo_jax.io.body_file import BodyFileError, load_body
     from voodoo_jax.replay import output_paths, replay
 
@@ -94,7 +95,10 @@ def run_replay(command: Replay) -> int:
 
 
 def run_info(command: Info) -> int:
-    """0 if every log could be read."""
+    """0 if every log could be read, 1 if one could not, 2 if none was named."""
+    if not command.logs:
+        print("voodoo-jax info: name at least one log", file=sys.stderr)
+        return 2
     from voodoo_jax.io.mcap_log import LogError, survey
 
     status = 0
@@ -134,13 +138,18 @@ def main(argv: list[str] | None = None) -> int:
         print(f"voodoo-jax: {problem}", file=sys.stderr)
         return 2
     if argv[:1] == ["replay"]:
-        default = tyro.MISSING
-        command = tyro.cli(
-            Replay,
-            prog="voodoo-jax replay",
-            args=argv[1:],
-            default=Replay(logs=default, out=default, settings=base),
-        )
+
+        @dataclass(frozen=True)
+        class Configured(Replay):
+            __doc__ = Replay.__doc__
+            settings: Annotated[Settings, arg(name="")] = field(default_factory=lambda: base)
+
+        command = tyro.cli(Configured, prog="voodoo-jax replay", args=argv[1:])
+        try:
+            check_settings(command.settings)
+        except SettingsError as problem:
+            print(f"voodoo-jax replay: {problem}", file=sys.stderr)
+            return 2
     else:
         command = tyro.cli(Command, prog="voodoo-jax", args=argv or ["--help"])
     if isinstance(command, Replay):

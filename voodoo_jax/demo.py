@@ -24,7 +24,7 @@ def demo(out: Path) -> int:
 
     with as_file(files("voodoo_jax") / "data") as data:
         log, truth_file = data / "demo.mcap", data / "demo.truth.npz"
-        print("Tracking a simulated person who waves and bows, seen by one depth camera; nothing about the person is given.")
+        print("Tracking a simulated person who waves and bows, seen by one depth camera; nothing about them is given.")
         outcome = replay([log], out)[0]
         if outcome.tracks is None or not outcome.ok:
             return 1

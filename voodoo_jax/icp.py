@@ -10,12 +10,14 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Bands, Body, Topology, bands
 from voodoo_jax.kernels.bands import band_moments, prior_moments
-from voodoo_jax.kernels.correspond import MatchOptions, Points, match, moments, second_moments
+from voodoo_jax.kernels.correspond import MatchOptions, Points, match, moments
 from voodoo_jax.kernels.coupled import coupled_step, pair_normals
+from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
 from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, compose, quat_normalize
 
@@ -24,6 +26,7 @@ class IcpOptions(eqx.Module):
     """Parameters of a frame's solve. Numbers are traced arrays: changing one compiles nothing anew (pitfall P20)."""
 
     match: MatchOptions
+    features: FeatureOptions
     ratio: Float[Array, ""]  # r: weight of a joint's bands over the limb's measured weight (2007, sec. 4.3)
     floor: Float[Array, ""]  # least measured weight that bands refer to, as a share of the frame's total
     prior: Float[Array, ""]  # weight of the pull to the predicted pose, as a share of the frame's total
@@ -40,12 +43,15 @@ class Problem(eqx.Module):
     body: Body
     bands: Bands
     points: Points
+    features: Features | None  # None: the recording has none
     predicted: Poses
     options: IcpOptions
 
     @classmethod
-    def build(cls, body: Body, points: Points, predicted: Poses, options: IcpOptions) -> "Problem":
-        return cls(body, bands(body), points, predicted, options)
+    def build(
+        cls, body: Body, points: Points, predicted: Poses, options: IcpOptions, features: Features | None = None
+    ) -> "Problem":
+        return cls(body, bands(body), points, features, predicted, options)
 
 
 class StepInfo(NamedTuple):
@@ -79,9 +85,15 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     body, options = problem.body, problem.options
     poses = Poses(quat_normalize(poses.rotation), poses.translation)
     found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match)
-    measured = moments(found)
-    limb_weight = measured[:, 0, 0]
-    total = jnp.maximum(jnp.sum(problem.points.weight), 1e-6)
+    measured, second = moments(found)
+    limb_weight, squares, total = measured[:, 0, 0], found.squares(), jnp.sum(problem.points.weight)
+    named = None
+    if problem.features is not None:
+        named = feature_sums(body, poses, problem.features, options.features)
+        measured = measured + named.moments
+        limb_weight, squares = limb_weight + named.weight, squares + named.squares
+        total = total + jnp.sum(problem.features.weight)
+    total = jnp.maximum(total, 1e-6)
 
     strength = options.ratio * jnp.maximum(limb_weight, options.floor * total)
     middle = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)
@@ -89,7 +101,11 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
         middle, poses, problem.predicted, options.prior * total, options.prior_radius
     )
     if options.solver == "coupled":
-        normals, rhs = jax.vmap(pair_normals)(measured + pull, second_moments(found) + pull_second)
+        # the features' own normals: their moments hold motion along a line of sight too
+        fixed = measured if named is None else measured - named.moments
+        normals, rhs = jax.vmap(pair_normals)(fixed + pull, second + pull_second)
+        if named is not None:
+            normals, rhs = normals + named.normals, rhs + named.rhs
         topology = body.topology
         ends = strength[jnp.array(topology.parents, int)] + strength[jnp.array(topology.children, int)]
         motion = coupled_step(topology, problem.bands, poses, normals, rhs, ends / 2, options.damping)
@@ -98,7 +114,7 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
         solved = jax.vmap(align)(measured + held + pull)
         motion = solved.rotation, solved.translation
     moved = compose(poses, Poses(*motion))
-    quality = jnp.sum(found.weight * found.distance**2) / jnp.maximum(jnp.sum(limb_weight), 1e-6)
+    quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
     return Poses(quat_normalize(moved.rotation), moved.translation), StepInfo(quality, limb_weight)
 
 
@@ -125,3 +141,29 @@ def solve_frame(
     state = (start, huge, huge, jnp.array(0, jnp.int32))
     poses, quality, previous, steps = eqxi.while_loop(unfinished, body, state, max_steps=capacity, kind=kind)
     return FrameResult(poses, steps, jnp.abs(previous - quality) < problem.options.epsilon)
+
+
+def _iterate(poses: Poses, problem: Problem) -> Poses:
+    return icp_step(poses, problem)[0]
+
+
+def solve_fixed_point(
+    start: Poses,
+    problem: Problem,
+    tolerance: float = 1e-6,
+    max_steps: int = 256,
+    adjoint: optx.AbstractAdjoint | None = None,
+) -> FrameResult:
+    """The poses that a step leaves as they are, with exact derivatives by the implicit function theorem.
+
+    For gradients rather than for speed: iterates until no component moves by more than `tolerance` (quaternion
+    components and metres), and differentiates the fixed point, not the way to it, in forward and reverse mode. The
+    derivative is right only where `converged` is true (pitfall P10), and is zero for `start` (pitfall P13); matches
+    between points and limbs are held fixed (pitfall P8).
+    """
+    solver = optx.FixedPointIteration(rtol=0.0, atol=tolerance)
+    adjoint = adjoint or optx.ImplicitAdjoint()
+    found = optx.fixed_point(_iterate, solver, start, problem, adjoint=adjoint, max_steps=max_steps, throw=False)
+    # one more normalisation: the adjoint differentiates the last iterate as it is
+    poses = Poses(quat_normalize(found.value.rotation), found.value.translation)
+    return FrameResult(poses, found.stats["num_steps"], found.result == optx.RESULTS.successful)

@@ -4,15 +4,15 @@ Nothing here knows what the body looks like but its height at rest.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
-from voodoo_jax.recording import Frame
+from voodoo_jax.recording import Frame, Pairs, Rays
 from voodoo_jax.settings import PersonSettings
 
 
@@ -102,18 +102,18 @@ def _find_walls(frame: Frame, floor: Plane, known: list[Plane], rng) -> list[Pla
     for wall in known:
         rest = rest[np.abs(wall.height(rest)) > 0.05]
     found: list[Plane] = []
-    for _ in range(3):
+    for _ in range(4):
         fit = fit_plane(rest, lambda n: np.abs(n @ floor.normal) < 0.17, rng, 0.04)
-        if fit is None or not fit[1].any():
+        if fit is None or fit[1].sum() < max(1, 0.08 * len(points)):
             break
         plane, inside = fit
         along = np.cross(floor.normal, plane.normal)
         wide = np.ptp(np.percentile(rest[inside] @ along, [2, 98]))
         side = np.sign(plane.height(frame.origins[:1]))[0]
         behind = (plane.height(points) * side < -0.15).mean()
-        if wide < 2.0 or inside.sum() < 0.08 * len(points) or behind > 0.03:
-            break
-        found.append(plane)
+        if wide >= 2.0 and behind <= 0.03:
+            found.append(plane)
+        # else a near person, who may have more points than the wall: look on without them
         rest = rest[~inside]
     return found
 
@@ -145,7 +145,7 @@ def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.nd
     unique, inverse = np.unique(key, return_inverse=True)
     middle = np.stack([unique // (span[1] * span[2]), unique // span[2] % span[1], unique % span[2]], 1)
     # the 26 cells around: a distance between half and the whole of `link`
-    pairs = cKDTree(middle).query_pairs(1.8, output_type="ndarray")
+    pairs = KDTree(middle).query_pairs(1.8, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique),) * 2)
     return connected_components(graph, directed=False)[1][inverse]
 
@@ -154,7 +154,7 @@ def point_spacing(points: Float32[np.ndarray, "point 3"], origin: Float32[np.nda
     """Angle between neighbouring points as seen from the sensor, radians (median)."""
     rays = points - origin
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.median(cKDTree(rays).query(rays[:: max(1, len(rays) // 2000)], k=[2])[0]))
+    return float(np.median(KDTree(rays).query(rays[:: max(1, len(rays) // 2000)], k=[2])[0]))
 
 
 def without_strays(
@@ -166,7 +166,7 @@ def without_strays(
     """
     if len(points) < 5:
         return np.zeros(len(points), bool)
-    third = cKDTree(points).query(points, k=[4])[0][:, 0]
+    third = KDTree(points).query(points, k=[4])[0][:, 0]
     return third < 0.02 + 3 * spacing * np.linalg.norm(points - origin, axis=1)
 
 
@@ -178,6 +178,12 @@ class PersonFrame:
     points: Float32[np.ndarray, "point 3"]  # fixed frame, metres
     sensor: Int[np.ndarray, " point"]
     origins: Float32[np.ndarray, "sensor 3"]
+    rays: Rays = field(default_factory=Rays)
+    pairs: Pairs = field(default_factory=Pairs)
+
+    def only(self, keep: np.ndarray) -> "PersonFrame":
+        """The frame with some of its points: a mask or indices."""
+        return replace(self, points=self.points[keep], sensor=self.sensor[keep])
 
 
 class PersonFinder:
@@ -220,7 +226,8 @@ class PersonFinder:
             self.unseen += 1
             if self.unseen > s.forget:
                 self.last = None  # gone: look everywhere again
-        return PersonFrame(frame.time_ns, points[index], frame.sensor[index], frame.origins)
+        mine = frame.points[index], frame.sensor[index]
+        return PersonFrame(frame.time_ns, *mine, frame.origins, frame.rays, frame.pairs)
 
     def _choose(self, points) -> Bool[np.ndarray, " point"]:
         if len(points) < 30:
@@ -229,21 +236,23 @@ class PersonFinder:
         count = np.bincount(label)
         if self.last is None:
             return label == self._candidate(points, label, count)
-        near = cKDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0] < np.inf
+        near = KDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0] < np.inf
         touching = np.bincount(label, near)
         return (touching > np.maximum(5, 0.3 * count))[label]
 
     def _candidate(self, points, label, count) -> int:
-        """Label of the largest thing that is as high as the body and not much wider; -1 where there is none."""
-        height = self.scene.floor.height(points)
-        best, size = -1, 0
+        """Label of the thing that is about as high as the body and not much wider, the largest of several; things of
+        another height count less. -1 where there is none."""
+        height, body = self.scene.floor.height(points), self.body_height
+        best, size = -1, 0.0
         for k in np.flatnonzero(count >= 50):
             mine = label == k
             low, top = np.percentile(height[mine], [0.5, 99.5])
             spread = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
-            tall = self.settings.min_height * self.body_height <= top <= 1.35 * self.body_height
-            if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * self.body_height and count[k] > size:
-                best, size = int(k), count[k]
+            tall = self.settings.min_height * body <= top <= 1.35 * body
+            likely = count[k] / (1 + ((top - body) / (0.15 * body)) ** 2)
+            if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * body and likely > size:
+                best, size = int(k), likely
         return best
 
     def _cells(self, points):
@@ -260,7 +269,7 @@ class PersonFinder:
     def _learn(self, others, mine) -> None:
         if self.last is None or not len(others) or not len(mine):
             return
-        far = cKDTree(mine).query(others, distance_upper_bound=0.25)[0] == np.inf
+        far = KDTree(mine).query(others, distance_upper_bound=0.25)[0] == np.inf
         for cell in set(map(tuple, self._cells(others[far]).tolist())):
             self._background[cell] = self._background.get(cell, 0) + 1
 
@@ -308,5 +317,5 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
     for frame in frames:
         cell = np.floor(frame.points / np.float32(0.1)).astype(np.int64).tolist()
         keep = np.array([tuple(c) not in blocked for c in cell], bool)
-        out.append(PersonFrame(frame.time_ns, frame.points[keep], frame.sensor[keep], frame.origins))
+        out.append(frame.only(keep))
     return out

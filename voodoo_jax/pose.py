@@ -42,7 +42,7 @@ def quat_multiply(p: Float[AnyArray, "*#b 4"], q: Float[AnyArray, "*#b 4"]) -> F
 
 def quat_conjugate(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 4"]:
     """Inverse of a unit quaternion."""
-    return q * jnp.array([1, -1, -1, -1], q.dtype)
+    return jnp.asarray(q * jnp.array([1, -1, -1, -1], q.dtype))
 
 
 def quat_normalize(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 4"]:
@@ -95,7 +95,7 @@ def quat_log(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 3"]:
     small = n2 < 1e-10
     n = jnp.sqrt(jnp.where(small, 1.0, n2))
     safe_w = jnp.where(small, 1.0, w)
-    return v * jnp.where(small, 2 + n2 / 3, 2 * jnp.arctan2(n, safe_w) / n)
+    return jnp.asarray(v * jnp.where(small, 2 + n2 / 3, 2 * jnp.arctan2(n, safe_w) / n))
 
 
 def compose(a: Poses, b: Poses) -> Poses:

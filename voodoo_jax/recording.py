@@ -1,4 +1,4 @@
-"""A sensor log as the tracker sees it: frames of measurements with stamps and sensor positions. Host side, NumPy only."""
+"""A sensor log as the tracker sees it: frames of measurements, stamps and sensor positions. Host side, NumPy only."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field

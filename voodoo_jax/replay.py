@@ -67,7 +67,11 @@ def track_log(path: str | os.PathLike[str], body: Body, settings: Settings, bar:
             yield frame
 
     scene, people = find_person(counted(), log.up, body, settings)
-    progress = None if bar is None else bar.update
+
+    def progress(done: int) -> None:
+        if bar is not None:
+            bar.update(done)
+
     return track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, progress)
 
 

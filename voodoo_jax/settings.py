@@ -18,6 +18,8 @@ class ReadSettings:
 
     topics: tuple[str, ...] = ()
     """Depth topics to use; empty: all that are found."""
+    laser: bool = False
+    """Use laser scanners too: their points are taken like a depth camera's."""
     features: bool = True
     """Use named 2D and 3D features too: detections, annotations, points, markers."""
     fixed_frame: str = ""
@@ -73,11 +75,11 @@ class FeatureSettings:
         "left_hand=l_metacarpal_phalanx_3",
         "right_hand=r_metacarpal_phalanx_3",
     )
-    """Feature in the log = feature point or joint centre of the body. Features with a name of the body need no entry."""
-    weights: tuple[str, ...] = ("face=30", "left_hand=20", "right_hand=20")
-    """Feature in the log = weight; a point of a depth camera weighs 1 (the papers: face 30, hand 20)."""
+    """Feature in the log = feature point or joint centre of the body; names of the body need no entry."""
+    weights: tuple[str, ...] = ("face=10", "left_hand=7", "right_hand=7")
+    """Feature in the log = weight; a point of a depth camera weighs 1. The papers: face 30, hand 20."""
     weight: float = 20.0
-    """Weight of features without an entry above."""
+    """Weight of other features."""
     robust_scale: float = 0.12
     """Distance at which a feature counts a quarter, metres: wrong detections happen."""
     max_distance: float = 0.5
@@ -89,7 +91,7 @@ class SolveSettings:
     """The ICP of one frame (Knoop 2007, sec. 5.2)."""
 
     solver: Literal["coupled", "per_limb"] = "coupled"
-    """coupled: all limbs and bands in one Gauss-Newton step; per_limb: the papers' absolute orientation limb by limb."""
+    """coupled: all limbs and bands in one Gauss-Newton step; per_limb: the papers' way, limb by limb."""
     damping: float = 1e-4
     """Levenberg-Marquardt damping of the coupled solver, as a share of the diagonal."""
     max_steps: int = 20
@@ -197,6 +199,14 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
                 raise SettingsError(f"{path}: {problem}") from None
         stages[stage] = replace(getattr(base, stage), **checked)
     return replace(base, **stages)
+
+
+def check_settings(settings: "Settings") -> None:
+    """Raises SettingsError for a value that a settings file could not have: flags and Python reach here unchecked."""
+    for stage, cls in _STAGES.items():
+        for f in fields(cls):
+            value = getattr(getattr(settings, stage), f.name)
+            _check(stage, f, list(value) if isinstance(value, tuple) else value)
 
 
 def _help_texts(cls: type) -> dict[str, str]:

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, scaled
 from voodoo_jax.kernels.correspond import Points
-from voodoo_jax.person import Plane, PersonFrame, point_spacing
+from voodoo_jax.kernels.features import Features
+from voodoo_jax.person import PersonFrame, Plane, point_spacing
 from voodoo_jax.pose import Poses, compose
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.track import State, TrackOptions, at_rest, track_frame
@@ -41,7 +42,9 @@ def measured_height(frames: list[PersonFrame], floor: Plane, pixel: float) -> fl
     return float(np.median(heights)) if heights else float("nan")
 
 
-def place(body: Body, at: Float32[np.ndarray, "3"], up: Float32[np.ndarray, "3"], heading: Float32[np.ndarray, "3"]) -> Poses:
+def place(
+    body: Body, at: Float32[np.ndarray, "3"], up: Float32[np.ndarray, "3"], heading: Float32[np.ndarray, "3"]
+) -> Poses:
     """The rest pose standing on `at` (fixed frame, metres), its z axis along `up`, its x axis towards `heading`."""
     z = up / np.linalg.norm(up)
     x = heading - (heading @ z) * z
@@ -83,15 +86,22 @@ class Trial(eqx.Module):
 
 
 @eqx.filter_jit
-def run_trials(body: Body, options: TrackOptions, starts: Poses, points: Points, seconds: Float[Array, " frame"]) -> Trial:
+def run_trials(
+    body: Body,
+    options: TrackOptions,
+    starts: Poses,
+    points: Points,
+    seconds: Float[Array, " frame"],
+    features: Features | None = None,
+) -> Trial:
     """Tracks the first frames from every start pose (leading axis: trial) as one batch."""
 
     def one(start):
         def step(state, inputs):
             state, out = track_frame(body, options, state, *inputs)
-            return state, out.residual**2 + 0.02 * (1 - out.explained)
+            return state, out.residual**2 + 0.02 * (1 - out.explained) + 0.5 * out.feature_residual**2
 
-        state, costs = jax.lax.scan(step, at_rest(start), (points, seconds))
+        state, costs = jax.lax.scan(step, at_rest(start), (points, seconds, features))
         return state, jnp.mean(costs)
 
     return Trial(*jax.vmap(one)(starts))

@@ -10,8 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 from voodoo_jax.body import Body
 from voodoo_jax.icp import IcpOptions, Problem, adjacency, solve_frame
 from voodoo_jax.kernels.correspond import MatchOptions, Points, match
+from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
 from voodoo_jax.pose import Poses, compose, inverse, quat_exp, quat_log, quat_multiply, quat_normalize
-from voodoo_jax.settings import SolveSettings, TrackSettings
+from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
 
 class TrackOptions(eqx.Module):
@@ -36,14 +37,16 @@ class Step(NamedTuple):
     poses: Poses
     residual: Float[Array, ""]  # root of the weighted mean squared distance, metres
     explained: Float[Array, ""]  # share of the points with a pair close by, 0..1
+    feature_residual: Float[Array, ""]  # root of the weighted mean squared distance of the features, metres; 0: none
     limb_weight: Float[Array, " limb"]
     steps: Int[Array, ""]
     converged: Bool[Array, ""]
     points: Int[Array, ""]
 
 
-def options_from(solve: SolveSettings, track: TrackSettings) -> TrackOptions:
+def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSettings | None = None) -> TrackOptions:
     """Traced options from settings."""
+    features = features or FeatureSettings()
     number = lambda v: jnp.asarray(v, jnp.float32)  # noqa: E731
     matching = MatchOptions(
         body_enlarge=number(solve.body_enlarge),
@@ -56,6 +59,7 @@ def options_from(solve: SolveSettings, track: TrackSettings) -> TrackOptions:
     )
     icp = IcpOptions(
         match=matching,
+        features=FeatureOptions(number(features.robust_scale), number(features.max_distance)),
         ratio=number(solve.ratio),
         floor=number(solve.floor),
         prior=number(solve.prior),
@@ -82,29 +86,42 @@ def predict(state: State, seconds: Float[Array, ""], damping: Float[Array, ""]) 
 
 
 def track_frame(
-    body: Body, options: TrackOptions, state: State, points: Points, seconds: Float[Array, ""]
+    body: Body,
+    options: TrackOptions,
+    state: State,
+    points: Points,
+    seconds: Float[Array, ""],
+    features: Features | None = None,
 ) -> tuple[State, Step]:
     """Tracks one frame: predict, solve, measure how well it went."""
     predicted = predict(state, seconds, options.damping)
-    problem = Problem.build(body, points, predicted, options.icp)
+    problem = Problem.build(body, points, predicted, options.icp, features)
     solved = solve_frame(predicted, problem)
     count = jnp.sum(points.weight > 0)
+    any_feature = jnp.array(False) if features is None else jnp.any(features.weight > 0)
     # a frame without a point keeps the prediction, a broken one (NaN) is not passed on
-    good = (count > 0) & jnp.all(jnp.isfinite(solved.poses.translation)) & jnp.all(jnp.isfinite(solved.poses.rotation))
+    good = (
+        ((count > 0) | any_feature)
+        & jnp.all(jnp.isfinite(solved.poses.translation))
+        & jnp.all(jnp.isfinite(solved.poses.rotation))
+    )
     poses = jax.tree.map(lambda a, b: jnp.where(good, a, b), solved.poses, predicted)
 
     found = match(body.sizes, poses, points, adjacency(body.topology), options.icp.match)
     weight = jnp.sum(found.weight, -1)
-    quality = jnp.sum(found.weight * found.distance**2) / jnp.maximum(jnp.sum(weight), 1e-6)
-    close = jnp.any((found.weight > 0) & (found.distance < 0.1), 0)
-    explained = jnp.sum(close) / jnp.maximum(count, 1)
+    quality = found.squares() / jnp.maximum(jnp.sum(weight), 1e-6)
+    explained = jnp.sum(found.close(0.1)) / jnp.maximum(count, 1)
 
+    off = jnp.zeros(())
+    if features is not None:
+        named = feature_sums(body, poses, features, options.icp.features)
+        off = jnp.sqrt(named.squares / jnp.maximum(jnp.sum(named.weight), 1e-6))
     safe = jnp.where(seconds > 0, seconds, 1.0)
     turn = compose(inverse(state.poses), poses).rotation
     moving = (seconds > 0) & good
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
-    step = Step(poses, jnp.sqrt(quality), explained, weight, solved.steps, solved.converged, count)
+    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, solved.converged, count)
     return State(poses, spin, velocity), step
 
 
@@ -116,23 +133,24 @@ def track_chunk(
     points: Points,
     seconds: Float[Array, " frame"],
     valid: Bool[Array, " frame"],
+    features: Features | None = None,
 ) -> tuple[State, Step]:
     """Tracks consecutive frames in one scan. Padded frames (`valid` false) leave the state as it is.
 
-    **Arguments:** `points` with a leading frame axis; `seconds` since the frame before.
+    **Arguments:** `points` and `features` with a leading frame axis; `seconds` since the frame before.
 
     **Returns:** the state after the last valid frame, and one Step per frame (leading frame axis).
     """
 
     def one(state, inputs):
-        points, seconds, valid = inputs
+        points, seconds, valid, features = inputs
         new, step = jax.lax.cond(
             valid,
-            lambda: track_frame(body, options, state, points, seconds),
+            lambda: track_frame(body, options, state, points, seconds, features),
             lambda: (state, jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)),
         )
         return new, step
 
-    first = jax.tree.map(lambda x: x[0], (points, seconds))
+    first = jax.tree.map(lambda x: x[0], (points, seconds, features))
     shape = eqx.filter_eval_shape(lambda: track_frame(body, options, state, *first))[1]
-    return jax.lax.scan(one, state, (points, seconds, valid))
+    return jax.lax.scan(one, state, (points, seconds, valid, features))

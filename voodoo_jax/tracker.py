@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float32
 
-from voodoo_jax.batch import BUCKETS, pad_frames
+from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
@@ -27,7 +27,7 @@ SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many fi
 def find_person(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings
 ) -> tuple[Scene, list[PersonFrame]]:
-    """Floor and walls, and the body's points of every frame. Frames are taken one by one, only these points are kept."""
+    """Floor and walls, and the body's points of every frame. Of the frames, taken one by one, only these are kept."""
     stream: Iterator[Frame] = iter(frames)
     first = list(islice(stream, SCENE_FRAMES))
     scene = find_scene(first[::3], up, up_is_sure=bool(up[2] > 0.99))
@@ -45,7 +45,10 @@ class _Run:
     def __init__(self, body: Body, options: TrackOptions, people: list[PersonFrame], scene: Scene, settings: Settings):
         self.body, self.options, self.people, self.scene, self.settings = body, options, people, scene, settings
         self.sensors = len(people[0].origins) if people else 1
-        self.capacity = next(b for b in BUCKETS if b >= min(settings.person.points, BUCKETS[-1]))
+        self.capacity = bucket(settings.person.points)
+        self.names = FeatureNames(body.topology, settings.features)
+        most = max((len(f.rays.names) + len(f.pairs.names) for f in people), default=0)
+        self.feature_capacity = bucket(most, FEATURE_BUCKETS)
 
     def start(self, at: int) -> tuple[State, float]:
         """State after the best trial from frame `at`, and its cost."""
@@ -54,7 +57,8 @@ class _Run:
         chunk = pad_frames(frames, self.capacity, s.frames, None, self.sensors)
         places = standing_places(self.body, frames, self.scene.floor, s.headings)
         starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
-        trial = run_trials(self.body, self.options, starts, chunk.points, jnp.asarray(chunk.seconds))
+        features = pad_features(frames, s.frames, self.feature_capacity, self.names)
+        trial = run_trials(self.body, self.options, starts, chunk.points, jnp.asarray(chunk.seconds), features)
         best = int(np.argmin(np.asarray(trial.cost)))
         # standing still: the trial ends some frames later than it begins
         return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses)), float(trial.cost[best])
@@ -66,7 +70,8 @@ class _Run:
         previous = self.people[at - 1].time_ns if at else None
         padded = pad_frames(frames, self.capacity, length, previous, self.sensors)
         seconds, valid = jnp.asarray(padded.seconds), jnp.asarray(padded.valid)
-        state, step = track_chunk(self.body, self.options, state, padded.points, seconds, valid)
+        features = pad_features(frames, length, self.feature_capacity, self.names)
+        state, step = track_chunk(self.body, self.options, state, padded.points, seconds, valid, features)
         return state, jax.tree.map(np.asarray, step), len(frames)
 
 
@@ -116,7 +121,7 @@ def track_person(
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     at = int(np.argmax(enough)) if enough.any() else count
     body = sized(body, people[at : at + settings.start.size_frames], scene.floor, settings.start)
-    run = _Run(body, options_from(settings.solve, settings.track), people, scene, settings)
+    run = _Run(body, options_from(settings.solve, settings.track, settings.features), people, scene, settings)
     out = {
         "rotation": np.full((count, limbs, 4), np.nan, np.float32),
         "translation": np.full((count, limbs, 3), np.nan, np.float32),
@@ -166,7 +171,14 @@ def track_person(
     seconds = time.perf_counter() - began
     stamps = np.array([f.time_ns for f in people], np.int64)
     return Tracks(
-        source, fixed_frame, body, stamps, joints=joints, seconds=seconds, notes=tuple(notes) + _notes(scene, out), **out
+        source,
+        fixed_frame,
+        body,
+        stamps,
+        joints=joints,
+        seconds=seconds,
+        notes=tuple(notes) + _notes(scene, out),
+        **out,
     )
 
 

@@ -1,4 +1,4 @@
-"""Depth images to points: pixel rays of a calibrated camera, lens distortion undone."""
+"""Pixels to rays: a calibrated camera, lens distortion undone."""
 
 import numpy as np
 from jaxtyping import Float
@@ -17,9 +17,17 @@ def pixel_rays(
     ray does not exist (90 degrees and more off the axis, or outside of where the lens model can be inverted) is NaN.
     Raises ValueError for an unknown lens model or K without focal length.
     """
+    v, u = np.mgrid[0:height, 0:width].astype(float)
+    return undistort(np.stack([u, v], axis=-1), K, D, model)
+
+
+def undistort(
+    pixels: Float[np.ndarray, "*grid 2"], K: Float[np.ndarray, "3 3"], D: Float[np.ndarray, " coefficient"], model: str
+) -> Float[np.ndarray, "*grid 2"]:
+    """As `pixel_rays`, for any pixels (u right, v down; the centre of the first pixel is 0, 0)."""
     if not (K[0, 0] > 0 and K[1, 1] > 0):
         raise ValueError("the focal length is 0: the camera is not calibrated")
-    v, u = np.mgrid[0:height, 0:width].astype(float)
+    u, v = pixels[..., 0], pixels[..., 1]
     y = (v - K[1, 2]) / K[1, 1]
     x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
     seen = np.stack([x, y], axis=-1)

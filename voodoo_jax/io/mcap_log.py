@@ -1,7 +1,8 @@
-"""Read an MCAP sensor log: depth images and point clouds, found by type, as frames of points in one fixed frame.
+"""Read an MCAP sensor log: depth images, point clouds and named features, found by type, as frames in one fixed frame.
 
-Two passes: the first collects stamps, calibrations and transforms, and plans which messages make up which frame; the
-second decodes the depth messages one by one. So memory stays bounded, and a calibration may come after the images.
+Two passes: the first collects stamps, calibrations, transforms and features, and plans which messages make up which
+frame; the second decodes the depth messages one by one. So memory stays bounded, and a calibration may come after the
+images.
 """
 
 import os
@@ -11,13 +12,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from voodoo_jax.io import camera
+from voodoo_jax.io.cameras import calibration_of
 from voodoo_jax.io.container import LogError
-from voodoo_jax.io.decode import DECODE_ERRORS, Cloud, Decoder, Image, kind_of, stride
+from voodoo_jax.io.contents import Cloud, Image, many, stride
+from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
 from voodoo_jax.io.plan import Plan, make_plan
-from voodoo_jax.io.scan import Scan, guarded, many
+from voodoo_jax.io.scan import Scan, guarded
 from voodoo_jax.io.survey import LogSurvey, TopicSurvey, survey
 from voodoo_jax.io.transforms import HOLD_NS
-from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.recording import Frame, Pairs, Rays, Recording
 from voodoo_jax.settings import ReadSettings
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
@@ -28,8 +31,8 @@ Progress = Callable[[int, int], None]
 def open_log(path: str | os.PathLike[str], settings: ReadSettings | None = None) -> "LogReader":
     """Look through a log and plan its frames; `frames()` of the result then gives them one by one.
 
-    Raises LogError if the file cannot be read, holds no usable depth data, or a name in `settings` is not in the log;
-    ValueError if `settings.max_points` is less than 1.
+    Raises LogError if the file cannot be read, holds neither usable depth data nor named features, or a name in
+    `settings` is not in the log; ValueError if `settings.max_points` is less than 1.
     """
     settings = settings or ReadSettings()
     if settings.max_points < 1:
@@ -46,7 +49,7 @@ def read_log(
     """Read a whole log into memory: see `open_log`, `LogReader.frames` and `Recording`. Raises as `open_log`."""
     log = open_log(path, settings)
     frames = tuple(log.frames(progress))
-    return Recording(log.path, log.fixed_frame, log.up, log.sensors, frames, log.notes)
+    return Recording(log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes)
 
 
 class LogReader:
@@ -55,7 +58,8 @@ class LogReader:
     def __init__(self, scan: Scan, plan: Plan, settings: ReadSettings):
         self._scan, self._settings = scan, settings
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
-        self._stamps, self._plan = plan.stamps, plan.frames
+        self.features = plan.features
+        self._whole, self._stamps, self._plan = plan, plan.stamps, plan.frames
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
@@ -73,7 +77,8 @@ class LogReader:
         return [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
 
     def frames(self, progress: Progress | None = None) -> Iterator[Frame]:
-        """Frames in the order of their stamps. `progress` gets the number of depth messages done, and of all.
+        """Frames in the order of their stamps. `progress` gets the number of depth messages (without
+        any: frames) done, and of all.
 
         Raises LogError if not one message can be used.
         """
@@ -84,16 +89,16 @@ class LogReader:
         missing = [len(members) for _, members in self._plan]
         parts: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}
         seen, done, made, following, error = Counter(), 0, 0, 0, ""
-        origins = np.full((len(self.sensors), 3), np.nan)
-        wanted = lambda s, c: c.topic in sensor_of and kind_of(s, c) == scan.topics[c.topic].kind  # noqa: E731
+        origins = np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
+        wanted = lambda s, c: c.topic in sensor_of and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
         for schema, channel, message in guarded(scan.log, wanted):
             member = sensor_of[channel.topic], seen[channel.topic]
             seen[channel.topic] += 1
+            if member not in home or schema is None:
+                continue
             done += 1
             if progress is not None:
                 progress(done, len(home))
-            if member not in home or schema is None:
-                continue
             i = home[member]
             missing[i] -= 1
             try:
@@ -105,19 +110,24 @@ class LogReader:
                 error = error or f"{type(problem).__name__}: {problem}"
                 self._counted[channel.topic, "cannot be decoded, left out"] += 1
             while following < len(self._plan) and missing[following] == 0:
-                if following in parts:
-                    yield self._frame(self._plan[following][0], parts.pop(following), origins)
+                if following in parts or not self._whole.led_by_points:
+                    yield self._frame(following, parts.pop(following, []), origins)
                     made += 1
                 following += 1
-        for i in sorted(parts):  # only if the file was changed between the passes
-            yield self._frame(self._plan[i][0], parts[i], origins)
-            made += 1
+        # What follows the last depth message; of frames with depth only if the file was changed between the passes.
+        for i in range(following, len(self._plan)):
+            if i in parts or not self._whole.led_by_points:
+                if progress is not None and not home:
+                    progress(i + 1, len(self._plan))
+                yield self._frame(i, parts.get(i, []), origins)
+                made += 1
         if not made:
             raise LogError(
                 " ".join([f"'{self.path}': not one depth message can be used.", *self._losses(), error]).strip()
             )
 
-    def _frame(self, time_ns: int, parts: list[tuple[int, np.ndarray, np.ndarray]], origins: np.ndarray) -> Frame:
+    def _frame(self, i: int, parts: list[tuple[int, np.ndarray, np.ndarray]], origins: np.ndarray) -> Frame:
+        time_ns = self._plan[i][0]
         for sensor, _, origin in parts:
             origins[sensor] = origin
         for sensor in np.flatnonzero(np.isnan(origins[:, 0])):  # sensors that have not measured yet
@@ -127,9 +137,13 @@ class LogReader:
         parts = sorted(parts, key=lambda part: part[0])
         return Frame(
             time_ns=time_ns,
-            points=np.concatenate([points for _, points, _ in parts]).astype(np.float32).reshape(-1, 3),
+            points=np.concatenate([np.zeros((0, 3)), *(points for _, points, _ in parts)])
+            .astype(np.float32)
+            .reshape(-1, 3),
             sensor=np.repeat([s for s, _, _ in parts], [len(p) for _, p, _ in parts]).astype(np.int32),
             origins=origins.astype(np.float32),
+            rays=self._whole.rays.get(i, Rays()),
+            pairs=self._whole.pairs.get(i, Pairs()),
         )
 
     def _measure(self, topic: str, content: Cloud | Image, stamp_ns: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -169,7 +183,7 @@ class LogReader:
     def _pixel_rays(self, topic: str, image: Image, k: int) -> np.ndarray:
         key = (topic, image.shape, k)
         if key not in self._rays:
-            c = self._scan.calibration(topic)
+            c = calibration_of(self._scan.topics, topic)
             assert c is not None
             # By ROS custom a topic called image_rect... is rectified: P holds, and the lens is undone already.
             rectified = "rect" in topic.rsplit("/", 1)[-1] and c.P[0, 0] > 0

@@ -43,11 +43,13 @@ class LogSurvey:
         return "\n".join(lines + [f"  note: {w}" for w in self.warnings])
 
 
-def survey(path: str | os.PathLike[str]) -> LogSurvey:
-    """List what a log holds. Raises LogError only if nothing can be read at all."""
-    scan = Scan(path, ReadSettings())
+def survey(path: str | os.PathLike[str], settings: ReadSettings | None = None) -> LogSurvey:
+    """List what a log holds, and what of it is used with `settings`. Raises LogError only if nothing can be read at
+    all, or a topic in the settings is not in the log."""
+    settings = settings or ReadSettings()
+    scan = Scan(path, settings)
     try:
-        warnings = [*scan.notes, *scan.tree.notes, *make_plan(scan, ReadSettings()).notes]
+        warnings = [*scan.notes, *scan.tree.notes, *make_plan(scan, settings).notes]
     except LogError as error:
         warnings = [*scan.notes, str(error)]
     start, end = scan.log.time_range or scan.log_times or (0, 0)

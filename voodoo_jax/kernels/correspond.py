@@ -34,12 +34,39 @@ class MatchOptions(eqx.Module):
 
 
 class Match(NamedTuple):
-    """Correspondences of all limbs and points, in the frames of the limbs."""
+    """Correspondences in the frames of their limbs.
+
+    Under the exclusive rule a point has one pair at most, and the pair's arrays have no limb axis.
+    """
 
     weight: Float[Array, "limb point"]  # 0: no pair
-    distance: Float[Array, "limb point"]  # between the pair's points, metres
-    model: tuple[Float[Array, "limb point"], Float[Array, "limb point"], Float[Array, "limb point"]]
-    data: tuple[Float[Array, "limb point"], Float[Array, "limb point"], Float[Array, "limb point"]]
+    distance: Float[Array, "*limb point"]  # between the pair's points, metres
+    model: tuple[Float[Array, "*limb point"], Float[Array, "*limb point"], Float[Array, "*limb point"]]
+    data: tuple[Float[Array, "*limb point"], Float[Array, "*limb point"], Float[Array, "*limb point"]]
+
+    def close(self, distance: float) -> Bool[Array, " point"]:
+        """Which points have a pair shorter than `distance`, metres."""
+        return jnp.any((self.weight > 0) & (self.distance < distance), 0)
+
+    def squares(self) -> Float[Array, ""]:
+        """Weighted sum of squared distances, square metres."""
+        return jnp.sum(self.weight * self.distance**2)
+
+
+def _into_limb(rotation, translation, x, y, z):
+    """World points in the frame of a limb, by component; the pose by component too, of one limb or point by point."""
+    w, i, j, k = (rotation[n] for n in range(4))
+    dx, dy, dz = x - translation[0], y - translation[1], z - translation[2]
+    px = (1 - 2 * (j * j + k * k)) * dx + 2 * (i * j + w * k) * dy + 2 * (i * k - w * j) * dz
+    py = 2 * (i * j - w * k) * dx + (1 - 2 * (i * i + k * k)) * dy + 2 * (j * k + w * i) * dz
+    pz = 2 * (i * k + w * j) * dx + 2 * (j * k - w * i) * dy + (1 - 2 * (i * i + j * j)) * dz
+    return px, py, pz
+
+
+def _sensor_directions(poses: Poses, points: Points) -> tuple[Float[Array, "limb sensor"], Float[Array, "limb sensor"]]:
+    """x and y of every sensor in every limb's frame, metres."""
+    local = unrotate(poses.rotation[:, None], points.origins[None] - poses.translation[:, None])
+    return local[..., 0], local[..., 1]
 
 
 def match(
@@ -52,46 +79,78 @@ def match(
     """Gates, overlap rule, closest points, maximum distance and robust weights for one frame."""
     low, high = body_box(sizes, poses, options.body_enlarge)
     near_body = in_box(low, high, points.xyz) & (points.weight > 0)
+    if options.overlap == "exclusive":
+        return _match_closest(sizes, poses, points, near_body, options)
     x, y, z = points.xyz[:, 0], points.xyz[:, 1], points.xyz[:, 2]
+    to_x, to_y = _sensor_directions(poses, points)
 
-    def one_limb(size, pose):
-        w, i, j, k = (pose.rotation[n] for n in range(4))
-        dx, dy, dz = x - pose.translation[0], y - pose.translation[1], z - pose.translation[2]
-        # rows of the inverse rotation, by component
-        px = (1 - 2 * (j * j + k * k)) * dx + 2 * (i * j + w * k) * dy + 2 * (i * k - w * j) * dz
-        py = 2 * (i * j - w * k) * dx + (1 - 2 * (i * i + k * k)) * dy + 2 * (j * k + w * i) * dz
-        pz = 2 * (i * k + w * j) * dx + 2 * (j * k - w * i) * dy + (1 - 2 * (i * i + j * j)) * dz
+    def one_limb(size, pose, towards_x, towards_y):
+        px, py, pz = _into_limb(pose.rotation, pose.translation, x, y, z)
         surface = closest_point(size, px, py, pz, options.refine)
         signed = surface.distance
         if options.near_side:
-            sensors = unrotate(pose.rotation[None], points.origins - pose.translation)
-            surface = near_side(size, px, py, surface, sensors[points.sensor, 0], sensors[points.sensor, 1])
+            surface = near_side(size, px, py, surface, towards_x[points.sensor], towards_y[points.sensor])
         box = in_limb_box(size, px, py, pz, options.limb_enlarge)
-        return surface.x, surface.y, surface.z, signed, box, px, py, pz
+        return (surface.x, surface.y, surface.z), (px, py, pz), signed, box
 
-    cx, cy, cz, signed, box, px, py, pz = jax.vmap(one_limb)(sizes, poses)
-    candidate = box & near_body[None, :]
-    chosen = resolve_overlap(options.overlap, candidate, signed, adjacent)
-    d2 = (px - cx) ** 2 + (py - cy) ** 2 + (pz - cz) ** 2
-    s2 = options.robust_scale**2
-    # Geman-McClure; written as a ratio so that an infinite scale gives exactly one
-    robust = (1 / (1 + d2 / s2)) ** 2
+    model, data, signed, box = jax.vmap(one_limb)(sizes, poses, to_x, to_y)
+    chosen = resolve_overlap(options.overlap, box & near_body[None, :], signed, adjacent)
+    return _weigh(chosen, model, data, points.weight[None, :], options)
+
+
+def _match_closest(sizes, poses, points, near_body, options) -> Match:
+    """The exclusive rule: distances to all limbs, then the pair of each point with its closest limb alone."""
+    x, y, z = points.xyz[:, 0], points.xyz[:, 1], points.xyz[:, 2]
+    limbs = sizes.shape[0]
+
+    def one_limb(size, pose):
+        px, py, pz = _into_limb(pose.rotation, pose.translation, x, y, z)
+        signed = closest_point(size, px, py, pz, options.refine).distance
+        return jnp.where(in_limb_box(size, px, py, pz, options.limb_enlarge), signed, jnp.inf)
+
+    signed = jax.vmap(one_limb)(sizes, poses)
+    nearest = jnp.min(signed, 0)
+    # the first of equals; two minima are faster than one argmin
+    order = jnp.arange(limbs)[:, None]
+    winner = jnp.min(jnp.where(signed == nearest, order, limbs), 0)
+    chosen = (order == winner) & near_body & (nearest < jnp.inf)
+    to_x, to_y = _sensor_directions(poses, points)
+    rows = jnp.concatenate([poses.rotation, poses.translation, sizes, to_x, to_y], -1)
+    # each point's row of the table by one product: much faster than a gather
+    mine = jnp.matmul(rows.T, (order == winner).astype(x.dtype), precision="highest")
+    size = mine[7:12]
+    px, py, pz = _into_limb(mine[:4], mine[4:7], x, y, z)
+    surface = closest_point(size, px, py, pz, options.refine)
+    if options.near_side:
+        sensors = to_x.shape[1]
+        one = jax.nn.one_hot(points.sensor, sensors, axis=0, dtype=x.dtype)
+        towards = [jnp.sum(mine[k : k + sensors] * one, 0) for k in (12, 12 + sensors)]
+        surface = near_side(size, px, py, surface, *towards)
+    return _weigh(chosen, (surface.x, surface.y, surface.z), (px, py, pz), points.weight, options)
+
+
+def _weigh(chosen, model, data, weight, options) -> Match:
+    """Maximum distance and robust weight (Geman-McClure) of the chosen pairs."""
+    d2 = sum((p - c) ** 2 for p, c in zip(data, model))
+    # a ratio, so that an infinite scale gives exactly one
+    robust = (1 / (1 + d2 / options.robust_scale**2)) ** 2
     keep = chosen & (d2 <= options.max_distance**2)
-    weight = jnp.where(keep, robust * points.weight[None, :], 0.0)
-    return Match(weight, jnp.sqrt(d2 + 1e-12), (cx, cy, cz), (px, py, pz))
+    return Match(jnp.where(keep, robust * weight, 0.0), jnp.sqrt(d2 + 1e-12), model, data)
 
 
-def moments(found: Match) -> Float[Array, "limb 4 4"]:
-    """Sum over points of w [1, c] [1, p]^T for every limb, both points in the limb frame."""
-    w = found.weight
-    rows = []
-    for c in (None, *found.model):
-        wc = w if c is None else w * c
-        rows.append(jnp.stack([jnp.sum(wc if p is None else wc * p, -1) for p in (None, *found.data)], -1))
-    return jnp.stack(rows, -2)
-
-
-def second_moments(found: Match) -> Float[Array, "limb 3 3"]:
-    """Sum over points of w c c^T for every limb, limb frame."""
-    rows = [jnp.stack([jnp.sum(found.weight * a * b, -1) for b in found.model], -1) for a in found.model]
-    return jnp.stack(rows, -2)
+def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
+    """Sums over points for every limb, limb frame: of w [1, c] [1, p]^T, and of w c c^T (for the coupled solver)."""
+    one = jnp.ones_like(found.data[0])
+    c, p = (one, *found.model), (one, *found.data)
+    limbs = found.weight.shape[0]
+    cross = [a * b for a in c for b in p]
+    square = [found.model[a] * found.model[b] for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))]
+    if one.ndim == 1:
+        table = jnp.stack([*cross, *square], -1)
+        # one product for all sums of all limbs; full float32 where the default is less (pitfall P27)
+        sums = jnp.matmul(found.weight, table, precision="highest")
+    else:
+        sums = jnp.stack([jnp.sum(found.weight * v, -1) for v in (*cross, *square)], -1)
+    xx, xy, xz, yy, yz, zz = (sums[:, 16 + i] for i in range(6))
+    second = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(limbs, 3, 3)
+    return sums[:, :16].reshape(limbs, 4, 4), second

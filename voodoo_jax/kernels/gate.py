@@ -27,9 +27,7 @@ def body_box(
     return low, high
 
 
-def in_box(
-    low: Float[Array, "3"], high: Float[Array, "3"], points: Float[Array, "point 3"]
-) -> Bool[Array, " point"]:
+def in_box(low: Float[Array, "3"], high: Float[Array, "3"], points: Float[Array, "point 3"]) -> Bool[Array, " point"]:
     """Whether points lie in an axis-aligned box."""
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
     return (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]) & (z >= low[2]) & (z <= high[2])

@@ -66,7 +66,7 @@ def _refine(size, px, py, z, first, iterations):
 
 
 def closest_point(
-    size: Float[Array, "5"],
+    size: Float[Array, "5"] | Float[Array, "5 point"],
     x: Float[Array, " point"],
     y: Float[Array, " point"],
     z: Float[Array, " point"],
@@ -74,10 +74,12 @@ def closest_point(
 ) -> SurfacePoint:
     """Closest points on the frustum's surface, end caps included.
 
-    **Arguments:** `size` a0, b0, a1, b1, length in metres; `x, y, z` points in the limb frame, metres; `refine`
+    **Arguments:** `size` a0, b0, a1, b1, length in metres, of one limb or point by point; `x, y, z` points in the
+    limb frame, metres; `refine`
     iterations towards the exact closest point of an elliptic cross-section. 0 keeps the polar angle of the point:
     exact for round limbs; for the built-in human, within 10 cm of a limb, the distance is off by 0.2 mm on average,
-    1.5 mm at 95 %, 17 mm at worst (deep inside the pelvis). 8 iterations: exact to 0.2 mm (tests/test_surface.py).
+    1.5 mm at 95 %, 17 mm at worst (deep inside the pelvis). 8 iterations: to 0.2 mm for a
+    human's limbs, 1 mm for short tapering ones (tests/test_surface.py).
 
     **Returns:** closest points and signed distances. At the axis, where several points are closest, one of them.
     """
@@ -121,7 +123,7 @@ def closest_point(
 
 
 def near_side(
-    size: Float[Array, "5"],
+    size: Float[Array, "5"] | Float[Array, "5 point"],
     x: Float[Array, " point"],
     y: Float[Array, " point"],
     surface: SurfacePoint,

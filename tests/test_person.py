@@ -1,0 +1,240 @@
+"""Floor, walls, flying pixels, furniture, background: the body told apart from its surroundings."""
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.person import (
+    PersonFinder,
+    PersonFrame,
+    Plane,
+    Scene,
+    components,
+    find_scene,
+    person_frames,
+    without_furniture,
+    without_strays,
+)  # fmt: skip
+from voodoo_jax.recording import Frame
+from voodoo_jax.settings import PersonSettings
+
+ORIGIN = np.array([[0.0, 0.0, 1.2]], np.float32)
+FLOOR = Plane(np.array([0, 0, 1], np.float32), 0.0)
+
+
+def frame(points, i: int = 0) -> Frame:
+    points = np.asarray(points, np.float32)
+    return Frame(10**18 + i * 33_000_000, points, np.zeros(len(points), np.int32), ORIGIN)
+
+
+def grid(u, v, step: float = 0.02) -> np.ndarray:
+    return np.stack(np.meshgrid(np.arange(*u, step), np.arange(*v, step), indexing="ij"), -1).reshape(-1, 2)
+
+
+def figure(x: float, y: float, height: float = 1.75, radius: float = 0.18) -> np.ndarray:
+    """The side of an upright cylinder that the sensor sees."""
+    a = grid((-1.4, 1.4), (0, height), 0.025)
+    return np.stack([x - radius * np.cos(a[:, 0]), y + radius * np.sin(a[:, 0]), a[:, 1]], -1)
+
+
+def box(x: float, y: float, wide: float, height: float) -> np.ndarray:
+    """The front of a box, towards the sensor."""
+    a = grid((-wide / 2, wide / 2), (0, height))
+    return np.stack([np.full(len(a), x), y + a[:, 0], a[:, 1]], -1)
+
+
+def room(rng, wall: float = 4.5, noise: float = 0.006) -> np.ndarray:
+    floor, back = grid((0.8, wall), (-1.6, 1.6), 0.04), grid((-1.6, 1.6), (0, 2.4), 0.04)
+    points = np.concatenate([
+        np.column_stack([floor, np.zeros(len(floor))]), np.column_stack([np.full(len(back), wall), back])
+    ])  # fmt: skip
+    return points + rng.normal(0, noise, points.shape)
+
+
+def heights_of(scene: Scene, points) -> np.ndarray:
+    return scene.floor.height(np.asarray(points, np.float32))
+
+
+@pytest.mark.parametrize("degrees", [0, 20, -20, 35])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_floor_is_found_although_up_is_wrong(rng, degrees, axis):
+    """A tilted camera whose log has no transform: `up` is off, floor and wall are found as they are."""
+    cloud = np.concatenate([room(rng), figure(2.5, 0.0) + rng.normal(0, 0.006, (len(figure(2.5, 0)), 3))])
+    tilt = Rotation.from_euler(axis, degrees, degrees=True)
+    moved = tilt.apply(cloud).astype(np.float32)
+    scene = find_scene([frame(moved)], np.array([0, 0, 1], np.float32), up_is_sure=False)
+    assert scene.floor_seen
+    angle = np.degrees(np.arccos(np.clip(scene.floor.normal @ tilt.apply([0, 0, 1]), -1, 1)))
+    assert angle < 0.5
+    np.testing.assert_allclose(heights_of(scene, tilt.apply([[2.5, 0, 0], [2.5, 0, 1.75]])), [0, 1.75], atol=0.02)
+    assert max(abs(w.normal @ tilt.apply([1, 0, 0])) for w in scene.walls) > 0.999
+
+
+def test_no_floor_in_view(rng):
+    """Only the upper body in view: z = 0 where the frame is known to stand on the floor, else the lowest points."""
+    upper = figure(1.5, 0.0)
+    upper = upper[upper[:, 2] > 0.9]
+    up = np.array([0, 0, 1], np.float32)
+    sure = find_scene([frame(upper - [0, 0, 0.8])], up, up_is_sure=True)
+    unsure = find_scene([frame(upper)], up, up_is_sure=False)
+    assert not sure.floor_seen and sure.floor.offset == 0.0
+    assert not unsure.floor_seen and unsure.floor.offset == pytest.approx(
+        0.9, abs=0.03
+    )  # the figure's rows are 2.5 cm apart
+    nothing = find_scene([], up)
+    assert not nothing.floor_seen and nothing.walls == ()
+
+
+@pytest.mark.parametrize("gap", [0.4, 0.25])
+def test_a_wall_does_not_eat_the_person_before_it(rng, gap):
+    """All of the wall goes, all of the person stays."""
+    wall = 3.5
+    person = figure(wall - gap, 0.3)
+    person += rng.normal(0, 0.006, person.shape)
+    around = room(rng, wall)
+    hidden = (np.abs(around[:, 1] - 0.3) < 0.18) & (around[:, 0] > wall - 0.1) & (around[:, 2] < 1.75)
+    around = around[~hidden]
+    seen = frame(np.concatenate([around, person]))
+    scene = find_scene([seen], np.array([0, 0, 1], np.float32))
+    assert any(abs(w.normal[0]) > 0.999 and abs(abs(w.offset) - wall) < 0.02 for w in scene.walls)
+    got = PersonFinder(scene, 1.75, PersonSettings())(seen).points
+    expected = person[person[:, 2] > 0.05]
+    assert (cKDTree(got).query(expected)[0] < 1e-6).mean() > 0.99
+    assert (cKDTree(person).query(got)[0] < 1e-6).all()
+
+
+def test_a_person_who_fills_the_picture_is_no_wall(rng):
+    person = figure(1.2, 0.0, radius=0.25)
+    scene = find_scene([frame(person + rng.normal(0, 0.004, person.shape))], np.array([0, 0, 1], np.float32))
+    assert scene.walls == ()
+
+
+def test_flying_pixels_go_and_the_surface_stays(rng):
+    spacing = 0.008
+    a = grid((-0.3, 0.3), (-0.6, 0.6), spacing * 2.0)
+    surface = np.column_stack([np.full(len(a), 2.0), a]) + rng.normal(0, 0.008, (len(a), 3))
+    flying = np.column_stack([rng.uniform(2.2, 3.8, 60), np.full(60, 0.31), rng.uniform(-0.6, 0.6, 60)])
+    points = np.concatenate([surface, flying]).astype(np.float32)
+    keep = without_strays(points, np.zeros(3, np.float32), spacing)
+    assert keep[: len(surface)].mean() > 0.99 and keep[len(surface) :].mean() < 0.15
+    assert not without_strays(points[:4], np.zeros(3, np.float32), spacing).any()
+
+
+@pytest.mark.parametrize("link", [0.06, 0.12, 0.3])
+def test_components_against_brute_force(rng, link):
+    """Cells make the limit fuzzy: nearer than half of `link` is always one thing, farther than twice the cell's
+    diagonal never."""
+    points = (rng.uniform(-3, 3, (40, 1, 3)) + rng.normal(0, link / 3, (40, 12, 3))).reshape(-1, 3).astype(np.float32)
+    label = components(points, link)
+
+    def within(distance):
+        pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
+        graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
+        return connected_components(graph, directed=False)[1]
+
+    same = lambda of: of[:, None] == of[None]  # noqa: E731
+    tight, loose = same(within(link / 2)), same(within(2 * np.sqrt(3) * link / 2 + 1e-5))
+    assert np.all(~tight | same(label)) and np.all(~same(label) | loose)
+    assert len(np.unique(label)) > 5
+    # neither the order of the points nor where the room begins matters beyond the cells
+    order = rng.permutation(len(points))
+    np.testing.assert_array_equal(same(components(points[order], link)), same(label)[np.ix_(order, order)])
+
+
+def test_things_far_apart_on_a_line_are_not_joined():
+    """A far outlier in one direction only: cell numbers must not run into each other."""
+    points = np.array([[0, 0, 0], [0, 0, 50.0], [0, 0.1, -50], [70, 0, 0], [0.01, 0, 0]], np.float32)
+    label = components(points, 0.12)
+    assert len(np.unique(label)) == 4 and label[0] == label[4]
+
+
+def test_the_person_and_not_the_larger_wardrobe(rng):
+    """A wardrobe is larger, but of another height than the body."""
+    person, wardrobe = figure(2.5, 0.8), box(3.0, -0.8, 0.8, 2.2)
+    scene = Scene(FLOOR, (), True)
+    got = PersonFinder(scene, 1.7, PersonSettings())(frame(np.concatenate([wardrobe, person]))).points
+    assert len(got) > 100 and (got[:, 1] > 0.4).all()
+
+
+def test_low_high_or_hanging_things_are_not_taken(rng):
+    scene = Scene(FLOOR, (), True)
+    lamp = figure(2.5, 0.0, 0.7) + [0, 0, 1.0]  # from 1.0 to 1.7 m: nothing below
+    for thing in (box(2.5, 0, 0.5, 0.8), box(2.5, 0, 0.5, 2.4), lamp):
+        assert len(PersonFinder(scene, 1.7, PersonSettings())(frame(thing)).points) == 0
+
+
+def test_followed_while_sitting_down_and_found_anew_after_leaving():
+    """Height counts at the start only; who is away for `forget` frames is looked for everywhere."""
+    settings = PersonSettings(forget=5)
+    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, settings)
+    count = lambda points, i: len(finder(frame(points, i)).points)  # noqa: E731
+    heights = [*np.linspace(1.75, 0.8, 12)]
+    assert all(count(figure(2.5, 0, h), i) > 100 for i, h in enumerate(heights))
+    nothing = np.zeros((0, 3))
+    assert [count(nothing, 20 + i) for i in range(3)] == [0] * 3
+    elsewhere = figure(2.5, 2.5)
+    assert count(elsewhere, 24) == 0  # too far from where she was
+    assert [count(nothing, 25 + i) for i in range(6)] == [0] * 6
+    assert count(elsewhere, 40) > 100
+
+
+def test_background_is_learned():
+    """What stood apart from the person for a while does not become part of her when she touches it."""
+    chair = box(2.5, 0.9, 0.4, 0.9)
+    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+    far, near = figure(2.5, 0.0), figure(2.5, 0.5)
+    for i in range(8):
+        finder(frame(np.concatenate([far + [0, 0.05 * i, 0], chair]), i))
+    got = finder(frame(np.concatenate([near, chair]), 9)).points
+    assert (cKDTree(chair).query(got)[0] < 1e-5).mean() < 0.02
+    fresh = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+    joined = fresh(frame(np.concatenate([near, chair]), 0)).points
+    # without the look before, the two are one thing
+    assert (cKDTree(joined).query(chair[chair[:, 2] > 0.05])[0] < 1e-5).mean() > 0.9
+
+
+def walking(count: int, chair, start: float, speed: float) -> list[PersonFrame]:
+    frames = []
+    for i in range(count):
+        points = np.concatenate([figure(2.5, start + speed * i), chair]).astype(np.float32)
+        frames.append(PersonFrame(i, points, np.zeros(len(points), np.int32), ORIGIN))
+    return frames
+
+
+def test_furniture_goes_when_the_person_walks_away():
+    chair = box(2.5, -0.35, 0.3, 0.6).astype(np.float32)
+    frames = walking(40, chair, 0.0, 0.04)
+    cleaned = without_furniture(frames, FLOOR.normal)
+    on_chair = lambda f: (cKDTree(chair).query(f.points)[0] < 1e-5).sum()  # noqa: E731
+    assert sum(map(on_chair, frames)) == 40 * len(chair) and sum(map(on_chair, cleaned)) == 0
+    for i in (20, 39):  # away from the chair the person is whole
+        assert len(cleaned[i].points) > 0.98 * len(frames[i].points) - len(chair)
+    assert [f.time_ns for f in cleaned] == list(range(40)) and all(len(f.sensor) == len(f.points) for f in cleaned)
+
+
+def test_a_person_who_stays_or_walks_alone_is_left_whole():
+    none = np.zeros((0, 3), np.float32)
+    for frames in (
+        walking(30, box(2.5, -0.35, 0.3, 0.6), 0.0, 0.0),
+        walking(40, none, 0.0, 0.04),
+        walking(5, none, 0, 1),
+    ):
+        for before, after in zip(frames, without_furniture(frames, FLOOR.normal)):
+            np.testing.assert_array_equal(before.points, after.points)
+
+
+def test_frames_come_one_by_one():
+    """No look ahead: a frame is given back before the next one is asked for."""
+    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+    asked = []
+
+    def source():
+        for i in range(3):
+            asked.append(i)
+            yield frame(figure(2.5, 0.0), i)
+
+    stream = person_frames(source(), finder)
+    assert len(next(stream).points) > 100 and asked == [0]

@@ -1,0 +1,161 @@
+"""Settings: files, their errors, flags over files, and a meaning for every option."""
+
+import tomllib
+from dataclasses import asdict, fields, replace
+
+import pytest
+
+from voodoo_jax import cli
+from voodoo_jax.settings import (
+    PersonSettings,
+    Settings,
+    SettingsError,
+    SolveSettings,
+    StartSettings,
+    TrackSettings,
+    _help_texts,
+    read_settings,
+    settings_text,
+)  # fmt: skip
+
+CHANGED = replace(
+    Settings(),
+    person=PersonSettings(link=0.2, forget=7),
+    solve=SolveSettings(solver="per_limb", robust_scale=float("inf"), near_side=False, epsilon=1e-12),
+    start=StartSettings(scale=1.83),
+)
+
+
+def as_lists(values: dict) -> dict:
+    return {stage: {k: list(v) if isinstance(v, tuple) else v for k, v in of.items()} for stage, of in values.items()}
+
+
+@pytest.mark.parametrize("settings", [Settings(), CHANGED], ids=["defaults", "changed"])
+def test_round_trip(tmp_path, settings):
+    text = settings_text(settings)
+    assert tomllib.loads(text) == as_lists(asdict(settings))
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    assert read_settings(path) == settings
+
+
+def test_texts_with_quotes_and_lists_survive(tmp_path):
+    settings = replace(Settings(), read=replace(Settings().read, topics=('/a "b"', "/c\\d/ä\n"), fixed_frame="ö'"))
+    path = tmp_path / "s.toml"
+    path.write_text(settings_text(settings), encoding="utf-8")
+    assert read_settings(path) == settings
+
+
+def test_a_file_changes_only_what_it_names(tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_text("[track]\ndamping = 1\n")  # a whole number where a number is asked for
+    got = read_settings(path, CHANGED)
+    assert got == replace(CHANGED, track=TrackSettings(damping=1.0)) and isinstance(got.track.damping, float)
+    path.write_text("")
+    assert read_settings(path) == Settings()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[solv]\nmax_steps = 3", ["[solv]", "did you mean [solve]?"]),
+        ("[xyz]\n", ["[xyz]", "[read]", "[track]"]),
+        ("max_steps = 3", ["max_steps", "no stage"]),
+        ("solve = 3", ["[solve]", "no stage"]),
+        ("[solve]\nmax_step = 3", ["[solve]", "'max_step'", "did you mean 'max_steps'?"]),
+        ("[start]\nqqq = 3", ["'qqq'", "scale, headings, frames, size_frames"]),
+        ("[solve]\nmax_steps = 2.5", ["solve.max_steps = 2.5", "whole number"]),
+        ("[solve]\nmax_steps = true", ["solve.max_steps", "whole number"]),
+        ("[solve]\nnear_side = 1", ["solve.near_side = 1", "true or false"]),
+        ("[solve]\nratio = 'x'", ["solve.ratio", "a number", "0.6"]),
+        ("[solve]\nratio = true", ["solve.ratio", "a number"]),
+        ("[solve]\nratio = -0.1", ["solve.ratio = -0.1", "negative"]),
+        ("[solve]\nratio = nan", ["solve.ratio = nan"]),
+        ("[person]\npoints = -5", ["person.points = -5", "negative"]),
+        ("[solve]\nsolver = 'Coupled'", ["solve.solver", "'coupled'", "'per_limb'"]),
+        ("[solve]\nsolver = ['coupled']", ["solve.solver", "'coupled'", "'per_limb'"]),
+        ("[read]\ntopics = '/depth'", ["read.topics", "list of texts"]),
+        ("[read]\ntopics = [1]", ["read.topics", "list of texts"]),
+        ("[read]\nfixed_frame = 1", ["read.fixed_frame", "a text"]),
+        ("[read\n", ["not a TOML file"]),
+    ],
+)
+def test_errors_say_where_what_and_what_instead(tmp_path, text, words):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(SettingsError) as caught:
+        read_settings(path)
+    for word in ["mine.toml", *words]:
+        assert word in str(caught.value)
+
+
+def test_not_a_text_file_or_not_there(tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SettingsError, match="not a TOML file"):
+        read_settings(path)
+    with pytest.raises(OSError):
+        read_settings(tmp_path / "missing.toml")
+
+
+def test_every_option_has_a_meaning():
+    lines = settings_text().splitlines()
+    for stage in fields(Settings):
+        cls = type(getattr(Settings(), stage.name))
+        texts = _help_texts(cls)
+        for option in fields(cls):
+            assert len(texts.get(option.name, "")) > 12, f"{stage.name}.{option.name}"
+            assert any(texts[option.name] in line for line in lines)
+
+
+class Got(Exception):
+    pass
+
+
+@pytest.fixture
+def given(monkeypatch):
+    """The settings with which replay would run."""
+
+    def stop(command):
+        raise Got(command)
+
+    monkeypatch.setattr(cli, "run_replay", stop)
+
+    def run(*words: str) -> cli.Replay:
+        with pytest.raises(Got) as caught:
+            cli.main(["replay", "a.mcap", "b.mcap", "--out", "o", *words])
+        return caught.value.args[0]
+
+    return run
+
+
+def test_flags_override_the_file_and_the_file_the_defaults(tmp_path, given):
+    path = tmp_path / "s.toml"
+    path.write_text("[solve]\nmax_steps = 7\nratio = 0.4\n[read]\ntopics = ['/a', '/b']\n")
+    for words in (["--config", str(path)], [f"--config={path}"]):
+        command = given(*words, "--solve.max-steps", "9", "--start.scale", "1.8", "--solve.no-near-side")
+        solve = replace(SolveSettings(), max_steps=9, ratio=0.4, near_side=False)
+        read = replace(Settings().read, topics=("/a", "/b"))
+        assert command.settings == replace(Settings(), solve=solve, read=read, start=StartSettings(scale=1.8))
+    assert [p.name for p in command.logs] == ["a.mcap", "b.mcap"] and str(command.out) == "o"
+
+
+def test_without_flags_the_defaults(given):
+    command = given()
+    assert command.settings == Settings() and command.body == "human" and command.config is None
+
+
+@pytest.mark.parametrize("words", [["--solve.max-steps", "many"], ["--solve.solver", "best"], ["--solve.typo", "1"]])
+def test_wrong_flags_are_refused(words, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["replay", "a.mcap", "--out", "o", *words])
+    assert stopped.value.code == 2 and words[0].split(".")[1] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--solve.max-steps", "-3"], ["--person.link", "-0.1"], ["--start.scale", "nan"]])
+def test_flags_are_checked_as_the_file_is(words, tmp_path, capsys):
+    """The same value must not be an error in a file and be taken as a flag."""
+    assert cli.main(["replay", str(tmp_path / "none.mcap"), "--out", str(tmp_path / "o"), *words]) == 2
+    printed = capsys.readouterr().err
+    assert words[0].removeprefix("--").replace("-", "_") in printed and "must" in printed
+    assert not (tmp_path / "o").exists()

@@ -1,0 +1,139 @@
+"""Size, place and heading at the beginning."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.body import joint_centres, scaled
+from voodoo_jax.io.body_file import human, load_body
+from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.io.mcap_tracks import limb_mesh
+from voodoo_jax.person import PersonFrame, Plane
+from voodoo_jax.settings import Settings, StartSettings
+from voodoo_jax.simulate import make_motion, placed, simulate, tof_camera
+from voodoo_jax.start import measured_height, place, rest_height, sized, standing_places
+from voodoo_jax.tracker import track
+
+UP = np.array([0, 0, 1], np.float32)
+FLOOR = Plane(UP, 0.0)
+
+
+def column(height: float, x: float, origin=(0.0, 0.0, 1.2), pixel: float = 0.006, count: int = 12) -> PersonFrame:
+    """A plate of `height` seen by a camera: rows `pixel` radians apart, the topmost one anywhere below the edge."""
+    rows = np.arange(0.05, height, pixel * max(abs(x), 1.0))
+    points = np.stack(np.meshgrid([x], np.linspace(-0.1, 0.1, count), rows, indexing="ij"), -1).reshape(-1, 3)
+    return PersonFrame(0, points.astype(np.float32), np.zeros(len(points), np.int32), np.array([origin], np.float32))
+
+
+@pytest.mark.parametrize("name", ["arm", "dog", "human10"])
+@pytest.mark.parametrize("scale", [0.5, 1.0, 1.9])
+def test_rest_height_is_the_highest_point_of_the_body(name, scale):
+    body = scaled(load_body(name), scale)
+    tops = []
+    for i, size in enumerate(np.asarray(body.sizes)):
+        turn = Rotation.from_quat(np.asarray(body.rest.rotation[i]), scalar_first=True)
+        tops.append((turn.apply(limb_mesh(size, 256).vertices) + np.asarray(body.rest.translation[i]))[:, 2].max())
+    expected = scale if body.scale_name == "stature" else max(tops)
+    assert rest_height(body) == pytest.approx(expected, abs=1e-3)
+    assert max(tops) == pytest.approx(expected, rel=0.03)  # the stature is where the body's top is
+
+
+@pytest.mark.parametrize("height", [1.0, 1.5, 1.83, 2.0])
+@pytest.mark.parametrize("distance", [1.5, 4.0])
+def test_measured_height(height, distance):
+    """Within a pixel, whatever the frames without enough points say."""
+    frames = [column(height, distance, pixel=0.006)] * 3
+    few = replace(frames[0], points=frames[0].points[:10], sensor=frames[0].sensor[:10])
+    assert measured_height([few, *frames], FLOOR, 0.006) == pytest.approx(height, abs=0.006 * distance + 0.005)
+    assert np.isnan(measured_height([few], FLOOR, 0.006))
+
+
+def test_measured_height_forgives_strays():
+    good = column(1.8, 3.0)
+    stray = replace(
+        good, points=good.points + np.where(np.arange(len(good.points)) < 2, 2, 0)[:, None].astype(np.float32) * UP
+    )
+    clean = measured_height([good], FLOOR, 0.006)
+    assert measured_height([stray], FLOOR, 0.006) == pytest.approx(clean, abs=1e-5)  # two points too high
+    worse = replace(good, points=good.points + np.float32(0.5) * UP)
+    assert measured_height([good, worse, good], FLOOR, 0.006) == pytest.approx(clean, abs=1e-5)  # one frame of three
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, 0, 2.5), (0, 1, 0), (0.6, 0, 0.8), (0.1, -0.9, 0.2)])
+def test_place(rng, up):
+    """A rigid motion of the rest pose: its up along `up`, its forward in the plane of `up` and heading."""
+    body, at = human(), rng.normal(size=3).astype(np.float32)
+    up, heading = np.array(up, np.float32), np.array([0.3, -0.4, 0.5], np.float32)
+    poses = place(body, at, up, heading)
+    q = Rotation.from_quat(np.asarray(poses.rotation), scalar_first=True)
+    rest = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True)
+    turn = (q * rest.inv()).as_matrix()
+    np.testing.assert_allclose(turn, np.broadcast_to(turn[0], turn.shape), atol=1e-5)
+    np.testing.assert_allclose(turn[0] @ [0, 0, 1], up / np.linalg.norm(up), atol=1e-5)
+    assert np.linalg.det(turn[0]) == pytest.approx(1, abs=1e-5)
+    assert turn[0][:, 0] @ heading > 0 and abs(turn[0][:, 1] @ heading) < 1e-5
+    moved = np.asarray(body.rest.translation) @ turn[0].T + at
+    np.testing.assert_allclose(poses.translation, moved, atol=1e-5)
+
+
+@pytest.mark.parametrize("where", [(2.5, 0.0), (0.0, -3.0), (-1.5, 2.0)])
+@pytest.mark.parametrize("count", [1, 4, 12])
+def test_standing_places(where, count):
+    """Feet on the floor below the cloud, headings evenly spread, the first one towards the sensor."""
+    body = human()
+    frame = column(1.75, 0.0, count=6)
+    frame = replace(frame, points=frame.points + np.array([*where, 0], np.float32))
+    places = standing_places(body, [frame], FLOOR, count)
+    assert len(places) == count
+    rest = Rotation.from_quat(np.asarray(body.rest.rotation[0]), scalar_first=True)
+    turns = [Rotation.from_quat(np.asarray(p.rotation[0]), scalar_first=True) * rest.inv() for p in places]
+    forward = np.array([t.apply([1, 0, 0]) for t in turns])
+    towards = -np.array([*where, 0.0]) / np.linalg.norm(where)
+    np.testing.assert_allclose(np.linalg.norm(forward, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose([t.apply([0, 0, 1]) for t in turns], np.tile(UP, (count, 1)), atol=1e-5)
+    np.testing.assert_allclose(forward[0], towards, atol=1e-3)
+    angles = np.sort(np.arctan2(forward[:, 1], forward[:, 0]))
+    np.testing.assert_allclose(np.diff(angles), 2 * np.pi / count, atol=1e-4)
+    ankles = ("l_talocrural", "r_talocrural")
+    for poses in places:
+        centres = np.asarray(jax.jit(joint_centres)(body, poses))
+        feet = np.mean([centres[body.topology.centres.index(a)] for a in ankles], 0)
+        # the axis lies behind the seen surface
+        assert np.linalg.norm(feet[:2] - np.array(where)) < 0.25 and 0 < feet[2] < 0.15
+        assert (feet[:2] - np.array(where)) @ towards[:2] < 0.05
+
+
+def test_a_cloud_right_below_the_sensor_has_headings_too():
+    frame = column(1.75, 0.0, origin=(0.0, 0.0, 3.0))
+    places = standing_places(human(), [frame], FLOOR, 3)
+    assert all(np.isfinite(np.asarray(p.rotation)).all() for p in places)
+
+
+def test_sized():
+    body, frames = human(), [column(1.9, 3.0)] * 4
+    assert float(sized(body, frames, FLOOR, StartSettings(scale=1.6)).scale) == pytest.approx(1.6)
+    assert float(sized(body, frames, FLOOR, StartSettings()).scale) == pytest.approx(1.9, abs=0.03)
+    assert float(sized(body, [], FLOOR, StartSettings()).scale) == pytest.approx(float(body.scale))
+    arm = load_body("arm")
+    low = [column(2 * rest_height(arm), 2.0)] * 3
+    assert float(sized(arm, low, FLOOR, StartSettings()).scale) == pytest.approx(2 * float(arm.scale), rel=0.03)
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 180, 270])
+def test_the_right_heading_is_found(degrees, tmp_path):
+    """A person who stands still with her feet in view, turned anywhere; 180 faces the camera."""
+    body = scaled(human(), 1.8)
+    moved = placed(make_motion(body, "stand", 0.6, 12.0), 3.6, 0.0, np.radians(degrees))
+    sim = simulate(body, moved, tof_camera(1.0, 0.07))
+    tracks = track(human(), read_log(write_simulation(sim, tmp_path / "turned.mcap")), Settings())
+    assert tracks.tracked.all() and abs(float(tracks.body.scale) - 1.8) < 0.035
+    across = lambda joints: joints[:, names.index("l_hip")] - joints[:, names.index("r_hip")]  # noqa: E731
+    names = body.topology.centres
+    found, true = across(tracks.joints), across(sim.joints)
+    cosine = np.sum(found * true, 1) / np.linalg.norm(found, axis=1) / np.linalg.norm(true, axis=1)
+    assert cosine.min() > np.cos(np.radians(20))
+    assert np.linalg.norm(tracks.joints - sim.joints, axis=-1).mean() < 0.03

@@ -1,0 +1,117 @@
+"""A whole recording: people who come late, leave and return, frames without points, empty recordings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from voodoo_jax.body import scaled
+from voodoo_jax.io.body_file import human
+from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.pose import Poses
+from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.settings import Settings
+from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
+from voodoo_jax.tracker import _first_run, track
+from voodoo_jax.tracks import Status
+
+CAMERA = tof_camera(1.0, 0.07)
+NO, YES, GONE = Status.NOT_STARTED, Status.TRACKED, Status.NO_DATA
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """A person who stands still: the recording as read from a log, and the truth."""
+    body = scaled(human(), 1.83)
+    return simulate(body, placed(make_motion(body, "stand", 1.2, 10.0), 3.6, 0.0, np.pi), CAMERA)
+
+
+@pytest.fixture(scope="module")
+def recording(standing, tmp_path_factory) -> Recording:
+    return read_log(write_simulation(standing, tmp_path_factory.mktemp("sim") / "stand.mcap"))
+
+
+@pytest.fixture(scope="module")
+def nobody(standing, tmp_path_factory) -> list[Frame]:
+    """The same room without the person."""
+    body = standing.body
+    behind = Poses(body.rest.rotation, body.rest.translation - np.array([50.0, 0, 0], np.float32))
+    exact = render(body, behind, CAMERA, Room())
+    images = np.stack([add_noise(*exact, CAMERA, TOF_NOISE, np.random.default_rng(i)) for i in range(4)])
+    few = {name: getattr(standing, name)[:4] for name in ("time_ns", "rotation", "translation", "joints")}
+    empty = replace(standing, depth=images, **few)
+    return list(read_log(write_simulation(empty, tmp_path_factory.mktemp("sim") / "empty.mcap")).frames)
+
+
+def joined(recording: Recording, *parts: list[Frame]) -> Recording:
+    """The frames one after the other, at new stamps."""
+    frames = [f for part in parts for f in part]
+    stamped = tuple(replace(f, time_ns=10**18 + 100_000_000 * i) for i, f in enumerate(frames))
+    return replace(recording, frames=stamped)
+
+
+def check(tracks, expected: list[Status], standing, mean: float = 0.02) -> None:
+    """Status frame by frame, and the joint error where the person is tracked."""
+    assert [Status(int(s)) for s in tracks.status] == expected
+    error = np.linalg.norm(tracks.joints - standing.joints[0], axis=-1)[tracks.tracked]
+    assert error.mean() < mean and np.percentile(error, 99) < 0.06
+    # a short absence is bridged by the prediction; of a long one nothing is said
+    gone = np.array(expected) == GONE
+    known = (np.array(expected) == YES) | (gone & (gone.sum() < Settings().track.patience))
+    assert np.isfinite(tracks.joints[known]).all() and np.isnan(tracks.joints[~known]).all()
+
+
+def test_a_person_who_comes_late(recording, nobody, standing):
+    frames = list(recording)
+    tracks = track(human(), joined(recording, nobody * 4, frames))
+    check(tracks, [NO] * 16 + [YES] * len(frames), standing)
+    assert abs(float(tracks.body.scale) - 1.83) < 0.025  # sized from the frames in which there is somebody
+
+
+@pytest.mark.parametrize("away", [2, 16, 44])
+def test_a_person_who_leaves_and_returns(recording, nobody, standing, away):
+    """Shorter than the tracker's patience, longer, and longer than the finder remembers the place."""
+    frames = list(recording)
+    tracks = track(human(), joined(recording, frames, (nobody * 11)[:away], frames))
+    check(tracks, [YES] * len(frames) + [GONE] * away + [YES] * len(frames), standing)
+
+
+def test_a_person_who_leaves_for_good(recording, nobody, standing):
+    frames = list(recording)
+    tracks = track(human(), joined(recording, frames, nobody * 6))
+    check(tracks, [YES] * len(frames) + [GONE] * 24, standing)
+
+
+def test_a_frame_without_points(recording, standing):
+    frames = list(recording)
+    hole = replace(frames[5], points=frames[5].points[:0], sensor=frames[5].sensor[:0])
+    tracks = track(human(), joined(recording, frames[:5], [hole], frames[6:]))
+    check(tracks, [YES] * 5 + [GONE] + [YES] * (len(frames) - 6), standing)
+    assert tracks.points[5] == 0 and tracks.explained[5] == 0
+    # the prediction stands in: nobody jumps in a tenth of a second
+    assert np.linalg.norm(tracks.joints[5] - standing.joints[5], axis=-1).max() < 0.06
+
+
+def test_nobody_and_nothing(recording, nobody):
+    done = []
+    tracks = track(human(), joined(recording, nobody * 3), progress=done.append)
+    assert not tracks.tracked.any() and np.isnan(tracks.joints).all() and sum(done) == 12
+    assert any("not one frame is tracked" in note for note in tracks.notes)
+    tracks = track(human(), joined(recording))
+    assert len(tracks.time_ns) == 0 and tracks.joints.shape == (0, 14, 3)
+
+
+def test_progress_counts_every_frame_once(recording, nobody):
+    done = []
+    frames = list(recording)
+    track(human(), joined(recording, nobody, frames, nobody * 5, frames[:6]), progress=done.append)
+    assert sum(done) == 4 + len(frames) + 20 + 6 and min(done) >= 0
+
+
+@pytest.mark.parametrize(
+    ("mask", "length", "at"),
+    [("0110111", 3, 4), ("0110111", 2, 1), ("0110", 3, 4), ("", 2, 0), ("1", 1, 0), ("11", 3, 2), ("111", 3, 0)],
+)
+def test_first_run(mask, length, at):
+    assert _first_run(np.array([c == "1" for c in mask], bool), length) == at

@@ -1,0 +1,50 @@
+"""Which calibration, and which coordinate frame, belongs to a topic."""
+
+from voodoo_jax.io.contents import Calibration, Image
+from voodoo_jax.io.decode import DEPTH_KINDS
+from voodoo_jax.io.topic import Topic
+
+
+def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:
+    """That of the same frame, else of the same namespace; then the one of the same size."""
+    image: Image = topics[name].sample
+    space = name.rsplit("/", 1)[0]
+    found = []
+    for other, topic in topics.items():
+        c = topic.calibration
+        if c is not None and (c.frame == image.frame or other.rsplit("/", 1)[0] == space):
+            key = (
+                c.frame != image.frame,
+                (c.height, c.width) != image.shape,
+                other.rsplit("/", 1)[0] != space,
+                other,
+            )
+            found.append((key, c))
+    return min(found, key=lambda pair: pair[0])[1] if found else None
+
+
+def camera_of(topics: dict[str, Topic], name: str, frame: str) -> Calibration | None:
+    """The camera of 2D features: that of the same frame, else of the same namespace; without a frame also the
+    only one that is not a depth sensor's, or the only one at all."""
+    space = name.rsplit("/", 1)[0]
+    known = {other: t.calibration for other, t in sorted(topics.items()) if t.calibration is not None}
+    near = {other: c for other, c in known.items() if other.rsplit("/", 1)[0] == space}
+    same = [c for c in (*near.values(), *known.values()) if frame and c.frame == frame]
+    if same or near or frame:
+        return next(iter([*same, *near.values()]), None)
+    depth = [n for n, t in topics.items() if t.kind in DEPTH_KINDS and t.sample is not None]
+    taken = {topics[n].sample.frame for n in depth}
+    taken_topics = {n.rsplit("/", 1)[0] for n in depth}
+    free = [c for o, c in known.items() if c.frame not in taken and o.rsplit("/", 1)[0] not in taken_topics]
+    only = free if len(free) == 1 else list(known.values())
+    return only[0] if len(only) == 1 else None
+
+
+def frame_of(topics: dict[str, Topic], name: str) -> str:
+    """Name of the coordinate frame in which the first measurement of a topic is given."""
+    topic = topics[name]
+    if topic.gathered is None:
+        return topic.sample.frame
+    frame = topic.gathered.frames[0]
+    found = camera_of(topics, name, frame) if topic.kind == "rays" else None
+    return frame or (found.frame if found else "")

@@ -1,0 +1,141 @@
+"""What a decoded message holds, in whatever format it came: clouds, images, calibrations, named features."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from sys import intern
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A point cloud as it lies in the message: `grid` is a structured [row, column] view with fields x, y, z."""
+
+    stamp_ns: int
+    frame: str
+    grid: np.ndarray
+    pose: tuple[np.ndarray, np.ndarray] | None = None  # frame_T_cloud: rotation matrix, translation in metres
+
+    def points(self, max_points: int) -> Float[np.ndarray, "point 3"]:
+        """At most about `max_points` points in metres, in the cloud's own frame; invalid ones still among them."""
+        rows, columns = self.grid.shape
+        if rows > 1 and columns > 1:
+            k = stride(rows, columns, max_points)
+            part = self.grid[::k, ::k]
+        else:
+            part = self.grid.reshape(-1)[:: max(1, -(-self.grid.size // max_points))]
+        return np.stack([part[axis].ravel() for axis in "xyz"], axis=-1).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Image:
+    """A one-channel image of distances along the optical axis, or a reason why it is none."""
+
+    stamp_ns: int
+    frame: str
+    encoding: str
+    shape: tuple[int, int]  # rows, columns
+    raw: np.ndarray | None  # [row, column] view; None if the encoding is none of depth
+    unit: float  # metres per raw unit
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Camera model in OpenCV's terms. K and D describe the raw image, P the rectified one. Pixels."""
+
+    stamp_ns: int
+    frame: str
+    width: int
+    height: int
+    model: str
+    D: Float[np.ndarray, " coefficient"]
+    K: Float[np.ndarray, "3 3"]
+    P: Float[np.ndarray, "3 4"]
+
+
+@dataclass(frozen=True)
+class Features:
+    """Named features of one message: pixels of a camera's image, or 3D points.
+
+    A name of "" stands for the last part of the topic. `suffixes` tell features of one name apart; they are part of
+    the name only where a name repeats.
+    """
+
+    stamp_ns: int  # of the message, else the first of its features; 0: not said
+    names: tuple[str, ...]
+    suffixes: tuple[str, ...]
+    frames: tuple[str, ...]  # "": not said
+    stamps: Int64[np.ndarray, " feature"]  # nanoseconds; 0: not said
+    values: Float[np.ndarray, "feature dim"]  # 2 pixels, or 3 metres; finite
+    scores: Float[np.ndarray, " feature"]  # larger is surer
+
+
+@dataclass(frozen=True)
+class Named:
+    """One feature on its way into `Features`."""
+
+    name: str
+    suffix: str
+    frame: str
+    stamp_ns: int
+    value: Sequence[float] | np.ndarray
+    score: float = 0.0
+
+
+def features(stamp_ns: int, items: Sequence[Named], dim: int) -> Features:
+    """The features of a message, those without usable numbers left out. Raises OverflowError for absurd stamps."""
+    values = np.array([i.value for i in items], float).reshape(-1, dim)
+    stamps = np.array([i.stamp_ns for i in items], np.int64)
+    # NaN fails every comparison; larger numbers are none of metres or pixels, and overflow later.
+    kept: list[int] = np.flatnonzero((np.abs(values) < 1e9).all(axis=1)).tolist()
+    return Features(
+        int(np.int64(stamp_ns)) or int(min(stamps[stamps != 0], default=0)),
+        # The same few texts come with every message: keep one copy of each.
+        tuple(intern(items[i].name) for i in kept),
+        tuple(intern(items[i].suffix) for i in kept),
+        tuple(intern(items[i].frame) for i in kept),
+        stamps[kept],
+        values[kept],
+        np.nan_to_num(np.array([items[i].score for i in kept], float)),
+    )
+
+
+def many(n: int) -> str:
+    """A number of messages, in words."""
+    return "1 message" if n == 1 else f"{n} messages"
+
+
+def stride(rows: int, columns: int, most: int) -> int:
+    """Smallest step in rows and columns that leaves at most `most` pixels."""
+    k = max(1, int(np.sqrt(rows * columns / most)))
+    while -(-rows // k) * -(-columns // k) > most and k < max(rows, columns):
+        k += 1
+    return k
+
+
+def ros_stamp(header: Any) -> int:
+    """Nanoseconds of a std_msgs/Header."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def pb_stamp(m: Any) -> int:
+    """Nanoseconds of a Foxglove message's timestamp; 0 if there is none. Raises OverflowError for absurd ones."""
+    t = getattr(m, "timestamp", None)  # older schemas have fewer timestamps
+    return 0 if t is None else int(np.int64(t.seconds * 1_000_000_000 + t.nanos))
+
+
+def frame_name(name: str) -> str:
+    """Name of a coordinate frame without the leading slash of tf1, which old drivers still write."""
+    return name.lstrip("/")
+
+
+def xyz(v: Any) -> np.ndarray:
+    """A vector message as an array."""
+    return np.array([v.x, v.y, v.z], float)
+
+
+def xyzw(q: Any) -> np.ndarray:
+    """A quaternion message as an array."""
+    return np.array([q.x, q.y, q.z, q.w], float)

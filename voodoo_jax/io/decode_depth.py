@@ -1,0 +1,157 @@
+"""Depth messages of ROS 2 and Foxglove as plain NumPy: clouds, images, laser scans, calibrations, transforms."""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.io.contents import Calibration, Cloud, Image, frame_name, pb_stamp, ros_stamp, xyz, xyzw
+from voodoo_jax.io.transforms import Transform
+
+_DEPTH = {"16UC1": ("u2", 0.001), "MONO16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # pixel type, metres per unit
+# Signed and unsigned are swapped between the two: ROS INT8=1, UINT8=2; Foxglove UINT8=1, INT8=2.
+_ROS_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_FOXGLOVE_FIELDS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
+
+
+def _ros_cloud(m: Any) -> Cloud:
+    fields = {f.name: (_ROS_FIELDS.get(f.datatype), f.offset) for f in m.fields}
+    grid = _grid(m.data, m.height, m.width, m.point_step, m.row_step, fields, ">" if m.is_bigendian else "<")
+    return Cloud(ros_stamp(m.header), frame_name(m.header.frame_id), grid)
+
+
+def _ros_image(m: Any) -> Image:
+    order = ">" if m.is_bigendian else "<"
+    return _image(ros_stamp(m.header), m.header.frame_id, m.encoding, m.height, m.width, m.step, m.data, order)
+
+
+def _ros_laser(m: Any) -> Cloud:
+    ranges = np.array(m.ranges, float)
+    with np.errstate(invalid="ignore"):
+        # Drivers mark "nothing seen" by numbers out of range; a range_max of 0 is one that nobody filled in.
+        ranges[(ranges < m.range_min) | ((ranges > m.range_max) & (m.range_max > 0))] = np.nan
+    grid = _fan(m.angle_min + m.angle_increment * np.arange(len(ranges)), ranges)
+    return Cloud(ros_stamp(m.header), frame_name(m.header.frame_id), grid)
+
+
+def _fan(angles: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """Readings of a laser scanner (radians from x towards y, metres) as the grid of a cloud; NaN: nothing seen."""
+    grid = np.zeros((1, len(ranges)), np.dtype([("x", "f8"), ("y", "f8"), ("z", "f8")]))
+    ranges = np.where(np.isfinite(ranges) & (ranges > 0), ranges, np.nan)
+    grid["x"], grid["y"] = ranges * np.cos(angles), ranges * np.sin(angles)
+    return grid
+
+
+def _ros_calibration(m: Any) -> Calibration:
+    K, P = np.array(m.k, float).reshape(3, 3), np.array(m.p, float).reshape(3, 4)
+    # K describes the full sensor; the image may be a part of it (roi), with pixels added together (binning).
+    bx, by = max(int(m.binning_x), 1), max(int(m.binning_y), 1)
+    for matrix in (K, P):
+        matrix[0, 2] -= m.roi.x_offset
+        matrix[1, 2] -= m.roi.y_offset
+        matrix[0] /= bx
+        matrix[1] /= by
+    width, height = (m.roi.width or m.width) // bx, (m.roi.height or m.height) // by
+    D = np.array(m.d, float)
+    return Calibration(ros_stamp(m.header), frame_name(m.header.frame_id), width, height, m.distortion_model, D, K, P)
+
+
+def _ros_tf(m: Any) -> list[Transform]:
+    return [
+        Transform(
+            ros_stamp(t.header),
+            frame_name(t.header.frame_id),
+            frame_name(t.child_frame_id),
+            xyz(t.transform.translation),
+            xyzw(t.transform.rotation),
+        )
+        for t in m.transforms
+    ]
+
+
+def _foxglove_cloud(m: Any) -> Cloud:
+    fields = {f.name: (_FOXGLOVE_FIELDS.get(f.type), f.offset) for f in m.fields}
+    if m.point_stride <= 0:
+        raise ValueError("point_stride is 0")
+    count = len(m.data) // m.point_stride
+    grid = _grid(m.data, 1, count, m.point_stride, len(m.data), fields, "<")
+    return Cloud(pb_stamp(m), frame_name(m.frame_id), grid, _pose(m))
+
+
+def _pose(m: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    if not m.HasField("pose"):
+        return None
+    q = xyzw(m.pose.orientation)
+    # Protobuf leaves an unset quaternion all zeros.
+    return Rotation.from_quat(q).as_matrix() if np.any(q) else np.eye(3), xyz(m.pose.position)
+
+
+def _foxglove_laser(m: Any) -> Cloud:
+    ranges = np.array(m.ranges, float)
+    grid = _fan(np.linspace(m.start_angle, m.end_angle, len(ranges)), ranges)
+    return Cloud(pb_stamp(m), frame_name(m.frame_id), grid, _pose(m))
+
+
+def _foxglove_image(m: Any) -> Image:
+    return _image(pb_stamp(m), m.frame_id, m.encoding, m.height, m.width, m.step, m.data, "<")
+
+
+def _foxglove_calibration(m: Any) -> Calibration:
+    K = np.array(m.K, float).reshape(3, 3) if m.K else np.zeros((3, 3))
+    P = np.array(m.P, float).reshape(3, 4) if m.P else np.zeros((3, 4))
+    D = np.array(m.D, float)
+    return Calibration(pb_stamp(m), frame_name(m.frame_id), m.width, m.height, m.distortion_model, D, K, P)
+
+
+def _foxglove_transform(m: Any) -> Transform:
+    return Transform(
+        pb_stamp(m), frame_name(m.parent_frame_id), frame_name(m.child_frame_id), xyz(m.translation), xyzw(m.rotation)
+    )
+
+
+def _grid(data: Any, rows: int, columns: int, step: int, row_step: int, fields: dict, order: str) -> np.ndarray:
+    if any(axis not in fields or fields[axis][0] is None for axis in "xyz"):
+        raise ValueError(f"the cloud has no fields x, y, z but {', '.join(fields) or 'none'}")
+    names = list("xyz")
+    formats = [order + str(fields[axis][0]) for axis in names]
+    offsets = [fields[axis][1] for axis in names]
+    dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
+    if rows * columns == 0:
+        return np.empty((0, 0), dtype)
+    if rows == 1 or row_step < columns * step:
+        row_step = columns * step  # some drivers leave row_step at 0
+    if len(data) < (rows - 1) * row_step + columns * step:
+        raise ValueError(f"{len(data)} bytes are too few for {rows} x {columns} points of {step} bytes")
+    return np.ndarray((rows, columns), dtype, buffer=data, strides=(row_step, step))
+
+
+def _image(
+    stamp_ns: int, frame: str, encoding: str, rows: int, columns: int, step: int, data: Any, order: str
+) -> Image:
+    kind, unit = _DEPTH.get(encoding.strip().upper(), ("", 1.0))
+    raw = None
+    if kind:
+        dtype = np.dtype(order + kind)
+        step = max(step, columns * dtype.itemsize)
+        need = (rows - 1) * step + columns * dtype.itemsize
+        if rows * columns == 0 or len(data) < need:
+            raise ValueError(f"{len(data)} bytes are too few for {rows} x {columns} pixels, or the image is empty")
+        raw = np.ndarray((rows, columns), dtype, buffer=data, strides=(step, dtype.itemsize))
+    elif not encoding:
+        raise ValueError("the image names no encoding")
+    return Image(stamp_ns, frame_name(frame), encoding.strip(), (rows, columns), raw, unit)
+
+
+CONVERTERS = {
+    "sensor_msgs/msg/PointCloud2": _ros_cloud,
+    "sensor_msgs/msg/Image": _ros_image,
+    "sensor_msgs/msg/LaserScan": _ros_laser,
+    "sensor_msgs/msg/CameraInfo": _ros_calibration,
+    "tf2_msgs/msg/TFMessage": _ros_tf,
+    "foxglove.PointCloud": _foxglove_cloud,
+    "foxglove.RawImage": _foxglove_image,
+    "foxglove.LaserScan": _foxglove_laser,
+    "foxglove.CameraCalibration": _foxglove_calibration,
+    "foxglove.FrameTransform": lambda m: [_foxglove_transform(m)],
+    "foxglove.FrameTransforms": lambda m: [_foxglove_transform(t) for t in m.transforms],
+}

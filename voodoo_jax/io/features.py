@@ -1,0 +1,141 @@
+"""Named features to frames: rays through calibrated cameras and 3D points, in the fixed frame. Plans, reads nothing."""
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from voodoo_jax.io import camera
+from voodoo_jax.io.cameras import camera_of
+from voodoo_jax.io.contents import Calibration
+from voodoo_jax.io.frames import join, period_of
+from voodoo_jax.io.scan import Scan
+from voodoo_jax.io.transforms import HOLD_NS
+from voodoo_jax.recording import Pairs, Rays
+
+
+@dataclass
+class FeaturePlan:
+    """Rays and pairs by number of the frame, the topics that gave them, and what was left out, one sentence each."""
+
+    rays: dict[int, Rays] = field(default_factory=dict)
+    pairs: dict[int, Pairs] = field(default_factory=dict)
+    topics: tuple[str, ...] = ()
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """Features of one topic in the fixed frame, at most one of a name in each frame."""
+
+    frame: Int64[np.ndarray, " feature"]  # number of the frame
+    names: tuple[str, ...]
+    origins: Float[np.ndarray, "feature 3"]  # of the camera or the coordinate frame, metres
+    values: Float[np.ndarray, "feature 3"]  # unit directions, or metres
+
+
+def plan_features(scan: Scan, fixed: str, topics: list[str], times: Int64[np.ndarray, " frame"]) -> FeaturePlan:
+    """Gives each feature of the topics to the frame with the nearest stamp (`times`, increasing, nanoseconds).
+
+    Of one name and topic a frame gets one: the nearest in time, then the one with the highest score.
+    """
+    plan = FeaturePlan()
+    parts: dict[str, list[_Placed]] = {"rays": [], "pairs": []}
+    used = []
+    for name in sorted(topics):
+        counted: Counter[str] = Counter()
+        placed = _place(scan, fixed, name, times, counted)
+        if isinstance(placed, str):
+            plan.notes.append(f"'{name}' is left out: {placed}.")
+            continue
+        plan.notes += [f"'{name}': {n} {'feature' if n == 1 else 'features'} {what}." for what, n in counted.items()]
+        if placed.names:
+            used.append(name)
+            parts[scan.uses[name]].append(placed)
+    for i, names, origins, directions in _by_frame(parts["rays"]):
+        plan.rays[i] = Rays(names, origins, directions)
+    for i, names, _, points in _by_frame(parts["pairs"]):
+        plan.pairs[i] = Pairs(names, points)
+    plan.topics = tuple(used)
+    return plan
+
+
+def _by_frame(parts: list[_Placed]):
+    """(frame, names, origins, values) for each frame with features, topics in order."""
+    if not parts:
+        return
+    frame = np.concatenate([p.frame for p in parts])
+    order = np.argsort(frame, kind="stable")
+    names = [name for p in parts for name in p.names]
+    origins = np.concatenate([p.origins for p in parts])[order].astype(np.float32)
+    values = np.concatenate([p.values for p in parts])[order].astype(np.float32)
+    numbers, starts = np.unique(frame[order], return_index=True)
+    for i, a, b in zip(numbers.tolist(), starts, [*starts[1:], len(order)]):
+        yield i, tuple(names[k] for k in order[a:b]), origins[a:b], values[a:b]
+
+
+def _place(scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counter[str]) -> _Placed | str:
+    """The features of a topic, or why it cannot be used; counts what is left out."""
+    found = scan.topics[name].gathered
+    assert found is not None
+    sources, values = np.array(found.frames, object), found.values
+    if scan.uses[name] == "rays":
+        sources, values = _rays(scan, name, counted)
+    known = sorted(set(sources))
+    connected = [frame for frame in known if scan.tree.connected(frame, fixed)]
+    if not connected:
+        return f"no transform between {', '.join(repr(f) for f in known)} and '{fixed}'"
+    nearest, joins = join(times, period_of(times), found.stamps)
+    if not joins.all():
+        counted["left out, near no frame in time"] += int((~joins).sum())
+    kept = np.flatnonzero(joins & np.isfinite(values).all(axis=1))
+    number = {n: i for i, n in enumerate(dict.fromkeys(found.names))}
+    key = nearest[kept] * len(number) + np.array([number[found.names[k]] for k in kept], np.int64)
+    # Of equal frame and name the nearest in time comes first, then the surest, then the first read.
+    order = np.lexsort((-found.scores[kept], np.abs(times[nearest] - found.stamps)[kept], key))
+    _, first = np.unique(key[order], return_index=True)
+    kept = np.sort(kept[order[first]])
+    origins, turned, there = np.zeros((len(kept), 3)), np.zeros((len(kept), 3)), np.zeros(len(kept), bool)
+    groups: dict[tuple[str, int], list[int]] = {}
+    for i, k in enumerate(kept.tolist()):
+        groups.setdefault((str(sources[k]), int(found.stamps[k])), []).append(i)
+    for (frame, stamp), rows in groups.items():
+        pose = scan.tree.lookup(fixed, frame, stamp)
+        if pose is None:
+            why = f"no transform from '{frame}' to '{fixed}' within {HOLD_NS / 1e9:g} s of the stamp"
+            counted[f"left out, {why}"] += len(rows)
+            continue
+        there[rows] = True
+        origins[rows] = pose[1]
+        turned[rows] = values[kept[rows]] @ pose[0].T + (0.0 if scan.uses[name] == "rays" else pose[1])
+    names = tuple(found.names[k] for k in kept[there])
+    return _Placed(nearest[kept[there]], names, origins[there], turned[there])
+
+
+def _rays(scan: Scan, name: str, counted: Counter[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Frame of the camera and unit direction in it for each 2D feature of a topic; NaN where there is none."""
+    found = scan.topics[name].gathered
+    assert found is not None
+    sources, directions = np.array(found.frames, object), np.full((len(found.names), 3), np.nan)
+    for frame in set(found.frames):
+        rows = np.flatnonzero(np.array(found.frames, object) == frame)
+        c = camera_of(scan.topics, name, frame)
+        if c is None:
+            counted[f"left out, no calibration for frame '{frame}'"] += len(rows)
+            continue
+        sources[rows] = frame or c.frame
+        K, D = _lens(name, c)
+        x = np.column_stack([camera.undistort(found.values[rows], K, D, c.model), np.ones(len(rows))])
+        directions[rows] = x / np.linalg.norm(x, axis=1, keepdims=True)
+        if lost := int(np.isnan(x).any(axis=1).sum()):
+            counted["left out, where the lens model cannot be inverted"] += lost
+    return sources, directions
+
+
+def _lens(topic: str, c: Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """K and D for pixels of a topic: by ROS custom those of a topic with `rect` in its name have no lens left."""
+    if re.search(r"(^|[/_])(image_)?rect(ified)?([/_]|$)", topic) and c.P[0, 0] > 0:
+        return c.P[:, :3], np.zeros(0)
+    return c.K, c.D

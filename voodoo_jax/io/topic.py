@@ -1,0 +1,29 @@
+"""What the first pass over a log learns of each topic."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from voodoo_jax.io.contents import Calibration, Features
+from voodoo_jax.io.gather import Gathered
+
+DEPTH_USES = ("depth image", "point cloud", "laser scan")
+
+
+@dataclass
+class Topic:
+    """What the first pass learns of a topic."""
+
+    type: str
+    encoding: str
+    kind: str
+    why_not: str
+    stamps: list[int] = field(default_factory=list)
+    log_times: list[int] = field(default_factory=list)
+    sample: Any = None  # first message that could be decoded
+    error: str = ""  # why the first broken message could not be
+    broken: int = 0
+    calibration: Calibration | None = None
+    features: list[Features] = field(default_factory=list)  # one per entry of log_times
+    gathered: Gathered | None = None  # all of them, for a topic of features
+    count: int = 0
+    stated: int = 0  # number of messages by the file's own statistics

@@ -1,0 +1,99 @@
+"""What replay can use each topic of a log for."""
+
+from voodoo_jax.io import camera
+from voodoo_jax.io.cameras import calibration_of, camera_of
+from voodoo_jax.io.container import LogError
+from voodoo_jax.io.contents import Image
+from voodoo_jax.io.decode import DEPTH_KINDS, FEATURE_KINDS
+from voodoo_jax.io.topic import DEPTH_USES, Topic
+from voodoo_jax.settings import ReadSettings
+
+
+def decide_uses(path: str, topics: dict[str, Topic], settings: ReadSettings, notes: list[str]) -> dict[str, str]:
+    """What each topic is used as, or "not used: <reason>"; a camera that gives an image and a cloud is used once.
+
+    Raises LogError if a topic that `settings` name is not in the log.
+    """
+    uses = {}
+    for name, topic in topics.items():
+        uses[name] = topic.kind if topic.kind in ("calibration", "transforms") else f"not used: {topic.why_not}"
+        if topic.kind in DEPTH_KINDS:
+            uses[name] = _depth_use(topics, name)
+    for name, topic in topics.items():  # after the depth sensors, whose calibrations are not for features
+        if topic.kind in FEATURE_KINDS:
+            uses[name] = _feature_use(topics, name)
+    if settings.topics:
+        depth = [name for name, use in uses.items() if use in DEPTH_USES]
+        for name in settings.topics:
+            if name not in depth:
+                why = f" ({uses[name]})" if name in uses else ""
+                raise LogError(f"'{path}' has no depth topic '{name}'{why}. It has: {', '.join(depth) or 'none'}.")
+        return {n: "not used: not among the topics asked for" if n in depth and n not in settings.topics else use
+                for n, use in uses.items()}  # fmt: skip
+    order = {"depth image": 0, "point cloud": 1}  # a laser scanner shadows nothing
+    seen: dict[str, str] = {}
+    ranked = sorted((n for n in uses if uses[n] in order), key=lambda n: (_is_mono(topics, n), order[uses[n]], n))
+    for name in ranked:
+        frame = topics[name].sample.frame
+        # Two clouds of one frame may be two sensors given in a common frame, so only images shadow others.
+        first = seen.get(frame)
+        if first and (uses[first] == "depth image" or _is_mono(topics, name)):
+            uses[name] = f"not used: the same camera as '{first}' (frame '{frame}')"
+            notes.append(f"'{name}' is left out: it is the same camera as '{first}' (frame '{frame}').")
+        seen.setdefault(frame, name)
+    return uses
+
+
+def _is_mono(topics: dict[str, Topic], name: str) -> bool:
+    sample = topics[name].sample
+    return isinstance(sample, Image) and sample.encoding.upper() == "MONO16"
+
+
+def _empty(topic: Topic) -> str:
+    """Why nothing of a topic can be read; "" if something can."""
+    if topic.count == 0:
+        if topic.stated:
+            return f"not used: none of its {topic.stated} messages can be read"
+        return "not used: no messages"
+    return "" if topic.sample is not None else f"not used: no message can be decoded ({topic.error})"
+
+
+def _feature_use(topics: dict[str, Topic], name: str) -> str:
+    topic, found = topics[name], topics[name].gathered
+    if empty := _empty(topic):
+        return empty
+    if found is None or not found.names:
+        return "not used: nothing is named in its messages"
+    if topic.kind == "rays":
+        cameras = {frame: camera_of(topics, name, frame) for frame in sorted(set(found.frames))}
+        if not any(cameras.values()):
+            frames = ", ".join(f"frame '{f}'" if f else "its topic" for f in cameras)
+            return f"not used: 2D features without calibration (none for {frames})"
+        for c in filter(None, cameras.values()):
+            try:
+                camera.pixel_rays(c.K, c.D, c.model, 2, 2)
+            except ValueError as error:
+                return f"not used: 2D features whose calibration is unusable: {error}"
+    return topic.kind
+
+
+def _depth_use(topics: dict[str, Topic], name: str) -> str:
+    topic = topics[name]
+    if empty := _empty(topic):
+        return empty
+    if topic.kind in ("point cloud", "laser scan"):
+        return topic.kind
+    if topic.sample.raw is None:
+        return f"not used: encoding {topic.sample.encoding} is not a depth image"
+    tokens = name.lower().replace("/", "_").split("_")
+    if _is_mono(topics, name) and {"ir", "infra", "infra1", "infra2", "infrared", "amplitude", "intensity"} & {*tokens}:
+        return "not used: brightness, to judge by its name"
+    calibration = calibration_of(topics, name)
+    if calibration is None:
+        return f"not used: a depth image without calibration (none for frame '{topic.sample.frame}')"
+    try:
+        # A small part is enough to learn whether the lens model is known.
+        camera.pixel_rays(calibration.K, calibration.D, calibration.model, 2, 2)
+    except ValueError as error:
+        return f"not used: a depth image whose calibration is unusable: {error}"
+    return "depth image"

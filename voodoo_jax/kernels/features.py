@@ -1,0 +1,74 @@
+"""Named features: lines of sight through a point of the body, and measured places of such points (Knoop 2007, 5.2).
+
+A place is a line without direction, so that both are one formula: the measured point is the closest one on the line.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from voodoo_jax.body import Body
+from voodoo_jax.pose import Poses, rotate, unrotate
+
+
+class Features(eqx.Module):
+    """One frame's named features (or a batch of frames), padded. A padded entry has weight zero."""
+
+    point: Int[Array, "*frame feature"]  # row of `named_points`
+    origin: Float[Array, "*frame feature 3"]  # a point of the line, or the measured place; world frame, metres
+    direction: Float[Array, "*frame feature 3"]  # unit vector of the line; zero: a place
+    weight: Float[Array, "*frame feature"]
+
+
+class FeatureOptions(eqx.Module):
+    """Wrong detections happen: one must not throw a limb off."""
+
+    robust_scale: Float[Array, ""]  # metres
+    max_distance: Float[Array, ""]  # metres
+
+
+def named_points(body: Body) -> tuple[Int[Array, " name"], Float[Array, "name 3"]]:
+    """Limb and place in the limb frame (metres) of every feature point, then of every joint centre of the body."""
+    limbs = jnp.array((*body.topology.site_limbs, *body.topology.centre_limbs), int)
+    return limbs, jnp.concatenate([body.sites, body.centres])
+
+
+class FeatureSums(eqx.Module):
+    """What the features add to the limbs' problems."""
+
+    moments: Float[Array, "limb 4 4"]  # sum of w [1, c] [1, p]^T, limb frame
+    normals: Float[Array, "limb 6 6"]  # Gauss-Newton: only what is across the line counts
+    rhs: Float[Array, "limb 6"]
+    squares: Float[Array, ""]  # weighted sum of squared distances, square metres
+    weight: Float[Array, " limb"]
+
+
+def feature_sums(body: Body, poses: Poses, features: Features, options: FeatureOptions) -> FeatureSums:
+    """Pairs of all features with their points of the body, robustly weighted, summed per limb."""
+    limbs, places = named_points(body)
+    limb, c = limbs[features.point], places[features.point]
+    pose = poses[limb]
+    world = rotate(pose.rotation, c) + pose.translation
+    d = features.direction
+    along = jnp.sum(d * (world - features.origin), -1, keepdims=True)
+    gap = features.origin + d * along - world
+    e2 = jnp.sum(gap * gap, -1)
+    robust = (1 / (1 + e2 / options.robust_scale**2)) ** 2
+    w = jnp.where(e2 <= options.max_distance**2, robust * features.weight, 0.0)
+
+    gap_limb, d_limb = unrotate(pose.rotation, gap), unrotate(pose.rotation, d)
+
+    def one(w, c, gap, d):
+        x, y, z = c
+        # derivative of the point by the limb's twist (turn, shift), across the line
+        jacobian = jnp.array([[0, z, -y, 1, 0, 0], [-z, 0, x, 0, 1, 0], [y, -x, 0, 0, 0, 1]])
+        across = jacobian - d[:, None] * jnp.sum(d[:, None] * jacobian, 0)
+        normal = w * jnp.sum(across[:, :, None] * across[:, None, :], 0)
+        ones = jnp.ones(1, c.dtype)
+        moment = w * jnp.concatenate([ones, c])[:, None] * jnp.concatenate([ones, c + gap])[None]
+        return moment, normal, w * jnp.sum(across * gap[:, None], 0)
+
+    moment, normal, rhs = jax.vmap(one)(w, c, gap_limb, d_limb)
+    add = lambda values: jnp.zeros((body.limb_count, *values.shape[1:]), values.dtype).at[limb].add(values)  # noqa: E731
+    return FeatureSums(add(moment), add(normal), add(rhs), jnp.sum(w * e2), add(w))
