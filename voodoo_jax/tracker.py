@@ -54,13 +54,14 @@ class _Run:
         """State after the best trial from frame `at`, and its cost."""
         s: StartSettings = self.settings.start
         frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
+        # backwards in time, so that the trials end where tracking begins
+        frames = frames[::-1]
         chunk = pad_frames(frames, self.capacity, s.frames, None, self.sensors)
         places = standing_places(self.body, frames, self.scene.floor, s.headings)
         starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
         features = pad_features(frames, s.frames, self.feature_capacity, self.names)
-        trial = run_trials(self.body, self.options, starts, chunk.points, jnp.asarray(chunk.seconds), features)
+        trial = run_trials(self.body, self.options, starts, chunk.points, jnp.abs(chunk.seconds), features)
         best = int(np.argmin(np.asarray(trial.cost)))
-        # standing still: the trial ends some frames later than it begins
         return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses)), float(trial.cost[best])
 
     def chunk(self, state: State, at: int) -> tuple[State, Step, int]:

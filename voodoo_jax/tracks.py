@@ -14,7 +14,7 @@ class Status(IntEnum):
 
     TRACKED = 0  # the body explains the person's points
     NOT_STARTED = 1  # before the tracker found somebody; poses are NaN
-    NO_DATA = 2  # no points on the person in this frame; poses are predicted
+    NO_DATA = 2  # no points on the person in this frame; poses are predicted, or NaN if the person is gone for longer
     LOST = 3  # the body does not explain the points; poses are the best guess
 
 
