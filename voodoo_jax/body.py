@@ -24,7 +24,7 @@ class Topology(NamedTuple):
     centre_limbs: tuple[int, ...]  # [centre] limb that carries it
     sites: tuple[str, ...]  # named feature points on the body
     site_limbs: tuple[int, ...]  # [site]
-    segments: tuple[tuple[str, str, str], ...]  # (segment name, centre, centre): reported lengths, same names averaged
+    segments: tuple[tuple[str, str, str], ...]  # (segment, end, end): reported lengths between joints or centres
 
 
 class Body(eqx.Module):
@@ -97,11 +97,16 @@ def site_points(body: Body, poses: Poses) -> Float[Array, "site 3"]:
 
 
 def segment_lengths(body: Body) -> dict[str, float]:
-    """Distance between the joint centres of each named segment in the rest pose, metres; left and right averaged."""
-    centres = joint_centres(body, body.rest)
-    index = {name: i for i, name in enumerate(body.topology.centres)}
+    """Length of each named segment in the rest pose, metres; left and right averaged.
+
+    Between joints of the model where the ends are joints: reported joint centres are shifted to where people's lie when
+    the model fits their surface, which is right for places and not for lengths.
+    """
+    ends = dict(zip(body.topology.centres, joint_centres(body, body.rest)))
+    parents = jnp.array(body.topology.parents, int)
+    ends |= dict(zip(body.topology.joints, apply(body.rest[parents], body.parent_anchor.translation)))
     found: dict[str, list[float]] = {}
     for name, start, end in body.topology.segments:
-        length = jnp.sqrt(jnp.sum((centres[index[start]] - centres[index[end]]) ** 2))
+        length = jnp.sqrt(jnp.sum((ends[start] - ends[end]) ** 2))
         found.setdefault(name, []).append(float(length))
     return {name: sum(values) / len(values) for name, values in found.items()}

@@ -94,7 +94,7 @@ class SolveSettings:
     """coupled: all limbs and bands in one Gauss-Newton step; per_limb: the papers' way, limb by limb."""
     damping: float = 1e-4
     """Levenberg-Marquardt damping of the coupled solver, as a share of the diagonal."""
-    max_steps: int = 20
+    max_steps: int = 30
     """Most ICP steps per frame (the papers: 6 online, 3 to 15 in general)."""
     epsilon: float = 1e-7
     """Stop when the mean squared distance changes by less, square metres."""

@@ -27,7 +27,7 @@ HEADER = """\
 #             both 0: universal, one 0: hinge about the other, none 0: elliptic; x_axis, z_axis (child_x_axis,
 #             child_z_axis): directions of the ellipse's frame, default those of the body; weight: default 1.
 # [[centre]]  a joint centre that tracks report, carried by a limb. [[site]]: a feature point.
-# [[segment]] a length to report, between two centres; equal names are averaged.
+# [[segment]] a length to report, between two joints or centres; equal names are averaged.
 """
 # kind of table: (keys it must have, keys it may have)
 KEYS = {
@@ -126,11 +126,12 @@ def parse_body(text: str, source: str = "<text>") -> Body:
 
     centre_limbs, centre_points = carried("centre")
     site_limbs, site_points = carried("site")
-    ends = [(t.index("from", centres, "centre"), t.index("to", centres, "centre")) for t in tables["segment"]]
+    known = (*joints, *centres)
+    ends = [tuple(t.index(key, known, "joint or centre") for key in ("from", "to")) for t in tables["segment"]]
     topology = Topology(
         limbs=limbs, joints=joints, parents=parents, children=children, centres=centres, centre_limbs=centre_limbs,
         sites=sites, site_limbs=site_limbs,
-        segments=tuple((t.name, centres[i], centres[j]) for t, (i, j) in zip(tables["segment"], ends)),
+        segments=tuple((t.name, known[i], known[j]) for t, (i, j) in zip(tables["segment"], ends)),
     )  # fmt: skip
     array = lambda x, *shape: jnp.array(np.array(x, np.float64).reshape(shape), jnp.float32)  # noqa: E731
     return Body(
