@@ -14,7 +14,7 @@ from voodoo_jax.icp import IcpOptions
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.pose import Poses, compose, quat_exp
 from voodoo_jax.settings import SolveSettings, TrackSettings
-from voodoo_jax.track import options_from
+from voodoo_jax.tracking import options_from
 
 # settings are being tuned elsewhere: the tests state their own
 SOLVE = SolveSettings(

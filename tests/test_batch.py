@@ -12,7 +12,7 @@ from helpers import SOLVE, all_finite, seen_points, two_limbs
 from voodoo_jax.batch import BUCKETS, bucket, pad_frames
 from voodoo_jax.person import PersonFrame
 from voodoo_jax.settings import TrackSettings
-from voodoo_jax.track import at_rest, options_from, track_chunk
+from voodoo_jax.tracking import at_rest, options_from, track_chunk
 
 SENSOR = np.array([[2.0, 0.4, 0.5]], np.float32)
 

@@ -11,7 +11,7 @@ RIM = ("mcap", "trimesh", "matplotlib", "rosbags", "foxglove_schemas_protobuf")
 @pytest.mark.parametrize(
     "modules,forbidden",
     [
-        (("kernels.correspond", "kernels.coupled", "icp", "track"), RIM),
+        (("kernels.correspond", "kernels.coupled", "icp", "tracking"), RIM),
         (("recording", "settings", "person"), (*RIM, "jax")),
     ],
 )

@@ -20,17 +20,19 @@ if TYPE_CHECKING:
     from voodoo_jax.io.mcap_log import read_log as read_log
     from voodoo_jax.io.mcap_log import survey as survey
     from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
-    from voodoo_jax.picture import picture as picture
+    from voodoo_jax.picture import picture
     from voodoo_jax.picture import show as show
     from voodoo_jax.recording import Recording as Recording
-    from voodoo_jax.replay import replay as replay
+    from voodoo_jax.replay import replay
     from voodoo_jax.settings import Settings as Settings
     from voodoo_jax.tracker import track as track
     from voodoo_jax.tracks import Tracks as Tracks
 
     read_tracks, write_tracks = read_tracks_npz, write_tracks_npz
+    save_picture, replay_logs = picture, replay
 
-# name -> (module, name there); imported on first use, so that the command's --help need not wait for jax
+# name -> (module, name there); imported on first use, so that the command's --help need not wait for jax.
+# No name may be that of a module here: importing the module would take its place.
 _PUBLIC = {
     "Body": ("body", "Body"),
     "LogError": ("io.mcap_log", "LogError"),
@@ -39,11 +41,11 @@ _PUBLIC = {
     "Tracks": ("tracks", "Tracks"),
     "human": ("io.body_file", "human"),
     "load_body": ("io.body_file", "load_body"),
-    "picture": ("picture", "picture"),
     "read_body": ("io.body_file", "read_body"),
     "read_log": ("io.mcap_log", "read_log"),
     "read_tracks": ("io.tracks_file", "read_tracks_npz"),
-    "replay": ("replay", "replay"),
+    "replay_logs": ("replay", "replay"),
+    "save_picture": ("picture", "picture"),
     "show": ("picture", "show"),
     "survey": ("io.mcap_log", "survey"),
     "track": ("tracker", "track"),

@@ -9,7 +9,7 @@ from voodoo_jax.body import Topology
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.person import PersonFrame
-from voodoo_jax.settings import FeatureSettings
+from voodoo_jax.settings import FeatureSettings, check_pairs
 
 # Point capacities; a program is compiled once for each that occurs.
 BUCKETS = (256, 512, 1024, 2048, 4096, 8192)
@@ -30,25 +30,20 @@ def bucket(count: int, buckets: tuple[int, ...] = BUCKETS) -> int:
     return next((b for b in buckets if b >= count), buckets[-1])
 
 
-def _entries(words: tuple[str, ...]) -> dict[str, str]:
-    """ "a=b" words as a dictionary. Raises ValueError for a word without "="."""
-    wrong = [w for w in words if "=" not in w]
-    if wrong:
-        raise ValueError(f"features: '{wrong[0]}' must look like name=value")
-    return dict(w.split("=", 1) for w in words)
-
-
 class FeatureNames:
     """Which point of the body each name in a log is, and what it weighs; names that are neither are counted."""
 
     def __init__(self, topology: Topology, settings: FeatureSettings):
         points = {name: i for i, name in enumerate((*topology.sites, *topology.centres))}
         # a site and a joint centre of one name: the centre, which tracks report
-        alias = _entries(settings.names)
+        alias = check_pairs("features.names", settings.names, numbers=False)
         self.point = {**points, **{name: points[target] for name, target in alias.items() if target in points}}
-        self.weights = {name: float(value) for name, value in _entries(settings.weights).items()}
+        self.weights = {
+            name: float(value) for name, value in check_pairs("features.weights", settings.weights, True).items()
+        }
         self.weight = settings.weight
-        self.unknown: dict[str, int] = {}
+        self.unknown: dict[str, int] = {}  # name -> how often it came
+        self.left_out = 0  # features beyond the capacity
 
     def find(self, name: str) -> tuple[int, float] | None:
         """Row of kernels.features.named_points and weight; None for a name that the body does not have."""
@@ -81,19 +76,26 @@ def pad_features(frames: list[PersonFrame], length: int, capacity: int, names: F
         rows = [(n, rays.origins[k], rays.directions[k]) for k, n in enumerate(rays.names)]
         rows += [(n, pairs.points[k], np.zeros(3)) for k, n in enumerate(pairs.names)]
         known = [(found, o, d) for n, o, d in rows if (found := names.find(n)) is not None]
+        names.left_out += max(0, len(known) - capacity)
         for k, ((row, w), o, d) in enumerate(known[:capacity]):
             point[i, k], weight[i, k], origin[i, k], direction[i, k] = row, w, o, d
     return Features(jnp.asarray(point), jnp.asarray(origin), jnp.asarray(direction), jnp.asarray(weight))
 
 
 def pad_frames(
-    frames: list[PersonFrame], capacity: int, length: int, previous_ns: int | None, sensors: int, seed: int = 0
+    frames: list[PersonFrame],
+    capacity: int,
+    length: int,
+    previous_ns: int | None,
+    sensors: int,
+    most: int | None = None,
 ) -> Chunk:
     """Pads `frames` to `length` frames of `capacity` points each.
 
-    More points than the capacity are thinned at random, the same way on every run; how many is counted. Padded points
+    More points than `most` (the capacity) are thinned at random, the same way on every run, and counted. Padded points
     lie on the first sensor with weight zero (pitfall P7: finite, never NaN).
     """
+    most = capacity if most is None else min(most, capacity)
     xyz = np.zeros((length, capacity, 3), np.float32)
     weight = np.zeros((length, capacity), np.float32)
     sensor = np.zeros((length, capacity), np.int32)
@@ -103,11 +105,11 @@ def pad_frames(
     for i, frame in enumerate(frames):
         n = len(frame.points)
         chosen = np.arange(n)
-        if n > capacity:
+        if n > most:
             # seeded by the stamp: the choice does not depend on how a recording is cut into chunks
-            rng = np.random.default_rng((seed, frame.time_ns & 0xFFFFFFFFFFFF))
-            chosen = np.sort(rng.permutation(n)[:capacity])
-            left_out += n - capacity
+            rng = np.random.default_rng(frame.time_ns & 0xFFFFFFFFFFFF)
+            chosen = np.sort(rng.permutation(n)[:most])
+            left_out += n - most
         m = len(chosen)
         origins[i] = frame.origins
         xyz[i] = frame.origins[0]

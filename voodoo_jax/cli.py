@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional, arg, subcommand
 
-from voodoo_jax.settings import Settings, SettingsError, check_settings, read_settings, settings_text
+from voodoo_jax.settings import ReadSettings, Settings, SettingsError, check_settings, read_settings, settings_text
 
 BODY_HELP = "Body to track: human, human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
@@ -39,6 +39,7 @@ class Info:
 
     logs: Positional[tuple[Path, ...]]
     """MCAP logs."""
+    read: ReadSettings = field(default_factory=ReadSettings)
 
 
 @dataclass(frozen=True)
@@ -73,19 +74,24 @@ def run_replay(command: Replay) -> int:
     try:
         body = load_body(command.body)
         outcomes = replay(command.logs, command.out, body, command.settings)
+    except FileExistsError:
+        print(f"voodoo-jax replay: --out '{command.out}' is a file; name a folder", file=sys.stderr)
+        return 2
     except (BodyFileError, ValueError, OSError) as problem:
         print(f"voodoo-jax replay: {problem}", file=sys.stderr)
         return 2
     if command.picture:
-        from voodoo_jax.io.mcap_log import read_log
-        from voodoo_jax.picture import picture
+        from voodoo_jax.replay import draw
 
         for outcome in outcomes:
             if outcome.tracks is not None:
                 path = output_paths(outcome.path, command.out)[0]
                 target = path.with_name(path.name.removesuffix(".tracks.npz") + ".png")
-                picture(outcome.tracks, read_log(outcome.path, command.settings.read), target)
-                print(f"wrote {target}")
+                try:
+                    draw(outcome.tracks, target, command.settings)
+                    print(f"wrote {target}")
+                except (ValueError, OSError) as problem:
+                    print(f"voodoo-jax replay: no picture of {outcome.path}: {problem}", file=sys.stderr)
     failed = [o for o in outcomes if not o.ok]
     frames = sum(len(o.tracks.time_ns) for o in outcomes if o.tracks)
     print(f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked, {frames} frames, results in {command.out}")
@@ -104,7 +110,7 @@ def run_info(command: Info) -> int:
     status = 0
     for path in command.logs:
         try:
-            print(survey(path))
+            print(survey(path, command.read))
         except LogError as problem:
             print(f"voodoo-jax info: {problem}", file=sys.stderr)
             status = 1
@@ -131,11 +137,19 @@ def _config_flag(argv: list[str]) -> Path | None:
 def main(argv: list[str] | None = None) -> int:
     """Entry point; the exit status."""
     argv = sys.argv[1:] if argv is None else argv
+    if argv == ["--version"]:
+        from voodoo_jax import __version__
+
+        print(f"voodoo-jax {__version__}")
+        return 0
     try:
         path = _config_flag(argv)
         base = read_settings(path) if path else Settings()
-    except (SettingsError, OSError) as problem:
+    except SettingsError as problem:
         print(f"voodoo-jax: {problem}", file=sys.stderr)
+        return 2
+    except OSError as problem:
+        print(f"voodoo-jax: cannot read the settings file {path}: {problem.strerror}", file=sys.stderr)
         return 2
     if argv[:1] == ["replay"]:
 
@@ -152,6 +166,14 @@ def main(argv: list[str] | None = None) -> int:
             return 2
     else:
         command = tyro.cli(Command, prog="voodoo-jax", args=argv or ["--help"])
+    try:
+        return _run(command, base)
+    except KeyboardInterrupt:
+        print("voodoo-jax: interrupted; finished logs are complete", file=sys.stderr)
+        return 130
+
+
+def _run(command: "Replay | Info | Demo | Config", base: Settings) -> int:
     if isinstance(command, Replay):
         return run_replay(command)
     if isinstance(command, Info):

@@ -35,6 +35,7 @@ def demo(out: Path) -> int:
         for name, error in zip(truth["names"], np.nanmean(errors, 0)):
             print(f"  {name:16s} {100 * error:5.1f} cm")
         print(f"  {'all joints':16s} {100 * np.nanmean(errors):5.1f} cm")
+        print("(The simulated person is made of the tracker's own kind of limbs: on real people expect 2 to 4 cm.)")
         target = Path(out) / "demo.png"
         picture(outcome.tracks, read_log(log), target, truth=_on_frames(outcome.tracks, truth))
     print(f"\nLook at {target}: cloud and tracked body side by side; crosses are the truth.")

@@ -124,7 +124,7 @@ def solve_frame(
     """Repeats the step until the quality measure changes by less than epsilon, or max_steps is reached (sec. 3.2).
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed (pitfall P9).
-    `capacity` bounds `max_steps` at compile time.
+    `capacity` bounds the steps of all kinds but "lax" at compile time.
     """
 
     def unfinished(state):
@@ -139,7 +139,8 @@ def solve_frame(
 
     huge = jnp.array(jnp.inf, start.translation.dtype)
     state = (start, huge, huge, jnp.array(0, jnp.int32))
-    poses, quality, previous, steps = eqxi.while_loop(unfinished, body, state, max_steps=capacity, kind=kind)
+    most = None if kind == "lax" else capacity
+    poses, quality, previous, steps = eqxi.while_loop(unfinished, body, state, max_steps=most, kind=kind)
     return FrameResult(poses, steps, jnp.abs(previous - quality) < problem.options.epsilon)
 
 

@@ -154,7 +154,7 @@ def point_spacing(points: Float32[np.ndarray, "point 3"], origin: Float32[np.nda
     """Angle between neighbouring points as seen from the sensor, radians (median)."""
     rays = points - origin
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.median(KDTree(rays).query(rays[:: max(1, len(rays) // 2000)], k=[2])[0]))
+    return float(np.median(KDTree(rays).query(rays[:: max(1, len(rays) // 2000)], k=2)[0][:, 1]))
 
 
 def without_strays(
@@ -166,7 +166,7 @@ def without_strays(
     """
     if len(points) < 5:
         return np.zeros(len(points), bool)
-    third = KDTree(points).query(points, k=[4])[0][:, 0]
+    third = KDTree(points).query(points, k=4)[0][:, 3]
     return third < 0.02 + 3 * spacing * np.linalg.norm(points - origin, axis=1)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
@@ -24,6 +24,11 @@ STATUS_WORDS: dict[int, str] = {
 }
 LABELS = {"cloud": "cloud, from the sensor", "front": "body, from the sensor", "side": "body, from the side"}
 RING = 32  # points on each end ellipse
+
+
+def spread(length: int, count: int) -> Int[np.ndarray, " chosen"]:
+    """Indices of `count` evenly spaced frames of `length`."""
+    return np.unique(np.linspace(0, length - 1, max(1, min(count, length))).round().astype(int))
 
 
 def picture(
@@ -63,8 +68,7 @@ def show(
         raise ValueError(f"nothing to draw: {recording.path} or its tracks have no frame")
     if truth is not None and len(truth) != len(tracks.time_ns):
         raise ValueError(f"truth has {len(truth)} frames, the tracks have {len(tracks.time_ns)}")
-    count = max(1, min(frames, len(tracks.time_ns)))
-    chosen = np.unique(np.linspace(0, len(tracks.time_ns) - 1, count).round().astype(int))
+    chosen = spread(len(tracks.time_ns), frames)
     stamps = np.array([frame.time_ns for frame in recording])
     nearest = [recording.frames[int(np.abs(stamps - tracks.time_ns[i]).argmin())] for i in chosen]
     middle, axes3 = _view(tracks, recording, nearest)
@@ -189,5 +193,5 @@ def _colours(count: int) -> list:
     """One colour per limb, neighbours in the list well apart."""
     from matplotlib import colormaps
 
-    table = colormaps["tab10"]
-    return [table(i % 10) for i in range(count)]
+    table = colormaps["tab20"]
+    return [table(i % 20) for i in range(count)]

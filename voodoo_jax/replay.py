@@ -34,12 +34,14 @@ class Outcome:
         t = self.tracks
         share = 100 * float(t.tracked.mean()) if len(t.tracked) else 0.0
         residual = np.nanmean(t.residual) * 1000 if np.isfinite(t.residual).any() else float("nan")
-        speed = len(t.time_ns) / t.seconds if t.seconds else float("nan")
+        speed = len(t.time_ns) / t.seconds if t.seconds > 0 else float("nan")
         size = f"{t.body.scale_name} {float(t.body.scale):.3f} m"
         line = (
             f"{name}: {len(t.time_ns)} frames, {share:.1f} % tracked, residual {residual:.1f} mm, {size}, "
             f"{speed:.0f} frames/s"
         )
+        if t.compile_seconds > 0.5:
+            line += f" after {t.compile_seconds:.0f} s of compiling"
         if not self.ok:
             line += "; NOTHING TRACKED"
         return "\n".join([line, *(f"    {note}" for note in self.notes)])
@@ -75,6 +77,18 @@ def track_log(path: str | os.PathLike[str], body: Body, settings: Settings, bar:
     return track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, progress)
 
 
+def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4) -> None:
+    """Writes a picture of some frames of a tracked log, reading it once more but keeping these frames only."""
+    from voodoo_jax.io.mcap_log import open_log
+    from voodoo_jax.picture import picture, spread
+    from voodoo_jax.recording import Recording
+
+    log = open_log(tracks.source, settings.read)
+    wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
+    frames = tuple(frame for frame in log.frames() if frame.time_ns in wanted)
+    picture(tracks, Recording(log.path, log.fixed_frame, log.up, log.sensors, frames), target, count)
+
+
 def replay(
     logs: Iterable[str | os.PathLike[str]],
     out: str | os.PathLike[str],
@@ -104,12 +118,12 @@ def replay(
     parameters = {f"{stage}.{k}": str(v) for stage, values in asdict(settings).items() for k, v in values.items()}
     outcomes: list[Outcome] = []
     for number, path in enumerate(logs, 1):
-        with tqdm(desc=f"{number}/{len(logs)} {path.name}", unit="frame", disable=quiet, leave=False) as bar:
+        with tqdm(desc=f"{number}/{len(logs)} {path.name}", unit="frame", disable=quiet or None, leave=False) as bar:
             try:
                 tracks = track_log(path, body, settings, bar)
                 npz, mcap = output_paths(path, out)
-                write_tracks_npz(tracks, npz)
                 write_tracks_mcap(tracks, mcap, parameters)
+                write_tracks_npz(tracks, npz)  # last: where it is, both are
                 outcome = Outcome(str(path), tracks, notes=tracks.notes)
             except LogError as problem:
                 outcome = Outcome(str(path), None, str(problem))

@@ -162,6 +162,8 @@ def _check(stage: str, f: Field, value: Any) -> Any:
     if isinstance(default, tuple):
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
             raise SettingsError(f"{name} = {value!r}: must be a list of texts")
+        if name in _PAIRS:
+            check_pairs(name, tuple(value), numbers=name == "features.weights")
         return tuple(value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
@@ -169,7 +171,25 @@ def _check(stage: str, f: Field, value: Any) -> Any:
         raise SettingsError(f"{name} = {value!r}: must be {_WORDS[type(default)]}, such as {default!r}")
     if isinstance(value, (int, float)) and not isinstance(value, bool) and not value >= 0:
         raise SettingsError(f"{name} = {value!r}: must not be negative")
+    low, high = _BOUNDS.get(name, (0, float("inf")))
+    if isinstance(value, (int, float)) and not low <= value <= high:
+        most = f" and at most {high}" if high < float("inf") else ""
+        raise SettingsError(f"{name} = {value!r}: must be at least {low}{most}")
     return value
+
+
+def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, str]:
+    """Words like "face=10" as a dictionary. Raises SettingsError."""
+    for word in words:
+        key, _, value = word.partition("=")
+        try:
+            good = bool(key and value) and (not numbers or float(value) >= 0)
+        except ValueError:
+            good = False
+        if not good:
+            wanted = "name=number, such as face=10" if numbers else "name=point, such as face=sellion"
+            raise SettingsError(f"{name}: '{word}' must look like {wanted}")
+    return dict(word.split("=", 1) for word in words)
 
 
 def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) -> "Settings":
@@ -243,5 +263,18 @@ _STAGES: dict[str, type] = {
     "features": FeatureSettings,
     "solve": SolveSettings,
     "track": TrackSettings,
+}
+_PAIRS = ("features.names", "features.weights")
+_BOUNDS: dict[str, tuple[float, float]] = {
+    "read.max_points": (1, float("inf")),
+    "person.points": (1, 8192),
+    "start.headings": (1, 360),
+    "start.frames": (1, 1000),
+    "start.size_frames": (1, 10_000),
+    "features.robust_scale": (1e-4, float("inf")),
+    "solve.max_steps": (1, 10_000),
+    "solve.robust_scale": (1e-4, float("inf")),
+    "track.patience": (1, 1_000_000),
+    "track.chunk": (1, 100_000),
 }
 _WORDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}

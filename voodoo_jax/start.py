@@ -13,7 +13,7 @@ from voodoo_jax.kernels.features import Features
 from voodoo_jax.person import PersonFrame, Plane, point_spacing
 from voodoo_jax.pose import Poses, compose
 from voodoo_jax.settings import StartSettings
-from voodoo_jax.track import State, TrackOptions, at_rest, track_frame
+from voodoo_jax.tracking import State, TrackOptions, at_rest, track_frame
 
 
 def rest_height(body: Body) -> float:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, islice
 
 import jax
+import jax.monitoring
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float32
@@ -16,7 +17,7 @@ from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.settings import Settings, StartSettings
 from voodoo_jax.start import rest_height, run_trials, sized, standing_places
-from voodoo_jax.track import State, Step, TrackOptions, at_rest, options_from, track_chunk
+from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, options_from, track_chunk
 from voodoo_jax.tracks import Status, Tracks
 
 Progress = Callable[[int], None]
@@ -39,6 +40,22 @@ def find_person(
     return scene, without_furniture(people, scene.floor.normal)
 
 
+_compiling = [0.0]
+
+
+def _count_compiling(event: str, duration_secs: float, **_: str | int) -> None:
+    if event.startswith("/jax/core/compile/"):
+        _compiling[0] += duration_secs
+
+
+jax.monitoring.register_event_duration_secs_listener(_count_compiling)
+
+
+def _compile_clock() -> float:
+    """Seconds that jax has spent on tracing and compiling in this process."""
+    return _compiling[0]
+
+
 class _Run:
     """Tracks one recording's person frames with one body."""
 
@@ -46,6 +63,7 @@ class _Run:
         self.body, self.options, self.people, self.scene, self.settings = body, options, people, scene, settings
         self.sensors = len(people[0].origins) if people else 1
         self.capacity = bucket(settings.person.points)
+        self.left_out = 0  # points beyond settings.person.points
         self.names = FeatureNames(body.topology, settings.features)
         most = max((len(f.rays.names) + len(f.pairs.names) for f in people), default=0)
         self.feature_capacity = bucket(most, FEATURE_BUCKETS)
@@ -56,7 +74,7 @@ class _Run:
         frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
         # backwards in time, so that the trials end where tracking begins
         frames = frames[::-1]
-        chunk = pad_frames(frames, self.capacity, s.frames, None, self.sensors)
+        chunk = pad_frames(frames, self.capacity, s.frames, None, self.sensors, self.settings.person.points)
         places = standing_places(self.body, frames, self.scene.floor, s.headings)
         starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
         features = pad_features(frames, s.frames, self.feature_capacity, self.names)
@@ -69,9 +87,10 @@ class _Run:
         length = self.settings.track.chunk
         frames = self.people[at : at + length]
         previous = self.people[at - 1].time_ns if at else None
-        padded = pad_frames(frames, self.capacity, length, previous, self.sensors)
+        padded = pad_frames(frames, self.capacity, length, previous, self.sensors, self.settings.person.points)
         seconds, valid = jnp.asarray(padded.seconds), jnp.asarray(padded.valid)
         features = pad_features(frames, length, self.feature_capacity, self.names)
+        self.left_out += padded.left_out
         state, step = track_chunk(self.body, self.options, state, padded.points, seconds, valid, features)
         return state, jax.tree.map(np.asarray, step), len(frames)
 
@@ -117,7 +136,7 @@ def track_person(
     progress: Progress | None = None,
 ) -> Tracks:
     """Tracks a body through frames in which it was already told apart from its surroundings (see find_person)."""
-    began = time.perf_counter()
+    began, compiled = time.perf_counter(), _compile_clock()
     count, limbs = len(people), body.limb_count
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     at = int(np.argmax(enough)) if enough.any() else count
@@ -169,7 +188,8 @@ def track_person(
     poses = Poses(jnp.asarray(out["rotation"]), jnp.asarray(out["translation"]))
     joints = np.asarray(jax.jit(jax.vmap(joint_centres, (None, 0)))(body, poses)) if count else np.zeros((0, 0, 3))
     joints = joints.reshape(count, len(body.topology.centres), 3).astype(np.float32)
-    seconds = time.perf_counter() - began
+    compiling = _compile_clock() - compiled
+    seconds = time.perf_counter() - began - compiling
     stamps = np.array([f.time_ns for f in people], np.int64)
     return Tracks(
         source,
@@ -178,15 +198,24 @@ def track_person(
         stamps,
         joints=joints,
         seconds=seconds,
-        notes=tuple(notes) + _notes(scene, out),
+        compile_seconds=compiling,
+        notes=tuple(notes) + _notes(run, out),
         **out,
     )
 
 
-def _notes(scene: Scene, out: dict[str, np.ndarray]) -> tuple[str, ...]:
+def _notes(run: _Run, out: dict[str, np.ndarray]) -> tuple[str, ...]:
     notes = []
-    if not scene.floor_seen:
+    if not run.scene.floor_seen:
         notes.append("No floor was seen: its height was taken from the fixed frame or from the lowest points.")
     if len(out["status"]) and np.all(out["status"] == Status.NOT_STARTED):
         notes.append("Nothing of the body's height was found: not one frame is tracked.")
+    total = int(out["points"].sum())
+    if run.left_out:
+        share, most = 100 * run.left_out / total, run.settings.person.points
+        notes.append(f"{share:.0f} % of the body's points were thinned out (person.points = {most} per frame).")
+    for name, count in run.names.unknown.items():
+        notes.append(f"Feature '{name}' was not used ({count} times): features.names gives it no point of this body.")
+    if run.names.left_out:
+        notes.append(f"{run.names.left_out} features were left out: more in a frame than there is room for.")
     return tuple(notes)

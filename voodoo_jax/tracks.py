@@ -35,7 +35,8 @@ class Tracks:
     steps: Int32[np.ndarray, " frame"]  # ICP steps taken
     points: Int32[np.ndarray, " frame"]  # points given to the tracker
     limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
-    seconds: float = 0.0  # time spent on tracking, without reading and writing
+    seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
+    compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())
 
     @property

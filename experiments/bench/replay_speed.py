@@ -34,8 +34,8 @@ from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.person import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Settings
-from voodoo_jax.track import Step, at_rest, options_from, track_chunk
 from voodoo_jax.tracker import find_person, track_person
+from voodoo_jax.tracking import Step, at_rest, options_from, track_chunk
 from voodoo_jax.tracks import Tracks
 
 ROOT = Path(__file__).parents[2]

@@ -3,7 +3,6 @@
 import numpy as np
 from jaxtyping import Float
 
-_NO_LENS = ("", "none", "pinhole")
 _BROWN = ("plumb_bob", "rational_polynomial", "brown_conrady", "modified_brown_conrady", "radial_tangential", "radtan")
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4")
 

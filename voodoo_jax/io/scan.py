@@ -50,9 +50,7 @@ class Scan:
         self.notes: list[str] = []
         self.log_times: tuple[int, int] | None = None
         self._decoder = Decoder()
-        self._off = (() if settings.features else FEATURE_KINDS) + (
-            () if getattr(settings, "laser", False) else ("laser scan",)
-        )
+        self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
         # Without statistics the only way to know the number of messages is to read them all.
         everything = self.log.declared is None
         wanted = lambda s, c: everything or bool(self.kind(s, c))  # noqa: E731

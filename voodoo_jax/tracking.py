@@ -20,7 +20,6 @@ class TrackOptions(eqx.Module):
 
     icp: IcpOptions
     damping: Float[Array, ""]  # share of the velocity that goes on
-    lost_explained: Float[Array, ""]
 
 
 class State(NamedTuple):
@@ -40,7 +39,6 @@ class Step(NamedTuple):
     feature_residual: Float[Array, ""]  # root of the weighted mean squared distance of the features, metres; 0: none
     limb_weight: Float[Array, " limb"]
     steps: Int[Array, ""]
-    converged: Bool[Array, ""]
     points: Int[Array, ""]
 
 
@@ -69,7 +67,7 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
         damping=number(solve.damping),
         solver=solve.solver,
     )
-    return TrackOptions(icp, number(track.damping), number(track.lost_explained))
+    return TrackOptions(icp, number(track.damping))
 
 
 def at_rest(poses: Poses) -> State:
@@ -121,7 +119,7 @@ def track_frame(
     moving = (seconds > 0) & good
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
-    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, solved.converged, count)
+    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count)
     return State(poses, spin, velocity), step
 
 
