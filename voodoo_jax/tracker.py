@@ -185,6 +185,7 @@ def track_person(
             tried = at + patience
         if progress is not None:
             progress(keep)
+    out["residual"][out["status"] == Status.NO_DATA] = np.nan
     poses = Poses(jnp.asarray(out["rotation"]), jnp.asarray(out["translation"]))
     joints = np.asarray(jax.jit(jax.vmap(joint_centres, (None, 0)))(body, poses)) if count else np.zeros((0, 0, 3))
     joints = joints.reshape(count, len(body.topology.centres), 3).astype(np.float32)
