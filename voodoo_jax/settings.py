@@ -128,6 +128,8 @@ class TrackSettings:
 
     damping: float = 0.7
     """Share of the last frame's velocity that is expected to go on (0: stand still, 1: constant velocity)."""
+    prior_interval: float = 0.035
+    """Over longer intervals between frames the pull to the prediction weakens with the square of the time, seconds."""
     lost_explained: float = 0.6
     """Less than this share of the person's points explained: the frame counts as lost."""
     patience: int = 15
@@ -274,6 +276,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "features.robust_scale": (1e-4, float("inf")),
     "solve.max_steps": (1, 10_000),
     "solve.robust_scale": (1e-4, float("inf")),
+    "track.prior_interval": (1e-4, float("inf")),
     "track.patience": (1, 1_000_000),
     "track.chunk": (1, 100_000),
 }

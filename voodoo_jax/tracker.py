@@ -78,7 +78,9 @@ class _Run:
         places = standing_places(self.body, frames, self.scene.floor, s.headings)
         starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
         features = pad_features(frames, s.frames, self.feature_capacity, self.names)
-        trial = run_trials(self.body, self.options, starts, chunk.points, jnp.abs(chunk.seconds), features)
+        # the interval by which the pull to the prediction is set: loose trials would bend to any heading
+        seconds = jnp.minimum(jnp.abs(chunk.seconds), self.options.prior_interval)
+        trial = run_trials(self.body, self.options, starts, chunk.points, seconds, features)
         best = int(np.argmin(np.asarray(trial.cost)))
         return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses)), float(trial.cost[best])
 

@@ -20,6 +20,7 @@ class TrackOptions(eqx.Module):
 
     icp: IcpOptions
     damping: Float[Array, ""]  # share of the velocity that goes on
+    prior_interval: Float[Array, ""]  # seconds; over longer intervals the pull to the prediction weakens
 
 
 class State(NamedTuple):
@@ -67,7 +68,7 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
         damping=number(solve.damping),
         solver=solve.solver,
     )
-    return TrackOptions(icp, number(track.damping))
+    return TrackOptions(icp, number(track.damping), number(track.prior_interval))
 
 
 def at_rest(poses: Poses) -> State:
@@ -93,7 +94,10 @@ def track_frame(
 ) -> tuple[State, Step]:
     """Tracks one frame: predict, solve, measure how well it went."""
     predicted = predict(state, seconds, options.damping)
-    problem = Problem.build(body, points, predicted, options.icp, features)
+    # a prediction over a longer interval is worth less: its error grows with the square of the time
+    late = jnp.maximum(seconds / options.prior_interval, 1.0)
+    icp = eqx.tree_at(lambda o: o.prior, options.icp, options.icp.prior / jnp.minimum(late**2, 16.0))
+    problem = Problem.build(body, points, predicted, icp, features)
     solved = solve_frame(predicted, problem)
     count = jnp.sum(points.weight > 0)
     any_feature = jnp.array(False) if features is None else jnp.any(features.weight > 0)
