@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.io.atomic import replacing
 from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.tracks import Status, Tracks
 
@@ -41,12 +42,8 @@ def picture(
     """Writes a PNG of `frames` evenly spaced frames (see `show`) and returns its path. Raises OSError, ValueError."""
     path = Path(path)
     figure = show(tracks, recording, frames, truth)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=110)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 

@@ -68,8 +68,8 @@ class _Run:
         most = max((len(f.rays.names) + len(f.pairs.names) for f in people), default=0)
         self.feature_capacity = bucket(most, FEATURE_BUCKETS)
 
-    def start(self, at: int) -> tuple[State, float]:
-        """State after the best trial from frame `at`, and its cost."""
+    def start(self, at: int) -> State:
+        """State after the best trial from frame `at`."""
         s: StartSettings = self.settings.start
         frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
         # backwards in time, so that the trials end where tracking begins
@@ -82,7 +82,7 @@ class _Run:
         seconds = jnp.minimum(jnp.abs(chunk.seconds), self.options.prior_interval)
         trial = run_trials(self.body, self.options, starts, chunk.points, seconds, features)
         best = int(np.argmin(np.asarray(trial.cost)))
-        return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses)), float(trial.cost[best])
+        return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses))
 
     def chunk(self, state: State, at: int) -> tuple[State, Step, int]:
         """Tracks up to one chunk of frames from `at`; the number tracked."""
@@ -161,7 +161,7 @@ def track_person(
         progress(at)
     while at < count:
         if state is None:
-            state, _ = run.start(at)
+            state = run.start(at)
         after, step, taken = run.chunk(state, at)
         status = _status(step, settings.track.lost_explained)[:taken]
         # gone or lost for long: stop here and look anew
