@@ -90,6 +90,7 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     named = None
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)
+        measured = measured + named.moments
         limb_weight, squares = limb_weight + named.weight, squares + named.squares
         total = total + jnp.sum(problem.features.weight)
     total = jnp.maximum(total, 1e-6)
@@ -100,18 +101,17 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
         middle, poses, problem.predicted, options.prior * total, options.prior_radius
     )
     if options.solver == "coupled":
-        normals, rhs = jax.vmap(pair_normals)(measured + pull, second + pull_second)
-        if named is not None:  # normals of their own: their moments hold motion along a line of sight too
+        # the features' own normals: their moments hold motion along a line of sight too
+        fixed = measured if named is None else measured - named.moments
+        normals, rhs = jax.vmap(pair_normals)(fixed + pull, second + pull_second)
+        if named is not None:
             normals, rhs = normals + named.normals, rhs + named.rhs
         topology = body.topology
         ends = strength[jnp.array(topology.parents, int)] + strength[jnp.array(topology.children, int)]
         motion = coupled_step(topology, problem.bands, poses, normals, rhs, ends / 2, options.damping)
     else:
         held = band_moments(body.topology, problem.bands, poses, strength)
-        pairs = measured + held + pull
-        if named is not None:
-            pairs = pairs + named.moments
-        solved = jax.vmap(align)(pairs)
+        solved = jax.vmap(align)(measured + held + pull)
         motion = solved.rotation, solved.translation
     moved = compose(poses, Poses(*motion))
     quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
