@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Bool, Float32, Int, Int32
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -180,10 +180,23 @@ class PersonFrame:
     origins: Float32[np.ndarray, "sensor 3"]
     rays: Rays = field(default_factory=Rays)
     pairs: Pairs = field(default_factory=Pairs)
+    part: Int32[np.ndarray, " point"] | None = None  # as in Frame
+    parts: tuple[str, ...] = ()
+    weight: Float32[np.ndarray, " point"] | None = None
 
     def only(self, keep: np.ndarray) -> "PersonFrame":
         """The frame with some of its points: a mask or indices."""
-        return replace(self, points=self.points[keep], sensor=self.sensor[keep])
+        part = None if self.part is None else self.part[keep]
+        weight = None if self.weight is None else self.weight[keep]
+        return replace(self, points=self.points[keep], sensor=self.sensor[keep], part=part, weight=weight)
+
+
+def whole(frame: Frame) -> PersonFrame:
+    """A frame with all its points."""
+    return PersonFrame(
+        frame.time_ns, frame.points, frame.sensor, frame.origins, frame.rays, frame.pairs, frame.part, frame.parts,
+        frame.weight,
+    )  # fmt: skip
 
 
 class PersonFinder:
@@ -226,8 +239,7 @@ class PersonFinder:
             self.unseen += 1
             if self.unseen > s.forget:
                 self.last = None  # gone: look everywhere again
-        mine = frame.points[index], frame.sensor[index]
-        return PersonFrame(frame.time_ns, *mine, frame.origins, frame.rays, frame.pairs)
+        return whole(frame).only(index)
 
     def _choose(self, points) -> Bool[np.ndarray, " point"]:
         if len(points) < 30:

@@ -14,6 +14,7 @@ class Rays:
     names: tuple[str, ...] = ()  # as the log calls the features: "face", "left_hand", ...
     origins: Float32[np.ndarray, "ray 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # metres
     directions: Float32[np.ndarray, "ray 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # unit
+    weights: Float32[np.ndarray, " ray"] | None = None  # of the source, times the name's weight; None: all 1
 
 
 @dataclass(frozen=True)
@@ -22,13 +23,15 @@ class Pairs:
 
     names: tuple[str, ...] = ()  # as the log calls them
     points: Float32[np.ndarray, "pair 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # metres
+    weights: Float32[np.ndarray, " pair"] | None = None  # of the source, times the name's weight; None: all 1
 
 
 @dataclass(frozen=True)
 class Frame:
     """What all sensors measured at one time, in the recording's fixed frame.
 
-    `points` are `free` points in the sense of Knoop 2007 sec. 5.1: nobody has said yet whether they belong to the body.
+    `points` are of three kinds (Knoop 2007, sec. 5.1): `free`, nobody has said yet whether they belong to the body;
+    `body`, somebody has; `limb`, even to which limb.
     """
 
     time_ns: int  # stamp of the leading sensor (message header), nanoseconds
@@ -37,6 +40,9 @@ class Frame:
     origins: Float32[np.ndarray, "sensor 3"]  # where each sensor stood, metres
     rays: Rays = field(default_factory=Rays)
     pairs: Pairs = field(default_factory=Pairs)
+    part: Int32[np.ndarray, " point"] | None = None  # index in `parts`, -1: free; None: all free
+    parts: tuple[str, ...] = ()  # "body", or names of limbs
+    weight: Float32[np.ndarray, " point"] | None = None  # None: all 1, as a depth camera's (2007, sec. 6)
 
 
 @dataclass(frozen=True)
