@@ -135,6 +135,25 @@ def foxglove_cloud(stamp_ns: int, frame: str, points: np.ndarray, pose: tuple | 
     return m
 
 
+def with_field(cloud: Any, name: str, values: np.ndarray) -> Any:
+    """The cloud of one row with one more field of one number per point, behind the others."""
+    values = np.asarray(values)
+    ros = hasattr(cloud, "header")
+    data = cloud.data if ros else np.frombuffer(cloud.data, np.uint8)
+    raw = np.hstack([data.reshape(len(values), -1), values[:, None].view(np.uint8)])
+    code = values.dtype.kind + str(values.dtype.itemsize)
+    if ros:
+        kinds = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+        field_type = T["sensor_msgs/msg/PointField"]
+        cloud.fields.append(field_type(name, cloud.point_step, kinds[code], 1))
+        cloud.point_step, cloud.row_step, cloud.data = raw.shape[1], raw.size, raw.ravel()
+    else:
+        kinds = {"u1": 1, "i1": 2, "u2": 3, "i2": 4, "u4": 5, "i4": 6, "f4": 7, "f8": 8}
+        cloud.fields.add(name=name, offset=cloud.point_stride, type=kinds[code])
+        cloud.point_stride, cloud.data = raw.shape[1], raw.tobytes()
+    return cloud
+
+
 def foxglove_image(stamp_ns: int, frame: str, metres: np.ndarray, encoding: str = "16UC1") -> Any:
     image = ros_image(stamp_ns, frame, metres, encoding, padding=6)
     m = RawImage_pb2.RawImage(frame_id=frame, width=image.width, height=image.height, encoding=encoding)

@@ -8,7 +8,7 @@ from helpers import cast, random_like, random_rotations, scipy_rotation, turned,
 
 from voodoo_jax.body import Body, bands
 from voodoo_jax.io.body_file import load_body
-from voodoo_jax.kernels.bands import band_moments, prior_moments
+from voodoo_jax.kernels.bands import link_moments, prior_moments
 from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, apply, compose, inverse, quat_exp
 
@@ -37,8 +37,8 @@ def test_special_cases(axes, count, points):
     used = np.asarray(found.weights[0]) > 0
     assert used.sum() == count
     np.testing.assert_allclose(found.weights[0][used], 0.7 / count, rtol=1e-6)
-    np.testing.assert_allclose(found.parent_points[0][used], np.array(points) + [0, 0, 0.4], atol=1e-6)
-    np.testing.assert_allclose(found.child_points[0][used], points, atol=1e-6)
+    np.testing.assert_allclose(found.first_points[0][used], np.array(points) + [0, 0, 0.4], atol=1e-6)
+    np.testing.assert_allclose(found.second_points[0][used], points, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["human", "human10", "arm", "dog"])
@@ -50,8 +50,8 @@ def test_weights_and_rest_pose(name):
     ends = [
         apply(body.rest[jnp.array(limbs)][:, None], points)
         for limbs, points in (
-            (body.topology.parents, found.parent_points),
-            (body.topology.children, found.child_points),
+            (body.topology.parents, found.first_points),
+            (body.topology.children, found.second_points),
         )
     ]
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-5)
@@ -62,10 +62,10 @@ def test_moments_are_explicit_pairs_on_both_limbs(x64, rng):
     poses = turned(rng, body.rest, 0.05, 20)
     strength = jnp.asarray(rng.uniform(0.5, 2, body.limb_count))
     held = bands(body)
-    found = band_moments(body.topology, held, poses, strength)
+    found = link_moments(held, poses, strength)
     lists = [[] for _ in range(body.limb_count)]
     for j, (parent, child) in enumerate(zip(body.topology.parents, body.topology.children)):
-        for w, on_parent, on_child in zip(held.weights[j], held.parent_points[j], held.child_points[j]):
+        for w, on_parent, on_child in zip(held.weights[j], held.first_points[j], held.second_points[j]):
             seen = lambda own, point, other: apply(inverse(poses[own]), apply(poses[other], point))  # noqa: E731
             lists[parent].append((w * strength[parent], on_parent, seen(parent, on_child, child)))
             lists[child].append((w * strength[child], on_child, seen(child, on_parent, parent)))
@@ -83,7 +83,7 @@ def relax(body: Body, poses: Poses, steps: int) -> Poses:
     inertia = [moments_of_pairs([(0.5, o + [0, 0, m], o + [0, 0, m]) for o in offsets]) for m in middles]
 
     def step(_, poses):
-        total = band_moments(body.topology, held, poses, jnp.ones_like(body.sizes[:, 0]))
+        total = link_moments(held, poses, jnp.ones_like(body.sizes[:, 0]))
         motion = jax.vmap(align)(total + jnp.array(inertia))
         return compose(poses, Poses(motion.rotation, motion.translation))
 
@@ -96,8 +96,8 @@ def gaps(body: Body, poses: Poses) -> np.ndarray:
     ends = [
         apply(poses[jnp.array(limbs)][:, None], points)
         for limbs, points in (
-            (body.topology.parents, held.parent_points),
-            (body.topology.children, held.child_points),
+            (body.topology.parents, held.first_points),
+            (body.topology.children, held.second_points),
         )
     ]
     return np.linalg.norm(np.asarray(ends[0] - ends[1]), axis=-1)[np.asarray(held.weights) > 0]

@@ -13,6 +13,7 @@ from voodoo_jax.person import (
     Plane,
     Scene,
     components,
+    fair_share,
     find_scene,
     person_frames,
     without_furniture,
@@ -238,3 +239,119 @@ def test_frames_come_one_by_one():
 
     stream = person_frames(source(), finder)
     assert len(next(stream).points) > 100 and asked == [0]
+
+
+def known(free, sure, names: tuple[str, ...] = ("body",), part: int = 0, i: int = 0) -> Frame:
+    """A frame of free points and of points that are assigned to one part."""
+    points = np.concatenate([np.asarray(free, np.float32).reshape(-1, 3), np.asarray(sure, np.float32)])
+    parts = np.repeat([-1, part], [len(free), len(sure)]).astype(np.int32)
+    both = frame(points, i)
+    return Frame(both.time_ns, both.points, both.sensor, both.origins, part=parts, parts=names)
+
+
+def shares(got, *clouds) -> list[float]:
+    """Share of each cloud's points that are among those found."""
+    if not len(got.points):
+        return [0.0 for _ in clouds]
+    return [float((cKDTree(got.points).query(c.astype(np.float32))[0] < 1e-5).mean()) for c in clouds]
+
+
+def test_assigned_points_pass_all_tests():
+    """Below the floor's margin, on a wall, alone, in the background: somebody knows better."""
+    scene = Scene(FLOOR, (Plane(np.array([1, 0, 0], np.float32), 3.0),), True)
+    lone = np.array([[2.5, 0, 0.01], [3.0, 0.5, 1.0], [1.0, -2.0, 1.5]])
+    got = PersonFinder(scene, 1.75, PersonSettings())(known(np.zeros((0, 3)), lone))
+    np.testing.assert_array_equal(got.points, lone.astype(np.float32))
+    assert got.part is not None and got.part.tolist() == [0, 0, 0] and got.parts == ("body",)
+    with_others = PersonFinder(scene, 1.75, PersonSettings())(known(figure(2.5, 0.0), lone, ("head", "body"), 1))
+    assert with_others.part is not None and (with_others.part == 1).sum() == 3 and len(with_others.points) > 1000
+
+
+def test_what_assigned_points_touch_is_the_person():
+    """A hand says which of two people it is, and that a low thing is somebody who sits."""
+    scene, settings = Scene(FLOOR, (), True), PersonSettings()
+    big, small = figure(2.5, 0.8, radius=0.25), figure(2.5, -0.8)
+    alone = PersonFinder(scene, 1.75, settings)(frame(np.concatenate([big, small])))
+    assert shares(alone, small[small[:, 2] > 0.05]) == [0.0]
+    hand = small[np.abs(small[:, 2] - 1.0) < 0.1] + np.array([-0.05, 0, 0])
+    finder = PersonFinder(scene, 1.75, settings)
+    got = finder(known(np.concatenate([big, small]), hand, ("l_forearm",)))
+    of_big, of_small, of_hand = shares(got, big, small[small[:, 2] > 0.05], hand)
+    assert of_big == 0 and of_small > 0.99 and of_hand == 1
+    later = finder(frame(np.concatenate([big, small]), 1))  # followed without the hand too
+    assert shares(later, big)[0] == 0 and shares(later, small[small[:, 2] > 0.05])[0] > 0.99
+    sitting = figure(2.5, 0.0, 0.9)
+    assert len(PersonFinder(scene, 1.75, settings)(frame(sitting)).points) == 0
+    face = sitting[sitting[:, 2] > 0.8]
+    assert shares(PersonFinder(scene, 1.75, settings)(known(sitting, face, ("head",))), sitting[20:])[0] > 0.9
+
+
+def test_assigned_points_say_that_the_person_is_somewhere_else():
+    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+    wrong, right = figure(2.5, -1.5), figure(2.5, 1.5)
+    assert shares(finder(frame(np.concatenate([wrong, right * [1, 1, 0.7]]))), wrong)[0] > 0.9
+    got = finder(known(np.concatenate([wrong, right]), right[right[:, 2] > 1.5], ("head",)))
+    assert shares(got, wrong)[0] == 0 and shares(got, right)[0] > 0.9
+
+
+def test_frames_with_a_limb_only_do_not_forget_the_rest():
+    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+    person = figure(2.5, 0.0)
+    hand = person[np.abs(person[:, 2] - 1.0) < 0.1]
+    finder(frame(person))
+    for i in range(5):
+        assert shares(finder(known(np.zeros((0, 3)), hand, ("l_forearm",), i=1 + i)), hand) == [1.0]
+    assert shares(finder(frame(person, 7)), person[person[:, 2] > 0.05])[0] > 0.99
+
+
+def test_a_log_of_assigned_points_only():
+    """No floor or wall is made of the person, and nothing of her is lost on the way."""
+    person = box(1.5, 0.0, 3.0, 1.7)  # as flat and wide as a wall
+    frames = [known(np.zeros((0, 3)), person, i=i) for i in range(12)]
+    scene = find_scene(frames[:5], np.array([0, 0, 1], np.float32), up_is_sure=False)
+    assert not scene.floor_seen and scene.walls == () and scene.floor.offset == pytest.approx(0.0, abs=0.03)
+    people = list(person_frames(frames, PersonFinder(scene, 1.75, PersonSettings())))
+    for got in without_furniture(people, scene.floor.normal):
+        np.testing.assert_array_equal(got.points, person.astype(np.float32))
+
+
+def test_furniture_keeps_assigned_points():
+    chair = box(2.5, -0.35, 0.3, 0.6).astype(np.float32)
+    frames = []
+    for f in walking(40, chair, 0.0, 0.04):
+        part = np.where(np.arange(len(f.points)) >= len(f.points) - 5, 0, -1).astype(np.int32)
+        frames.append(PersonFrame(f.time_ns, f.points, f.sensor, f.origins, part=part, parts=("body",)))
+    for got in without_furniture(frames, FLOOR.normal):
+        assert got.part is not None and (got.part == 0).sum() == 5
+        assert (cKDTree(chair).query(got.points[got.part == -1])[0] < 1e-5).sum() == 0
+
+
+@pytest.mark.parametrize("dense_first", [True, False])
+def test_a_sparse_sensor_beside_a_dense_one_keeps_its_points(rng, dense_first):
+    """A scanner of few lines on the other side, and a single line: no strays by their own measure."""
+    person = figure(2.5, 0.0)
+    angles, heights = np.arange(-1.2, 1.2, 0.12), np.arange(0.2, 1.7, 0.15)
+    back = np.array([[2.5 + 0.18 * np.cos(a), 0.18 * np.sin(a), z] for z in heights for a in angles])
+    line = np.array([[2.5 - 0.19 * np.cos(a), 0.19 * np.sin(a), 0.41] for a in np.arange(-1.2, 1.2, 0.2)])
+    clouds = [person, back, line]
+    origins = np.array([[0, 0, 1.2], [5, 0, 1.0], [0, 0, 0.4]], np.float32)
+    order = [0, 1, 2] if dense_first else [2, 1, 0]
+    points = np.concatenate([clouds[k] for k in order]).astype(np.float32)
+    sensor = np.repeat(np.arange(3), [len(clouds[k]) for k in order]).astype(np.int32)
+    seen = Frame(0, points, sensor, origins[order])
+    got = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())(seen)
+    of_person, of_back, of_line = shares(got, person[person[:, 2] > 0.05], back, line)
+    assert of_person > 0.99 and of_back > 0.95 and of_line > 0.8
+    assert np.array_equal(got.sensor, sensor[[np.flatnonzero((points == p).all(1))[0] for p in got.points]])
+
+
+def test_fair_share():
+    sensor = np.repeat([0, 1, 2], [50_000, 300, 9_000])
+    np.random.default_rng(0).shuffle(sensor)
+    kept = fair_share(sensor, 20_000)
+    counts = np.bincount(sensor[kept])
+    assert counts[1] == 300 and counts[2] == 9_000 and 8_000 < counts[0] <= 10_700 and (np.diff(kept) > 0).all()
+    one = np.zeros(50_001, int)
+    np.testing.assert_array_equal(fair_share(one, 20_000), np.arange(0, 50_001, 3))
+    np.testing.assert_array_equal(fair_share(one[:20_000], 20_000), np.arange(20_000))
+    assert len(fair_share(one[:0], 20)) == 0

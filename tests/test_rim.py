@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-RIM = ("mcap", "trimesh", "matplotlib", "rosbags", "foxglove_schemas_protobuf")
+RIM = ("mcap", "trimesh", "matplotlib", "rosbags", "foxglove_schemas_protobuf", "cv2")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 
 from voodoo_jax import cli
 from voodoo_jax.settings import (
+    Change,
     PersonSettings,
     Settings,
     SettingsError,
@@ -14,6 +15,7 @@ from voodoo_jax.settings import (
     StartSettings,
     TrackSettings,
     _help_texts,
+    preset,
     read_settings,
     settings_text,
 )  # fmt: skip
@@ -33,7 +35,8 @@ def as_lists(values: dict) -> dict:
 @pytest.mark.parametrize("settings", [Settings(), CHANGED], ids=["defaults", "changed"])
 def test_round_trip(tmp_path, settings):
     text = settings_text(settings)
-    assert tomllib.loads(text) == as_lists(asdict(settings))
+    stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
+    assert tomllib.loads(text) == as_lists(stages)
     path = tmp_path / "s.toml"
     path.write_text(text)
     assert read_settings(path) == settings
@@ -63,7 +66,7 @@ def test_a_file_changes_only_what_it_names(tmp_path):
         ("max_steps = 3", ["max_steps", "no stage"]),
         ("solve = 3", ["[solve]", "no stage"]),
         ("[solve]\nmax_step = 3", ["[solve]", "'max_step'", "did you mean 'max_steps'?"]),
-        ("[start]\nqqq = 3", ["'qqq'", "scale, headings, frames, size_frames"]),
+        ("[start]\nqqq = 3", ["'qqq'", "scale, headings, frames, directions"]),
         ("[solve]\nmax_steps = 2.5", ["solve.max_steps = 2.5", "whole number"]),
         ("[solve]\nmax_steps = true", ["solve.max_steps", "whole number"]),
         ("[solve]\nnear_side = 1", ["solve.near_side = 1", "true or false"]),
@@ -101,7 +104,7 @@ def test_not_a_text_file_or_not_there(tmp_path):
 def test_every_option_has_a_meaning():
     lines = settings_text().splitlines()
     for stage in fields(Settings):
-        cls = type(getattr(Settings(), stage.name))
+        cls = Change if stage.name == "changes" else type(getattr(Settings(), stage.name))
         texts = _help_texts(cls)
         for option in fields(cls):
             assert len(texts.get(option.name, "")) > 12, f"{stage.name}.{option.name}"
@@ -142,7 +145,30 @@ def test_flags_override_the_file_and_the_file_the_defaults(tmp_path, given):
 
 def test_without_flags_the_defaults(given):
     command = given()
-    assert command.settings == Settings() and command.body == "human" and command.config is None
+    assert command.settings == Settings() and command.config is None
+    assert cli.body_name(command) == "human"
+
+
+def test_a_preset_is_what_files_and_flags_start_from(tmp_path, given):
+    paper = preset("knoop2007")
+    command = given("--preset", "knoop2007")
+    assert command.settings == paper and cli.body_name(command) == "human10"
+    path = tmp_path / "s.toml"
+    path.write_text("[solve]\nratio = 0.4\n")
+    command = given(f"--config={path}", "--preset=knoop2007", "--solve.max-steps", "9", "--body", "arm")
+    assert command.settings == replace(paper, solve=replace(paper.solve, ratio=0.4, max_steps=9))
+    assert cli.body_name(command) == "arm"
+    with pytest.raises(SettingsError, match="knoop2007"):
+        preset("knoop2008")
+
+
+def test_the_papers_values_are_the_papers():
+    """Knoop 2007: sec. 7 weights and 6 steps, sec. 4.3 r, secs. 3.2 and 5.2 the chain; nothing of our own on top."""
+    paper = preset("knoop2007")
+    assert set(paper.features.weights) >= {"face=30", "left_hand=20", "right_hand=20"}
+    assert paper.solve.max_steps == 6 and 0.4 < paper.solve.ratio < 0.7 and paper.solve.solver == "per_limb"
+    assert paper.solve.overlap == "exclusive" and paper.solve.robust_scale == float("inf")
+    assert not paper.solve.near_side and paper.solve.floor == 0 and paper.track.damping == 0 and paper.read.laser
 
 
 @pytest.mark.parametrize("words", [["--solve.max-steps", "many"], ["--solve.solver", "best"], ["--solve.typo", "1"]])

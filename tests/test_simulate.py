@@ -84,8 +84,8 @@ def test_motions_keep_hinges_closed(name):
         motion = make_motion(body, motion_name, 1.0, 5.0)
         poses = pose_body(body, motion.root, motion.rotations)
         for i in range(len(motion)):
-            a = in_world(body, poses[i], body.topology.parents, band.parent_points)
-            b = in_world(body, poses[i], body.topology.children, band.child_points)
+            a = in_world(body, poses[i], body.topology.parents, band.first_points)
+            b = in_world(body, poses[i], body.topology.children, band.second_points)
             used = hinge[:, None] & np.asarray(band.weights > 0)
             assert np.linalg.norm(a - b, axis=-1)[used].max() < 1e-5, motion_name
 

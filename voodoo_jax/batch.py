@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from voodoo_jax.body import Topology
-from voodoo_jax.kernels.correspond import Points
+from voodoo_jax.kernels.correspond import FREE, ON_BODY, Points
 from voodoo_jax.kernels.features import Features
+from voodoo_jax.marker_sets import PLUG_IN_GAIT, plain_name
 from voodoo_jax.person import PersonFrame
 from voodoo_jax.settings import FeatureSettings, check_pairs
 
@@ -36,8 +37,12 @@ class FeatureNames:
     def __init__(self, topology: Topology, settings: FeatureSettings):
         points = {name: i for i, name in enumerate((*topology.sites, *topology.centres))}
         # a site and a joint centre of one name: the centre, which tracks report
-        alias = check_pairs("features.names", settings.names, numbers=False)
-        self.point = {**points, **{name: points[target] for name, target in alias.items() if target in points}}
+        alias = PLUG_IN_GAIT | check_pairs("features.names", settings.names, numbers=False)
+        self.rows: dict[str, tuple[int, ...]] = {name: (row,) for name, row in points.items()}
+        for name, targets in alias.items():
+            known = tuple(points[target] for target in targets.split("|") if target in points)
+            if known:
+                self.rows[name] = known
         self.weights = {
             name: float(value) for name, value in check_pairs("features.weights", settings.weights, True).items()
         }
@@ -45,13 +50,43 @@ class FeatureNames:
         self.unknown: dict[str, int] = {}  # name -> how often it came
         self.left_out = 0  # features beyond the capacity
 
-    def find(self, name: str) -> tuple[int, float] | None:
-        """Row of kernels.features.named_points and weight; None for a name that the body does not have."""
+    def choices(self, names: set[str]) -> int:
+        """How many points of the body the most ambiguous of the names may stand for."""
+        return max((len(self.look_up(n) or ()) for n in names), default=1) or 1
+
+    def look_up(self, name: str) -> tuple[int, ...] | None:
+        """Rows of kernels.features.named_points that a name may stand for; None: the body has no such name."""
+        return self.rows.get(self._plain(name))
+
+    def _plain(self, name: str) -> str:
         name = V1_NAMES.get(name, name)
-        if name not in self.point:
+        return name if name in self.rows else plain_name(name)
+
+    def find(self, name: str) -> tuple[tuple[int, ...], float] | None:
+        """Rows of kernels.features.named_points, of which the feature is one, and weight; None for a name that the
+        body does not have."""
+        given, name = name, self._plain(name)
+        if name not in self.rows:
+            name = given
             self.unknown[name] = self.unknown.get(name, 0) + 1
             return None
-        return self.point[name], self.weights.get(name, self.weight)
+        return self.rows[name], self.weights.get(name, self.weight)
+
+
+class PartNames:
+    """Limb of each part that a segmentation of the log names."""
+
+    def __init__(self, topology: Topology):
+        self.limbs = {name: i for i, name in enumerate(topology.limbs)}
+        self.unknown: set[str] = set()  # parts that the body does not have: their points count as on the body
+
+    def rows(self, frame: PersonFrame) -> np.ndarray:
+        """Limb, ON_BODY or FREE of each point [point], int32."""
+        if frame.part is None:
+            return np.full(len(frame.points), FREE, np.int32)
+        self.unknown |= {p for p in frame.parts if p != "body" and p not in self.limbs}
+        table = np.array([*(self.limbs.get(p, ON_BODY) for p in frame.parts), FREE], np.int32)
+        return table[frame.part]  # -1, free, is the last entry
 
 
 # H-Anim v1 names that logs still use
@@ -64,21 +99,28 @@ V1_NAMES = {
 }
 
 
-def pad_features(frames: list[PersonFrame], length: int, capacity: int, names: FeatureNames) -> Features | None:
+def pad_features(
+    frames: list[PersonFrame], length: int, capacity: int, names: FeatureNames, choices: int = 1
+) -> Features | None:
     """Named features of `frames`, padded to [length, capacity]; None where the capacity is zero."""
     if capacity == 0:
         return None
-    point = np.zeros((length, capacity), np.int32)
+    point = np.zeros((length, capacity, choices), np.int32)
     origin, direction = np.zeros((2, length, capacity, 3), np.float32)
     weight = np.zeros((length, capacity), np.float32)
     for i, frame in enumerate(frames):
         rays, pairs = frame.rays, frame.pairs
+        ones = np.ones(len(rays.names) + len(pairs.names))
+        sources = [ones[: len(rays.names)] if rays.weights is None else rays.weights]
+        sources += [ones[len(rays.names) :] if pairs.weights is None else pairs.weights]
         rows = [(n, rays.origins[k], rays.directions[k]) for k, n in enumerate(rays.names)]
         rows += [(n, pairs.points[k], np.zeros(3)) for k, n in enumerate(pairs.names)]
-        known = [(found, o, d) for n, o, d in rows if (found := names.find(n)) is not None]
+        known = [(*f, s, o, d) for (n, o, d), s in zip(rows, np.concatenate(sources)) if (f := names.find(n))]
         names.left_out += max(0, len(known) - capacity)
-        for k, ((row, w), o, d) in enumerate(known[:capacity]):
-            point[i, k], weight[i, k], origin[i, k], direction[i, k] = row, w, o, d
+        for k, (found, w, source, o, d) in enumerate(known[:capacity]):
+            # the first one again where a name stands for fewer points than another
+            point[i, k] = (found + found[:1] * choices)[:choices]
+            weight[i, k], origin[i, k], direction[i, k] = w * source, o, d
     return Features(jnp.asarray(point), jnp.asarray(origin), jnp.asarray(direction), jnp.asarray(weight))
 
 
@@ -89,17 +131,19 @@ def pad_frames(
     previous_ns: int | None,
     sensors: int,
     most: int | None = None,
+    parts: PartNames | None = None,
 ) -> Chunk:
     """Pads `frames` to `length` frames of `capacity` points each.
 
     More points than `most` (the capacity) are thinned at random, the same way on every run, and counted. Padded points
-    lie on the first sensor with weight zero (pitfall P7: finite, never NaN).
+    lie on the first sensor with weight zero (pitfall P7: finite, never NaN). `parts` None: all points are free.
     """
     most = capacity if most is None else min(most, capacity)
     xyz = np.zeros((length, capacity, 3), np.float32)
     weight = np.zeros((length, capacity), np.float32)
     sensor = np.zeros((length, capacity), np.int32)
     origins = np.zeros((length, sensors, 3), np.float32)
+    limb = np.full((length, capacity), FREE, np.int32)
     seconds, valid = np.zeros(length, np.float32), np.zeros(length, bool)
     left_out = 0
     for i, frame in enumerate(frames):
@@ -114,11 +158,14 @@ def pad_frames(
         origins[i] = frame.origins
         xyz[i] = frame.origins[0]
         xyz[i, :m] = frame.points[chosen]
-        weight[i, :m] = 1.0
+        weight[i, :m] = 1.0 if frame.weight is None else frame.weight[chosen]
+        if parts is not None:
+            limb[i, :m] = parts.rows(frame)[chosen]
         sensor[i, :m] = frame.sensor[chosen]
         valid[i] = True
         if previous_ns is not None:
             seconds[i] = (frame.time_ns - previous_ns) / 1e9
         previous_ns = frame.time_ns
-    points = Points(jnp.asarray(xyz), jnp.asarray(weight), jnp.asarray(sensor), jnp.asarray(origins))
+    known = None if parts is None else jnp.asarray(limb)
+    points = Points(jnp.asarray(xyz), jnp.asarray(weight), jnp.asarray(sensor), jnp.asarray(origins), known)
     return Chunk(points, seconds, valid, left_out)

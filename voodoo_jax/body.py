@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.pose import Poses, apply, rotate
 
@@ -25,6 +25,7 @@ class Topology(NamedTuple):
     sites: tuple[str, ...]  # named feature points on the body
     site_limbs: tuple[int, ...]  # [site]
     segments: tuple[tuple[str, str, str], ...]  # (segment, end, end): reported lengths between joints or centres
+    held: tuple[int, ...] = ()  # limbs that are things: they keep their size when the body is scaled
 
 
 class Body(eqx.Module):
@@ -39,6 +40,8 @@ class Body(eqx.Module):
     centres: Float[Array, "centre 3"]  # joint centres in the frame of their limb, metres
     sites: Float[Array, "site 3"]  # feature points in the frame of their limb, metres
     scale: Float[Array, ""]  # the length that all others follow (a person's stature), metres
+    limits: Float[Array, "joint 3 2"]  # least and greatest swing about x and y, and twist; radians, infinite: none
+    present: Bool[Array, " limb"]  # False: the limb is not there at the moment, nothing is matched to it
     topology: Topology = eqx.field(static=True)
     name: str = eqx.field(static=True)
     scale_name: str = eqx.field(static=True)  # what `scale` is called, "stature" for people
@@ -48,22 +51,30 @@ class Body(eqx.Module):
         return len(self.topology.limbs)
 
 
-class Bands(NamedTuple):
-    """Elastic bands of all joints: up to four point pairs per joint, unused ones have weight zero."""
+class Links(NamedTuple):
+    """Artificial point pairs between limbs: a point of one limb and a point of another that ought to be one place."""
 
-    parent_points: Float[Array, "joint band 3"]  # in the parent's limb frame
-    child_points: Float[Array, "joint band 3"]  # in the child's limb frame
-    weights: Float[Array, "joint band"]  # sum to the joint's weight
+    first: Int[Array, " link"]  # limb
+    second: Int[Array, " link"]  # limb
+    first_points: Float[Array, "link pair 3"]  # in the first limb's frame
+    second_points: Float[Array, "link pair 3"]  # in the second limb's frame
+    weights: Float[Array, "link pair"]  # 0: unused
 
 
 def scaled(body: Body, scale: Float[Array, ""] | float) -> Body:
-    """The same body with another `scale` (stature for people): every length and offset in proportion."""
-    factor = scale / body.scale
+    """The same body with another `scale` (stature for people): every length and offset in proportion, but for held
+    things."""
+    factor = jnp.asarray(scale / body.scale, body.sizes.dtype)
+    t = body.topology
+    own = jnp.full(body.limb_count, factor).at[jnp.array(t.held, int)].set(1.0)
+    of = lambda limbs: own[jnp.array(limbs, int)][:, None]  # noqa: E731
     lengths = lambda b: (  # noqa: E731
         b.sizes, b.rest.translation, b.parent_anchor.translation, b.child_anchor.translation, b.axes, b.centres,
         b.sites, b.scale,
     )  # fmt: skip
-    return eqx.tree_at(lengths, body, tuple(x * factor for x in lengths(body)))
+    factors = (own[:, None], factor, of(t.parents), of(t.children), of(t.children), of(t.centre_limbs),
+               of(t.site_limbs), factor)  # fmt: skip
+    return eqx.tree_at(lengths, body, tuple(x * f for x, f in zip(lengths(body), factors)))
 
 
 def band_mask(axes: Float[Array, "joint 2"]) -> Bool[Array, "joint band"]:
@@ -73,17 +84,20 @@ def band_mask(axes: Float[Array, "joint 2"]) -> Bool[Array, "joint band"]:
     return jnp.stack([has_x | ~has_y, has_x, has_y, has_y], -1)
 
 
-def bands(body: Body) -> Bands:
-    """Band points and weights: universal (both axes zero), hinge (one zero) and elliptic are one formula."""
+def bands(body: Body) -> Links:
+    """Elastic bands of all joints, parent first: universal (both axes zero), hinge (one zero) and elliptic joints are
+    one formula. A joint's weights sum to its weight, or to zero where a limb of it is absent."""
     zero = jnp.zeros_like(body.axes[:, 0])
     a, b = body.axes[:, 0], body.axes[:, 1]
     ends = jnp.stack(
         [jnp.stack(p, -1) for p in ([a, zero, zero], [-a, zero, zero], [zero, b, zero], [zero, -b, zero])], 1
     )
+    parents, children = jnp.array(body.topology.parents, int), jnp.array(body.topology.children, int)
     mask = band_mask(body.axes).astype(body.axes.dtype)
     place = lambda anchor: rotate(anchor.rotation[:, None], ends) + anchor.translation[:, None]  # noqa: E731
-    weights = body.weights[:, None] * mask / mask.sum(-1, keepdims=True)
-    return Bands(place(body.parent_anchor), place(body.child_anchor), weights)
+    weight = body.weights * (body.present[parents] & body.present[children])
+    weights = weight[:, None] * mask / mask.sum(-1, keepdims=True)
+    return Links(parents, children, place(body.parent_anchor), place(body.child_anchor), weights)
 
 
 def joint_centres(body: Body, poses: Poses) -> Float[Array, "centre 3"]:

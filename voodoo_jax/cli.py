@@ -3,14 +3,29 @@
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import Positional, arg, subcommand
 
-from voodoo_jax.settings import ReadSettings, Settings, SettingsError, check_settings, read_settings, settings_text
+from voodoo_jax.settings import (
+    PRESETS,
+    ReadSettings,
+    Settings,
+    SettingsError,
+    check_settings,
+    preset,
+    read_settings,
+    settings_text,
+)
 
-BODY_HELP = "Body to track: human, human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
+BODY_HELP = (
+    "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
+)
+PRESET_BODIES = {"default": "human", "knoop2007": "human10"}
+PRESET_HELP = (
+    "Settings to start from: default, or knoop2007, the paper's chain and values (with its body of ten limbs)."
+)
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
 
 
@@ -26,7 +41,8 @@ class Replay:
     """MCAP logs with depth images or point clouds."""
     out: Path = Path("voodoo-out")
     """Folder for the results; made if it is missing."""
-    body: Annotated[str, arg(help=BODY_HELP)] = "human"
+    body: Annotated[str, arg(help=BODY_HELP)] = ""
+    preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     picture: bool = False
     """Also write <log>.png: cloud and tracked body side by side."""
@@ -54,6 +70,9 @@ class Demo:
 class Config:
     """Print the settings with their meanings, as a file for --config."""
 
+    preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+
 
 Command = (
     Annotated[Demo, subcommand("demo")]
@@ -61,6 +80,11 @@ Command = (
     | Annotated[Info, subcommand("info")]
     | Annotated[Config, subcommand("config")]
 )
+
+
+def body_name(command: Replay) -> str:
+    """The body that is asked for, or that of the preset."""
+    return command.body or PRESET_BODIES[command.preset]
 
 
 def run_replay(command: Replay) -> int:
@@ -72,7 +96,7 @@ def run_replay(command: Replay) -> int:
     from voodoo_jax.replay import output_paths, replay
 
     try:
-        body = load_body(command.body)
+        body = load_body(body_name(command))
         outcomes = replay(command.logs, command.out, body, command.settings)
     except FileExistsError:
         print(f"voodoo-jax replay: --out '{command.out}' is a file; name a folder", file=sys.stderr)
@@ -124,13 +148,13 @@ def run_demo(command: Demo) -> int:
     return demo(command.out)
 
 
-def _config_flag(argv: list[str]) -> Path | None:
-    """The settings file named on the command line: it gives the defaults that --help and other flags start from."""
+def _flag(argv: list[str], name: str) -> str | None:
+    """What stands behind a flag that settles the defaults from which --help and the other flags start."""
     for i, word in enumerate(argv):
-        if word == "--config" and i + 1 < len(argv):
-            return Path(argv[i + 1])
-        if word.startswith("--config="):
-            return Path(word.split("=", 1)[1])
+        if word == name and i + 1 < len(argv):
+            return argv[i + 1]
+        if word.startswith(name + "="):
+            return word.split("=", 1)[1]
     return None
 
 
@@ -143,8 +167,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"voodoo-jax {__version__}")
         return 0
     try:
-        path = _config_flag(argv)
-        base = read_settings(path) if path else Settings()
+        path, name = _flag(argv, "--config"), _flag(argv, "--preset")
+        base = preset(name) if name in PRESETS else Settings()
+        base = read_settings(path, base) if path else base
     except SettingsError as problem:
         print(f"voodoo-jax: {problem}", file=sys.stderr)
         return 2

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.body import Bands, Body, Topology, bands
-from voodoo_jax.kernels.bands import band_moments, prior_moments
+from voodoo_jax.body import Body, Links, Topology, bands
+from voodoo_jax.kernels.bands import link_moments, prior_moments
 from voodoo_jax.kernels.correspond import MatchOptions, Points, match, moments
 from voodoo_jax.kernels.coupled import coupled_step, pair_normals
 from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
+from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
 from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, compose, quat_normalize
 
@@ -34,6 +35,7 @@ class IcpOptions(eqx.Module):
     epsilon: Float[Array, ""]  # stop when the quality measure changes by less, square metres
     max_steps: Int[Array, ""]
     damping: Float[Array, ""]  # Levenberg-Marquardt damping of the coupled solver
+    plausible: PlausibleOptions
     solver: Literal["per_limb", "coupled"] = eqx.field(static=True)
 
 
@@ -41,7 +43,7 @@ class Problem(eqx.Module):
     """All that one frame's solve depends on, prepared once per frame."""
 
     body: Body
-    bands: Bands
+    bands: Links
     points: Points
     features: Features | None  # None: the recording has none
     predicted: Poses
@@ -84,7 +86,7 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     """
     body, options = problem.body, problem.options
     poses = Poses(quat_normalize(poses.rotation), poses.translation)
-    found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match)
+    found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
     measured, second = moments(found)
     limb_weight, squares, total = measured[:, 0, 0], found.squares(), jnp.sum(problem.points.weight)
     named = None
@@ -100,17 +102,16 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     pull, pull_second = jax.vmap(prior_moments, in_axes=(0, 0, 0, None, None))(
         middle, poses, problem.predicted, options.prior * total, options.prior_radius
     )
+    links = (problem.bands, *corrections(body, poses, options.plausible))
     if options.solver == "coupled":
         # the features' own normals: their moments hold motion along a line of sight too
         fixed = measured if named is None else measured - named.moments
         normals, rhs = jax.vmap(pair_normals)(fixed + pull, second + pull_second)
         if named is not None:
             normals, rhs = normals + named.normals, rhs + named.rhs
-        topology = body.topology
-        ends = strength[jnp.array(topology.parents, int)] + strength[jnp.array(topology.children, int)]
-        motion = coupled_step(topology, problem.bands, poses, normals, rhs, ends / 2, options.damping)
+        motion = coupled_step(links, poses, normals, rhs, strength, options.damping)
     else:
-        held = band_moments(body.topology, problem.bands, poses, strength)
+        held = sum(link_moments(some, poses, strength) for some in links)
         solved = jax.vmap(align)(measured + held + pull)
         motion = solved.rotation, solved.translation
     moved = compose(poses, Poses(*motion))

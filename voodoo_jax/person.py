@@ -82,19 +82,23 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
     odometry and map frames are so by convention), or else the height of the lowest points.
     """
     rng = np.random.default_rng(0)
-    clouds = [f.points for f in frames if len(f.points)]
+    free = [f.only(~assigned(f)) if assigned(f).any() else f for f in map(whole, frames)]
+    clouds = [f.points for f in free if len(f.points)]
     points = np.concatenate(clouds) if clouds else np.zeros((0, 3), np.float32)
     if len(points) > 60_000:
         points = points[rng.permutation(len(points))[:60_000]]
+    if not len(points):  # the person's own lowest points are as near to the floor as one can know
+        points = np.concatenate([np.zeros((0, 3), np.float32), *(f.points for f in frames)])
+        return Scene(_lowest(points, np.asarray(up, np.float32), up_is_sure), (), False)
     floor, seen = _find_floor(points, np.asarray(up, np.float32), up_is_sure, rng)
     walls: list[Plane] = []
-    for frame in frames:  # one by one: a person who walks is as wide as a wall over several frames together
+    for frame in free:  # one by one: a person who walks is as wide as a wall over several frames together
         if len(frame.points) and len(walls) < 6:
             walls += _find_walls(frame, floor, walls, rng)
     return Scene(floor, tuple(walls), seen)
 
 
-def _find_walls(frame: Frame, floor: Plane, known: list[Plane], rng) -> list[Plane]:
+def _find_walls(frame: "PersonFrame", floor: Plane, known: list[Plane], rng) -> list[Plane]:
     """Wide upright planes with nothing behind them."""
     points = frame.points[rng.permutation(len(frame.points))[:20_000]]
     points = points[floor.height(points) > 0.1]
@@ -119,8 +123,6 @@ def _find_walls(frame: Frame, floor: Plane, known: list[Plane], rng) -> list[Pla
 
 
 def _find_floor(points, up, up_is_sure, rng) -> tuple[Plane, bool]:
-    if not len(points):
-        return Plane(up, 0.0), False
     height = points @ up
     low = points[height < np.percentile(height, 70)]
     found = fit_plane(low, lambda n: np.abs(n @ up) > 0.77, rng, 0.03)
@@ -132,8 +134,13 @@ def _find_floor(points, up, up_is_sure, rng) -> tuple[Plane, bool]:
         # a floor has next to nothing below it, and a fair share of the picture on it
         if (np.abs(above) < 0.03).mean() > 0.04 and (above < -0.1).mean() < 0.03:
             return plane, True
-    lowest = float(np.percentile(height, 0.5))
-    return Plane(up, 0.0 if up_is_sure and abs(lowest) < 0.2 else lowest), False
+    return _lowest(points, up, up_is_sure), False
+
+
+def _lowest(points, up, up_is_sure) -> Plane:
+    """What stands for a floor that nobody sees."""
+    lowest = float(np.percentile(points @ up, 0.5)) if len(points) else 0.0
+    return Plane(up, 0.0 if up_is_sure and abs(lowest) < 0.2 else lowest)
 
 
 def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.ndarray, " point"]:
@@ -170,6 +177,22 @@ def without_strays(
     return third < 0.02 + 3 * spacing * np.linalg.norm(points - origin, axis=1)
 
 
+def fair_share(sensor: Int[np.ndarray, " point"], most: int) -> Int[np.ndarray, " kept"]:
+    """Indices of about `most` points at most: of each sensor every first, second, ... point, of the densest the fewest.
+
+    `sensor` [point] says which sensor saw each point.
+    """
+    counts = np.bincount(sensor)
+    if len(sensor) <= most:
+        return np.arange(len(sensor))
+    room, share = most, 0
+    for left, count in zip(range(len(counts), 0, -1), np.sort(counts)):  # what a sensor leaves is for the denser ones
+        share = room // left
+        room -= min(int(count), share)
+    step = [1 if n <= share else int(n) // max(share, 1) + 1 for n in counts]
+    return np.sort(np.concatenate([np.flatnonzero(sensor == s)[::k] for s, k in enumerate(step)]))
+
+
 @dataclass(frozen=True)
 class PersonFrame:
     """The points of one frame that seem to be on the body."""
@@ -199,21 +222,34 @@ def whole(frame: Frame) -> PersonFrame:
     )  # fmt: skip
 
 
+def assigned(frame: Frame | PersonFrame) -> Bool[np.ndarray, " point"]:
+    """Which points somebody has already said to be on the body, or on one of its limbs."""
+    return np.zeros(len(frame.points), bool) if frame.part is None else frame.part >= 0
+
+
 class PersonFinder:
     """Follows one thing of a body's height through the frames: first the best candidate, then what hangs together with
-    where it was. Places where other things were seen several times count as background from then on."""
+    where it was. Places where other things were seen several times count as background from then on.
+
+    Points that are assigned already pass all tests; what they touch is the body, of whatever height.
+    """
 
     def __init__(self, scene: Scene, body_height: float, settings: PersonSettings):
         self.scene, self.settings, self.body_height = scene, settings, body_height
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.unseen = 0
-        self._spacing = 0.0
+        self._spacing: dict[int, float] = {}  # of each sensor
         self._background: dict[tuple[int, int, int], int] = {}
 
     def __call__(self, frame: Frame) -> PersonFrame:
         s = self.settings
         points, floor = frame.points, self.scene.floor
-        keep = floor.height(points) > s.floor_margin
+        known = assigned(frame)
+        sure = points[known]
+        if self.last is not None and len(sure):
+            if np.median(KDTree(self.last).query(sure)[0]) > s.move:
+                self.last = None  # the body is somewhere else than thought
+        keep = (floor.height(points) > s.floor_margin) & ~known
         for wall in self.scene.walls:
             keep &= np.abs(wall.height(points)) > 0.06
         index = np.flatnonzero(keep)
@@ -222,18 +258,15 @@ class PersonFinder:
             away = points[index] - np.median(self.last, 0)
             away -= np.outer(away @ floor.normal, floor.normal)
             index = index[np.linalg.norm(away, axis=1) < s.reach * self.body_height / 1.75]
-        if len(index) > 20_000:
-            index = index[:: len(index) // 20_000 + 1]
-        if len(index) > 100 and not self._spacing:
-            self._spacing = point_spacing(points[index], frame.origins[0])
-        if len(index):
-            index = index[without_strays(points[index], frame.origins[0], self._spacing)]
+        index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
         if len(index):
             index = index[~self._known(points[index])]
-        chosen = self._choose(points[index])
-        self._learn(points[index][~chosen], points[index][chosen])
-        index = index[chosen]
-        if len(index) >= 30:
+        chosen = self._choose(points[index], sure)
+        self._learn(points[index][~chosen], np.concatenate([points[index][chosen], sure]))
+        # the points of a limb or two do not tell where the others are
+        tells = chosen.sum() >= 30 or self._of_body(frame).sum() >= 30
+        index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)]))
+        if tells:
             self.last, self.unseen = points[index], 0
         else:
             self.unseen += 1
@@ -241,16 +274,43 @@ class PersonFinder:
                 self.last = None  # gone: look everywhere again
         return whole(frame).only(index)
 
-    def _choose(self, points) -> Bool[np.ndarray, " point"]:
+    def _without_strays(self, frame: Frame, index: np.ndarray) -> np.ndarray:
+        """The indices without those of flying pixels: each sensor's points are compared among themselves."""
+        kept = []
+        for sensor in np.unique(frame.sensor[index]).tolist():
+            mine = index[frame.sensor[index] == sensor]
+            points, origin = frame.points[mine], frame.origins[sensor]
+            spacing = self._spacing.get(sensor) or (point_spacing(points, origin) if len(points) > 4 else 0.0)
+            if len(points) > 100:
+                self._spacing[sensor] = spacing
+            kept.append(mine[without_strays(points, origin, spacing)])
+        return np.sort(np.concatenate([index[:0], *kept]))
+
+    def _of_body(self, frame: Frame) -> Bool[np.ndarray, " point"]:
+        """Which points are assigned to the body as a whole, or to one of so many limbs that it makes no difference."""
+        if frame.part is None:
+            return np.zeros(len(frame.points), bool)
+        present = np.unique(frame.part[frame.part >= 0])
+        if len(present) >= 4:
+            return frame.part >= 0
+        return (frame.part >= 0) & np.array([*(name == "body" for name in frame.parts), False])[frame.part]
+
+    def _choose(self, points, sure) -> Bool[np.ndarray, " point"]:
+        """Which points belong to the body. `sure`: those that are known to be on it."""
         if len(points) < 30:
             return np.zeros(len(points), bool)
         label = components(points, self.settings.link)
         count = np.bincount(label)
+        most = np.zeros(len(count), bool)
+        if len(sure):
+            touched = KDTree(sure).query(points, distance_upper_bound=self.settings.link)[0] < np.inf
+            touched = np.bincount(label, touched) * (count >= 30)
+            most[np.argmax(touched)] = touched.any()
         if self.last is None:
-            return label == self._candidate(points, label, count)
+            return most[label] if most.any() else label == self._candidate(points, label, count)
         near = KDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0] < np.inf
         touching = np.bincount(label, near)
-        return (touching > np.maximum(5, 0.3 * count))[label]
+        return (most | (touching > np.maximum(5, 0.3 * count)))[label]
 
     def _candidate(self, points, label, count) -> int:
         """Label of the thing that is about as high as the body and not much wider, the largest of several; things of
@@ -329,5 +389,5 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
     for frame in frames:
         cell = np.floor(frame.points / np.float32(0.1)).astype(np.int64).tolist()
         keep = np.array([tuple(c) not in blocked for c in cell], bool)
-        out.append(frame.only(keep))
+        out.append(frame.only(keep | assigned(frame)))
     return out

@@ -22,6 +22,7 @@ STATUS_WORDS: dict[int, str] = {
     Status.NOT_STARTED: "not started",
     Status.NO_DATA: "no data",
     Status.LOST: "lost",
+    Status.FEATURES: "features only",
 }
 LABELS = {"cloud": "cloud, from the sensor", "front": "body, from the sensor", "side": "body, from the side"}
 RING = 32  # points on each end ellipse
@@ -81,7 +82,7 @@ def show(
     start = int(recording.frames[0].time_ns)
     for column, (i, frame) in enumerate(zip(chosen, nearest)):
         points = (frame.points.astype(float) - middle) @ axes3.T
-        posed = bool(np.isfinite(tracks.translation[i]).all())
+        posed = bool(np.isfinite(tracks.translation[i]).any())
         for row, ((h, v, depth), what) in enumerate((((0, 1, 2), "cloud"), ((0, 1, 2), "front"), ((2, 1, 0), "side"))):
             ax = grid[row, column]
             # the farther from the sensor, the lighter; nearer points over farther ones
@@ -125,10 +126,10 @@ def _view(tracks: Tracks, recording: Recording, frames: list[Frame]) -> tuple[np
     """Origin of the drawing (fixed frame) and its axes as rows: right, up, away from the sensor."""
     up = np.asarray(recording.up, float) / np.linalg.norm(recording.up)
     sensor = np.asarray(frames[0].origins[0] if len(frames[0].origins) else np.zeros(3), float)
-    posed = tracks.translation[np.isfinite(tracks.translation).all((1, 2))]
+    posed = tracks.translation[np.isfinite(tracks.translation).all(2)]
     clouds = [frame.points for frame in frames if len(frame.points)]
     if len(posed):
-        target = posed.reshape(-1, 3).mean(0).astype(float)
+        target = posed.mean(0).astype(float)
     else:
         target = np.median(np.concatenate(clouds), 0).astype(float) if clouds else sensor + [1.0, 0, 0]
     away = target - sensor
@@ -142,9 +143,10 @@ def _view(tracks: Tracks, recording: Recording, frames: list[Frame]) -> tuple[np
 
 def _window(tracks: Tracks, frames: list[Frame], chosen, middle, axes3) -> np.ndarray:
     """Drawn region [low or high, right/up/away] in metres: around the body in all frames, else around the clouds."""
-    rings = [_rings(tracks, int(i)).reshape(-1, 3) for i in chosen if np.isfinite(tracks.translation[i]).all()]
-    if rings:
-        seen = (np.concatenate(rings) - middle) @ axes3.T
+    rings = np.concatenate([_rings(tracks, int(i)).reshape(-1, 3) for i in chosen])
+    rings = rings[np.isfinite(rings).all(1)]
+    if len(rings):
+        seen = (rings - middle) @ axes3.T
         low, high = seen.min(0) - 0.25, seen.max(0) + 0.25
     else:
         clouds = [frame.points for frame in frames if len(frame.points)] or [np.zeros((1, 3))]
@@ -159,13 +161,15 @@ def _window(tracks: Tracks, frames: list[Frame], chosen, middle, axes3) -> np.nd
 
 
 def _rings(tracks: Tracks, i: int) -> np.ndarray:
-    """Points on both end ellipses of all limbs [limb, 2 RING, 3] in the fixed frame, metres."""
+    """Points on both end ellipses of all limbs [limb, 2 RING, 3] in the fixed frame, metres; NaN: not there."""
     sizes = np.asarray(tracks.body.sizes, float)[:, :, None]
     angle = np.linspace(0, 2 * np.pi, RING, endpoint=False)
     c, s, flat = np.cos(angle), np.sin(angle), np.zeros((len(sizes), RING))
     bottom = np.stack([sizes[:, 0] * c, sizes[:, 1] * s, flat], -1)
     top = np.stack([sizes[:, 2] * c, sizes[:, 3] * s, flat + sizes[:, 4]], -1)
-    turn = Rotation.from_quat(tracks.rotation[i].astype(float), scalar_first=True).as_matrix()
+    # a limb that is not there stays NaN by its place
+    turn = np.where(np.isfinite(tracks.rotation[i]), tracks.rotation[i], 1.0).astype(float)
+    turn = Rotation.from_quat(turn, scalar_first=True).as_matrix()
     return np.concatenate([bottom, top], 1) @ turn.transpose(0, 2, 1) + tracks.translation[i][:, None]
 
 
@@ -176,6 +180,8 @@ def _draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[in
     order = np.argsort(sign * rings[:, :, depth].mean(1))
     for rank, limb in enumerate(order):
         flat = rings[limb][:, [h, v]]
+        if not np.isfinite(flat).all():
+            continue
         try:
             outline = flat[ConvexHull(flat).vertices]
         except QhullError:  # a limb without extent in this view

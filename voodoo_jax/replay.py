@@ -115,7 +115,9 @@ def replay(
             f"several logs would write {', '.join(twice)}: replay logs of the same name into different folders"
         )
     Path(out).mkdir(parents=True, exist_ok=True)
-    parameters = {f"{stage}.{k}": str(v) for stage, values in asdict(settings).items() for k, v in values.items()}
+    stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
+    parameters = {f"{stage}.{k}": str(v) for stage, values in stages.items() for k, v in values.items()}
+    parameters |= {f"change.{n}": str(change) for n, change in enumerate(settings.changes, 1)}
     outcomes: list[Outcome] = []
     for number, path in enumerate(logs, 1):
         with tqdm(desc=f"{number}/{len(logs)} {path.name}", unit="frame", disable=quiet or None, leave=False) as bar:

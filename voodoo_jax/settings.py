@@ -20,6 +20,10 @@ class ReadSettings:
     """Depth topics to use; empty: all that are found."""
     laser: bool = False
     """Use laser scanners too: their points are taken like a depth camera's."""
+    stereo: bool = True
+    """Use pairs of calibrated images (topics named left and right) of rigs that have no other depth data."""
+    skin: bool = False
+    """Look for regions of skin colour in calibrated colour images: each is a line of sight to the feature skin."""
     features: bool = True
     """Use named 2D and 3D features too: detections, annotations, points, markers."""
     fixed_frame: str = ""
@@ -30,6 +34,14 @@ class ReadSettings:
     """Farther measurements are dropped, metres."""
     max_points: int = 40_000
     """Per sensor and frame; a denser depth image is read at every second, third, ... row and column."""
+    parts: tuple[str, ...] = ()
+    """Depth topic = limb, or topic = body: a segmentation has found all its points to be on that part of the person."""
+    label_field: str = ""
+    """Field of point clouds that says which part a point is on; empty: one named like label, if labels are given."""
+    labels: tuple[str, ...] = ()
+    """Value of that field = limb, body or free; others are free, but without any entry all except 0 are body."""
+    weights: tuple[str, ...] = ()
+    """Topic = weight of each of its points or features; a point of a depth camera weighs 1."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +74,8 @@ class StartSettings:
     """Directions that are tried, evenly spread."""
     frames: int = 6
     """Frames over which the trials are compared."""
+    directions: int = 26
+    """Directions that are tried for a held thing that appears."""
     size_frames: int = 12
     """Frames over which the size is measured."""
 
@@ -74,9 +88,11 @@ class FeatureSettings:
         "face=sellion",
         "left_hand=l_metacarpal_phalanx_3",
         "right_hand=r_metacarpal_phalanx_3",
+        "skin=sellion|l_metacarpal_phalanx_3|r_metacarpal_phalanx_3",
     )
-    """Feature in the log = feature point or joint centre of the body; names of the body need no entry."""
-    weights: tuple[str, ...] = ("face=10", "left_hand=7", "right_hand=7")
+    """Feature in the log = feature point or joint centre of the body; names of the body need no entry. Several points
+    with | between: the feature is the nearest of them."""
+    weights: tuple[str, ...] = ("face=10", "left_hand=7", "right_hand=7", "skin=3")
     """Feature in the log = weight; a point of a depth camera weighs 1. The papers: face 30, hand 20."""
     weight: float = 20.0
     """Weight of other features."""
@@ -106,6 +122,12 @@ class SolveSettings:
     """Points outside the body's box enlarged by this are dropped, metres."""
     limb_enlarge: float = 0.35
     """Points outside a limb's box enlarged by this are not matched to the limb, metres."""
+    sampling: float = 1.0
+    """Share of a limb's points that are used, evenly spread."""
+    sampling_min: int = 0
+    """A limb keeps at least so many points, or all it has."""
+    sampling_max: int = 8192
+    """Most points that a limb uses."""
     max_distance: float = 0.35
     """Longest distance of a pair, metres."""
     robust_scale: float = 0.15
@@ -120,6 +142,12 @@ class SolveSettings:
     """Weight of the pull to the predicted pose, as a share of the frame's weight."""
     prior_radius: float = 0.4
     """Where the pull's pairs sit: larger holds rotations more, metres."""
+    limits: float = 0.0
+    """Weight of pairs that turn joints back into their limits, relative to a joint's bands; 0: only reported."""
+    collisions: float = 0.0
+    """Weight of pairs that push limbs out of each other, relative to a joint's bands; 0: only reported."""
+    collision_margin: float = 0.02
+    """Limbs may be in each other by so much more than in the rest pose before they are pushed, metres."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +167,34 @@ class TrackSettings:
 
 
 @dataclass(frozen=True)
+class Change:
+    """A change of the body while it is tracked (Knoop 2006, sec. IV); a table [[change]] in a settings file."""
+
+    time: float
+    """When, in seconds after the first frame."""
+    scale: float = 0.0
+    """New scale of the body (a person's stature), metres; 0: as it is."""
+    sizes: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    """New sizes of limbs: both semi-axes of the bottom ellipse, of the top ellipse, length; metres."""
+    remove: tuple[str, ...] = ()
+    """Limbs or held things that go, with all that hangs on them."""
+    add: Any = ""
+    """A limb that was removed, or a held thing: a body file (in Python also a Body)."""
+    to: str = ""
+    """Limb that carries the thing."""
+    at: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Where it is held, in the frame of the limb that carries it, metres."""
+    grip: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Where it is held, in the frame of the thing's first limb, metres."""
+    axis: tuple[float, ...] = ()
+    """Direction in the carrying limb's frame in which the thing points at first; empty: it is looked for."""
+    joint_axes: tuple[float, ...] = (0.0, 0.0)
+    """Semi-axes of the joint's ellipse, metres: both 0 lets the thing turn freely."""
+    weight: float = 1.0
+    """Weight of the joint."""
+
+
+@dataclass(frozen=True)
 class Settings:
     """All options."""
 
@@ -148,6 +204,43 @@ class Settings:
     features: FeatureSettings = field(default_factory=FeatureSettings)
     solve: SolveSettings = field(default_factory=SolveSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
+    changes: tuple[Change, ...] = ()
+
+
+def preset(name: str) -> Settings:
+    """Settings by name: "default", or "knoop2007", the chain and the values of Knoop 2007 as far as it gives them.
+
+    These do not follow the defaults. Where the paper names a parameter and no value (enlargements, longest distance,
+    epsilon), a usual one stands here. Its body is the built-in "human10". Raises SettingsError.
+    """
+    if name == "default":
+        return Settings()
+    if name != "knoop2007":
+        raise SettingsError(f"there is no preset '{name}', but {', '.join(PRESETS)}")
+    inf = float("inf")
+    return Settings(
+        read=ReadSettings(laser=True),
+        features=FeatureSettings(
+            # sec. 7
+            weights=("face=30", "left_hand=20", "right_hand=20", "skin=20"), weight=20.0, robust_scale=inf,
+            max_distance=inf,
+        ),
+        solve=SolveSettings(
+            solver="per_limb", damping=0.0,
+            max_steps=6,  # sec. 7: a good trade-off between time and accuracy
+            epsilon=1e-7,
+            ratio=0.55, floor=0.0,  # sec. 4.3: 0.4 < r < 0.7, of the limb's own measurements
+            body_enlarge=0.2, limb_enlarge=0.1, max_distance=0.25, robust_scale=inf,
+            overlap="exclusive",  # sec. 3.2: to the geometrically closest body part
+            near_side=False, refine=4,
+            prior=1e-6, prior_radius=0.4,  # next to nothing: keeps a limb where it is that nothing was measured of
+            limits=0.0, collisions=0.0,
+        ),
+        track=TrackSettings(damping=0.0),  # sec. 5.2: each frame starts from the last one's pose
+    )  # fmt: skip
+
+
+PRESETS = ("default", "knoop2007")
 
 
 class SettingsError(ValueError):
@@ -165,7 +258,7 @@ def _check(stage: str, f: Field, value: Any) -> Any:
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
             raise SettingsError(f"{name} = {value!r}: must be a list of texts")
         if name in _PAIRS:
-            check_pairs(name, tuple(value), numbers=name == "features.weights")
+            check_pairs(name, tuple(value), numbers=_PAIRS[name])
         return tuple(value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
@@ -185,12 +278,13 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
     for word in words:
         key, _, value = word.partition("=")
         try:
-            good = bool(key and value) and (not numbers or float(value) >= 0)
+            good = bool(key and value) and (not numbers or 0 <= float(value) < float("inf"))
+            if name == "read.labels":
+                int(key)
         except ValueError:
             good = False
         if not good:
-            wanted = "name=number, such as face=10" if numbers else "name=point, such as face=sellion"
-            raise SettingsError(f"{name}: '{word}' must look like {wanted}")
+            raise SettingsError(f"{name}: '{word}' must look like {_EXAMPLES[name]}")
     return dict(word.split("=", 1) for word in words)
 
 
@@ -203,7 +297,11 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise SettingsError(f"{path}: not a TOML file: {problem}") from problem
     stages = {}
+    changes = base.changes
     for stage, values in content.items():
+        if stage == "change":
+            changes = tuple(_change(path, n, table) for n, table in enumerate(values, 1))
+            continue
         if stage not in _STAGES or not isinstance(values, dict):
             near = get_close_matches(stage, _STAGES, 1)
             hint = f"; did you mean [{near[0]}]?" if near else f"; there are {', '.join(f'[{s}]' for s in _STAGES)}"
@@ -220,7 +318,50 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
             except SettingsError as problem:
                 raise SettingsError(f"{path}: {problem}") from None
         stages[stage] = replace(getattr(base, stage), **checked)
-    return replace(base, **stages)
+    return replace(base, **stages, changes=changes)
+
+
+def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) -> Change:
+    """One table [[change]]. A body file in it is looked for beside the settings file."""
+    where = f"{path}: [[change]] number {number}"
+    known = {f.name: getattr(Change(0.0), f.name) for f in fields(Change)}
+    if "time" not in table:
+        raise SettingsError(f"{where} has no 'time', the seconds after the first frame")
+    values: dict[str, Any] = {}
+    for name, value in table.items():
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            raise SettingsError(f"{where} has no option '{name}'" + (f"; did you mean '{near[0]}'?" if near else ""))
+        if name == "sizes":
+            good = isinstance(value, dict) and all(_numbers(v, 5, above=0) for v in value.values())
+            wanted = "a table such as { l_forearm = [0.04, 0.04, 0.03, 0.03, 0.25] }"
+            value = tuple((limb, tuple(map(float, v))) for limb, v in value.items()) if good else value
+        elif name == "remove":
+            value = [value] if isinstance(value, str) else value
+            good, wanted = isinstance(value, list) and all(isinstance(v, str) for v in value), "names of limbs"
+            value = tuple(value) if good else value
+        elif isinstance(known[name], str):
+            good, wanted = isinstance(value, str), "a text"
+        elif isinstance(known[name], float):
+            good, wanted = _numbers([value], 1, above=-1e-300), "a number that is not negative"
+        else:
+            count = 2 if name == "joint_axes" else 3
+            good, wanted = _numbers(value, count), f"{count} numbers"
+            value = tuple(map(float, value)) if good else value
+        if not good:
+            raise SettingsError(f"{where}: {name} = {value!r} must be {wanted}")
+        values[name] = value
+    if str(values.get("add", "")).endswith(".toml"):
+        values["add"] = str(Path(path).parent / values["add"])
+    return Change(**values)
+
+
+def _numbers(value: Any, count: int, above: float = -float("inf")) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == count
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) and above < v < float("inf") for v in value)
+    )
 
 
 def check_settings(settings: "Settings") -> None:
@@ -255,6 +396,18 @@ def settings_text(settings: "Settings | None" = None) -> str:
             written = {"Infinity": "inf"}.get(written, written)
             choices = f" ({', '.join(get_args(f.type))})" if get_origin(f.type) is Literal else ""
             lines += [f"# {texts[f.name]}{choices}", f"{f.name} = {written}"]
+    texts = _help_texts(Change)
+    lines += ["", f"# {Change.__doc__}", "# [[change]]"]
+    for f in fields(Change):
+        lines += [f"# {f.name}: {texts[f.name]}"]
+    for change in settings.changes:
+        lines += ["", "[[change]]"]
+        for f in fields(Change):
+            value = getattr(change, f.name)
+            if f.name == "time" or value != f.default:
+                sizes = ", ".join(f"{limb} = {list(v)}" for limb, v in value) if f.name == "sizes" else ""
+                listed = list(value) if isinstance(value, tuple) else value
+                lines += [f"{f.name} = " + (f"{{ {sizes} }}" if sizes else json.dumps(listed))]
     return "\n".join(lines) + "\n"
 
 
@@ -266,15 +419,31 @@ _STAGES: dict[str, type] = {
     "solve": SolveSettings,
     "track": TrackSettings,
 }
-_PAIRS = ("features.names", "features.weights")
+# texts like "face=10", and whether a number stands behind the equals sign
+_PAIRS = {
+    "features.names": False,
+    "features.weights": True,
+    "read.parts": False,
+    "read.labels": False,
+    "read.weights": True,
+}
+_EXAMPLES = {
+    "features.names": "name=point, such as face=sellion",
+    "features.weights": "name=number, such as face=10",
+    "read.parts": "topic=part, such as /people/points=body or /hands/left=l_forearm",
+    "read.labels": "number=part, such as 3=head, 7=body or 0=free",
+    "read.weights": "topic=number, such as /stereo/points=0.5",
+}
 _BOUNDS: dict[str, tuple[float, float]] = {
     "read.max_points": (1, float("inf")),
     "person.points": (1, 8192),
     "start.headings": (1, 360),
     "start.frames": (1, 1000),
+    "start.directions": (1, 1000),
     "start.size_frames": (1, 10_000),
     "features.robust_scale": (1e-4, float("inf")),
     "solve.max_steps": (1, 10_000),
+    "solve.sampling": (0, 1),
     "solve.robust_scale": (1e-4, float("inf")),
     "track.prior_interval": (1e-4, float("inf")),
     "track.patience": (1, 1_000_000),

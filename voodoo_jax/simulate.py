@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int64, UInt16
+from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt16
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, joint_centres
@@ -292,14 +292,15 @@ def render(
 ) -> tuple[Float64[np.ndarray, "row column"], Float64[np.ndarray, "row column"]]:
     """Exact depth (optical z, metres, inf where nothing is) and cosine of the incidence, by ray casting.
 
-    `poses` [limb] T_fixed_limb of the body's limbs, closed elliptic frusta.
+    `poses` [limb] T_fixed_limb of the body's limbs, closed elliptic frusta; absent limbs are not seen.
     """
     rays, origin = camera.rays(), np.array(camera.position)
     depth, cosine = np.full(len(rays), np.inf), np.ones(len(rays))
     sizes, (rotation, translation) = np.asarray(body.sizes, np.float64), _arrays(poses)
     centres = translation + rotation[..., 2] * sizes[:, 4:] / 2 - origin
     radii = np.hypot(sizes[:, :4].max(1), sizes[:, 4] / 2)
-    for size, r, t, centre, radius in zip(sizes, rotation, translation, centres, radii):
+    for limb in np.flatnonzero(np.asarray(body.present)):
+        size, r, t, centre, radius = sizes[limb], rotation[limb], translation[limb], centres[limb], radii[limb]
         # only the rays that meet the limb's bounding sphere
         along = rays @ centre
         near = np.nonzero((along > 0) & (along**2 > (centre @ centre - radius**2) * (rays**2).sum(1)))[0]
@@ -433,16 +434,19 @@ def simulate(
     room: Room | None = Room(),  # noqa: B008  frozen
     seed: int = 0,
     start_ns: int = 1_700_000_000_000_000_000,
+    present: Bool[np.ndarray, "frame limb"] | None = None,
 ) -> Simulation:
     """Renders the motion (its root given in the fixed frame, see `placed`); equal arguments give equal bits.
 
     camera: a tof_camera() if none is given. room None: nothing but the body. start_ns: stamp of the first frame.
+    present: which limbs there are in each frame (things picked up and put down), if not those of the body.
     """
     camera = tof_camera() if camera is None else camera
     poses = pose_body(body, motion.root, motion.rotations)
     images = []
     for i in range(len(motion)):
-        exact = render(body, poses[i], camera, room)
+        now = body if present is None else eqx.tree_at(lambda b: b.present, body, jnp.asarray(present[i]))
+        exact = render(now, poses[i], camera, room)
         images.append(add_noise(*exact, camera, noise, np.random.default_rng([seed, i])))
     return Simulation(
         body=body,

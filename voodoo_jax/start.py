@@ -28,17 +28,20 @@ def rest_height(body: Body) -> float:
     return float(np.max(np.maximum(bottom + np.hypot(a0 * x, b0 * y), bottom + length * z + np.hypot(a1 * x, b1 * y))))
 
 
-def measured_height(frames: list[PersonFrame], floor: Plane, pixel: float) -> float:
+def measured_height(frames: list[PersonFrame], floor: Plane, pixel: float | list[float]) -> float:
     """Height of a standing body from its points, metres: median over frames of the third highest point.
 
-    `pixel` is the angle between neighbouring points, radians: the top lies between the highest point and the next.
+    `pixel` is the angle between neighbouring points, radians, of all sensors or of each: the top lies between the
+    highest point and the next.
     """
     heights = []
     for frame in frames:
         if len(frame.points) >= 50:
             above = floor.height(frame.points)
             third = np.argsort(above)[-3]
-            heights.append(above[third] + 1.1 * pixel * np.linalg.norm(frame.points[third] - frame.origins[0]))
+            sensor = int(frame.sensor[third])
+            angle = pixel[sensor] if isinstance(pixel, list) else pixel
+            heights.append(above[third] + 1.1 * angle * np.linalg.norm(frame.points[third] - frame.origins[sensor]))
     return float(np.median(heights)) if heights else float("nan")
 
 
@@ -54,22 +57,42 @@ def place(
     return compose(Poses(root.rotation[None], root.translation[None]), body.rest)
 
 
+def _spacings(frames: list[PersonFrame]) -> list[float]:
+    """Angle between neighbouring points of each sensor, radians, where it first sees the body; 0 if it never does."""
+    found = [0.0] * len(frames[0].origins)
+    for sensor in range(len(found)):
+        for frame in frames:
+            mine = frame.points[frame.sensor == sensor]
+            if len(mine) > 4:
+                found[sensor] = point_spacing(mine, frame.origins[sensor])
+                break
+    return found
+
+
+def _level_direction(foot: np.ndarray, origin: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Level unit vector from a place to a sensor; any one where the sensor is right above."""
+    towards = origin - foot
+    towards = towards - (towards @ up) * up
+    distance = np.linalg.norm(towards)
+    side = np.array([1.0, 0, 0]) if abs(up[0]) < 0.9 else np.array([0, 1.0, 0])
+    return towards / distance if distance > 0.1 else np.cross(up, side)
+
+
 def standing_places(body: Body, frames: list[PersonFrame], floor: Plane, headings: int) -> list[Poses]:
-    """Rest poses at the cloud's place in evenly spread headings, the first one facing the sensor."""
+    """Rest poses at the cloud's place in evenly spread headings, the first one facing the sensor that sees most."""
     cloud = np.concatenate([f.points for f in frames])
     up = floor.normal
     height = floor.height(cloud)
     # the upper half only: furniture that touches the body is low
     middle = np.median(cloud[height > 0.5 * np.percentile(height, 99)], 0)
     foot = middle - floor.height(middle[None])[0] * up
-    towards = frames[0].origins[0] - foot
-    towards = towards - (towards @ up) * up
-    distance = np.linalg.norm(towards)
-    side = np.array([1.0, 0, 0]) if abs(up[0]) < 0.9 else np.array([0, 1.0, 0])
-    towards = towards / distance if distance > 0.1 else np.cross(up, side)
+    seen = np.bincount(np.concatenate([f.sensor for f in frames]), minlength=len(frames[0].origins))
+    directions = [_level_direction(foot, origin, up) for origin in frames[0].origins]
+    towards = directions[int(np.argmax(seen))]
     # the cloud is the near surface: the body's axis lies deeper by about its half thickness
     thickness = float(np.max(np.asarray(body.sizes)[:, 0]))
-    foot = foot - 0.8 * thickness * towards
+    several = np.count_nonzero(seen) > 1
+    foot = foot - 0.8 * thickness * (np.average(directions, axis=0, weights=seen) if several else towards)
     out = []
     for k in range(headings):
         angle = 2 * np.pi * k / headings
@@ -114,5 +137,5 @@ def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSe
     seen = [f for f in frames if len(f.points) >= 50]
     if not seen:
         return body
-    height = measured_height(seen, floor, point_spacing(seen[0].points, seen[0].origins[0]))
+    height = measured_height(seen, floor, _spacings(seen))
     return scaled(body, body.scale * jnp.asarray(1.0045 * height / rest_height(body), jnp.float32))

@@ -9,8 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body
 from voodoo_jax.icp import IcpOptions, Problem, adjacency, solve_frame
-from voodoo_jax.kernels.correspond import MatchOptions, Points, match
+from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling, match
 from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
+from voodoo_jax.kernels.plausible import PlausibleOptions
 from voodoo_jax.pose import Poses, compose, inverse, quat_exp, quat_log, quat_multiply, quat_normalize
 from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
@@ -47,11 +48,15 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
     """Traced options from settings."""
     features = features or FeatureSettings()
     number = lambda v: jnp.asarray(v, jnp.float32)  # noqa: E731
+    whole = lambda v: jnp.asarray(v, jnp.int32)  # noqa: E731
     matching = MatchOptions(
         body_enlarge=number(solve.body_enlarge),
         limb_enlarge=number(solve.limb_enlarge),
         max_distance=number(solve.max_distance),
         robust_scale=number(solve.robust_scale),
+        sampling=None
+        if solve.sampling == 1 and solve.sampling_max >= 8192
+        else Sampling(number(solve.sampling), whole(solve.sampling_min), whole(solve.sampling_max)),
         overlap=solve.overlap,
         near_side=solve.near_side,
         refine=solve.refine,
@@ -64,8 +69,13 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
         prior=number(solve.prior),
         prior_radius=number(solve.prior_radius),
         epsilon=number(solve.epsilon),
-        max_steps=jnp.asarray(solve.max_steps, jnp.int32),
+        max_steps=whole(solve.max_steps),
         damping=number(solve.damping),
+        plausible=PlausibleOptions(
+            number(solve.limits) if solve.limits > 0 else None,
+            number(solve.collisions) if solve.collisions > 0 else None,
+            number(solve.collision_margin),
+        ),
         solver=solve.solver,
     )
     return TrackOptions(icp, number(track.damping), number(track.prior_interval))
@@ -109,7 +119,7 @@ def track_frame(
     )
     poses = jax.tree.map(lambda a, b: jnp.where(good, a, b), solved.poses, predicted)
 
-    found = match(body.sizes, poses, points, adjacency(body.topology), options.icp.match)
+    found = match(body.sizes, poses, points, adjacency(body.topology), options.icp.match, body.present)
     weight = jnp.sum(found.weight, -1)
     quality = found.squares() / jnp.maximum(jnp.sum(weight), 1e-6)
     explained = jnp.sum(found.close(0.1)) / jnp.maximum(count, 1)

@@ -15,6 +15,7 @@ class Status(IntEnum):
     TRACKED = 0  # the body explains the person's points
     NOT_STARTED = 1  # before the tracker found somebody; poses are NaN
     NO_DATA = 2  # no points on the person in this frame; poses are predicted, or NaN if the person is gone for longer
+    FEATURES = 4  # no points, but 2D features or a few 3D ones: poses follow these and are predicted else
     LOST = 3  # the body does not explain the points; poses are the best guess
 
 
@@ -35,6 +36,8 @@ class Tracks:
     steps: Int32[np.ndarray, " frame"]  # ICP steps taken
     points: Int32[np.ndarray, " frame"]  # points given to the tracker
     limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
+    beyond_limits: Float32[np.ndarray, "frame bodyjoint"] | None = None  # of `body.topology.joints`, radians; 0: within
+    depth_inside: Float32[np.ndarray, "frame limb"] | None = None  # in another limb, more than in the rest pose; metres
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())

@@ -26,6 +26,8 @@ HEADER = """\
 # [[joint]]   at: position, on the parent; child_at: on the child, if elsewhere; axes: semi-axes of the joint's ellipse,
 #             both 0: universal, one 0: hinge about the other, none 0: elliptic; x_axis, z_axis (child_x_axis,
 #             child_z_axis): directions of the ellipse's frame, default those of the body; weight: default 1.
+#             swing_x, swing_y, twist: least and greatest angle in degrees that the child turns away from its rest pose,
+#             about x and y of the joint's frame, and about its z; default no limit.
 # [[centre]]  a joint centre that tracks report, carried by a limb. [[site]]: a feature point.
 # [[segment]] a length to report, between two joints or centres; equal names are averaged.
 """
@@ -35,13 +37,14 @@ KEYS = {
     "limb": (("name", "bottom", "top", "bottom_axes", "top_axes"), ("x_axis",)),
     "joint": (
         ("name", "parent", "child", "at", "axes"),
-        ("child_at", "x_axis", "z_axis", "child_x_axis", "child_z_axis", "weight"),
+        ("child_at", "x_axis", "z_axis", "child_x_axis", "child_z_axis", "weight", "swing_x", "swing_y", "twist"),
     ),
     "centre": (("name", "limb", "at"), ()),
     "site": (("name", "limb", "at"), ()),
     "segment": (("name", "from", "to"), ()),
 }
-BUILT_IN = ("human", "human10", "arm", "dog")
+LIMITS = ("swing_x", "swing_y", "twist")
+BUILT_IN = ("human", "human10", "arm", "dog", "stick")
 
 
 class BodyFileError(TomlFileError):
@@ -144,6 +147,8 @@ def parse_body(text: str, source: str = "<text>") -> Body:
         centres=array(centre_points, -1, 3),
         sites=array(site_points, -1, 3),
         scale=array(scale),
+        limits=array([_limits(t) for t in tables["joint"]], -1, 3, 2),
+        present=jnp.ones(len(limbs), bool),
         topology=topology,
         name=root.name,
         scale_name=root.string("scale_name", "scale"),
@@ -173,6 +178,8 @@ def format_body(body: Body) -> str:
             lines += [f"{prefix}at = {_list(at / scale)}", f"{prefix}x_axis = {_list(frame[:, 0])}"]
             lines += [f"{prefix}z_axis = {_list(frame[:, 2])}"]
         lines += [f"axes = {_list(axes[j] / scale)}", f"weight = {_number(weights[j])}"]
+        limits = np.round(np.degrees(np.asarray(body.limits[j], np.float64)), 4)
+        lines += [f"{key} = {_list(row)}" for key, row in zip(LIMITS, limits) if np.isfinite(row).all()]
     named = (("centre", t.centres, t.centre_limbs, body.centres), ("site", t.sites, t.site_limbs, body.sites))
     for kind, names, owner, points in named:
         for name, limb, point in zip(names, owner, np.asarray(points, np.float64)):
@@ -182,6 +189,17 @@ def format_body(body: Body) -> str:
     for name, start, end in t.segments:
         lines += ["", "[[segment]]", f"name = {_string(name)}", f"from = {_string(start)}", f"to = {_string(end)}"]
     return "\n".join(lines) + "\n"
+
+
+def _limits(table: Table) -> np.ndarray:
+    """Least and greatest swing about x and y, and twist, of a joint; radians."""
+    out = np.array([[-np.inf, np.inf]] * 3)
+    for row, key in zip(out, LIMITS):
+        if key in table.data:
+            row[:] = np.radians(table.numbers(key, 2))
+            if not -180 <= table.data[key][0] <= 0 <= table.data[key][1] <= 180:
+                table.fail(key, f"'{key}' of {table.title} must be degrees from -180..0 to 0..180: 0 is the rest pose")
+    return out
 
 
 def _check_tree(

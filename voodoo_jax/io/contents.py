@@ -1,7 +1,7 @@
 """What a decoded message holds, in whatever format it came: clouds, images, calibrations, named features."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from sys import intern
 from typing import Any
 
@@ -11,7 +11,8 @@ from jaxtyping import Float, Int64
 
 @dataclass(frozen=True)
 class Cloud:
-    """A point cloud as it lies in the message: `grid` is a structured [row, column] view with fields x, y, z."""
+    """A point cloud as it lies in the message: `grid` is a structured [row, column] view with x, y, z and the other
+    fields of one number."""
 
     stamp_ns: int
     frame: str
@@ -20,13 +21,33 @@ class Cloud:
 
     def points(self, max_points: int) -> Float[np.ndarray, "point 3"]:
         """At most about `max_points` points in metres, in the cloud's own frame; invalid ones still among them."""
+        return np.stack([self.field(axis, max_points) for axis in "xyz"], axis=-1).astype(np.float64)
+
+    def field(self, name: str, max_points: int) -> np.ndarray:
+        """A field [point] of the same points as `points` gives, as it lies in the message. Raises ValueError for a
+        field that the cloud does not have."""
         rows, columns = self.grid.shape
         if rows > 1 and columns > 1:
             k = stride(rows, columns, max_points)
-            part = self.grid[::k, ::k]
-        else:
-            part = self.grid.reshape(-1)[:: max(1, -(-self.grid.size // max_points))]
-        return np.stack([part[axis].ravel() for axis in "xyz"], axis=-1).astype(np.float64)
+            return self.grid[name][::k, ::k].ravel()
+        return self.grid[name].reshape(-1)[:: max(1, -(-self.grid.size // max_points))]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the fields."""
+        return self.grid.dtype.names or ()
+
+
+@dataclass(frozen=True)
+class Colour:
+    """A colour or grey image as it lies in the message; `io.pictures.pixels` decodes it."""
+
+    stamp_ns: int
+    frame: str
+    encoding: str  # of the pixels, lower case; "jpeg", "png" and so on for a compressed one
+    shape: tuple[int, int]  # rows, columns; 0, 0 where only the decoder knows
+    step: int  # bytes per row; 0 for a compressed one
+    data: np.ndarray | bytes
 
 
 @dataclass(frozen=True)
@@ -39,11 +60,12 @@ class Image:
     shape: tuple[int, int]  # rows, columns
     raw: np.ndarray | None  # [row, column] view; None if the encoding is none of depth
     unit: float  # metres per raw unit
+    colour: Colour | None = None  # if it is one of colour or grey
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Camera model in OpenCV's terms. K and D describe the raw image, P the rectified one. Pixels."""
+    """Camera model in OpenCV's terms. K and D describe the raw image, R and P the rectified one. Pixels."""
 
     stamp_ns: int
     frame: str
@@ -53,6 +75,7 @@ class Calibration:
     D: Float[np.ndarray, " coefficient"]
     K: Float[np.ndarray, "3 3"]
     P: Float[np.ndarray, "3 4"]
+    R: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))  # rotation, camera to rectified camera
 
 
 @dataclass(frozen=True)

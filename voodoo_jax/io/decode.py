@@ -12,11 +12,13 @@ from mcap_protobuf.decoder import DecoderFactory
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from voodoo_jax.io import decode_depth, decode_features
+from voodoo_jax.io import decode_colour, decode_depth, decode_features
+from voodoo_jax.io.decode_colour import COLOUR_KIND
 
 KINDS = {
     "sensor_msgs/msg/PointCloud2": "point cloud",
     "sensor_msgs/msg/Image": "image",
+    "sensor_msgs/msg/CompressedImage": COLOUR_KIND,
     "sensor_msgs/msg/LaserScan": "laser scan",
     "sensor_msgs/msg/CameraInfo": "calibration",
     "tf2_msgs/msg/TFMessage": "transforms",
@@ -27,6 +29,7 @@ KINDS = {
     "visualization_msgs/msg/MarkerArray": "pairs",
     "foxglove.PointCloud": "point cloud",
     "foxglove.RawImage": "image",
+    "foxglove.CompressedImage": COLOUR_KIND,
     "foxglove.LaserScan": "laser scan",
     "foxglove.CameraCalibration": "calibration",
     "foxglove.FrameTransform": "transforms",
@@ -39,7 +42,11 @@ KINDS = {
 }
 DEPTH_KINDS = ("image", "point cloud", "laser scan")
 FEATURE_KINDS = ("rays", "pairs")
-_CONVERTERS: dict[str, Callable[[Any], Any]] = {**decode_depth.CONVERTERS, **decode_features.CONVERTERS}
+_CONVERTERS: dict[str, Callable[[Any], Any]] = {
+    **decode_depth.CONVERTERS,
+    **decode_colour.CONVERTERS,
+    **decode_features.CONVERTERS,
+}
 _ENCODINGS = {("cdr", "ros2msg"), ("cdr", "ros2idl"), ("protobuf", "protobuf")}
 # One broken message raises one of these in rosbags, protobuf or NumPy.
 DECODE_ERRORS = (
@@ -72,8 +79,10 @@ def reason_unused(schema: Schema | None, channel: Channel) -> str:
     name = schema.name.rsplit("/", 1)[-1].rsplit(".", 1)[-1]
     if (channel.message_encoding, schema.encoding) not in _ENCODINGS:
         return f"encoding {channel.message_encoding or '?'}/{schema.encoding or '?'} is not read"
+    if name == "CompressedImage":
+        return "a colour image"
     if "Compressed" in name:
-        return "compressed images and clouds are not read"
+        return "compressed clouds and videos are not read"
     if name == "LaserScan":
         return "a single line of a laser scanner"
     return "no depth, calibration or transforms"
@@ -88,8 +97,8 @@ def is_static(schema: Schema | None, channel: Channel) -> bool:
 
 
 class Decoder:
-    """Turns message bytes into `Cloud` (laser scans too), `Image`, `Calibration`, `Features` or a list of `Transform`;
-    one decoder per schema."""
+    """Turns message bytes into `Cloud` (laser scans too), `Image`, `Colour`, `Calibration`, `Features` or a list of
+    `Transform`; one decoder per schema."""
 
     def __init__(self):
         self._made: dict[tuple[str, bytes], Callable[[bytes], Any]] = {}

@@ -6,16 +6,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.io.contents import Calibration, Cloud, Image, frame_name, pb_stamp, ros_stamp, xyz, xyzw
+from voodoo_jax.io.decode_colour import PIXELS, colour_image
 from voodoo_jax.io.transforms import Transform
 
 _DEPTH = {"16UC1": ("u2", 0.001), "MONO16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # pixel type, metres per unit
 # Signed and unsigned are swapped between the two: ROS INT8=1, UINT8=2; Foxglove UINT8=1, INT8=2.
 _ROS_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_AXES = ("x", "y", "z")
 _FOXGLOVE_FIELDS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 
 
 def _ros_cloud(m: Any) -> Cloud:
-    fields = {f.name: (_ROS_FIELDS.get(f.datatype), f.offset) for f in m.fields}
+    fields = {f.name: (_ROS_FIELDS.get(f.datatype), f.offset) for f in m.fields if f.name in _AXES or f.count <= 1}
     grid = _grid(m.data, m.height, m.width, m.point_step, m.row_step, fields, ">" if m.is_bigendian else "<")
     return Cloud(ros_stamp(m.header), frame_name(m.header.frame_id), grid)
 
@@ -53,7 +55,14 @@ def _ros_calibration(m: Any) -> Calibration:
         matrix[1] /= by
     width, height = (m.roi.width or m.width) // bx, (m.roi.height or m.height) // by
     D = np.array(m.d, float)
-    return Calibration(ros_stamp(m.header), frame_name(m.header.frame_id), width, height, m.distortion_model, D, K, P)
+    R, frame = _rotation(m.r), frame_name(m.header.frame_id)
+    return Calibration(ros_stamp(m.header), frame, width, height, m.distortion_model, D, K, P, R)
+
+
+def _rotation(numbers: Any) -> np.ndarray:
+    """The nine numbers of a rectifying rotation; all zeros, or none: nobody filled it in."""
+    R = np.array(numbers, float)
+    return R.reshape(3, 3) if R.size == 9 and np.any(R) else np.eye(3)
 
 
 def _ros_tf(m: Any) -> list[Transform]:
@@ -100,7 +109,8 @@ def _foxglove_calibration(m: Any) -> Calibration:
     K = np.array(m.K, float).reshape(3, 3) if m.K else np.zeros((3, 3))
     P = np.array(m.P, float).reshape(3, 4) if m.P else np.zeros((3, 4))
     D = np.array(m.D, float)
-    return Calibration(pb_stamp(m), frame_name(m.frame_id), m.width, m.height, m.distortion_model, D, K, P)
+    R, frame = _rotation(m.R), frame_name(m.frame_id)
+    return Calibration(pb_stamp(m), frame, m.width, m.height, m.distortion_model, D, K, P, R)
 
 
 def _foxglove_transform(m: Any) -> Transform:
@@ -110,11 +120,12 @@ def _foxglove_transform(m: Any) -> Transform:
 
 
 def _grid(data: Any, rows: int, columns: int, step: int, row_step: int, fields: dict, order: str) -> np.ndarray:
-    if any(axis not in fields or fields[axis][0] is None for axis in "xyz"):
+    if any(axis not in fields or fields[axis][0] is None for axis in _AXES):
         raise ValueError(f"the cloud has no fields x, y, z but {', '.join(fields) or 'none'}")
-    names = list("xyz")
-    formats = [order + str(fields[axis][0]) for axis in names]
-    offsets = [fields[axis][1] for axis in names]
+    whole = [n for n, (kind, offset) in fields.items() if kind is not None and offset + int(kind[1]) <= step]
+    names = [*_AXES, *(n for n in whole if n and n not in _AXES)]
+    formats = [order + str(fields[name][0]) for name in names]
+    offsets = [fields[name][1] for name in names]
     dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
     if rows * columns == 0:
         return np.empty((0, 0), dtype)
@@ -129,7 +140,9 @@ def _image(
     stamp_ns: int, frame: str, encoding: str, rows: int, columns: int, step: int, data: Any, order: str
 ) -> Image:
     kind, unit = _DEPTH.get(encoding.strip().upper(), ("", 1.0))
-    raw = None
+    raw = colour = None
+    if encoding.strip().lower() in PIXELS:
+        colour = colour_image(stamp_ns, frame, encoding, rows, columns, step, data)
     if kind:
         dtype = np.dtype(order + kind)
         step = max(step, columns * dtype.itemsize)
@@ -139,7 +152,7 @@ def _image(
         raw = np.ndarray((rows, columns), dtype, buffer=data, strides=(step, dtype.itemsize))
     elif not encoding:
         raise ValueError("the image names no encoding")
-    return Image(stamp_ns, frame_name(frame), encoding.strip(), (rows, columns), raw, unit)
+    return Image(stamp_ns, frame_name(frame), encoding.strip(), (rows, columns), raw, unit, colour)
 
 
 CONVERTERS = {

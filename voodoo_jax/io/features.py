@@ -11,6 +11,7 @@ from voodoo_jax.io import camera
 from voodoo_jax.io.cameras import camera_of
 from voodoo_jax.io.contents import Calibration
 from voodoo_jax.io.frames import join, period_of
+from voodoo_jax.io.parts import Parts
 from voodoo_jax.io.scan import Scan
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.recording import Pairs, Rays
@@ -32,38 +33,41 @@ class _Placed:
 
     frame: Int64[np.ndarray, " feature"]  # number of the frame
     names: tuple[str, ...]
+    weight: float  # of each
     origins: Float[np.ndarray, "feature 3"]  # of the camera or the coordinate frame, metres
     values: Float[np.ndarray, "feature 3"]  # unit directions, or metres
 
 
-def plan_features(scan: Scan, fixed: str, topics: list[str], times: Int64[np.ndarray, " frame"]) -> FeaturePlan:
+def plan_features(
+    scan: Scan, fixed: str, topics: list[str], times: Int64[np.ndarray, " frame"], weights: Parts
+) -> FeaturePlan:
     """Gives each feature of the topics to the frame with the nearest stamp (`times`, increasing, nanoseconds).
 
     Of one name and topic a frame gets one: the nearest in time, then the one with the highest score.
     """
     plan = FeaturePlan()
-    parts: dict[str, list[_Placed]] = {"rays": [], "pairs": []}
+    found: dict[str, list[_Placed]] = {"rays": [], "pairs": []}
     used = []
     for name in sorted(topics):
         counted: Counter[str] = Counter()
-        placed = _place(scan, fixed, name, times, counted)
+        placed = _place(scan, fixed, name, times, counted, weights.weight(name))
         if isinstance(placed, str):
             plan.notes.append(f"'{name}' is left out: {placed}.")
             continue
         plan.notes += [f"'{name}': {n} {'feature' if n == 1 else 'features'} {what}." for what, n in counted.items()]
         if placed.names:
             used.append(name)
-            parts[scan.uses[name]].append(placed)
-    for i, names, origins, directions in _by_frame(parts["rays"]):
-        plan.rays[i] = Rays(names, origins, directions)
-    for i, names, _, points in _by_frame(parts["pairs"]):
-        plan.pairs[i] = Pairs(names, points)
+            found[scan.uses[name]].append(placed)
+    for i, names, origins, directions, weight in _by_frame(found["rays"]):
+        plan.rays[i] = Rays(names, origins, directions, weight)
+    for i, names, _, points, weight in _by_frame(found["pairs"]):
+        plan.pairs[i] = Pairs(names, points, weight)
     plan.topics = tuple(used)
     return plan
 
 
 def _by_frame(parts: list[_Placed]):
-    """(frame, names, origins, values) for each frame with features, topics in order."""
+    """(frame, names, origins, values, weights) for each frame with features, topics in order; weights None: all 1."""
     if not parts:
         return
     frame = np.concatenate([p.frame for p in parts])
@@ -71,12 +75,14 @@ def _by_frame(parts: list[_Placed]):
     names = [name for p in parts for name in p.names]
     origins = np.concatenate([p.origins for p in parts])[order].astype(np.float32)
     values = np.concatenate([p.values for p in parts])[order].astype(np.float32)
+    weights = np.concatenate([np.full(len(p.names), p.weight, np.float32) for p in parts])[order]
     numbers, starts = np.unique(frame[order], return_index=True)
     for i, a, b in zip(numbers.tolist(), starts, [*starts[1:], len(order)]):
-        yield i, tuple(names[k] for k in order[a:b]), origins[a:b], values[a:b]
+        weight = weights[a:b] if any(p.weight != 1 for p in parts) else None
+        yield i, tuple(names[k] for k in order[a:b]), origins[a:b], values[a:b], weight
 
 
-def _place(scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counter[str]) -> _Placed | str:
+def _place(scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counter[str], weight: float) -> _Placed | str:
     """The features of a topic, or why it cannot be used; counts what is left out."""
     found = scan.topics[name].gathered
     assert found is not None
@@ -111,7 +117,7 @@ def _place(scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counte
         origins[rows] = pose[1]
         turned[rows] = values[kept[rows]] @ pose[0].T + (0.0 if scan.uses[name] == "rays" else pose[1])
     names = tuple(found.names[k] for k in kept[there])
-    return _Placed(nearest[kept[there]], names, origins[there], turned[there])
+    return _Placed(nearest[kept[there]], names, weight, origins[there], turned[there])
 
 
 def _rays(scan: Scan, name: str, counted: Counter[str]) -> tuple[np.ndarray, np.ndarray]:

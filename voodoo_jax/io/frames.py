@@ -5,6 +5,8 @@ from jaxtyping import Bool, Int64
 
 from voodoo_jax.io.contents import many
 
+PAUSE_NS = 1_000_000_000  # so long a person is expected to be where she was
+
 
 def period_of(stamps: Int64[np.ndarray, " _"]) -> float:
     """Median distance of increasing stamps, nanoseconds; inf for fewer than two."""
@@ -32,6 +34,20 @@ def join_one(times: Int64[np.ndarray, " frame"], stamps: Int64[np.ndarray, " mes
     order = order[joins[order]]
     frames, first = np.unique(nearest[order], return_index=True)
     return [(int(f), int(m)) for f, m in zip(frames, order[first])]
+
+
+def in_pauses(
+    times: Int64[np.ndarray, " frame"], stamps: Int64[np.ndarray, " message"]
+) -> Bool[np.ndarray, " message"]:
+    """Whether stamps (increasing) lie in a long pause of the frames, before the first or after the last included, and
+    farther from the frames than they are from each other."""
+    if not len(times) or not len(stamps):
+        return np.ones(len(stamps), bool)
+    after = np.searchsorted(times, stamps)
+    begin = np.where(after > 0, times[after - 1], min(stamps[0], times[0]))
+    end = np.where(after < len(times), times[np.minimum(after, len(times) - 1)], max(stamps[-1], times[-1]))
+    nearest, _ = join(times, np.inf, stamps)
+    return (end - begin > PAUSE_NS) & (np.abs(times[nearest] - stamps) > period_of(stamps))
 
 
 def clean_stamps(name: str, stamps_ns: list[int], log_times_ns: list[int], notes: list[str]) -> np.ndarray:

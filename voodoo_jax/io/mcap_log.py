@@ -8,8 +8,10 @@ images.
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int32
 
 from voodoo_jax.io import camera
 from voodoo_jax.io.cameras import calibration_of
@@ -18,6 +20,7 @@ from voodoo_jax.io.contents import Cloud, Image, many, stride
 from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
 from voodoo_jax.io.plan import Plan, make_plan
 from voodoo_jax.io.scan import Scan, guarded
+from voodoo_jax.io.stereo import StereoReader
 from voodoo_jax.io.survey import LogSurvey, TopicSurvey, survey
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.recording import Frame, Pairs, Rays, Recording
@@ -52,6 +55,15 @@ def read_log(
     return Recording(log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes)
 
 
+@dataclass(frozen=True)
+class _Measured:
+    """One message in the fixed frame."""
+
+    points: Float[np.ndarray, "point 3"]  # metres
+    origin: Float[np.ndarray, "3"]  # of the sensor
+    part: Int32[np.ndarray, " point"]  # see Frame
+
+
 class LogReader:
     """A log opened for reading frame by frame. `notes` is complete once `frames()` has run through."""
 
@@ -60,6 +72,7 @@ class LogReader:
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
         self.features = plan.features
         self._whole, self._stamps, self._plan = plan, plan.stamps, plan.frames
+        self._plan_parts = plan.parts
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
@@ -74,7 +87,8 @@ class LogReader:
         return tuple(self._notes + self._losses())
 
     def _losses(self) -> list[str]:
-        return [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
+        counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
+        return counted + self._plan_parts.losses()
 
     def frames(self, progress: Progress | None = None) -> Iterator[Frame]:
         """Frames in the order of their stamps. `progress` gets the number of depth messages (without
@@ -87,13 +101,16 @@ class LogReader:
         sensor_of = {name: i for i, name in enumerate(self.sensors)}
         home = {member: i for i, (_, members) in enumerate(self._plan) for member in members}
         missing = [len(members) for _, members in self._plan]
-        parts: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}
-        seen, done, made, following, error = Counter(), 0, 0, 0, ""
+        self._plan_parts.forget()
+        parts: dict[int, list[tuple[int, _Measured]]] = {}
+        stereo = StereoReader(scan.topics, scan.tree, [p for p in scan.stereo if p.left in sensor_of], self._settings)
+        used = {*sensor_of, *stereo.rights}
+        done, made, following, error = 0, 0, 0, ""
         origins = np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
-        wanted = lambda s, c: c.topic in sensor_of and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
-        for schema, channel, message in guarded(scan.log, wanted):
-            member = sensor_of[channel.topic], seen[channel.topic]
-            seen[channel.topic] += 1
+        wanted = lambda s, c: c.topic in used and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
+        for topic, number, item, partner in stereo.items(guarded(scan.log, wanted)):
+            schema, channel, message = item
+            member = sensor_of[topic], number
             if member not in home or schema is None:
                 continue
             done += 1
@@ -102,13 +119,20 @@ class LogReader:
             i = home[member]
             missing[i] -= 1
             try:
-                content = decoder.message(schema, channel, message.data)
-                part = self._measure(channel.topic, content, int(self._stamps[member[0]][member[1]]))
+                part = content = None
+                if topic not in stereo.pairs:
+                    content = decoder.message(schema, channel, message.data)
+                elif partner is not None:
+                    content = stereo.cloud(item, partner)
+                else:
+                    self._counted[topic, "left out, without an image of the other camera at the same time"] += 1
+                if content is not None:
+                    part = self._measure(topic, content, int(self._stamps[member[0]][number]))
                 if part is not None:
-                    parts.setdefault(i, []).append((member[0], *part))
+                    parts.setdefault(i, []).append((member[0], part))
             except DECODE_ERRORS as problem:
                 error = error or f"{type(problem).__name__}: {problem}"
-                self._counted[channel.topic, "cannot be decoded, left out"] += 1
+                self._counted[topic, "cannot be decoded, left out"] += 1
             while following < len(self._plan) and missing[following] == 0:
                 if following in parts or not self._whole.led_by_points:
                     yield self._frame(following, parts.pop(following, []), origins)
@@ -126,28 +150,33 @@ class LogReader:
                 " ".join([f"'{self.path}': not one depth message can be used.", *self._losses(), error]).strip()
             )
 
-    def _frame(self, i: int, parts: list[tuple[int, np.ndarray, np.ndarray]], origins: np.ndarray) -> Frame:
+    def _frame(self, i: int, parts: list[tuple[int, "_Measured"]], origins: np.ndarray) -> Frame:
         time_ns = self._plan[i][0]
-        for sensor, _, origin in parts:
-            origins[sensor] = origin
+        for sensor, measured in parts:
+            origins[sensor] = measured.origin
         for sensor in np.flatnonzero(np.isnan(origins[:, 0])):  # sensors that have not measured yet
             frame = self._scan.topics[self.sensors[sensor]].sample.frame
             found = self._scan.tree.lookup(self.fixed_frame, frame, time_ns, hold_ns=None)
             origins[sensor] = found[1] if found else 0.0
         parts = sorted(parts, key=lambda part: part[0])
+        sensor = np.repeat([s for s, _ in parts], [len(m.points) for _, m in parts]).astype(np.int32)
+        said = self._plan_parts
+        part = np.concatenate([np.zeros(0, np.int32), *(m.part for _, m in parts)]) if said.names else None
+        weights = np.array([said.weight(name) for name in self.sensors], np.float32)
         return Frame(
             time_ns=time_ns,
-            points=np.concatenate([np.zeros((0, 3)), *(points for _, points, _ in parts)])
-            .astype(np.float32)
-            .reshape(-1, 3),
-            sensor=np.repeat([s for s, _, _ in parts], [len(p) for _, p, _ in parts]).astype(np.int32),
+            points=np.concatenate([np.zeros((0, 3)), *(m.points for _, m in parts)]).astype(np.float32).reshape(-1, 3),
+            sensor=sensor,
             origins=origins.astype(np.float32),
             rays=self._whole.rays.get(i, Rays()),
             pairs=self._whole.pairs.get(i, Pairs()),
+            part=part,
+            parts=said.names,
+            weight=weights[sensor] if said.weighted(self.sensors) else None,
         )
 
-    def _measure(self, topic: str, content: Cloud | Image, stamp_ns: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Points [point, 3] and the sensor's position [3] in the fixed frame; None if there is no transform."""
+    def _measure(self, topic: str, content: Cloud | Image, stamp_ns: int) -> "_Measured | None":
+        """What a message measured, in the fixed frame; None if there is no transform."""
         s = self._settings
         found = self._scan.tree.lookup(self.fixed_frame, content.frame, stamp_ns)
         if found is None:
@@ -156,6 +185,7 @@ class LogReader:
             self._counted[topic, why] += 1
             return None
         rotation, translation = found
+        labels = None
         if isinstance(content, Image):
             if content.raw is None:
                 raise ValueError(f"encoding changed to {content.encoding}")
@@ -167,10 +197,17 @@ class LogReader:
             points = np.column_stack([rays * z[:, None], z])
         else:
             points = content.points(s.max_points)
+            if field := self._plan_parts.field(topic):
+                if field in content.fields:
+                    labels = content.field(field, s.max_points)
+                else:
+                    self._counted[topic, f"without the field '{field}', so that all points are free"] += 1
         with np.errstate(invalid="ignore", over="ignore"):
             square = np.einsum("ni,ni->n", points, points)
             # NaN fails every comparison; a range of exactly 0 is a driver's word for nothing seen.
-            points = points[(square >= s.min_range**2) & (square <= s.max_range**2) & (square > 0)]
+            keep = (square >= s.min_range**2) & (square <= s.max_range**2) & (square > 0)
+            points, labels = points[keep], None if labels is None else labels[keep]
+        part = self._plan_parts.numbers(topic, labels, len(points))
         if isinstance(content, Cloud) and content.pose is not None:
             translation = rotation @ content.pose[1] + translation
             rotation = rotation @ content.pose[0]
@@ -178,7 +215,7 @@ class LogReader:
             note = f"Coordinates in '{self.fixed_frame}' exceed 10 km, inexact in float32: set another fixed_frame."
             if note not in self._notes:
                 self._notes.append(note)
-        return points @ rotation.T + translation, translation
+        return _Measured(points @ rotation.T + translation, translation, part)
 
     def _pixel_rays(self, topic: str, image: Image, k: int) -> np.ndarray:
         key = (topic, image.shape, k)

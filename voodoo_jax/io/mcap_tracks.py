@@ -21,6 +21,7 @@ from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
@@ -79,7 +80,7 @@ def _write_frames(writer: Writer, tracks: Tracks) -> None:
     channel["quality"] = writer.register_channel("/voodoo/quality", "json", schema)
 
     entities = body_entities(tracks.body)
-    next_scene = None
+    next_scene, shown = None, frozenset()
     for i, stamp in enumerate(tracks.time_ns.tolist()):
         seconds, nanos = divmod(stamp, 1_000_000_000)
         time = Timestamp(seconds=seconds, nanos=nanos)
@@ -91,11 +92,15 @@ def _write_frames(writer: Writer, tracks: Tracks) -> None:
             if len(poses) == tracks.body.limb_count:  # a list with gaps would name the wrong limbs
                 message = PosesInFrame(timestamp=time, frame_id=tracks.fixed_frame, poses=poses)
                 messages["poses"] = message.SerializeToString()
-            if next_scene is None or stamp >= next_scene:
+            there = frozenset(t.child_frame_id.removeprefix("voodoo/") for t in limbs)
+            if next_scene is None or stamp >= next_scene or there != shown:
                 next_scene = stamp + SCENE_PERIOD_NS
-                for entity in entities:
+                update = SceneUpdate(entities=[e for e in entities if e.id in there])
+                # a limb that was taken off, or a thing that was put down
+                update.deletions.extend(SceneEntityDeletion(id=name, timestamp=time) for name in sorted(shown - there))
+                for entity in update.entities:
                     entity.timestamp.CopyFrom(time)
-                messages["body"] = SceneUpdate(entities=entities).SerializeToString()
+                messages["body"], shown = update.SerializeToString(), there
         for name, data in messages.items():
             writer.add_message(channel[name], log_time=stamp, data=data, publish_time=stamp, sequence=i)
 

@@ -10,15 +10,20 @@ from voodoo_jax.io.cameras import frame_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode import DEPTH_KINDS
 from voodoo_jax.io.features import plan_features
-from voodoo_jax.io.frames import clean_stamps, join_one, plan_frames
+from voodoo_jax.io.frames import clean_stamps, in_pauses, join_one, plan_frames
+from voodoo_jax.io.leaders import dense
+from voodoo_jax.io.parts import BODY, FREE, Parts
 from voodoo_jax.io.scan import Scan
+from voodoo_jax.io.skin import add_rays, plan_skin
+from voodoo_jax.io.stereo import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.settings import ReadSettings
 
 NEEDED = (
     "Needed is a depth image (sensor_msgs/msg/Image or foxglove.RawImage, 16UC1 in mm or 32FC1 in m) with its "
-    "calibration, or a point cloud (sensor_msgs/msg/PointCloud2 or foxglove.PointCloud)"
+    "calibration, or a point cloud (sensor_msgs/msg/PointCloud2 or foxglove.PointCloud), or the images of a stereo "
+    "pair with both calibrations"
 )
 NEEDED_FEATURES = (
     ", or named features: 3D points (visualization_msgs/msg/MarkerArray, geometry_msgs/msg/PointStamped, "
@@ -40,23 +45,27 @@ class Plan:
     features: tuple[str, ...]  # topics that give rays or pairs
     rays: dict[int, Rays]  # by frame
     pairs: dict[int, Pairs]  # by frame
+    parts: Parts  # what the settings say of the topics
     notes: tuple[str, ...]
 
 
 def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     """Plans the second pass. Raises LogError if there is nothing to track in it, or no way to the fixed frame.
 
-    Depth leads: its fastest sensor gives the frames their stamps. Without depth the fastest topic of pairs does, else
-    a laser scanner, else rays. All others join the frames that are there.
+    Depth leads: its fastest sensor gives the frames their stamps, the next one those in its pauses. Sensors that are
+    much thinner than the densest (scanners with few lines) do so in long pauses only, and clouds of one limb only where
+    nothing else is. Without depth the fastest topic of pairs leads, else a laser scanner, else rays. All others join
+    the frames that are there.
     """
     of = {use: sorted(n for n in scan.uses if scan.uses[n] == use) for use in (*DEPTH_USES, "rays", "pairs")}
-    lasers, depth = of["laser scan"], sorted(of["depth image"] + of["point cloud"])
+    lasers, depth = of["laser scan"], sorted(of["depth image"] + of["point cloud"] + of[STEREO_USE])
     sources = depth + lasers if depth else lasers + of["pairs"] or of["rays"]
     if not sources:
         raise LogError(_no_depth(scan, settings.features))
     notes = []
+    reported = ("a depth image w", "2D features w", "a stereo pair, but the", "no message can be decoded")
     for name, use in scan.uses.items():
-        if any(why in use for why in ("a depth image w", "2D features w", "no message can be decoded")):
+        if any(why in use for why in reported):
             notes.append(f"'{name}' is left out: {use.removeprefix('not used: ')}.")
         elif not depth and use.startswith("not used: none of its"):
             notes.append(f"'{name}' is left out: {use.removeprefix('not used: ')}.")
@@ -64,7 +73,12 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
         kinds = " and ".join(sorted({scan.uses[name] for name in sources}))
         notes.append(f"The log has no depth data that can be used; its frames come from {kinds}.")
     fixed, kept = _choose_fixed_frame(scan, settings.fixed_frame.lstrip("/"), sources, notes)
-    leaders = next(k for group in (depth, of["pairs"], lasers, of["rays"]) if (k := [n for n in group if n in kept]))
+    parts = Parts(scan.topics, scan.uses, settings)
+    notes += parts.notes
+    whole = [n for n in depth if n in kept and parts.of_topic(n) in (FREE, BODY)]
+    good = dense(scan.topics, whole, settings.max_points)
+    groups = (good, depth, of["pairs"], lasers, of["rays"])
+    leaders = next(k for group in groups if (k := [n for n in group if n in kept]))
     sensors = [name for name in kept if scan.uses[name] in DEPTH_USES]
     stamps = {n: clean_stamps(n, scan.topics[n].stamps, scan.topics[n].log_times, notes) for n in sensors}
     led_by_points = leaders[0] in sensors
@@ -72,14 +86,23 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     times = [stamps[n] for n in leaders] if led_by_points else [g.message_stamps for g in found if g is not None]
     unique = [np.unique(s, return_index=True) for s in times]
     frames = plan_frames([s for s, _ in unique], [places for _, places in unique])
-    if not led_by_points:
-        frames = [(t, []) for t, _ in frames]
+    place = {i: sensors.index(name) for i, name in enumerate(leaders)} if led_by_points else {}
+    frames = [(t, [(place[i], m) for i, m in members] if led_by_points else []) for t, members in frames]
+    thin = [np.unique(stamps[n]) for n in whole if n not in leaders]
+    at = np.array([t for t, _ in frames], np.int64)
+    alone = [t[in_pauses(at, t)] for t in thin]
+    frames = sorted(frames + [(t, []) for t, _ in plan_frames(alone, alone)], key=lambda frame: frame[0])
     at = np.array([t for t, _ in frames], np.int64)
     for name in sensors:
         if name not in leaders:
             for frame, message in join_one(at, stamps[name]):
                 frames[frame][1].append((sensors.index(name), message))
-    features = plan_features(scan, fixed, of["rays"] + of["pairs"], at)
+    features = plan_features(scan, fixed, of["rays"] + of["pairs"], at, parts)
+    if settings.skin:
+        skin = plan_skin(scan, fixed, at, parts)
+        features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}
+        features.topics += tuple(name for name in skin.topics if name not in features.topics)
+        notes += skin.notes
     up = _upward(scan, fixed, leaders[0], frames[0][0])
     return Plan(
         fixed_frame=fixed,
@@ -91,6 +114,7 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
         features=features.topics,
         rays=features.rays,
         pairs=features.pairs,
+        parts=parts,
         notes=tuple(notes + features.notes),
     )
 
@@ -159,7 +183,8 @@ def _upward(scan: Scan, fixed: str, sensor: str, time_ns: int) -> np.ndarray:
     """Up in the fixed frame: the root frame's z (REP 103), or -y for a camera that is the root itself."""
     tree = scan.tree
     root = tree.root(fixed)
-    if "optical" in root.lower() or (root not in tree.frames and scan.uses[sensor] in ("depth image", "rays")):
+    cameras = ("depth image", STEREO_USE, "rays")
+    if "optical" in root.lower() or (root not in tree.frames and scan.uses[sensor] in cameras):
         up = np.array([0.0, -1.0, 0.0])
     else:
         up = np.array([0.0, 0.0, 1.0])

@@ -20,7 +20,10 @@ from voodoo_jax.io.decode import (
     quick_stamp,
     reason_unused,
 )
+from voodoo_jax.io.decode_colour import COLOUR_KIND
 from voodoo_jax.io.gather import gather
+from voodoo_jax.io.skin import SKIN_USE, skin_topics
+from voodoo_jax.io.stereo import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
 from voodoo_jax.io.uses import decide_uses
@@ -38,8 +41,9 @@ def guarded(log: LogFile, wanted: Callable[[Schema | None, Channel], bool]) -> I
 class Scan:
     """The first pass over a log.
 
-    `topics` by name; `uses`: what replay takes each for, or "not used: <reason>"; `tree`: the transforms; `log_times`:
-    first and last, nanoseconds; `notes`: what was odd. Raises LogError if nothing can be read, or if a topic that
+    `topics` by name; `uses`: what replay takes each for, or "not used: <reason>"; `stereo`: the pairs among them;
+    `skin`: calibrations of the images in which skin is looked for, by topic; `tree`: the transforms; `log_times`: first
+    and last, nanoseconds; `notes`: what was odd. Raises LogError if nothing can be read, or if a topic that
     `settings` name is not in the log.
     """
 
@@ -51,6 +55,7 @@ class Scan:
         self.log_times: tuple[int, int] | None = None
         self._decoder = Decoder()
         self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
+        self._off += () if settings.stereo or settings.skin else (COLOUR_KIND,)
         # Without statistics the only way to know the number of messages is to read them all.
         everything = self.log.declared is None
         wanted = lambda s, c: everything or bool(self.kind(s, c))  # noqa: E731
@@ -70,7 +75,12 @@ class Scan:
             if topic.kind in FEATURE_KINDS:
                 topic.gathered = gather(name, topic.features, topic.log_times, self.notes)
                 topic.features.clear()
-        self.uses = decide_uses(self.log.path, self.topics, settings, self.notes)
+        pairs = find_pairs(self.topics, self.tree) if settings.stereo else []
+        self.uses = decide_uses(self.log.path, self.topics, settings, self.notes, pairs)
+        self.skin, notes = skin_topics(self.topics, self.uses) if settings.skin else ({}, [])
+        self.notes += notes
+        self.uses |= {name: SKIN_USE for name in self.skin if self.uses[name].startswith("not used")}
+        self.stereo = [pair for pair in pairs if self.uses[pair.left] == STEREO_USE]
 
     def kind(self, schema: Schema | None, channel: Channel) -> str:
         """What a channel may be used for; "" also for what is switched off."""
@@ -86,7 +96,7 @@ class Scan:
 
     def _take(self, topic: Topic, schema: Schema, channel: Channel, message: Any) -> None:
         content, stamp = None, quick_stamp(channel, message.data)
-        depth = topic.kind in DEPTH_KINDS
+        depth = topic.kind in (*DEPTH_KINDS, COLOUR_KIND)
         if topic.sample is None or stamp is None or not depth:
             try:
                 content = self._decoder.message(schema, channel, message.data)

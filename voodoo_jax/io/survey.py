@@ -7,12 +7,14 @@ from datetime import UTC, datetime
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.plan import make_plan
 from voodoo_jax.io.scan import Scan
+from voodoo_jax.io.skin import SKIN_USE
 from voodoo_jax.settings import ReadSettings
 
 
 @dataclass(frozen=True)
 class TopicSurvey:
-    """One topic of a log. `use` is what replay takes it for, or "not used: <reason>"."""
+    """One topic of a log. `use` is what replay takes it for, with what the settings say of it behind a comma ("point
+    cloud, points of head, weight 2"), or "not used: <reason>"."""
 
     topic: str
     type: str
@@ -48,10 +50,16 @@ def survey(path: str | os.PathLike[str], settings: ReadSettings | None = None) -
     all, or a topic in the settings is not in the log."""
     settings = settings or ReadSettings()
     scan = Scan(path, settings)
+    said = dict.fromkeys(scan.topics, "")
     try:
-        warnings = [*scan.notes, *scan.tree.notes, *make_plan(scan, settings).notes]
+        plan = make_plan(scan, settings)
+        warnings = [*scan.notes, *scan.tree.notes, *plan.notes]
+        said |= {name: ", skin colour" for name in scan.skin if scan.uses[name] != SKIN_USE}
+        said |= {name: said[name] + plan.parts.say(name) for name in {*plan.sensors, *plan.features}}
     except LogError as error:
         warnings = [*scan.notes, str(error)]
     start, end = scan.log.time_range or scan.log_times or (0, 0)
-    topics = [TopicSurvey(n, t.type, t.encoding, t.count, scan.uses[n]) for n, t in sorted(scan.topics.items())]
+    topics = [
+        TopicSurvey(n, t.type, t.encoding, t.count, scan.uses[n] + said[n]) for n, t in sorted(scan.topics.items())
+    ]
     return LogSurvey(scan.log.path, start, (end - start) / 1e9, tuple(topics), tuple(warnings))

@@ -6,7 +6,7 @@ from typing import Any
 from voodoo_jax.io.contents import Calibration, Features
 from voodoo_jax.io.gather import Gathered
 
-DEPTH_USES = ("depth image", "point cloud", "laser scan")
+DEPTH_USES = ("depth image", "point cloud", "stereo pair", "laser scan")
 
 
 @dataclass

@@ -16,6 +16,7 @@ from voodoo_jax.tracks import Tracks
 FRAME_ARRAYS = (
     "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",
 )  # fmt: skip
+PLAUSIBILITY = ("beyond_limits", "depth_inside")
 
 
 class TracksFileError(ValueError):
@@ -27,7 +28,8 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike) -> None:
 
     Keys: time_ns, joint_names, joints, tracked, body_json (name, stature or what the body's scale is called,
     segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
-    fixed_frame, source, seconds, notes, body_toml. The file appears under its name only when complete. Raises OSError.
+    body_joint_names, beyond_limits (radians), depth_inside (metres), fixed_frame, source, seconds, notes, body_toml.
+    The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
     summary = {
@@ -36,9 +38,11 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike) -> None:
         "segment_lengths": segment_lengths(body),
     }
     arrays: dict[str, Any] = {name: getattr(tracks, name) for name in FRAME_ARRAYS}
+    arrays |= {name: value for name in PLAUSIBILITY if (value := getattr(tracks, name)) is not None}
     arrays |= {
         "tracked": tracks.tracked,
         "joint_names": np.array(body.topology.centres, np.str_),
+        "body_joint_names": np.array(body.topology.joints, np.str_),
         "limb_names": np.array(body.topology.limbs, np.str_),
         "body_json": np.array(json.dumps(summary, allow_nan=False)),
         "body_toml": np.array(format_body(body)),
@@ -74,6 +78,7 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
         fixed_frame=str(data["fixed_frame"]),
         body=body,
         **{name: data[name] for name in FRAME_ARRAYS},
+        **{name: data[name] for name in PLAUSIBILITY if name in data},
         seconds=float(data.get("seconds", 0.0)),
         notes=tuple(str(note) for note in data.get("notes", ())),
     )

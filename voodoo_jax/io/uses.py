@@ -5,11 +5,16 @@ from voodoo_jax.io.cameras import calibration_of, camera_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.contents import Image
 from voodoo_jax.io.decode import DEPTH_KINDS, FEATURE_KINDS
+from voodoo_jax.io.decode_colour import COLOUR_KIND, COMPRESSED_DEPTH
+from voodoo_jax.io.parts import label_field
+from voodoo_jax.io.stereo import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
 from voodoo_jax.settings import ReadSettings
 
 
-def decide_uses(path: str, topics: dict[str, Topic], settings: ReadSettings, notes: list[str]) -> dict[str, str]:
+def decide_uses(
+    path: str, topics: dict[str, Topic], settings: ReadSettings, notes: list[str], pairs: list[Pair]
+) -> dict[str, str]:
     """What each topic is used as, or "not used: <reason>"; a camera that gives an image and a cloud is used once.
 
     Raises LogError if a topic that `settings` name is not in the log.
@@ -19,6 +24,19 @@ def decide_uses(path: str, topics: dict[str, Topic], settings: ReadSettings, not
         uses[name] = topic.kind if topic.kind in ("calibration", "transforms") else f"not used: {topic.why_not}"
         if topic.kind in DEPTH_KINDS:
             uses[name] = _depth_use(topics, name)
+        elif topic.kind == COLOUR_KIND:
+            is_depth = topic.sample is not None and topic.sample.encoding == COMPRESSED_DEPTH
+            uses[name] = (
+                _empty(topic) or f"not used: {'compressed depth is not read' if is_depth else 'a colour image'}"
+            )
+    for pair in pairs:
+        rig = [n for n, use in uses.items() if use in ("depth image", "point cloud") and n.startswith(pair.rig)]
+        if pair.problem:
+            uses[pair.left] = f"not used: a stereo pair, but {pair.problem}"
+        elif rig and pair.left not in settings.topics:
+            uses[pair.left] = f"not used: a stereo pair, but '{rig[0]}' gives the depth of its rig"
+        else:
+            uses[pair.left], uses[pair.right] = STEREO_USE, f"right image of '{pair.left}'"
     for name, topic in topics.items():  # after the depth sensors, whose calibrations are not for features
         if topic.kind in FEATURE_KINDS:
             uses[name] = _feature_use(topics, name)
@@ -32,12 +50,16 @@ def decide_uses(path: str, topics: dict[str, Topic], settings: ReadSettings, not
                 for n, use in uses.items()}  # fmt: skip
     order = {"depth image": 0, "point cloud": 1}  # a laser scanner shadows nothing
     seen: dict[str, str] = {}
-    ranked = sorted((n for n in uses if uses[n] in order), key=lambda n: (_is_mono(topics, n), order[uses[n]], n))
+    cut_out = {word.partition("=")[0] for word in settings.parts}  # of what another topic may give as a whole
+    labelled = {n for n in uses if uses[n] == "point cloud" and label_field(topics[n].sample, settings)}
+    rank = lambda n: (n not in labelled, _is_mono(topics, n), order[uses[n]], n)  # noqa: E731
+    ranked = sorted((n for n in uses if uses[n] in order and n not in cut_out), key=rank)
     for name in ranked:
         frame = topics[name].sample.frame
         # Two clouds of one frame may be two sensors given in a common frame, so only images shadow others.
         first = seen.get(frame)
-        if first and (uses[first] == "depth image" or _is_mono(topics, name)):
+        doubled = first in labelled and uses[name] == "depth image"  # the labels say more
+        if first and (doubled or uses[first] == "depth image" or _is_mono(topics, name)):
             uses[name] = f"not used: the same camera as '{first}' (frame '{frame}')"
             notes.append(f"'{name}' is left out: it is the same camera as '{first}' (frame '{frame}').")
         seen.setdefault(frame, name)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from voodoo_jax.body import Bands, Topology
+from voodoo_jax.body import Links
 from voodoo_jax.pose import Poses, compose, inverse, rotate, unrotate
 
 
@@ -20,28 +20,25 @@ def _pair_moments(
     return jnp.sum((weight[:, None] * c)[:, :, None] * p[:, None, :], 0)
 
 
-def band_moments(
-    topology: Topology, bands: Bands, poses: Poses, strength: Float[Array, " limb"]
-) -> Float[Array, "limb 4 4"]:
-    """Moments of all bands, each added twice: model to data on one limb, data to model on the other (sec. 4.3).
+def link_moments(links: Links, poses: Poses, strength: Float[Array, " limb"]) -> Float[Array, "limb 4 4"]:
+    """Moments of linked points, each pair added twice: model to data on one limb, data to model on the other (4.3).
 
-    **Arguments:** `strength` [limb] what a joint of weight 1 weighs on that limb: ratio r times the limb's measured
+    **Arguments:** `strength` [limb] what a pair of weight 1 weighs on that limb: ratio r times the limb's measured
     weight, with a floor so that a limb without measurements still hangs on its bands.
 
     **Returns:** moments [limb], both points of each pair in the frame of the limb.
     """
-    parents, children = jnp.array(topology.parents, int), jnp.array(topology.children, int)
 
     def side(limbs, others, own_points, other_points):
         own, other = poses[limbs], poses[others]
         world = rotate(other.rotation[:, None], other_points) + other.translation[:, None]
         data = unrotate(own.rotation[:, None], world - own.translation[:, None])
-        return jax.vmap(_pair_moments)(bands.weights * strength[limbs][:, None], own_points, data)
+        return jax.vmap(_pair_moments)(links.weights * strength[limbs][:, None], own_points, data)
 
-    up = side(parents, children, bands.parent_points, bands.child_points)
-    down = side(children, parents, bands.child_points, bands.parent_points)
-    zero = jnp.zeros((len(topology.limbs), 4, 4), up.dtype)
-    return zero.at[parents].add(up).at[children].add(down)
+    there = side(links.first, links.second, links.first_points, links.second_points)
+    back = side(links.second, links.first, links.second_points, links.first_points)
+    zero = jnp.zeros((strength.shape[0], 4, 4), there.dtype)
+    return zero.at[links.first].add(there).at[links.second].add(back)
 
 
 def prior_moments(

@@ -19,6 +19,18 @@ class Points(eqx.Module):
     weight: Float[Array, "*frame point"]  # 0 for padding; 1 for a depth camera's point (2007, sec. 6)
     sensor: Int[Array, "*frame point"]  # which sensor saw it
     origins: Float[Array, "*frame sensor 3"]  # where the sensors stand, world frame, metres
+    limb: Int[Array, "*frame point"] | None = None  # limb the point is known to be on, ON_BODY, FREE; None: all free
+
+
+FREE, ON_BODY = -1, -2  # kinds of points (2007, sec. 5.1): may be anything; on the body, on which limb is not known
+
+
+class Sampling(eqx.Module):
+    """How many of a limb's points are used (2007, sec. 5.2, point number reduction)."""
+
+    factor: Float[Array, ""]  # share of the limb's points
+    least: Int[Array, ""]  # a limb with fewer points keeps all
+    most: Int[Array, ""]
 
 
 class MatchOptions(eqx.Module):
@@ -28,6 +40,7 @@ class MatchOptions(eqx.Module):
     limb_enlarge: Float[Array, ""]  # metres
     max_distance: Float[Array, ""]  # metres
     robust_scale: Float[Array, ""]  # metres; infinite: every pair counts fully, as in the papers
+    sampling: Sampling | None  # None: all points are used
     overlap: Overlap = eqx.field(static=True)
     near_side: bool = eqx.field(static=True)
     refine: int = eqx.field(static=True)
@@ -75,40 +88,58 @@ def match(
     points: Points,
     adjacent: Bool[Array, "limb limb"],
     options: MatchOptions,
+    present: Bool[Array, " limb"] | None = None,
 ) -> Match:
-    """Gates, overlap rule, closest points, maximum distance and robust weights for one frame."""
-    low, high = body_box(sizes, poses, options.body_enlarge)
-    near_body = in_box(low, high, points.xyz) & (points.weight > 0)
+    """Gates, overlap rule, closest points, maximum distance and robust weights for one frame.
+
+    Points known to be on the body pass the body's box, points of a known limb the limbs' boxes and the overlap rule too
+    (2007, Fig. 4).
+    """
+    present = jnp.ones(sizes.shape[0], bool) if present is None else present
+    low, high = body_box(sizes, poses, options.body_enlarge, present)
+    near_body = in_box(low, high, points.xyz)
+    if points.limb is not None:
+        near_body |= points.limb != FREE
+    near_body &= points.weight > 0
     if options.overlap == "exclusive":
-        return _match_closest(sizes, poses, points, near_body, options)
+        return _match_closest(sizes, poses, points, near_body, present, options)
     x, y, z = points.xyz[:, 0], points.xyz[:, 1], points.xyz[:, 2]
     to_x, to_y = _sensor_directions(poses, points)
 
-    def one_limb(size, pose, towards_x, towards_y):
+    def one_limb(limb, here, size, pose, towards_x, towards_y):
         px, py, pz = _into_limb(pose.rotation, pose.translation, x, y, z)
         surface = closest_point(size, px, py, pz, options.refine)
         signed = surface.distance
         if options.near_side:
             surface = near_side(size, px, py, surface, towards_x[points.sensor], towards_y[points.sensor])
-        box = in_limb_box(size, px, py, pz, options.limb_enlarge)
+        box = here & _in_limb_box(limb, size, px, py, pz, points, options)
         return (surface.x, surface.y, surface.z), (px, py, pz), signed, box
 
-    model, data, signed, box = jax.vmap(one_limb)(sizes, poses, to_x, to_y)
+    limbs = jnp.arange(sizes.shape[0])
+    model, data, signed, box = jax.vmap(one_limb)(limbs, present, sizes, poses, to_x, to_y)
     chosen = resolve_overlap(options.overlap, box & near_body[None, :], signed, adjacent)
     return _weigh(chosen, model, data, points.weight[None, :], options)
 
 
-def _match_closest(sizes, poses, points, near_body, options) -> Match:
+def _in_limb_box(limb, size, px, py, pz, points: Points, options: MatchOptions):
+    """Which points may belong to a limb: by its box, or because somebody knows."""
+    inside = in_limb_box(size, px, py, pz, options.limb_enlarge)
+    if points.limb is None:
+        return inside
+    return jnp.where(points.limb >= 0, points.limb == limb, inside)
+
+
+def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     """The exclusive rule: distances to all limbs, then the pair of each point with its closest limb alone."""
     x, y, z = points.xyz[:, 0], points.xyz[:, 1], points.xyz[:, 2]
     limbs = sizes.shape[0]
 
-    def one_limb(size, pose):
+    def one_limb(limb, here, size, pose):
         px, py, pz = _into_limb(pose.rotation, pose.translation, x, y, z)
         signed = closest_point(size, px, py, pz, options.refine).distance
-        return jnp.where(in_limb_box(size, px, py, pz, options.limb_enlarge), signed, jnp.inf)
+        return jnp.where(here & _in_limb_box(limb, size, px, py, pz, points, options), signed, jnp.inf)
 
-    signed = jax.vmap(one_limb)(sizes, poses)
+    signed = jax.vmap(one_limb)(jnp.arange(limbs), present, sizes, poses)
     nearest = jnp.min(signed, 0)
     # the first of equals; two minima are faster than one argmin
     order = jnp.arange(limbs)[:, None]
@@ -130,12 +161,24 @@ def _match_closest(sizes, poses, points, near_body, options) -> Match:
 
 
 def _weigh(chosen, model, data, weight, options) -> Match:
-    """Maximum distance and robust weight (Geman-McClure) of the chosen pairs."""
+    """Point number reduction, maximum distance and robust weight (Geman-McClure) of the chosen pairs."""
+    if options.sampling is not None:
+        chosen = _sampled(chosen, options.sampling)
     d2 = sum((p - c) ** 2 for p, c in zip(data, model))
     # a ratio, so that an infinite scale gives exactly one
     robust = (1 / (1 + d2 / options.robust_scale**2)) ** 2
     keep = chosen & (d2 <= options.max_distance**2)
     return Match(jnp.where(keep, robust * weight, 0.0), jnp.sqrt(d2 + 1e-12), model, data)
+
+
+def _sampled(chosen: Bool[Array, "limb point"], sampling: Sampling) -> Bool[Array, "limb point"]:
+    """Evenly spread ones of each limb's points: exactly the wanted number of them."""
+    count = jnp.sum(chosen, 1, keepdims=True)
+    share = jnp.round(sampling.factor * count).astype(count.dtype)
+    wanted = jnp.minimum(jnp.clip(share, sampling.least, sampling.most), count)
+    order = jnp.cumsum(chosen, 1)
+    total = jnp.maximum(count, 1)
+    return chosen & (order * wanted // total > (order - 1) * wanted // total)
 
 
 def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:

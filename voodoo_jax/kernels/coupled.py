@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
-from voodoo_jax.body import Bands, Topology
+from voodoo_jax.body import Links
 from voodoo_jax.pose import Poses, matrix, quat_exp, rotate
 
 
@@ -36,35 +36,22 @@ def pair_normals(
     return h, jnp.concatenate([torque, p - c])
 
 
-def coupled_step(
-    topology: Topology,
-    bands: Bands,
-    poses: Poses,
-    normals: Float[Array, "limb 6 6"],
-    rhs: Float[Array, "limb 6"],
-    strength: Float[Array, " joint"],
-    damping: Float[Array, ""],
-) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
-    """Motions of all limbs, each in its own frame: unit quaternions and shifts (metres).
-
-    **Arguments:** `normals, rhs` of each limb's own pairs; `strength` weight of a joint of weight 1; `damping` added
-    to the diagonal, as a share of each limb's mean diagonal.
-    """
-    count = len(topology.limbs)
-    parents, children = jnp.array(topology.parents, int), jnp.array(topology.children, int)
+def _add_links(links: Links, poses: Poses, strength, h, g):
+    """Adds linked pairs to the normal matrix [limb, limb, 6, 6] and right-hand side [limb, 6]."""
+    one, two = links.first, links.second
     r = matrix(poses.rotation)
 
     def arm(limbs, points):
-        """World place of band points and its derivative by the limb's twist."""
+        """World place of points and its derivative by the limb's twist."""
         rot = r[limbs][:, None]
         place = rotate(poses.rotation[limbs][:, None], points) + poses.translation[limbs][:, None]
         turn = -jnp.sum(rot[..., :, :, None] * _cross(points)[..., None, :, :], -2)
         return place, jnp.concatenate([turn, jnp.broadcast_to(rot, turn.shape)], -1)
 
-    xp, jp = arm(parents, bands.parent_points)
-    xc, jc = arm(children, bands.child_points)
-    w = bands.weights * strength[:, None]
-    gap = xc - xp
+    x1, j1 = arm(one, links.first_points)
+    x2, j2 = arm(two, links.second_points)
+    w = links.weights * ((strength[one] + strength[two]) / 2)[:, None]
+    gap = x2 - x1
 
     def outer(a, b):
         return jnp.einsum("jb,jbki,jbkl->jil", w, a, b, precision="highest")
@@ -72,12 +59,30 @@ def coupled_step(
     def along(a, v):
         return jnp.einsum("jb,jbki,jbk->ji", w, a, v, precision="highest")
 
-    h = jnp.zeros((count, count, 6, 6), normals.dtype)
+    h = h.at[one, one].add(outer(j1, j1)).at[two, two].add(outer(j2, j2))
+    h = h.at[one, two].add(-outer(j1, j2)).at[two, one].add(-outer(j2, j1))
+    return h, g.at[one].add(along(j1, gap)).at[two].add(-along(j2, gap))
+
+
+def coupled_step(
+    links: tuple[Links, ...],
+    poses: Poses,
+    normals: Float[Array, "limb 6 6"],
+    rhs: Float[Array, "limb 6"],
+    strength: Float[Array, " limb"],
+    damping: Float[Array, ""],
+) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
+    """Motions of all limbs, each in its own frame: unit quaternions and shifts (metres).
+
+    **Arguments:** `normals, rhs` of each limb's own pairs; `strength` what a linked pair of weight 1 weighs on a limb,
+    a link takes the mean of its two; `damping` added to the diagonal, as a share of each limb's mean diagonal.
+    """
+    count = normals.shape[0]
     limbs = jnp.arange(count)
-    h = h.at[limbs, limbs].add(normals)
-    h = h.at[parents, parents].add(outer(jp, jp)).at[children, children].add(outer(jc, jc))
-    h = h.at[parents, children].add(-outer(jp, jc)).at[children, parents].add(-outer(jc, jp))
-    g = rhs.at[parents].add(along(jp, gap)).at[children].add(-along(jc, gap))
+    h = jnp.zeros((count, count, 6, 6), normals.dtype).at[limbs, limbs].add(normals)
+    g = rhs
+    for some in links:
+        h, g = _add_links(some, poses, strength, h, g)
     full = h.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count)
     own = jax.vmap(lambda k: jnp.trace(h[k, k]) / 6)(limbs)
     full = full + jnp.diag(jnp.repeat(damping * own + 1e-9, 6))

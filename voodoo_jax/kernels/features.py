@@ -13,9 +13,13 @@ from voodoo_jax.pose import Poses, rotate, unrotate
 
 
 class Features(eqx.Module):
-    """One frame's named features (or a batch of frames), padded. A padded entry has weight zero."""
+    """One frame's named features (or a batch of frames), padded. A padded entry has weight zero.
 
-    point: Int[Array, "*frame feature"]  # row of `named_points`
+    A feature that may be one of several points of the body (a patch of skin: face or hand) is taken for the one that is
+    nearest to it in each step.
+    """
+
+    point: Int[Array, "*frame feature choice"]  # rows of `named_points`
     origin: Float[Array, "*frame feature 3"]  # a point of the line, or the measured place; world frame, metres
     direction: Float[Array, "*frame feature 3"]  # unit vector of the line; zero: a place
     weight: Float[Array, "*frame feature"]
@@ -44,15 +48,25 @@ class FeatureSums(eqx.Module):
     weight: Float[Array, " limb"]
 
 
+def _gaps(poses: Poses, limb, place, features: Features) -> Float[Array, "feature 3"]:
+    """From each feature's point of the body to its line or place, metres."""
+    world = rotate(poses.rotation[limb], place) + poses.translation[limb]
+    d = features.direction
+    along = jnp.sum(d * (world - features.origin), -1, keepdims=True)
+    return features.origin + d * along - world
+
+
 def feature_sums(body: Body, poses: Poses, features: Features, options: FeatureOptions) -> FeatureSums:
     """Pairs of all features with their points of the body, robustly weighted, summed per limb."""
     limbs, places = named_points(body)
-    limb, c = limbs[features.point], places[features.point]
+    point = features.point[:, 0]
+    if features.point.shape[1] > 1:
+        gaps = jax.vmap(lambda p: _gaps(poses, limbs[p], places[p], features), 1, 1)(features.point)
+        nearest = jnp.argmin(jnp.sum(gaps * gaps, -1), 1)
+        point = jnp.sum(jnp.where(jnp.arange(features.point.shape[1]) == nearest[:, None], features.point, 0), 1)
+    limb, c, d = limbs[point], places[point], features.direction
     pose = poses[limb]
-    world = rotate(pose.rotation, c) + pose.translation
-    d = features.direction
-    along = jnp.sum(d * (world - features.origin), -1, keepdims=True)
-    gap = features.origin + d * along - world
+    gap = _gaps(poses, limb, c, features)
     e2 = jnp.sum(gap * gap, -1)
     robust = (1 / (1 + e2 / options.robust_scale**2)) ** 2
     w = jnp.where(e2 <= options.max_distance**2, robust * features.weight, 0.0)

@@ -11,9 +11,10 @@ Overlap = Literal["exclusive", "shared", "adjacent"]
 
 
 def body_box(
-    sizes: Float[Array, "limb 5"], poses: Poses, enlarge: Float[Array, ""]
+    sizes: Float[Array, "limb 5"], poses: Poses, enlarge: Float[Array, ""], present: Bool[Array, " limb"] | None = None
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Axis-aligned box around all limbs, enlarged on every side: lower and upper corner, world frame, metres.
+    """Axis-aligned box around the limbs that are present, enlarged on every side: lower and upper corner, world frame,
+    metres.
 
     Tight for elliptic ends: an ellipse with half axes u, v reaches sqrt(u_k^2 + v_k^2) along world axis k.
     """
@@ -22,8 +23,9 @@ def body_box(
     bottom, top = poses.translation, poses.translation + r[..., 2] * length
     reach0 = jnp.sqrt((r[..., 0] * sizes[:, 0:1]) ** 2 + (r[..., 1] * sizes[:, 1:2]) ** 2)
     reach1 = jnp.sqrt((r[..., 0] * sizes[:, 2:3]) ** 2 + (r[..., 1] * sizes[:, 3:4]) ** 2)
-    low = jnp.minimum(bottom - reach0, top - reach1).min(0) - enlarge
-    high = jnp.maximum(bottom + reach0, top + reach1).max(0) + enlarge
+    there = True if present is None else present[:, None]
+    low = jnp.minimum(bottom - reach0, top - reach1).min(0, where=there, initial=jnp.inf) - enlarge
+    high = jnp.maximum(bottom + reach0, top + reach1).max(0, where=there, initial=-jnp.inf) + enlarge
     return low, high
 
 

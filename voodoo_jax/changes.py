@@ -1,0 +1,223 @@
+"""The body changes while it is tracked: scale, sizes, limbs and held things come and go (Knoop 2006, sec. IV).
+
+Everything that will ever be part of the body is in it from the beginning, and `Body.present` says what is there: so a
+change is one of numbers, and compiles nothing anew.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.body import Body, Topology, scaled
+from voodoo_jax.io.body_file import load_body
+from voodoo_jax.pose import Poses, compose, inverse
+from voodoo_jax.settings import Change, SettingsError
+
+
+def attach(
+    body: Body,
+    thing: Body,
+    limb: str,
+    at: Sequence[float] = (0.0, 0.0, 0.0),
+    grip: Sequence[float] = (0.0, 0.0, 0.0),
+    axis: Sequence[float] = (0.0, 0.0, 1.0),
+    joint_axes: Sequence[float] = (0.0, 0.0),
+    weight: float = 1.0,
+) -> Body:
+    """The body with a thing (a body of its own) that hangs on one of its limbs by a new joint `<thing's root>_grip`.
+
+    **Arguments:** `limb` of the body that carries it; `at` the joint in that limb's frame; `grip` the joint in the
+    frame of the thing's first limb; `axis` where that limb's z axis points at first, in the carrying limb's frame;
+    `joint_axes`, `weight` as of any joint (2007, sec. 4.2). Metres. Held things do not follow the body's `scale`.
+
+    Raises ValueError where the limb is unknown or a name occurs twice.
+    """
+    b, t, n = body.topology, thing.topology, body.limb_count
+    if limb not in b.limbs:
+        raise ValueError(f"'{body.name}' has no limb '{limb}' to hold anything: it has {', '.join(b.limbs)}")
+    for kind in ("limbs", "joints", "centres", "sites"):
+        twice = sorted(set(getattr(b, kind)) & set(getattr(t, kind)))
+        if twice:
+            raise ValueError(f"both '{body.name}' and '{thing.name}' have {kind} named {', '.join(twice)}")
+    carrier = b.limbs.index(limb)
+    anchor = Poses(_turn_to(axis), jnp.asarray(at, jnp.float32))
+    held = Poses(jnp.array([1.0, 0, 0, 0]), jnp.asarray(grip, jnp.float32))
+    root = compose(compose(body.rest[carrier], anchor), inverse(held))
+    rest = compose(_one(root), compose(_one(inverse(thing.rest[0])), thing.rest))
+    more = lambda a, *others: jnp.concatenate([a, *(jnp.asarray(o, a.dtype) for o in others)])  # noqa: E731
+    poses = lambda a, *others: Poses(  # noqa: E731
+        more(a.rotation, *(o.rotation for o in others)), more(a.translation, *(o.translation for o in others))
+    )
+    topology = Topology(
+        limbs=b.limbs + t.limbs,
+        joints=(*b.joints, f"{t.limbs[0]}_grip", *t.joints),
+        parents=(*b.parents, carrier, *(p + n for p in t.parents)),
+        children=(*b.children, n, *(c + n for c in t.children)),
+        centres=b.centres + t.centres,
+        centre_limbs=b.centre_limbs + tuple(i + n for i in t.centre_limbs),
+        sites=b.sites + t.sites,
+        site_limbs=b.site_limbs + tuple(i + n for i in t.site_limbs),
+        segments=b.segments,
+        held=b.held + tuple(range(n, n + thing.limb_count)),
+    )
+    return Body(
+        sizes=more(body.sizes, thing.sizes),
+        rest=poses(body.rest, rest),
+        parent_anchor=poses(body.parent_anchor, _one(anchor), thing.parent_anchor),
+        child_anchor=poses(body.child_anchor, _one(held), thing.child_anchor),
+        axes=more(body.axes, jnp.asarray([joint_axes]), thing.axes),
+        weights=more(body.weights, jnp.asarray([weight]), thing.weights),
+        centres=more(body.centres, thing.centres),
+        sites=more(body.sites, thing.sites),
+        scale=body.scale,
+        limits=more(body.limits, jnp.full((1, 3, 2), jnp.inf) * jnp.array([-1.0, 1.0]), thing.limits),
+        present=more(body.present, thing.present),
+        topology=topology,
+        name=body.name,
+        scale_name=body.scale_name,
+    )
+
+
+def _one(pose: Poses) -> Poses:
+    return Poses(pose.rotation[None], pose.translation[None])
+
+
+def _turn_to(axis: Sequence[float]):
+    """The smallest rotation that takes z to `axis`."""
+    z = np.asarray(axis, float)
+    if not np.linalg.norm(z) > 1e-9:
+        raise ValueError("the axis of a held thing must not be zero")
+    turn = Rotation.align_vectors([z / np.linalg.norm(z)], [[0.0, 0.0, 1.0]])[0]
+    return jnp.asarray(turn.as_quat(scalar_first=True), jnp.float32)
+
+
+def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
+    """The body with limbs present or absent, and with them everything that hangs on them. Raises ValueError."""
+    t = body.topology
+    unknown = sorted(set(names) - set(t.limbs))
+    if unknown:
+        raise ValueError(f"'{body.name}' has no limb '{unknown[0]}': it has {', '.join(t.limbs)}")
+    chosen = {t.limbs.index(name) for name in names}
+    if 0 in chosen and not present:
+        raise ValueError(f"'{t.limbs[0]}' is the root of '{body.name}' and cannot be removed")
+    while more := {c for p, c in zip(t.parents, t.children) if p in chosen} - chosen:
+        chosen |= more
+    rows = jnp.array(sorted(chosen), int)
+    return eqx.tree_at(lambda b: b.present, body, body.present.at[rows].set(present))
+
+
+def hung_on(body: Body, poses: Poses, limbs: Sequence[int]) -> Poses:
+    """Poses with some limbs put where they hang on their parents in the rest pose, in the order of the tree."""
+    t = body.topology
+    joint = {c: j for j, c in enumerate(t.children)}
+    waiting = [limb for limb in limbs if limb in joint]
+    while waiting:
+        limb = next(i for i in waiting if t.parents[joint[i]] not in waiting)
+        waiting.remove(limb)
+        j = joint[limb]
+        own = compose(compose(poses[t.parents[j]], body.parent_anchor[j]), inverse(body.child_anchor[j]))
+        rotation, translation = jnp.asarray(poses.rotation), jnp.asarray(poses.translation)
+        poses = Poses(rotation.at[limb].set(own.rotation), translation.at[limb].set(own.translation))
+    return poses
+
+
+def loaded(changes: Sequence[Change]) -> tuple[Change, ...]:
+    """The changes in order of time, with the things in body files read. Raises BodyFileError, SettingsError."""
+    out = []
+    for change in sorted(changes, key=lambda c: c.time):
+        if change.to and not change.add:
+            raise SettingsError(
+                f"change at {change.time:g} s: 'to' names the limb that carries a thing, 'add' is missing"
+            )
+        out.append(replace(change, add=load_body(change.add)) if change.to and isinstance(change.add, str) else change)
+    return tuple(out)
+
+
+def prepared(body: Body, changes: Sequence[Change]) -> Body:
+    """The body with all things that ever come attached and absent. Raises SettingsError for changes that cannot be."""
+    for change in changes:
+        thing = change.add
+        if isinstance(thing, Body) and thing.topology.limbs[0] not in body.topology.limbs:
+            with _told(change):
+                axis = change.axis or (0.0, 0.0, 1.0)
+                body = attach(body, thing, change.to, change.at, change.grip, axis, change.joint_axes, change.weight)
+                body = with_limbs(body, thing.topology.limbs, False)
+    after = body
+    for change in changes:
+        after = applied(after, change)  # what cannot be done is told at the beginning
+    return body
+
+
+def applied(body: Body, change: Change) -> Body:
+    """The body after a change. Raises SettingsError."""
+    t = body.topology
+    with _told(change):
+        if change.scale > 0:
+            body = scaled(body, jnp.asarray(change.scale, jnp.float32))
+        for limb, sizes in change.sizes:
+            if limb not in t.limbs:
+                raise ValueError(f"'{body.name}' has no limb '{limb}': it has {', '.join(t.limbs)}")
+            body = resized(body, t.limbs.index(limb), jnp.asarray(sizes, jnp.float32))
+        if change.remove:
+            body = with_limbs(body, change.remove, False)
+        if change.add:
+            limbs = change.add.topology.limbs if isinstance(change.add, Body) else (change.add,)
+            body = with_limbs(body, limbs, True)
+    return body
+
+
+@contextmanager
+def _told(change: Change) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as problem:
+        raise SettingsError(f"change at {change.time:g} s: {problem}") from problem
+
+
+def appeared(before: Body, after: Body) -> list[int]:
+    """Limbs that are there now and were not before."""
+    return np.flatnonzero(np.asarray(after.present) & ~np.asarray(before.present)).tolist()
+
+
+def pointing(body: Body, joint: int, axis: Sequence[float]) -> Body:
+    """The body with the z axis of one joint's frame on the parent turned towards `axis` (parent's limb frame)."""
+    turned = jnp.asarray(body.parent_anchor.rotation).at[joint].set(_turn_to(axis))
+    return eqx.tree_at(lambda b: b.parent_anchor.rotation, body, turned)
+
+
+def directions(count: int) -> list[tuple[float, float, float]]:
+    """Directions spread evenly over the sphere (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - z * z)
+    return list(zip((r * np.cos(turn)).tolist(), (r * np.sin(turn)).tolist(), z.tolist()))
+
+
+def resized(body: Body, limb: int, sizes: Float[Array, "5"]) -> Body:
+    """The body with other sizes of one limb; joints, centres and points on it follow its length and thickness."""
+    t = body.topology
+    old = body.sizes[limb]
+    wide = jnp.sqrt((sizes[0] + sizes[2]) / (old[0] + old[2]) * (sizes[1] + sizes[3]) / (old[1] + old[3]))
+    factor = jnp.array([1.0, 1.0, 0.0]) * wide + jnp.array([0.0, 0.0, 1.0]) * (sizes[4] / old[4])
+    new = eqx.tree_at(lambda b: b.sizes, body, body.sizes.at[limb].set(sizes))
+
+    def follow(points, limbs):
+        mine = jnp.array([i == limb for i in limbs], bool)
+        return jnp.where(mine[:, None], points * factor, points)
+
+    return eqx.tree_at(
+        lambda b: (b.parent_anchor.translation, b.child_anchor.translation, b.centres, b.sites),
+        new,
+        (
+            follow(body.parent_anchor.translation, t.parents),
+            follow(body.child_anchor.translation, t.children),
+            follow(body.centres, t.centre_limbs),
+            follow(body.sites, t.site_limbs),
+        ),
+    )

@@ -1,0 +1,34 @@
+"""Messages with colour or grey images: what they hold, still packed. `io.pictures` unpacks them."""
+
+from typing import Any
+
+from voodoo_jax.io.contents import Colour, frame_name, pb_stamp, ros_stamp
+
+COLOUR_KIND = "colour image"
+COMPRESSED_DEPTH = "compressed depth"
+# Bytes per pixel of the encodings that can be unpacked. ROS calls UYVY yuv422, and YUYV yuv422_yuy2.
+PIXELS = {
+    "rgb8": 3, "bgr8": 3, "8uc3": 3, "rgba8": 4, "bgra8": 4, "8uc4": 4, "mono8": 1, "8uc1": 1,
+    "yuv422": 2, "uyvy": 2, "yuyv": 2, "yuv422_yuy2": 2,
+}  # fmt: skip
+
+
+def colour_image(stamp_ns: int, frame: str, encoding: str, rows: int, columns: int, step: int, data: Any) -> Colour:
+    """An image with an encoding of `PIXELS`."""
+    name = encoding.strip().lower()
+    step = max(step, columns * PIXELS[name], 1)  # some drivers leave step at 0
+    return Colour(stamp_ns, frame_name(frame), name, (rows, columns), step, data)
+
+
+def _compressed(stamp_ns: int, frame: str, format: str, data: Any) -> Colour:
+    if not len(data):
+        raise ValueError("the image is empty")
+    # image_transport writes "rgb8; jpeg compressed bgr8", and "16UC1; compressedDepth png" for depth
+    kind = format.strip().lower()
+    return Colour(stamp_ns, frame_name(frame), COMPRESSED_DEPTH if "compresseddepth" in kind else kind, (0, 0), 0, data)
+
+
+CONVERTERS = {
+    "sensor_msgs/msg/CompressedImage": lambda m: _compressed(ros_stamp(m.header), m.header.frame_id, m.format, m.data),
+    "foxglove.CompressedImage": lambda m: _compressed(pb_stamp(m), m.frame_id, m.format, m.data),
+}

@@ -1,0 +1,43 @@
+"""Packed images to pixels."""
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from voodoo_jax.io.contents import Colour
+from voodoo_jax.io.decode_colour import PIXELS
+
+_TO_BGR = {
+    "rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR, "8uc4": cv2.COLOR_BGRA2BGR,
+    "mono8": cv2.COLOR_GRAY2BGR, "8uc1": cv2.COLOR_GRAY2BGR, "yuv422": cv2.COLOR_YUV2BGR_UYVY,
+    "uyvy": cv2.COLOR_YUV2BGR_UYVY, "yuyv": cv2.COLOR_YUV2BGR_YUY2, "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
+}  # fmt: skip
+_ENDS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}  # how a complete JPEG or PNG ends, by how it begins
+
+
+def pixels(image: Colour) -> UInt8[np.ndarray, "row column 3"]:
+    """Blue, green and red of each pixel. Raises ValueError for an image that is broken or in a format not known."""
+    if image.step:
+        size = PIXELS[image.encoding]
+        raw = np.frombuffer(image.data, np.uint8)
+        rows, columns = image.shape
+        if rows * columns == 0 or len(raw) < (rows - 1) * image.step + columns * size:
+            raise ValueError(
+                f"{len(raw)} bytes are too few for {rows} x {columns} pixels of {image.encoding}, or it is empty"
+            )
+        view = np.ndarray((*image.shape, size), np.uint8, buffer=raw, strides=(image.step, size, 1))
+        code = _TO_BGR.get(image.encoding)
+        return np.ascontiguousarray(view) if code is None else cv2.cvtColor(np.ascontiguousarray(view), code)
+    data = np.frombuffer(image.data, np.uint8)
+    end = _ENDS.get(data[:2].tobytes())
+    # the decoder fills what is missing at the end of a file with grey
+    if end is not None and end not in data[-64:].tobytes():
+        raise ValueError(f"the {image.encoding} image is cut off")
+    try:
+        # as it was stored: with its orientation tag applied it would no longer fit the calibration
+        made = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error as problem:
+        raise ValueError(f"the {image.encoding} image cannot be decoded: {problem.err}") from None
+    if made is None:
+        raise ValueError(f"the {image.encoding} image cannot be decoded")
+    return np.asarray(made, np.uint8)

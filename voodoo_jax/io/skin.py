@@ -1,0 +1,166 @@
+"""Skin regions of a log's colour images as rays, by frame. A pass of its own over these images."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int64
+from scipy.spatial import KDTree
+
+from voodoo_jax.io import camera
+from voodoo_jax.io.cameras import calibration_of
+from voodoo_jax.io.contents import Calibration, many
+from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
+from voodoo_jax.io.frames import clean_stamps, join_one
+from voodoo_jax.io.parts import Parts
+from voodoo_jax.io.stereo import picture_of, rectified, scaled
+from voodoo_jax.io.topic import Topic
+from voodoo_jax.recording import Rays
+
+if TYPE_CHECKING:
+    from voodoo_jax.io.scan import Scan
+
+SKIN = "skin"  # name of the feature
+SKIN_USE = "skin colour"
+_STILL = 1.5  # pixels of an image 640 wide: a standing head sways more within a few seconds
+_OFTEN, _SECONDS = 0.8, 3.0  # furniture is there in this share of the images; shorter logs do not tell
+_GREY = ("mono8", "8uc1")
+
+
+@dataclass
+class SkinPlan:
+    """Rays by number of the frame, the topics that gave them, and what was left out, one sentence each."""
+
+    rays: dict[int, Rays] = field(default_factory=dict)
+    topics: tuple[str, ...] = ()
+    notes: list[str] = field(default_factory=list)
+
+
+def skin_topics(topics: dict[str, Topic], uses: dict[str, str]) -> tuple[dict[str, Calibration], list[str]]:
+    """One topic of colour images for each calibrated camera (not compressed, then rectified), and notes on those whose
+    calibration cannot be used. The right cameras of stereo pairs are left out."""
+    found: dict[str, tuple[str, Calibration]] = {}
+    notes = []
+    pictures = {n: picture for n, t in topics.items() if (picture := picture_of(t.sample)) is not None}
+    for name in sorted(pictures, key=lambda n: (not pictures[n].step, not rectified(n), n)):
+        if pictures[name].encoding in _GREY or uses[name].startswith("right image of"):
+            continue
+        c = calibration_of(topics, name)
+        if c is None:
+            notes.append(f"No skin is looked for in '{name}': it has no calibration.")
+            continue
+        try:
+            camera.pixel_rays(c.K, c.D, c.model, 2, 2)
+            found.setdefault(pictures[name].frame or name, (name, c))
+        except ValueError as problem:
+            notes.append(f"No skin is looked for in '{name}': {problem}.")
+    return dict(found.values()), notes
+
+
+def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weights: Parts) -> SkinPlan:
+    """Gives the skin regions of each camera's images to the frames (`times`, increasing, nanoseconds), the image
+    nearest in time to each.
+
+    Regions that keep their place in nearly all of a log, while others move, are furniture and left out.
+    """
+    cameras, plan = scan.skin, SkinPlan()
+    if not cameras:
+        plan.notes.append("No skin is looked for: the log has no calibrated colour images.")
+        return plan
+    counted: Counter[tuple[str, str]] = Counter()
+    wanted = {}  # (topic, number of the message) -> frame
+    stamps = {n: clean_stamps(n, scan.topics[n].stamps, scan.topics[n].log_times, []) for n in cameras}
+    for name in cameras:
+        if scan.tree.connected(scan.topics[name].sample.frame, fixed):
+            wanted |= {(name, message): frame for frame, message in join_one(times, stamps[name])}
+        else:
+            plan.notes.append(f"No skin is looked for in '{name}': no transform between its camera and '{fixed}'.")
+    regions = _find(scan, set(cameras), set(wanted), counted)
+    made: dict[int, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
+    for name, c in cameras.items():
+        keys = [key for key in regions if key[0] == name]
+        still = _still([regions[key][0] for key in keys], [regions[key][1] for key in keys],
+                       np.array([stamps[name][number] for _, number in keys], np.int64))  # fmt: skip
+        if furniture := sum(bool(s.any()) for s in still):
+            counted[name, "with skin-coloured regions that never move, which are left out"] = furniture
+        for (_, number), gone in zip(keys, still):
+            shape, pixels = regions[name, number]
+            fitted = scaled(c, shape)
+            K, D = (fitted.P[:, :3], np.zeros(0)) if rectified(name) and c.P[0, 0] > 0 else (fitted.K, fitted.D)
+            flat = camera.undistort(pixels[~gone], K, D, c.model)
+            flat = flat[np.isfinite(flat).all(1)]
+            pose = scan.tree.lookup(fixed, scan.topics[name].sample.frame, int(stamps[name][number]))
+            if pose is None:
+                counted[name, "without a transform at the stamp, in which no skin is looked for"] += 1
+            elif len(flat):
+                directions = np.column_stack([flat, np.ones(len(flat))]) @ pose[0].T
+                directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+                origins, weight = np.tile(pose[1], (len(flat), 1)), np.full(len(flat), weights.weight(name))
+                made.setdefault(wanted[name, number], []).append((origins, directions, weight))
+    weighted = weights.weighted(tuple(cameras))
+    for frame, parts in made.items():
+        origins, directions, weight = (np.concatenate(p).astype(np.float32) for p in zip(*parts))
+        plan.rays[frame] = Rays((SKIN,) * len(origins), origins, directions, weight if weighted else None)
+    plan.topics = tuple(sorted({name for name, _ in regions}))
+    plan.notes += [f"'{topic}': {many(n)} {what}." for (topic, what), n in counted.items()]
+    return plan
+
+
+def add_rays(a: Rays, b: Rays) -> Rays:
+    """The rays of both."""
+    weights = None
+    if a.weights is not None or b.weights is not None:
+        ones = [np.ones(len(r.names), np.float32) if r.weights is None else r.weights for r in (a, b)]
+        weights = np.concatenate(ones)
+    return Rays(
+        a.names + b.names,
+        np.concatenate([a.origins, b.origins]),
+        np.concatenate([a.directions, b.directions]),
+        weights,
+    )
+
+
+def _find(scan: "Scan", names: set[str], wanted: set[tuple[str, int]], counted: Counter) -> dict:
+    """(rows, columns) of the image and pixels [region, 2], by (topic, number of the message)."""
+    from voodoo_jax.io.pictures import pixels  # with OpenCV: only where skin is asked for
+    from voodoo_jax.io.scan import guarded
+    from voodoo_jax.skin import SkinFinder
+
+    finders = {name: SkinFinder() for name in names}
+    decoder, seen, found = Decoder(), Counter(), {}
+    same = lambda s, c: c.topic in names and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
+    for schema, channel, message in guarded(scan.log, same):
+        key = channel.topic, seen[channel.topic]
+        seen[channel.topic] += 1
+        if key not in wanted or schema is None:
+            continue
+        try:
+            picture = picture_of(decoder.message(schema, channel, message.data))
+            image = None if picture is None else pixels(picture)
+        except DECODE_ERRORS:
+            image = None
+        if image is None:
+            counted[channel.topic, "cannot be decoded, no skin is looked for in them"] += 1
+            continue
+        found[key] = (image.shape[0], image.shape[1]), finders[channel.topic].find(image).centres
+    return found
+
+
+def _still(
+    shapes: list[tuple[int, int]], pixels: list[Float[np.ndarray, "_ 2"]], stamps: Int64[np.ndarray, " image"]
+) -> list[Bool[np.ndarray, " _"]]:
+    """Which regions of each image keep their place in nearly all images; none if all do, or the log is short."""
+    gone = [np.zeros(len(p), bool) for p in pixels]
+    if not len(stamps) or np.ptp(stamps) < _SECONDS * 1e9 or not any(len(p) for p in pixels):
+        return gone
+    alike = [p * 640 / shape[1] for p, shape in zip(pixels, shapes)]
+    every = np.concatenate(alike)
+    some = alike[:: max(1, len(alike) // 200)]
+    there = np.zeros(len(every))
+    for p in some:
+        if len(p):
+            there += KDTree(p).query(every)[0] <= _STILL
+    gone = np.split(there >= _OFTEN * len(some), np.cumsum([len(p) for p in pixels])[:-1])
+    moving = sum(int((~g).sum()) for g in gone)
+    return gone if moving >= 0.5 * len(gone) else [np.zeros(len(g), bool) for g in gone]

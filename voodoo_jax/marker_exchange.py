@@ -1,0 +1,85 @@
+"""Markers whose names were exchanged, for some time or for the whole recording: found and put right. Host side.
+
+Within a recording an exchange is two markers that each jump to where the other one was; the names they have for longer
+are taken for right. Left and right exchanged from beginning to end is found by sizes that nobody has.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool
+
+from voodoo_jax.body import Body
+from voodoo_jax.marker_sizes import Fit, Markers, fit_markers
+from voodoo_jax.person import PersonFrame
+
+JUMP = 0.03  # metres: shorter jumps are motion
+NEAR = 0.3  # of the jump: how near to the other one's place a marker lands
+ODD = 3.0  # times its usual deviation: so far off its site a marker is suspected
+BETTER = 0.8  # of the cost of a fit: what an exchange must come down to
+
+
+class Exchange(NamedTuple):
+    """Two names that stood for each other."""
+
+    first: str
+    second: str
+    frames: Bool[np.ndarray, " frame"]
+
+
+def jumps(markers: Markers) -> list[Exchange]:
+    """Exchanges within a recording."""
+    found = []
+    count = markers.points.shape[1]
+    for a in range(count):
+        for b in range(a + 1, count):
+            both = np.flatnonzero(markers.seen[:, a] & markers.seen[:, b])
+            if len(both) < 2:
+                continue
+            p, q = markers.points[both, a], markers.points[both, b]
+            far = lambda u, v: np.linalg.norm(u[1:] - v[:-1], axis=1)  # noqa: E731
+            stay, cross = np.maximum(far(p, p), far(q, q)), np.maximum(far(p, q), far(q, p))
+            event = (stay > JUMP) & (cross < NEAR * stay)
+            if not event.any():
+                continue
+            odd = np.concatenate([[0], np.cumsum(event)]) % 2
+            odd = odd if odd.mean() <= 0.5 else 1 - odd
+            # in frames with one of them only: as in the last frame with both
+            last = np.searchsorted(both, np.arange(len(markers.seen)), "right") - 1
+            frames = odd[np.maximum(last, 0)].astype(bool)
+            found.append(Exchange(markers.names[a], markers.names[b], frames))
+    return found
+
+
+def sides(
+    body: Body, markers: Markers, sites: list[str], scale_known: bool = False
+) -> tuple[Markers, Fit, list[Exchange]]:
+    """Left and right markers that are exchanged in all of some frames: the markers put right, and their fit.
+
+    **Arguments:** `sites` the body's name of each marker's place.
+    """
+    fit, found = fit_markers(body, markers, scale_known=scale_known), []
+    other = {k: sites.index("r_" + s[2:]) for k, s in enumerate(sites) if s[:2] == "l_" and "r_" + s[2:] in sites}
+    odd = sorted(other, key=lambda k: -max(fit.shifts[k], fit.shifts[other[k]]))
+    for a in [k for k in odd if max(fit.shifts[k], fit.shifts[other[k]]) > ODD][:4]:
+        b = other[a]
+        order = np.arange(len(sites))
+        order[[a, b]] = b, a
+        swapped = markers._replace(points=markers.points[:, order], seen=markers.seen[:, order])
+        again = fit_markers(body, swapped, scale_known=scale_known)
+        if again.cost < BETTER * fit.cost:
+            markers, fit = swapped, again
+            found.append(Exchange(markers.names[a], markers.names[b], np.ones(len(markers.seen), bool)))
+    return markers, fit, found
+
+
+def put_right(frames: list[PersonFrame], exchanges: list[Exchange]) -> list[PersonFrame]:
+    """The frames with exchanged names put right."""
+    out = list(frames)
+    for first, second, when in exchanges:
+        other = {first: second, second: first}
+        for i in np.flatnonzero(when):
+            pairs = out[i].pairs
+            out[i] = replace(out[i], pairs=replace(pairs, names=tuple(other.get(n, n) for n in pairs.names)))
+    return out

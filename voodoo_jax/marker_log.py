@@ -1,0 +1,118 @@
+"""Recordings of named 3D points, such as optical markers: tables of them, the person's sizes, the start, and how well
+the points are explained. Host side."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from voodoo_jax.batch import FeatureNames
+from voodoo_jax.body import Body, scaled
+from voodoo_jax.kernels.features import named_points
+from voodoo_jax.marker_exchange import Exchange, sides
+from voodoo_jax.marker_sizes import Markers, fit_markers, personal
+from voodoo_jax.person import PersonFrame
+from voodoo_jax.pose import Poses, apply
+from voodoo_jax.recording import Pairs
+
+ENOUGH = 4  # named points in a frame to track by
+TO_START = 6  # and to start from
+CLOSE = 0.1  # metres: nearer to its place a named point is explained
+FRAMES = 24  # of the recording that sizes are fitted to
+
+
+class MarkerTable(NamedTuple):
+    """All named points of a recording, those that the body knows first."""
+
+    markers: Markers  # of names that stand for one point of the body
+    unknown: Markers  # the other names, all with row 0
+
+    def enough(self, least: int) -> Bool[np.ndarray, " frame"]:
+        """Frames that have so many known points."""
+        return self.markers.seen.sum(1) >= least
+
+
+def without_gaps(frames: list[PersonFrame]) -> list[PersonFrame]:
+    """The frames without named points at exactly zero or at no number: this is how marker systems write a lost one."""
+    out = []
+    for frame in frames:
+        p = frame.pairs
+        keep = np.isfinite(p.points).all(1) & (p.points != 0).any(1)
+        if not keep.all():
+            names = tuple(n for n, k in zip(p.names, keep) if k)
+            weights = None if p.weights is None else p.weights[keep]
+            frame = replace(frame, pairs=Pairs(names, p.points[keep], weights))
+        out.append(frame)
+    return out
+
+
+def marker_table(frames: list[PersonFrame], names: FeatureNames) -> MarkerTable:
+    """Named points of all frames as arrays."""
+    all_names = list(dict.fromkeys(n for f in frames for n in f.pairs.names))
+    column = {n: k for k, n in enumerate(all_names)}
+    points = np.zeros((len(frames), len(all_names), 3), np.float32)
+    seen = np.zeros(points.shape[:2], bool)
+    for i, frame in enumerate(frames):
+        k = [column[n] for n in frame.pairs.names]
+        points[i, k], seen[i, k] = frame.pairs.points, True
+    rows = [names.look_up(n) for n in all_names]
+    known = np.array([k for k, row in enumerate(rows) if row is not None and len(row) == 1], int)
+    other = np.array([k for k, row in enumerate(rows) if row is None], int)
+    first = np.array([row[0] if row else 0 for row in rows], np.int64)
+    part = lambda k: Markers(tuple(all_names[i] for i in k), first[k], points[:, k], seen[:, k])  # noqa: E731
+    return MarkerTable(part(known), part(other))
+
+
+def sized_by_markers(body: Body, markers: Markers, scale: float) -> tuple[Body, list[Exchange]]:
+    """The body with the sizes and marker places that the markers tell, and left and right markers that are exchanged
+    throughout; `scale` (metres) if it is known, else 0."""
+    count = markers.seen.sum(1)
+    good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
+    body = scaled(body, scale) if scale > 0 else body
+    if not len(good):
+        return body, []
+    some = good[np.unique(np.linspace(0, len(good) - 1, FRAMES).round().astype(int))]
+    chosen = markers._replace(points=markers.points[some], seen=markers.seen[some])
+    t = body.topology
+    names = (*t.sites, *t.centres)
+    chosen, fit, exchanges = sides(body, chosen, [names[row] for row in markers.rows], scale > 0)
+    every = np.ones(len(markers.seen), bool)
+    return personal(body, chosen, fit), [e._replace(frames=every) for e in exchanges]
+
+
+def marker_start(body: Body, markers: Markers, at: int) -> Poses:
+    """Pose of a body of known sizes in one frame."""
+    chosen = markers._replace(points=markers.points[at : at + 1], seen=markers.seen[at : at + 1])
+    fit = fit_markers(body, chosen, sizes=False)
+    return Poses(jnp.asarray(fit.rotation[0], jnp.float32), jnp.asarray(fit.translation[0], jnp.float32))
+
+
+def places(body: Body, rows: Int[np.ndarray, " name"], poses: Poses) -> Float[np.ndarray, "frame name 3"]:
+    """Where named points of the body are in each frame of the poses, metres."""
+    limbs, points = (np.asarray(x) for x in named_points(body))
+    limb = limbs[rows]
+    at = Poses(np.asarray(poses.rotation)[:, limb], np.asarray(poses.translation)[:, limb])
+    return np.asarray(apply(at, points[rows]))
+
+
+class Explained(NamedTuple):
+    """How well poses explain the named points, per frame."""
+
+    share: Float32[np.ndarray, " frame"]  # of the seen points that are near their place, 0..1; 0: none seen
+    residual: Float32[np.ndarray, " frame"]  # root mean square distance of these, metres
+    limbs: Float32[np.ndarray, "frame limb"]  # number of these on each limb
+
+
+def explained(body: Body, markers: Markers, poses: Poses) -> Explained:
+    """How well poses explain the named points of the same frames."""
+    off = np.linalg.norm(places(body, markers.rows, poses) - markers.points, axis=-1)
+    near = markers.seen & (off < CLOSE)
+    count = near.sum(1)
+    on = np.zeros((len(near), body.limb_count), np.float32)
+    for k, limb in enumerate(np.asarray(named_points(body)[0])[markers.rows]):
+        on[:, limb] += near[:, k]
+    share = count / np.maximum(markers.seen.sum(1), 1)
+    residual = np.sqrt(np.where(near, off**2, 0).sum(1) / np.maximum(count, 1))
+    return Explained(share.astype(np.float32), residual.astype(np.float32), on)

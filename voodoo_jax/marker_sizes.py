@@ -1,0 +1,167 @@
+"""A person's sizes and where her markers sit, from the markers alone: one least-squares fit over some frames.
+
+Unknown are the pose of every frame, the scale, three factors per limb and the place of every joint and marker on its
+limb; a marker has its site, a joint its place in the body file and a limb its proportion as prior. Gauss-Newton on the
+host; the poses of the frames are eliminated from the normal equations (Schur complement).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.batch import V1_NAMES
+from voodoo_jax.body import Body
+from voodoo_jax.kernels.features import named_points
+from voodoo_jax.marker_chain import Chain
+from voodoo_jax.marker_priors import SCALE, Priors
+from voodoo_jax.marker_start import first_pose, tree_order
+
+NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle
+REACH = (0.3, 0.15, 0.06)  # metres at which a marker counts a quarter, from the first steps to the last
+STEPS = 15  # at most, for each of them
+
+
+class Markers(NamedTuple):
+    """Named points of some frames in one order."""
+
+    names: tuple[str, ...]  # as the log calls them
+    rows: Int[np.ndarray, " marker"]  # of kernels.features.named_points
+    points: Float[np.ndarray, "frame marker 3"]  # world frame, metres; any number where not seen
+    seen: Bool[np.ndarray, "frame marker"]
+
+
+class Fit(NamedTuple):
+    """What fit_markers found."""
+
+    scale: float  # of the body
+    factors: Float[np.ndarray, "limb 3"]  # of each limb's lengths along its axes, beside the scale
+    on_parent: Float[np.ndarray, "joint 3"]  # metres
+    on_child: Float[np.ndarray, "joint 3"]
+    places: Float[np.ndarray, "marker 3"]  # in the frame of the marker's limb, metres
+    rotation: Float[np.ndarray, "frame limb 4"]  # wxyz
+    translation: Float[np.ndarray, "frame limb 3"]  # metres
+    shifts: Float[np.ndarray, " marker"]  # how far from its site a marker is, or jumps, over what is usual
+    cost: float
+
+
+def fit_markers(body: Body, markers: Markers, sizes: bool = True, scale_known: bool = False) -> Fit:
+    """Poses of a body in some frames, and its sizes, from named points; nothing about the poses need be known.
+
+    **Arguments:** `markers` at least three seen in each frame; `sizes` False: the body's stay; `scale_known` the body's
+    scale stays, proportions are found.
+    """
+    chain, topology = Chain(body, markers.rows), body.topology
+    names = (*topology.sites, *topology.centres)
+    priors = Priors(chain, body, [names[r] for r in markers.rows], 1e-4 if scale_known else SCALE)
+    factor = 1.0 if scale_known or not sizes else None
+    middle = np.median(markers.points[markers.seen], 0)
+    seen = markers.seen
+    points = np.where(seen[..., None], markers.points - middle, 0.0).astype(np.float64)
+    first = [first_pose(body, markers.rows, p, s, factor) for p, s in zip(points, seen)]
+    turn = np.stack([Rotation.from_quat(q, scalar_first=True).as_matrix() for q, _, _ in first])
+    root = np.stack([at[0] for _, at, _ in first])
+    x = np.zeros(chain.unknowns)
+    x[0] = np.log(np.median([found for _, _, found in first]))
+
+    def off(x, turn, root):
+        return chain.points(chain.sized(x), turn, root)[:, : points.shape[1]] - points
+
+    def cost(x, turn, root, reach):
+        e2 = np.sum(off(x, turn, root) ** 2, -1) / reach**2
+        angles = chain.angles(turn)[0]
+        usual = (angles**2).sum() / len(turn) + (priors.at(x) ** 2).sum()
+        return (seen * e2 / (1 + e2)).sum() * (reach / NOISE) ** 2 + usual
+
+    for reach in REACH:
+        now, damping = cost(x, turn, root, reach), 1e-4
+        for _ in range(STEPS):
+            motion, step = _step(chain, priors, x, turn, off(x, turn, root), seen, reach, damping, sizes)
+            spun = turn @ Rotation.from_rotvec(motion[:, 3:].reshape(-1, 3)).as_matrix().reshape(turn.shape)
+            after = cost(x + step, spun, root + motion[:, :3], reach)
+            if after >= now:
+                damping = max(damping, 1e-3) * 10
+                continue
+            x, turn, root, gain, now = x + step, spun, root + motion[:, :3], now - after, after
+            damping = damping / 5
+            if gain < 1e-4 * now:
+                break
+    places = chain.sized(x)
+    joints = len(topology.joints)
+    at = chain.points(places, turn, root)[:, points.shape[1] :] + middle
+    q = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*turn.shape[:2], 4)
+    factors = np.exp(x[1 : 1 + 3 * chain.count]).reshape(-1, 3)
+    scale = float(body.scale * np.exp(x[0]))
+    shifts = priors.shifts(x)
+    # not held by the others: as odd as one at the end of its reach
+    away = (seen & (np.linalg.norm(off(x, turn, root), axis=-1) > REACH[-1])).sum(0) / np.maximum(seen.sum(0), 1)
+    shifts = np.where(away > 0.3, np.inf, shifts)
+    own = places[:joints], places[joints : 2 * joints], places[2 * joints :]
+    return Fit(scale, factors, *own, q, at, shifts, float(now))
+
+
+def _step(chain: Chain, priors: Priors, x, turn, off, seen, reach: float, damping: float, sizes: bool):
+    """One damped Gauss-Newton step: motions of all poses and the change of x (none without `sizes`)."""
+    frames = len(turn)
+    robust = seen / (1 + np.sum(off**2, -1) / reach**2) / NOISE
+    by_pose, by_x = chain.slopes(chain.sized(x), chain.sized_by(x), turn)
+    by_pose, by_x = ((robust[..., None, None] * j).reshape(frames, -1, j.shape[-1]) for j in (by_pose, by_x))
+    r = (robust[..., None] * off).reshape(frames, -1)
+    # the joints' angles count once, not once per frame: frames are not independent of each other
+    angles, by_turn = (a / np.sqrt(frames) for a in chain.angles(turn))
+    angles, by_turn = angles.reshape(frames, -1), by_turn.reshape(frames, -1, by_turn.shape[-1])
+    h = by_pose.swapaxes(1, 2) @ by_pose + by_turn.swapaxes(1, 2) @ by_turn
+    g = np.einsum("fri,fr->fi", by_pose, r) + np.einsum("fri,fr->fi", by_turn, angles)
+    h = h + np.einsum("fi,ij->fij", damping * np.einsum("fii->fi", h) + 1e-6, np.eye(h.shape[1]))
+    if not sizes:
+        return -np.linalg.solve(h, g[..., None])[..., 0], np.zeros_like(x)
+    mixed = by_pose.swapaxes(1, 2) @ by_x
+    solved = np.linalg.solve(h, np.concatenate([g[..., None], mixed], 2))
+    known, by_known = priors.at(x), priors.slope(x)
+    hx = np.einsum("fri,frj->ij", by_x, by_x, optimize=True) + by_known.T @ by_known
+    gx = np.einsum("fri,fr->i", by_x, r) + by_known.T @ known
+    left = hx + np.diag(damping * np.diag(hx)) - np.einsum("fij,fik->jk", mixed, solved[:, :, 1:], optimize=True)
+    step = np.linalg.solve(left, np.einsum("fij,fi->j", mixed, solved[:, :, 0]) - gx)
+    return -solved[:, :, 0] - solved[:, :, 1:] @ step, step
+
+
+def personal(body: Body, markers: Markers, fit: Fit) -> Body:
+    """The body with the sizes, joints and marker places of a fit.
+
+    Reported joint centres that the body has a joint for (same name, or that of H-Anim v1) lie in the joint; other sites
+    and centres keep their place in proportion.
+    """
+    t = body.topology
+    grown = fit.factors * fit.scale / float(body.scale)
+    limbs, _ = named_points(body)
+    of_limb = lambda points, limb: np.asarray(points) * grown[np.asarray(limb, int)]  # noqa: E731
+    sites, centres = of_limb(body.sites, t.site_limbs), of_limb(body.centres, t.centre_limbs)
+    # where several names share a point, the last one holds
+    for row, place in zip(markers.rows, fit.places):
+        if row < len(sites):
+            sites[row] = place
+    for j, joint in enumerate(t.joints):
+        name = V1_NAMES.get(joint, joint)
+        if name in t.centres:
+            k = t.centres.index(name)
+            owner = t.centre_limbs[k]
+            if owner in (t.parents[j], t.children[j]):
+                centres[k] = (fit.on_parent if owner == t.parents[j] else fit.on_child)[j]
+    rest = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()
+    at = np.asarray(body.rest.translation, np.float64) * fit.scale / float(body.scale)
+    for j in tree_order(t):
+        p, c = t.parents[j], t.children[j]
+        at[c] = at[p] + rest[p] @ fit.on_parent[j] - rest[c] @ fit.on_child[j]
+    array = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
+    new = (
+        np.asarray(body.sizes) * grown[:, [0, 1, 0, 1, 2]], at, fit.on_parent, fit.on_child,
+        np.asarray(body.axes) * fit.scale / float(body.scale), centres, sites, fit.scale,
+    )  # fmt: skip
+    where = lambda b: (  # noqa: E731
+        b.sizes, b.rest.translation, b.parent_anchor.translation, b.child_anchor.translation, b.axes, b.centres,
+        b.sites, b.scale,
+    )  # fmt: skip
+    return eqx.tree_at(where, body, tuple(array(x) for x in new))
