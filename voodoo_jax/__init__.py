@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from voodoo_jax.body import Body as Body
+    from voodoo_jax.changes import attach as attach
     from voodoo_jax.io.body_file import human as human
     from voodoo_jax.io.body_file import load_body as load_body
     from voodoo_jax.io.body_file import read_body as read_body
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from voodoo_jax.picture import show as show
     from voodoo_jax.recording import Recording as Recording
     from voodoo_jax.replay import replay
+    from voodoo_jax.settings import Change as Change
     from voodoo_jax.settings import Settings as Settings
+    from voodoo_jax.settings import preset as preset
     from voodoo_jax.tracker import track as track
     from voodoo_jax.tracks import Tracks as Tracks
 
@@ -35,12 +38,15 @@ if TYPE_CHECKING:
 # No name may be that of a module here: importing the module would take its place.
 _PUBLIC = {
     "Body": ("body", "Body"),
+    "Change": ("settings", "Change"),
     "LogError": ("io.mcap_log", "LogError"),
     "Recording": ("recording", "Recording"),
     "Settings": ("settings", "Settings"),
     "Tracks": ("tracks", "Tracks"),
+    "attach": ("changes", "attach"),
     "human": ("io.body_file", "human"),
     "load_body": ("io.body_file", "load_body"),
+    "preset": ("settings", "preset"),
     "read_body": ("io.body_file", "read_body"),
     "read_log": ("io.mcap_log", "read_log"),
     "read_tracks": ("io.tracks_file", "read_tracks_npz"),

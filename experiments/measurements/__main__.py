@@ -5,10 +5,14 @@ contenders in turns, median. Weights of 1, of 10, and random ones: time must not
 features beside the points. Writes measurements.md and measurements.png.
 """
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+
+# one thread: else the compiler splits long arrays over the cores and short ones not, which is no line
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
 
 import equinox as eqx
 import jax
