@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
-import voodoo_jax.tracker
+import voodoo_jax.session
 from voodoo_jax.body import scaled
 from voodoo_jax.cli import main
 from voodoo_jax.io.body_file import human, load_body
@@ -95,7 +95,7 @@ def wave_log(tmp_path_factory) -> Path:
 
 def programs() -> dict[str, int]:
     """How many compiled programs there are of each kind."""
-    return {f: getattr(voodoo_jax.tracker, f)._cached._cache_size() for f in ("run_trials", "track_chunk")}
+    return {f: getattr(voodoo_jax.session, f)._cached._cache_size() for f in ("run_trials", "track_chunk")}
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from voodoo_jax.settings import Change as Change
     from voodoo_jax.settings import Settings as Settings
     from voodoo_jax.settings import preset as preset
+    from voodoo_jax.smoothing import smooth as smooth
     from voodoo_jax.tracker import track as track
     from voodoo_jax.tracks import Tracks as Tracks
 
@@ -53,6 +54,7 @@ _PUBLIC = {
     "replay_logs": ("replay", "replay"),
     "save_picture": ("picture", "picture"),
     "show": ("picture", "show"),
+    "smooth": ("smoothing", "smooth"),
     "survey": ("io.mcap_log", "survey"),
     "track": ("tracker", "track"),
     "write_body": ("io.body_file", "write_body"),

@@ -44,6 +44,8 @@ class Replay:
     body: Annotated[str, arg(help=BODY_HELP)] = ""
     preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    smooth: float = 0.0
+    """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
     picture: bool = False
     """Also write <log>.png: cloud and tracked body side by side."""
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
@@ -97,7 +99,7 @@ def run_replay(command: Replay) -> int:
 
     try:
         body = load_body(body_name(command))
-        outcomes = replay(command.logs, command.out, body, command.settings)
+        outcomes = replay(command.logs, command.out, body, command.settings, smooth_seconds=command.smooth)
     except FileExistsError:
         print(f"voodoo-jax replay: --out '{command.out}' is a file; name a folder", file=sys.stderr)
         return 2

@@ -95,17 +95,22 @@ def replay(
     body: Body | None = None,
     settings: Settings | None = None,
     quiet: bool = False,
+    smooth_seconds: float = 0.0,
 ) -> list[Outcome]:
     """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`.
 
     A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
-    under their final names only when complete. Raises ValueError if two logs would write the same files.
+    under their final names only when complete. Raises ValueError if two logs would write the same files,
+    or `smooth_seconds` (see smoothing.smooth) is negative.
     """
     from voodoo_jax.io.body_file import human
     from voodoo_jax.io.mcap_log import LogError
     from voodoo_jax.io.mcap_tracks import write_tracks_mcap
     from voodoo_jax.io.tracks_file import write_tracks_npz
+    from voodoo_jax.smoothing import smooth
 
+    if not smooth_seconds >= 0:
+        raise ValueError(f"--smooth {smooth_seconds}: must not be negative")
     logs = [Path(p) for p in logs]
     settings, body = settings or Settings(), body or human()
     stems = [output_paths(p, out)[0].name for p in logs]
@@ -117,12 +122,13 @@ def replay(
     Path(out).mkdir(parents=True, exist_ok=True)
     stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
     parameters = {f"{stage}.{k}": str(v) for stage, values in stages.items() for k, v in values.items()}
+    parameters["smooth_seconds"] = str(smooth_seconds)
     parameters |= {f"change.{n}": str(change) for n, change in enumerate(settings.changes, 1)}
     outcomes: list[Outcome] = []
     for number, path in enumerate(logs, 1):
         with tqdm(desc=f"{number}/{len(logs)} {path.name}", unit="frame", disable=quiet or None, leave=False) as bar:
             try:
-                tracks = track_log(path, body, settings, bar)
+                tracks = smooth(track_log(path, body, settings, bar), smooth_seconds)
                 npz, mcap = output_paths(path, out)
                 write_tracks_mcap(tracks, mcap, parameters)
                 write_tracks_npz(tracks, npz)  # last: where it is, both are

@@ -11,16 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float32
 
-from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
+from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
-from voodoo_jax.changes import appeared, applied, directions, hung_on, loaded, pointing, prepared
+from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
 from voodoo_jax.marker_log import (
-    ENOUGH,
     TO_START,
-    explained,
-    marker_start,
     marker_table,
     sized_by_markers,
     without_gaps,
@@ -29,13 +26,13 @@ from voodoo_jax.marker_notes import marker_notes
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.settings import Settings, StartSettings
-from voodoo_jax.start import Trial, rest_height, run_trials, sized, standing_places
-from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, options_from, track_chunk
+from voodoo_jax.session import FEW_POINTS, Session, by_markers, status_of
+from voodoo_jax.settings import Settings
+from voodoo_jax.start import rest_height, sized
+from voodoo_jax.tracking import State, options_from
 from voodoo_jax.tracks import Status, Tracks
 
 Progress = Callable[[int], None]
-FEW_POINTS = 20  # fewer on the body: nothing to track by
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
 SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
 
@@ -71,130 +68,8 @@ def _compile_clock() -> float:
     return _compiling[0]
 
 
-class _Run:
-    """Tracks one recording's person frames with one body."""
-
-    def __init__(self, body: Body, options: TrackOptions, people: list[PersonFrame], scene: Scene, settings: Settings):
-        self.body, self.options, self.people, self.scene, self.settings = body, options, people, scene, settings
-        self.sensors = len(people[0].origins) if people else 1
-        self.capacity = bucket(settings.person.points)
-        self.bodies = [(0, body)]  # first frame from which on the body is so
-        first = people[0].time_ns if people else 0
-        stamps = np.array([f.time_ns for f in people], np.int64)
-        changes = loaded(settings.changes)
-        self.pending = [(int(np.searchsorted(stamps, first + round(c.time * 1e9))), c) for c in changes]
-        self.left_out = 0  # points beyond settings.person.points
-        self.names = FeatureNames(body.topology, settings.features)
-        most = max((len(f.rays.names) + len(f.pairs.names) for f in people), default=0)
-        self.feature_capacity = bucket(most, FEATURE_BUCKETS)
-        self.choices = self.names.choices({name for f in people for name in (*f.rays.names, *f.pairs.names)})
-        self.parts = PartNames(body.topology) if any(f.part is not None for f in people) else None
-        self.table = marker_table(people, self.names)
-        few = np.array([len(f.points) < FEW_POINTS for f in people], bool)
-        self.featured = few & np.array([bool(f.rays.names or f.pairs.names) for f in people], bool)
-        self.by_markers = _by_markers(people)
-        self.named = few & self.table.enough(ENOUGH)  # frames that named points alone tell of
-        if self.by_markers:
-            self.capacity = 8
-
-    def start(self, at: int) -> State:
-        """State after the best trial from frame `at`; by markers alone at the nearest frame that has enough of them."""
-        if self.by_markers:
-            good = np.flatnonzero(self.table.enough(TO_START))
-            frame = int(good[np.argmin(np.abs(good - at))])
-            return at_rest(marker_start(self.body, self.table.markers, frame))
-        s: StartSettings = self.settings.start
-        frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
-        places = standing_places(self.body, frames[::-1], self.scene.floor, s.headings)
-        starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
-        trial = self._trials(frames, starts)
-        best = int(np.argmin(np.asarray(trial.cost)))
-        return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses))
-
-    def change(self, at: int, state: State | None) -> State | None:
-        """Makes the changes of the body that are due before frame `at`; the others' poses stay as they are."""
-        due = [change for frame, change in self.pending if frame <= at]
-        for change in due:
-            before, self.body = self.body, applied(self.body, change)
-            limbs = appeared(before, self.body)
-            if state is not None and limbs:
-                if isinstance(change.add, Body) and not change.axis:
-                    self._look_for(change.add.topology.limbs[0], limbs, at, state)
-                rows = jnp.array(limbs, int)
-                spin, velocity = state.spin.at[rows].set(0.0), state.velocity.at[rows].set(0.0)
-                state = State(hung_on(self.body, state.poses, limbs), spin, velocity)
-        if due:
-            self.pending = self.pending[len(due) :]
-            self.bodies.append((at, self.body))
-        return state
-
-    def _look_for(self, thing: str, limbs: list[int], at: int, state: State) -> None:
-        """Lets a held thing point where the first frames from `at` on say it does: trials as at the start."""
-        t = self.body.topology
-        joint = t.children.index(t.limbs.index(thing))
-        bodies = [pointing(self.body, joint, axis) for axis in directions(self.settings.start.directions)]
-        starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(hung_on(b, state.poses, limbs) for b in bodies))
-        trial = self._trials(self.people[at : at + self.settings.start.frames], starts)
-        self.body = bodies[int(np.argmin(np.asarray(trial.cost)))]
-
-    def _trials(self, frames: list[PersonFrame], starts: Poses) -> Trial:
-        """Tracks some frames from every start pose (leading axis), the last one first."""
-        s: StartSettings = self.settings.start
-        # backwards in time, so that the trials end where tracking begins
-        frames = frames[::-1]
-        chunk = pad_frames(frames, self.capacity, s.frames, None, self.sensors, self.settings.person.points, self.parts)
-        features = pad_features(frames, s.frames, self.feature_capacity, self.names, self.choices)
-        if features is not None:
-            # what may be face or hand fits any heading and blurs the choice between them
-            sure = jnp.all(features.point == features.point[..., :1], -1)
-            features = eqx.tree_at(lambda f: f.weight, features, jnp.where(sure, features.weight, 0.0))
-        # the interval by which the pull to the prediction is set: loose trials would bend to any heading
-        seconds = jnp.minimum(jnp.abs(chunk.seconds), self.options.prior_interval)
-        return run_trials(self.body, self.options, starts, chunk.points, seconds, features)
-
-    def chunk(self, state: State, at: int) -> tuple[State, Step, int]:
-        """Tracks up to one chunk of frames from `at`, not past the next change of the body; the number tracked."""
-        length = self.settings.track.chunk
-        end = min([at + length, *(frame for frame, _ in self.pending)])
-        frames = self.people[at:end]
-        previous = self.people[at - 1].time_ns if at else None
-        padded = pad_frames(
-            frames, self.capacity, length, previous, self.sensors, self.settings.person.points, self.parts
-        )
-        seconds, valid = jnp.asarray(padded.seconds), jnp.asarray(padded.valid)
-        features = pad_features(frames, length, self.feature_capacity, self.names, self.choices)
-        self.left_out += padded.left_out
-        state, step = track_chunk(self.body, self.options, state, padded.points, seconds, valid, features)
-        return state, self._with_named(jax.tree.map(np.asarray, step), at, len(frames)), len(frames)
-
-    def _with_named(self, step: Step, at: int, count: int) -> Step:
-        """The step with what named points say in frames that have no others."""
-        frames = at + np.flatnonzero(self.named[at : at + count])
-        if not len(frames):
-            return step
-        m = self.table.markers
-        m = m._replace(points=m.points[frames], seen=m.seen[frames])
-        found = explained(self.body, m, step.poses[frames - at])
-        share, residual, weight = (np.array(x) for x in (step.explained, step.residual, step.limb_weight))
-        share[frames - at], residual[frames - at], weight[frames - at] = found
-        return step._replace(explained=share, residual=residual, limb_weight=weight)
-
-
-def _by_markers(people: list[PersonFrame]) -> bool:
-    """Whether a recording has named points and no depth at all."""
-    return all(len(f.points) < FEW_POINTS for f in people) and any(len(f.pairs.names) >= TO_START for f in people)
-
-
 # one frame's check for a chunk of frames
 check_poses = eqx.filter_jit(eqx.filter_vmap(check, in_axes=(None, 0)))
-
-
-def _status(step: Step, lost_explained: float, named: np.ndarray, featured: np.ndarray) -> np.ndarray:
-    """Status of each frame; `named` those that named points alone tell of, `featured` those that have some feature."""
-    few = (np.asarray(step.points)[: len(named)] < FEW_POINTS) & ~named
-    lost = np.asarray(step.explained)[: len(named)] < lost_explained
-    status = np.where(lost, Status.LOST, Status.TRACKED)
-    return np.where(few, np.where(featured, Status.FEATURES, Status.NO_DATA), status).astype(np.int8)
 
 
 def _first_run(mask: np.ndarray, length: int) -> int:
@@ -235,7 +110,7 @@ def track_person(
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     exchanges: list[Exchange] = []
-    if _by_markers(people):
+    if by_markers(people):
         people = without_gaps(people)
         names = FeatureNames(body.topology, settings.features)
         exchanges = jumps(marker_table(people, names).markers)
@@ -243,14 +118,14 @@ def track_person(
         table = marker_table(people, names)
         enough = table.enough(TO_START)
     at = int(np.argmax(enough)) if enough.any() else count
-    if at < count and _by_markers(people):
+    if at < count and by_markers(people):
         body, sides = sized_by_markers(body, table.markers, settings.start.scale)
         people, exchanges = put_right(people, sides), exchanges + sides
     else:
         body = sized(body, people[at : at + settings.start.size_frames], scene.floor, settings.start)
     body = prepared(body, loaded(settings.changes))
     limbs, joint_count = body.limb_count, len(body.topology.joints)
-    run = _Run(body, options_from(settings.solve, settings.track, settings.features), people, scene, settings)
+    run = Session(body, options_from(settings.solve, settings.track, settings.features), people, scene, settings)
     out = {
         "rotation": np.full((count, limbs, 4), np.nan, np.float32),
         "translation": np.full((count, limbs, 3), np.nan, np.float32),
@@ -274,7 +149,7 @@ def track_person(
             state = run.start(at)
         after, step, taken = run.chunk(state, at)
         these = slice(at, at + taken)
-        status = _status(step, settings.track.lost_explained, run.named[these], run.featured[these])
+        status = status_of(step, settings.track.lost_explained, run.named[these], run.featured[these])
         # gone or lost for long: stop here and look anew
         gone = _first_run(status == Status.NO_DATA, patience)
         lost = _first_run(status == Status.LOST, patience) if tried < at else taken
@@ -340,7 +215,7 @@ def _implausible(body: Body, out: dict[str, np.ndarray]) -> list[str]:
     return notes
 
 
-def _notes(run: _Run, out: dict[str, np.ndarray], exchanges: list[Exchange]) -> tuple[str, ...]:
+def _notes(run: Session, out: dict[str, np.ndarray], exchanges: list[Exchange]) -> tuple[str, ...]:
     notes = _implausible(run.body, out)
     if run.by_markers:
         poses, stamps = Poses(out["rotation"], out["translation"]), np.array([f.time_ns for f in run.people], np.int64)
