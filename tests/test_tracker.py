@@ -11,7 +11,7 @@ from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.settings import Settings
+from voodoo_jax.settings import Settings, TrackSettings
 from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
 from voodoo_jax.tracker import _first_run, track
 from voodoo_jax.tracks import Status
@@ -105,8 +105,12 @@ def test_nobody_and_nothing(recording, nobody):
 def test_progress_counts_every_frame_once(recording, nobody):
     done = []
     frames = list(recording)
-    track(human(), joined(recording, nobody, frames, nobody * 5, frames[:6]), progress=done.append)
+    log = joined(recording, nobody, frames, nobody * 5, frames[:6])
+    track(human(), log, Settings(track=TrackSettings(both_ways=False)), progress=done.append)
     assert sum(done) == 4 + len(frames) + 20 + 6 and min(done) >= 0
+    done.clear()
+    track(human(), log, progress=done.append)
+    assert sum(done) > len(log) + len(frames)  # and once more backwards where somebody was
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def track_log(path: str | os.PathLike[str], body: Body, settings: Settings, bar:
 
     log = open_log(path, settings.read)
     if bar is not None:
-        bar.reset(total=2 * len(log))
+        bar.reset(total=(2 + settings.track.both_ways) * len(log))  # read, track there, and back
 
     def counted() -> Iterable:
         for frame in log.frames():

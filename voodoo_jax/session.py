@@ -1,10 +1,12 @@
 """One recording on its way through the compiled programs: trials, chunks of frames, changes of the body. Host side."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int8
+from jaxtyping import Bool, Float, Int8
 
 from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Body
@@ -103,18 +105,34 @@ class Session:
 
     def chunk(self, state: State, at: int) -> tuple[State, Step, int]:
         """Tracks up to one chunk of frames from `at`, not past the next change of the body; the number tracked."""
-        length = self.settings.track.chunk
-        end = min([at + length, *(frame for frame, _ in self.pending)])
+        end = min([at + self.settings.track.chunk, *(frame for frame, _ in self.pending)])
         frames = self.people[at:end]
         previous = self.people[at - 1].time_ns if at else None
-        padded = pad_frames(
-            frames, self.capacity, length, previous, self.sensors, self.settings.person.points, self.parts
-        )
-        seconds, valid = jnp.asarray(padded.seconds), jnp.asarray(padded.valid)
+        state, step, left_out = self._tracked(state, frames, previous)
+        self.left_out += left_out
+        return state, self._with_named(step, at, len(frames)), len(frames)
+
+    def backwards(self, poses: Poses, first: int, last: int) -> Step:
+        """Tracks frames `first` to `last` - 1, the last one first, beginning with `poses`; steps in order of time."""
+        # the same frames as if time ran the other way
+        turned = [replace(f, time_ns=-f.time_ns) for f in self.people[first:last][::-1]]
+        state, steps, length = at_rest(poses), [], self.settings.track.chunk
+        for at in range(0, len(turned), length):
+            frames = turned[at : at + length]
+            state, step, _ = self._tracked(state, frames, turned[at - 1].time_ns if at else None)
+            steps.append(step)
+        # only the last chunk has padding
+        return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(turned)][::-1], *steps)
+
+    def _tracked(self, state: State, frames: list[PersonFrame], previous_ns: int | None) -> tuple[State, Step, int]:
+        """The state after the frames, a step for each of a chunk's frames, and how many points were left out."""
+        length = self.settings.track.chunk
+        most = self.settings.person.points
+        padded = pad_frames(frames, self.capacity, length, previous_ns, self.sensors, most, self.parts)
         features = pad_features(frames, length, self.feature_capacity, self.names, self.choices)
-        self.left_out += padded.left_out
+        seconds, valid = jnp.asarray(padded.seconds), jnp.asarray(padded.valid)
         state, step = track_chunk(self.body, self.options, state, padded.points, seconds, valid, features)
-        return state, self._with_named(jax.tree.map(np.asarray, step), at, len(frames)), len(frames)
+        return state, jax.tree.map(np.asarray, step), padded.left_out
 
     def _with_named(self, step: Step, at: int, count: int) -> Step:
         """The step with what named points say in frames that have no others."""
@@ -127,6 +145,11 @@ class Session:
         share, residual, weight = (np.array(x) for x in (step.explained, step.residual, step.limb_weight))
         share[frames - at], residual[frames - at], weight[frames - at] = found
         return step._replace(explained=share, residual=residual, limb_weight=weight)
+
+
+def cost_of(step: Step) -> Float[np.ndarray, " frame"]:
+    """How badly the measurements of each frame are explained, square metres: what trials are compared by, too."""
+    return step.residual**2 + 0.02 * (1 - step.explained) + 0.5 * step.feature_residual**2
 
 
 def by_markers(people: list[PersonFrame]) -> bool:

@@ -164,6 +164,8 @@ class TrackSettings:
     """After so many lost or empty frames on end the body is looked for anew."""
     chunk: int = 128
     """Frames per compiled run."""
+    both_ways: bool = True
+    """Track backwards in time too and combine both passes; false: each frame by what came before it only."""
 
 
 @dataclass(frozen=True)
@@ -236,7 +238,7 @@ def preset(name: str) -> Settings:
             prior=1e-6, prior_radius=0.4,  # next to nothing: keeps a limb where it is that nothing was measured of
             limits=0.0, collisions=0.0,
         ),
-        track=TrackSettings(damping=0.0),  # sec. 5.2: each frame starts from the last one's pose
+        track=TrackSettings(damping=0.0, both_ways=False),  # sec. 5.2: each frame starts from the last one's pose
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float32
 
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
+from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
@@ -26,7 +27,7 @@ from voodoo_jax.marker_notes import marker_notes
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.session import FEW_POINTS, Session, by_markers, status_of
+from voodoo_jax.session import FEW_POINTS, Session, by_markers, cost_of, status_of
 from voodoo_jax.settings import Settings
 from voodoo_jax.start import rest_height, sized
 from voodoo_jax.tracking import State, options_from
@@ -86,7 +87,7 @@ def track(
     """Tracks a body through a recording; nothing about the person need be known.
 
     **Arguments:** `body` any body, scaled to what is seen unless `settings.start.scale` says otherwise; `progress` is
-    called with the number of frames done since the last call.
+    called with the number of frames done since the last call, for each pass (see settings.track.both_ways).
 
     **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
     """
@@ -138,6 +139,7 @@ def track_person(
         "beyond_limits": np.full((count, joint_count), np.nan, np.float32),
         "depth_inside": np.full((count, limbs), np.nan, np.float32),
     }
+    cost, passages = np.zeros(count), []  # square metres; frames from one start to the next
     patience = settings.track.patience
     state: State | None = None
     tried = -1
@@ -147,6 +149,7 @@ def track_person(
         state = run.change(at, state)
         if state is None:
             state = run.start(at)
+            passages.append([at, at])
         after, step, taken = run.chunk(state, at)
         these = slice(at, at + taken)
         status = status_of(step, settings.track.lost_explained, run.named[these], run.featured[these])
@@ -158,8 +161,7 @@ def track_person(
         out["rotation"][span] = step.poses.rotation[:keep]
         out["translation"][span] = step.poses.translation[:keep]
         out["status"][span] = status[:keep]
-        odd = check_poses(run.body, step.poses)
-        out["beyond_limits"][span], out["depth_inside"][span] = odd.beyond[:keep], odd.depth[:keep]
+        cost[span], passages[-1][1] = cost_of(step)[:keep], at + keep
         absent = ~np.asarray(run.body.present)
         out["rotation"][span, absent], out["translation"][span, absent] = np.nan, np.nan
         for name in ("residual", "explained", "steps", "limb_weight"):
@@ -177,12 +179,18 @@ def track_person(
             tried = at + patience
         if progress is not None:
             progress(keep)
+    if settings.track.both_ways and not run.by_markers and not settings.changes:
+        for first, end in passages:
+            _both_ways(run, out, cost, first, end)
+            if progress is not None:
+                progress(end - first)
     out["residual"][out["status"] == Status.NO_DATA] = np.nan
     joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)
     centres = jax.jit(jax.vmap(joint_centres, (None, 0)))
     for (first, body), end in zip(run.bodies, [*(at for at, _ in run.bodies[1:]), count]):
         poses = Poses(jnp.asarray(out["rotation"][first:end]), jnp.asarray(out["translation"][first:end]))
         joints[first:end] = centres(body, poses) if end > first else 0.0
+        _check(body, out, first, end, settings.track.chunk)
     compiling = _compile_clock() - compiled
     seconds = time.perf_counter() - began - compiling
     stamps = np.array([f.time_ns for f in people], np.int64)
@@ -197,6 +205,38 @@ def track_person(
         notes=tuple(notes) + _notes(run, out, exchanges),
         **out,
     )
+
+
+def _both_ways(run: Session, out: dict[str, np.ndarray], cost: np.ndarray, first: int, end: int) -> None:
+    """Tracks the frames of one passage backwards from its last good one, and combines that with what is there."""
+    good = np.flatnonzero(out["status"][first:end] == Status.TRACKED)
+    if not len(good):
+        return
+    span = slice(first, first + int(good[-1]) + 1)
+    last = span.stop - 1
+    poses = Poses(jnp.asarray(out["rotation"][last]), jnp.asarray(out["translation"][last]))
+    step = run.backwards(poses, first, span.stop)
+    forward = Pass(out["rotation"][span], out["translation"][span], cost[span])
+    backward = Pass(step.poses.rotation, step.poses.translation, cost_of(step))
+    lengths = np.asarray(run.body.sizes[:, 4])
+    out["rotation"][span], out["translation"][span], taken = combined(forward, backward, lengths)
+    lost_explained = run.settings.track.lost_explained
+    status = status_of(step, lost_explained, run.named[span], run.featured[span])
+    out["status"][span] = np.where(taken, status, out["status"][span])
+    for name in ("residual", "explained", "steps", "limb_weight"):
+        new, old = getattr(step, name), out[name][span]
+        out[name][span] = np.where(taken.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+
+def _check(body: Body, out: dict[str, np.ndarray], first: int, end: int, chunk: int) -> None:
+    """Fills in what is not plausible about the poses of some frames with one body."""
+    for at in range(first, end, chunk):
+        span = slice(at, min(at + chunk, end))
+        pad = ((0, chunk - (span.stop - at)), (0, 0), (0, 0))  # one program for every length
+        odd = check_poses(body, Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad)))
+        there = np.isfinite(out["translation"][span]).any((1, 2))[:, None]
+        for name, found in (("beyond_limits", odd.beyond), ("depth_inside", odd.depth)):
+            out[name][span] = np.where(there, np.asarray(found)[: span.stop - at], np.nan)
 
 
 def _implausible(body: Body, out: dict[str, np.ndarray]) -> list[str]:

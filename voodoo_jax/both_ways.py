@@ -1,0 +1,81 @@
+"""Two passes over the same frames, forwards and backwards in time, made one. Host side.
+
+A limb that one pass loses in a fast movement the other one meets before the trouble; and where both agree, their mean
+is nearer to the truth than either, for each lags behind in its own direction of time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+from scipy.spatial.transform import Rotation
+
+AGREE = 0.12  # metres between the passes' places of a limb's ends, below which they are averaged
+WINDOW = 7  # frames over which costs are compared: single frames decide by noise
+BETTER = 0.97  # the backward pass is taken where it costs less than this share of the forward one
+
+
+class Pass(NamedTuple):
+    """Poses of consecutive frames, and how badly they explain what was measured."""
+
+    rotation: Float32[np.ndarray, "frame limb 4"]  # unit quaternions wxyz
+    translation: Float32[np.ndarray, "frame limb 3"]  # metres
+    cost: Float[np.ndarray, " frame"]  # square metres, see kernels
+
+
+def backward_is_better(
+    forward: Float[np.ndarray, " frame"], backward: Float[np.ndarray, " frame"]
+) -> Bool[np.ndarray, " frame"]:
+    """In which frames the backward pass explains the measurements better, by the mean cost around the frame."""
+    if not len(forward):
+        return np.zeros(0, bool)
+    width = min(WINDOW, len(forward) - 1 + len(forward) % 2)  # odd, and not longer than the recording
+    mean = lambda c: np.convolve(np.pad(c, width // 2, mode="edge"), np.ones(width) / width, "valid")  # noqa: E731
+    return mean(backward) < BETTER * mean(forward)
+
+
+def combined(
+    forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"]
+) -> tuple[Float32[np.ndarray, "frame limb 4"], Float32[np.ndarray, "frame limb 3"], Bool[np.ndarray, " frame"]]:
+    """Poses made of both passes: of each frame the better one, limbs on which they agree moved halfway to the other.
+
+    Halfway: the place of the limb's origin, and the direction of its axis; how it is turned about its axis is left as
+    it is, for of a round limb nobody knows that.
+
+    **Arguments:** `lengths` of the limbs, metres. **Returns:** rotation, translation, where the backward pass is taken.
+    """
+    taken = backward_is_better(forward.cost, backward.cost)
+    pick = lambda a, b: np.where(taken[:, None, None], a, b)  # noqa: E731
+    rotation, other_rotation = pick(backward.rotation, forward.rotation), pick(forward.rotation, backward.rotation)
+    place, other = pick(backward.translation, forward.translation), pick(forward.translation, backward.translation)
+    axis, other_axis = _axis(rotation), _axis(other_rotation)
+    reach = lengths[None, :, None]
+    ends = [
+        np.linalg.norm(a - b, axis=-1) for a, b in ((place, other), (place + reach * axis, other + reach * other_axis))
+    ]
+    agree = np.maximum(*ends) < AGREE  # NaN does not agree
+    half = _half_turn(axis, other_axis)
+    turned = (Rotation.from_quat(half.reshape(-1, 4)) * _rotations(rotation)).as_quat(scalar_first=True)
+    turned = turned.reshape(rotation.shape)
+    rotation = np.where(agree[..., None], turned, rotation).astype(np.float32)
+    return rotation, np.where(agree[..., None], (place + other) / 2, place).astype(np.float32), taken
+
+
+def _rotations(q: np.ndarray) -> Rotation:
+    """Rotations of quaternions wxyz; NaN becomes the identity."""
+    flat = q.reshape(-1, 4).astype(float)
+    return Rotation.from_quat(np.where(np.isfinite(flat).all(1)[:, None], flat, [1.0, 0, 0, 0]), scalar_first=True)
+
+
+def _axis(q: np.ndarray) -> np.ndarray:
+    return _rotations(q).apply([0.0, 0.0, 1.0]).reshape(*q.shape[:-1], 3)
+
+
+def _half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternions xyzw that turn unit vectors a halfway to b: by construction half of the smallest turn."""
+    middle = a + b
+    length = np.linalg.norm(middle, axis=-1, keepdims=True)
+    middle = np.where(length > 1e-6, middle / np.maximum(length, 1e-6), a)
+    w = 1 + np.sum(a * middle, -1, keepdims=True)
+    q = np.concatenate([np.cross(a, middle), w], -1)
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
