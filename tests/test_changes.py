@@ -174,3 +174,21 @@ def test_a_change_keeps_the_pose_of_the_rest(stick_log):
     assert moved.max() < 0.03
     scaled = applied(human(), Change(0.0, scale=1.9))
     np.testing.assert_allclose(scaled.sizes, human().sizes * 1.9 / 1.7, rtol=1e-5)
+
+
+def test_a_thing_that_changes_hands_is_told():
+    one = Change(1.0, add="stick", to="r_hand")
+    with pytest.raises(SettingsError, match="held otherwise"):
+        prepared(human(), loaded([one, Change(2.0, remove=("stick",)), Change(3.0, add="stick", to="l_hand")]))
+    body = prepared(human(), loaded([one, Change(2.0, remove=("stick",)), Change(3.0, add="stick", to="r_hand")]))
+    assert body.limb_count == 16
+
+
+def test_an_absent_limb_does_not_spoil_the_pass_backwards(stick_log):
+    _, _, path = stick_log
+    body = with_limbs(human(), ["l_hand"], False)
+    tracks = track(body, read_log(path), Settings(start=StartSettings(scale=1.7)))
+    hand = body.topology.limbs.index("l_hand")
+    others = np.delete(np.arange(15), hand)
+    assert np.isnan(tracks.translation[:, hand]).all() and np.isfinite(tracks.translation[:, others]).all()
+    assert tracks.tracked.all()

@@ -141,9 +141,18 @@ def loaded(changes: Sequence[Change]) -> tuple[Change, ...]:
 
 def prepared(body: Body, changes: Sequence[Change]) -> Body:
     """The body with all things that ever come attached and absent. Raises SettingsError for changes that cannot be."""
+    held: dict[str, tuple] = {}  # how each thing is held
     for change in changes:
         thing = change.add
-        if isinstance(thing, Body) and thing.topology.limbs[0] not in body.topology.limbs:
+        if not isinstance(thing, Body):
+            continue
+        name, grip = thing.topology.limbs[0], (change.to, change.at, change.grip, change.joint_axes, change.weight)
+        if held.setdefault(name, grip) != grip:
+            raise SettingsError(
+                f"change at {change.time:g} s: '{name}' was held otherwise before: a thing that changes hands needs a "
+                "body file for each, with other names"
+            )
+        if f"{name}_grip" not in body.topology.joints:
             with _told(change):
                 axis = change.axis or (0.0, 0.0, 1.0)
                 body = attach(body, thing, change.to, change.at, change.grip, axis, change.joint_axes, change.weight)

@@ -37,12 +37,13 @@ class Session:
         self.left_out = 0  # points beyond settings.person.points
         self.names = FeatureNames(body.topology, settings.features)
         most = max((len(f.rays.names) + len(f.pairs.names) for f in people), default=0)
-        self.feature_capacity = bucket(most, FEATURE_BUCKETS)
+        self.feature_capacity = bucket(most, FEATURE_BUCKETS) if self.names.rows else 0
         self.choices = self.names.choices({name for f in people for name in (*f.rays.names, *f.pairs.names)})
         self.parts = PartNames(body.topology) if any(f.part is not None for f in people) else None
         self.table = marker_table(people, self.names)
         few = np.array([len(f.points) < FEW_POINTS for f in people], bool)
-        self.featured = few & np.array([bool(f.rays.names or f.pairs.names) for f in people], bool)
+        known = [any(map(self.names.look_up, (*f.rays.names, *f.pairs.names))) for f in people]
+        self.featured = few & np.array(known, bool)
         self.by_markers = by_markers(people)
         self.named = few & self.table.enough(ENOUGH)  # frames that named points alone tell of
         if self.by_markers:
@@ -61,6 +62,11 @@ class Session:
         trial = self._trials(frames, starts)
         best = int(np.argmin(np.asarray(trial.cost)))
         return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses))
+
+    def can_start(self, at: int) -> bool:
+        """Whether the frames from `at` on hold something to start from."""
+        reach = self.people[at : at + 3 * self.settings.start.frames]
+        return self.by_markers or any(len(f.points) >= FEW_POINTS for f in reach)
 
     def change(self, at: int, state: State | None) -> State | None:
         """Makes the changes of the body that are due before frame `at`; the others' poses stay as they are."""
@@ -122,7 +128,8 @@ class Session:
             state, step, _ = self._tracked(state, frames, turned[at - 1].time_ns if at else None)
             steps.append(step)
         # only the last chunk has padding
-        return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(turned)][::-1], *steps)
+        whole = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(turned)][::-1], *steps)
+        return self._with_named(whole, first, len(turned))
 
     def _tracked(self, state: State, frames: list[PersonFrame], previous_ns: int | None) -> tuple[State, Step, int]:
         """The state after the frames, a step for each of a chunk's frames, and how many points were left out."""

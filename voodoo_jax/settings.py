@@ -302,6 +302,8 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
     changes = base.changes
     for stage, values in content.items():
         if stage == "change":
+            if not isinstance(values, list) or not all(isinstance(table, dict) for table in values):
+                raise SettingsError(f"{path}: changes are tables [[change]], with two brackets")
             changes = tuple(_change(path, n, table) for n, table in enumerate(values, 1))
             continue
         if stage not in _STAGES or not isinstance(values, dict):

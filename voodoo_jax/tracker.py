@@ -147,6 +147,11 @@ def track_person(
         progress(at)
     while at < count:
         state = run.change(at, state)
+        if state is None and not run.can_start(at):
+            out["status"][at], at = Status.NO_DATA, at + 1
+            if progress is not None:
+                progress(1)
+            continue
         if state is None:
             state = run.start(at)
             passages.append([at, at])
@@ -214,12 +219,18 @@ def _both_ways(run: Session, out: dict[str, np.ndarray], cost: np.ndarray, first
         return
     span = slice(first, first + int(good[-1]) + 1)
     last = span.stop - 1
-    poses = Poses(jnp.asarray(out["rotation"][last]), jnp.asarray(out["translation"][last]))
+    # absent limbs wait in their rest pose: NaN would spread
+    there = np.isfinite(out["translation"][last]).all(-1, keepdims=True)
+    rotation = np.where(there, out["rotation"][last], np.asarray(run.body.rest.rotation))
+    translation = np.where(there, out["translation"][last], np.asarray(run.body.rest.translation))
+    poses = Poses(jnp.asarray(rotation), jnp.asarray(translation))
     step = run.backwards(poses, first, span.stop)
     forward = Pass(out["rotation"][span], out["translation"][span], cost[span])
     backward = Pass(step.poses.rotation, step.poses.translation, cost_of(step))
     lengths = np.asarray(run.body.sizes[:, 4])
     out["rotation"][span], out["translation"][span], taken = combined(forward, backward, lengths)
+    absent = ~np.asarray(run.body.present)
+    out["rotation"][span, absent], out["translation"][span, absent] = np.nan, np.nan
     lost_explained = run.settings.track.lost_explained
     status = status_of(step, lost_explained, run.named[span], run.featured[span])
     out["status"][span] = np.where(taken, status, out["status"][span])
@@ -273,6 +284,13 @@ def _notes(run: Session, out: dict[str, np.ndarray], exchanges: list[Exchange]) 
         notes.append(f"{share:.0f} % of the body's points were thinned out (person.points = {most} per frame).")
     for name, count in run.names.unknown.items():
         notes.append(f"Feature '{name}' was not used ({count} times): features.names gives it no point of this body.")
+    if run.parts is not None and run.parts.unknown:
+        names = ", ".join(sorted(run.parts.unknown))
+        notes.append(f"The body has no limb {names}: points assigned to it count as on the body, on whichever limb.")
+    for _, change in run.pending:
+        notes.append(f"The change at {change.time:g} s comes after the last frame: not made.")
+    if run.settings.changes and run.settings.track.both_ways:
+        notes.append("The body changes on the way, so it was tracked forwards only.")
     if run.names.left_out:
         notes.append(f"{run.names.left_out} features were left out: more in a frame than there is room for.")
     return tuple(notes)

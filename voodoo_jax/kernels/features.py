@@ -62,14 +62,15 @@ def feature_sums(body: Body, poses: Poses, features: Features, options: FeatureO
     point = features.point[:, 0]
     if features.point.shape[1] > 1:
         gaps = jax.vmap(lambda p: _gaps(poses, limbs[p], places[p], features), 1, 1)(features.point)
-        nearest = jnp.argmin(jnp.sum(gaps * gaps, -1), 1)
+        away = jnp.where(body.present[limbs[features.point]], jnp.sum(gaps * gaps, -1), jnp.inf)
+        nearest = jnp.argmin(away, 1)
         point = jnp.sum(jnp.where(jnp.arange(features.point.shape[1]) == nearest[:, None], features.point, 0), 1)
     limb, c, d = limbs[point], places[point], features.direction
     pose = poses[limb]
     gap = _gaps(poses, limb, c, features)
     e2 = jnp.sum(gap * gap, -1)
     robust = (1 / (1 + e2 / options.robust_scale**2)) ** 2
-    w = jnp.where(e2 <= options.max_distance**2, robust * features.weight, 0.0)
+    w = jnp.where((e2 <= options.max_distance**2) & body.present[limb], robust * features.weight, 0.0)
 
     gap_limb, d_limb = unrotate(pose.rotation, gap), unrotate(pose.rotation, d)
 
