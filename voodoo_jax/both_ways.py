@@ -64,7 +64,8 @@ def combined(
 def _rotations(q: np.ndarray) -> Rotation:
     """Rotations of quaternions wxyz; NaN becomes the identity."""
     flat = q.reshape(-1, 4).astype(float)
-    return Rotation.from_quat(np.where(np.isfinite(flat).all(1)[:, None], flat, [1.0, 0, 0, 0]), scalar_first=True)
+    there = np.all(np.isfinite(flat), 1, keepdims=True)
+    return Rotation.from_quat(np.where(there, flat, [1.0, 0, 0, 0]), scalar_first=True)
 
 
 def _axis(q: np.ndarray) -> np.ndarray:

@@ -156,7 +156,7 @@ class Session:
 
 def cost_of(step: Step) -> Float[np.ndarray, " frame"]:
     """How badly the measurements of each frame are explained, square metres: what trials are compared by, too."""
-    return step.residual**2 + 0.02 * (1 - step.explained) + 0.5 * step.feature_residual**2
+    return np.asarray(step.residual**2 + 0.02 * (1 - step.explained) + 0.5 * step.feature_residual**2)
 
 
 def by_markers(people: list[PersonFrame]) -> bool:

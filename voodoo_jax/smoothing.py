@@ -57,7 +57,7 @@ def _average(time: Float[np.ndarray, " frame"], values: Float[np.ndarray, "frame
 def _smoothed(time_ns, values: Float32[np.ndarray, "frame item 3"], seconds: float) -> Float32[np.ndarray, "..."]:
     out = values.copy()
     for item in range(values.shape[1]):
-        for run in _runs(time_ns, np.isfinite(values[:, item]).all(-1)):
+        for run in _runs(time_ns, np.asarray(np.isfinite(values[:, item]).all(-1))):
             time = (time_ns[run] - time_ns[run[0]]) / 1e9
             out[run, item] = _average(time, values[run, item].astype(float), seconds)
     return out
@@ -66,7 +66,7 @@ def _smoothed(time_ns, values: Float32[np.ndarray, "frame item 3"], seconds: flo
 def _turned(time_ns, rotation: Float32[np.ndarray, "frame 4"], seconds: float) -> np.ndarray:
     """Quaternions wxyz of one limb, averaged as vectors of one hemisphere and scaled to unit length."""
     out = rotation.astype(float)
-    for run in _runs(time_ns, np.isfinite(rotation).all(-1)):
+    for run in _runs(time_ns, np.asarray(np.isfinite(rotation).all(-1))):
         q = Rotation.from_quat(out[run], scalar_first=True).as_quat(scalar_first=True)
         flips = np.cumprod(np.concatenate([[1.0], np.where((q[1:] * q[:-1]).sum(1) < 0, -1.0, 1.0)]))
         mean = _average((time_ns[run] - time_ns[run[0]]) / 1e9, q * flips[:, None], seconds)

@@ -226,7 +226,7 @@ def _both_ways(run: Session, out: dict[str, np.ndarray], cost: np.ndarray, first
     poses = Poses(jnp.asarray(rotation), jnp.asarray(translation))
     step = run.backwards(poses, first, span.stop)
     forward = Pass(out["rotation"][span], out["translation"][span], cost[span])
-    backward = Pass(step.poses.rotation, step.poses.translation, cost_of(step))
+    backward = Pass(np.asarray(step.poses.rotation), np.asarray(step.poses.translation), cost_of(step))
     lengths = np.asarray(run.body.sizes[:, 4])
     out["rotation"][span], out["translation"][span], taken = combined(forward, backward, lengths)
     absent = ~np.asarray(run.body.present)
@@ -245,7 +245,7 @@ def _check(body: Body, out: dict[str, np.ndarray], first: int, end: int, chunk: 
         span = slice(at, min(at + chunk, end))
         pad = ((0, chunk - (span.stop - at)), (0, 0), (0, 0))  # one program for every length
         odd = check_poses(body, Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad)))
-        there = np.isfinite(out["translation"][span]).any((1, 2))[:, None]
+        there = np.any(np.isfinite(out["translation"][span]), (1, 2), keepdims=True)[:, 0]
         for name, found in (("beyond_limits", odd.beyond), ("depth_inside", odd.depth)):
             out[name][span] = np.where(there, np.asarray(found)[: span.stop - at], np.nan)
 
