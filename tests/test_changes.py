@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from voodoo_jax.body import bands, site_points
+from voodoo_jax.body import bands, segment_lengths, site_points
 from voodoo_jax.changes import applied, attach, hung_on, loaded, prepared, resized, with_limbs
 from voodoo_jax.io.body_file import format_body, human, load_body, parse_body
 from voodoo_jax.io.mcap_log import read_log
@@ -44,6 +44,19 @@ def test_an_absent_limb_pulls_at_nothing_and_takes_all_that_hangs_on_it():
     assert weights["r_shoulder"] == weights["r_elbow"] == weights["r_wrist"] == 0 and weights["l_shoulder"] == 1
     with pytest.raises(ValueError, match="root"):
         with_limbs(body, ["pelvis"], False)
+    with pytest.raises(ValueError, match="'r_hand' hangs on 'r_forearm', which is not there"):
+        with_limbs(body, ["r_hand"], True)
+
+
+def test_a_limb_comes_back_without_the_things_that_nobody_gave_it():
+    body = with_limbs(with_limbs(with_stick(), ["stick"], False), ["r_forearm"], False)
+    there = lambda b: dict(zip(b.topology.limbs, b.present.tolist()))  # noqa: E731
+    assert not there(body)["r_hand"]
+    back = there(with_limbs(body, ["r_forearm"], True))
+    assert back["r_forearm"] and back["r_hand"] and not back["stick"]
+    assert there(with_limbs(body, ["r_forearm", "stick"], True))["stick"]
+    taken = there(with_limbs(with_stick(), ["r_hand"], False))
+    assert not taken["stick"]  # what is held goes with the hand
 
 
 def test_limbs_are_hung_on_their_parents():
@@ -63,6 +76,12 @@ def test_new_sizes_move_what_sits_on_the_limb():
     np.testing.assert_allclose(after, before * jnp.array([1, 1, 1.2]), atol=1e-6)
     other = body.topology.joints.index("r_wrist")
     np.testing.assert_array_equal(body.parent_anchor.translation[other], longer.parent_anchor.translation[other])
+    for j, (p, c) in enumerate(zip(body.topology.parents, body.topology.children)):  # the rest pose holds together
+        ends = [
+            apply(longer.rest[k], a.translation[j]) for k, a in ((p, longer.parent_anchor), (c, longer.child_anchor))
+        ]
+        np.testing.assert_allclose(*ends, atol=1e-5)
+    assert segment_lengths(longer)["forearm"] > 1.05 * segment_lengths(body)["forearm"]
 
 
 def test_changes_are_read_from_settings_and_written_back(tmp_path):

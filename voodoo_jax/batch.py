@@ -32,7 +32,7 @@ def bucket(count: int, buckets: tuple[int, ...] = BUCKETS) -> int:
 
 
 class FeatureNames:
-    """Which point of the body each name in a log is, and what it weighs; names that are neither are counted."""
+    """Which point of the body each name in a log is, and what it weighs."""
 
     def __init__(self, topology: Topology, settings: FeatureSettings):
         points = {name: i for i, name in enumerate((*topology.sites, *topology.centres))}
@@ -47,8 +47,6 @@ class FeatureNames:
             name: float(value) for name, value in check_pairs("features.weights", settings.weights, True).items()
         }
         self.weight = settings.weight
-        self.unknown: dict[str, int] = {}  # name -> how often it came
-        self.left_out = 0  # features beyond the capacity
 
     def choices(self, names: set[str]) -> int:
         """How many points of the body the most ambiguous of the names may stand for."""
@@ -65,10 +63,8 @@ class FeatureNames:
     def find(self, name: str) -> tuple[tuple[int, ...], float] | None:
         """Rows of kernels.features.named_points, of which the feature is one, and weight; None for a name that the
         body does not have."""
-        given, name = name, self._plain(name)
+        name = self._plain(name)
         if name not in self.rows:
-            name = given
-            self.unknown[name] = self.unknown.get(name, 0) + 1
             return None
         return self.rows[name], self.weights.get(name, self.weight)
 
@@ -102,7 +98,7 @@ V1_NAMES = {
 def pad_features(
     frames: list[PersonFrame], length: int, capacity: int, names: FeatureNames, choices: int = 1
 ) -> Features | None:
-    """Named features of `frames`, padded to [length, capacity]; None where the capacity is zero."""
+    """Named features of `frames`, padded to [length, capacity], more are left out; None where the capacity is zero."""
     if capacity == 0:
         return None
     point = np.zeros((length, capacity, choices), np.int32)
@@ -116,7 +112,6 @@ def pad_features(
         rows = [(n, rays.origins[k], rays.directions[k]) for k, n in enumerate(rays.names)]
         rows += [(n, pairs.points[k], np.zeros(3)) for k, n in enumerate(pairs.names)]
         known = [(*f, s, o, d) for (n, o, d), s in zip(rows, np.concatenate(sources)) if (f := names.find(n))]
-        names.left_out += max(0, len(known) - capacity)
         for k, (found, w, source, o, d) in enumerate(known[:capacity]):
             # the first one again where a name stands for fewer points than another
             point[i, k] = (found + found[:1] * choices)[:choices]

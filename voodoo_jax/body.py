@@ -77,6 +77,28 @@ def scaled(body: Body, scale: Float[Array, ""] | float) -> Body:
     return eqx.tree_at(lengths, body, tuple(x * f for x, f in zip(lengths(body), factors)))
 
 
+def tree_order(topology: Topology) -> list[int]:
+    """Joints in such an order that a joint's parent limb comes before it; the root is limb 0."""
+    done, order = {0}, []
+    while len(order) < len(topology.joints):
+        ready = [j for j, (p, c) in enumerate(zip(topology.parents, topology.children)) if p in done and c not in done]
+        order += ready
+        done |= {topology.children[j] for j in ready}
+    return order
+
+
+def with_rest_from_joints(body: Body) -> Body:
+    """The body with every limb but the root moved in the rest pose to where its joint holds it; no limb is turned."""
+    t, turn = body.topology, body.rest.rotation
+    ends = [rotate(turn[jnp.array(limbs, int)], anchor.translation) for limbs, anchor in (
+        (t.parents, body.parent_anchor), (t.children, body.child_anchor))]  # fmt: skip
+    at = {0: jnp.asarray(body.rest.translation[0])}
+    for j in tree_order(t):
+        at[t.children[j]] = at[t.parents[j]] + ends[0][j] - ends[1][j]
+    places = jnp.stack([at[limb] for limb in range(body.limb_count)])
+    return eqx.tree_at(lambda b: b.rest.translation, body, places)
+
+
 def band_mask(axes: Float[Array, "joint 2"]) -> Bool[Array, "joint band"]:
     """Which of the four bands (+x, -x, +y, -y) a joint has: one, two or four (2007, sec. 4.2)."""
     has_x, has_y = axes[:, 0] > 0, axes[:, 1] > 0
@@ -94,10 +116,15 @@ def bands(body: Body) -> Links:
     )
     parents, children = jnp.array(body.topology.parents, int), jnp.array(body.topology.children, int)
     mask = band_mask(body.axes).astype(body.axes.dtype)
-    place = lambda anchor: rotate(anchor.rotation[:, None], ends) + anchor.translation[:, None]  # noqa: E731
     weight = body.weights * (body.present[parents] & body.present[children])
     weights = weight[:, None] * mask / mask.sum(-1, keepdims=True)
-    return Links(parents, children, place(body.parent_anchor), place(body.child_anchor), weights)
+    return Links(
+        parents,
+        children,
+        apply(body.parent_anchor[:, None], ends),
+        apply(body.child_anchor[:, None], ends),
+        weights,
+    )
 
 
 def joint_centres(body: Body, poses: Poses) -> Float[Array, "centre 3"]:

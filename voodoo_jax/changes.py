@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, Topology, scaled
+from voodoo_jax.body import Body, Topology, scaled, tree_order, with_rest_from_joints
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.pose import Poses, compose, inverse
 from voodoo_jax.settings import Change, SettingsError
@@ -49,7 +49,7 @@ def attach(
     anchor = Poses(_turn_to(axis), jnp.asarray(at, jnp.float32))
     held = Poses(jnp.array([1.0, 0, 0, 0]), jnp.asarray(grip, jnp.float32))
     root = compose(compose(body.rest[carrier], anchor), inverse(held))
-    rest = compose(_one(root), compose(_one(inverse(thing.rest[0])), thing.rest))
+    rest = compose(root[None], compose(inverse(thing.rest[:1]), thing.rest))
     more = lambda a, *others: jnp.concatenate([a, *(jnp.asarray(o, a.dtype) for o in others)])  # noqa: E731
     poses = lambda a, *others: Poses(  # noqa: E731
         more(a.rotation, *(o.rotation for o in others)), more(a.translation, *(o.translation for o in others))
@@ -69,8 +69,8 @@ def attach(
     return Body(
         sizes=more(body.sizes, thing.sizes),
         rest=poses(body.rest, rest),
-        parent_anchor=poses(body.parent_anchor, _one(anchor), thing.parent_anchor),
-        child_anchor=poses(body.child_anchor, _one(held), thing.child_anchor),
+        parent_anchor=poses(body.parent_anchor, anchor[None], thing.parent_anchor),
+        child_anchor=poses(body.child_anchor, held[None], thing.child_anchor),
         axes=more(body.axes, jnp.asarray([joint_axes]), thing.axes),
         weights=more(body.weights, jnp.asarray([weight]), thing.weights),
         centres=more(body.centres, thing.centres),
@@ -84,10 +84,6 @@ def attach(
     )
 
 
-def _one(pose: Poses) -> Poses:
-    return Poses(pose.rotation[None], pose.translation[None])
-
-
 def _turn_to(axis: Sequence[float]):
     """The smallest rotation that takes z to `axis`."""
     z = np.asarray(axis, float)
@@ -98,7 +94,10 @@ def _turn_to(axis: Sequence[float]):
 
 
 def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
-    """The body with limbs present or absent, and with them everything that hangs on them. Raises ValueError."""
+    """The body with limbs present or absent, and with them what hangs on them; held things come only by name.
+
+    Raises ValueError for an unknown limb, the root, and a limb whose parent is absent.
+    """
     t = body.topology
     unknown = sorted(set(names) - set(t.limbs))
     if unknown:
@@ -106,8 +105,12 @@ def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
     chosen = {t.limbs.index(name) for name in names}
     if 0 in chosen and not present:
         raise ValueError(f"'{t.limbs[0]}' is the root of '{body.name}' and cannot be removed")
-    while more := {c for p, c in zip(t.parents, t.children) if p in chosen} - chosen:
+    hanging = [(p, c) for p, c in zip(t.parents, t.children) if not (present and c in t.held)]
+    while more := {c for p, c in hanging if p in chosen} - chosen:
         chosen |= more
+    for p, c in zip(t.parents, t.children):
+        if present and c in chosen and p not in chosen and not body.present[p]:
+            raise ValueError(f"'{t.limbs[c]}' hangs on '{t.limbs[p]}', which is not there: add that first")
     rows = jnp.array(sorted(chosen), int)
     return eqx.tree_at(lambda b: b.present, body, body.present.at[rows].set(present))
 
@@ -115,12 +118,10 @@ def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
 def hung_on(body: Body, poses: Poses, limbs: Sequence[int]) -> Poses:
     """Poses with some limbs put where they hang on their parents in the rest pose, in the order of the tree."""
     t = body.topology
-    joint = {c: j for j, c in enumerate(t.children)}
-    waiting = [limb for limb in limbs if limb in joint]
-    while waiting:
-        limb = next(i for i in waiting if t.parents[joint[i]] not in waiting)
-        waiting.remove(limb)
-        j = joint[limb]
+    for j in tree_order(t):
+        limb = t.children[j]
+        if limb not in limbs:
+            continue
         own = compose(compose(poses[t.parents[j]], body.parent_anchor[j]), inverse(body.child_anchor[j]))
         rotation, translation = jnp.asarray(poses.rotation), jnp.asarray(poses.translation)
         poses = Poses(rotation.at[limb].set(own.rotation), translation.at[limb].set(own.translation))
@@ -209,7 +210,7 @@ def directions(count: int) -> list[tuple[float, float, float]]:
 
 
 def resized(body: Body, limb: int, sizes: Float[Array, "5"]) -> Body:
-    """The body with other sizes of one limb; joints, centres and points on it follow its length and thickness."""
+    """The body with other sizes of one limb; what is on it follows length and thickness, the rest pose the joints."""
     t = body.topology
     old = body.sizes[limb]
     wide = jnp.sqrt((sizes[0] + sizes[2]) / (old[0] + old[2]) * (sizes[1] + sizes[3]) / (old[1] + old[3]))
@@ -220,7 +221,7 @@ def resized(body: Body, limb: int, sizes: Float[Array, "5"]) -> Body:
         mine = jnp.array([i == limb for i in limbs], bool)
         return jnp.where(mine[:, None], points * factor, points)
 
-    return eqx.tree_at(
+    new = eqx.tree_at(
         lambda b: (b.parent_anchor.translation, b.child_anchor.translation, b.centres, b.sites),
         new,
         (
@@ -230,3 +231,4 @@ def resized(body: Body, limb: int, sizes: Float[Array, "5"]) -> Body:
             follow(body.sites, t.site_limbs),
         ),
     )
+    return with_rest_from_joints(new)

@@ -14,11 +14,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.batch import V1_NAMES
-from voodoo_jax.body import Body
+from voodoo_jax.body import Body, with_rest_from_joints
 from voodoo_jax.kernels.features import named_points
 from voodoo_jax.marker_chain import Chain
 from voodoo_jax.marker_priors import SCALE, Priors
-from voodoo_jax.marker_start import first_pose, tree_order
+from voodoo_jax.marker_start import first_pose
 
 NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle
 REACH = (0.3, 0.15, 0.06)  # metres at which a marker counts a quarter, from the first steps to the last
@@ -150,11 +150,7 @@ def personal(body: Body, markers: Markers, fit: Fit) -> Body:
             owner = t.centre_limbs[k]
             if owner in (t.parents[j], t.children[j]):
                 centres[k] = (fit.on_parent if owner == t.parents[j] else fit.on_child)[j]
-    rest = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()
-    at = np.asarray(body.rest.translation, np.float64) * fit.scale / float(body.scale)
-    for j in tree_order(t):
-        p, c = t.parents[j], t.children[j]
-        at[c] = at[p] + rest[p] @ fit.on_parent[j] - rest[c] @ fit.on_child[j]
+    at = np.asarray(body.rest.translation) * fit.scale / float(body.scale)
     array = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
     new = (
         np.asarray(body.sizes) * grown[:, [0, 1, 0, 1, 2]], at, fit.on_parent, fit.on_child,
@@ -164,4 +160,4 @@ def personal(body: Body, markers: Markers, fit: Fit) -> Body:
         b.sizes, b.rest.translation, b.parent_anchor.translation, b.child_anchor.translation, b.axes, b.centres,
         b.sites, b.scale,
     )  # fmt: skip
-    return eqx.tree_at(where, body, tuple(array(x) for x in new))
+    return with_rest_from_joints(eqx.tree_at(where, body, tuple(array(x) for x in new)))

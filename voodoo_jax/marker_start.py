@@ -8,18 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, Topology
+from voodoo_jax.body import Body, tree_order
 from voodoo_jax.kernels.features import named_points
-
-
-def tree_order(topology: Topology) -> list[int]:
-    """Joints in such an order that a joint's parent limb comes before it; the root is limb 0."""
-    done, order = {0}, []
-    while len(order) < len(topology.joints):
-        ready = [j for j, (p, c) in enumerate(zip(topology.parents, topology.children)) if p in done and c not in done]
-        order += ready
-        done |= {topology.children[j] for j in ready}
-    return order
 
 
 def rigid(

@@ -1,20 +1,22 @@
 """One recording on its way through the compiled programs: trials, chunks of frames, changes of the body. Host side."""
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Int8
 
 from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Body
-from voodoo_jax.changes import appeared, applied, directions, hung_on, loaded, pointing
+from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_start, marker_table
 from voodoo_jax.person import PersonFrame, Scene
 from voodoo_jax.pose import Poses
-from voodoo_jax.settings import Settings, StartSettings
+from voodoo_jax.settings import Change, Settings, StartSettings
 from voodoo_jax.start import Trial, run_trials, standing_places
 from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, track_chunk
 from voodoo_jax.tracks import Status
@@ -23,26 +25,39 @@ FEW_POINTS = 20  # fewer on the body: nothing to track by
 
 
 class Session:
-    """Tracks one recording's person frames: start, chunks of frames, changes of the body on the way."""
+    """Tracks one recording's person frames: start, chunks of frames, changes of the body on the way.
 
-    def __init__(self, body: Body, options: TrackOptions, people: list[PersonFrame], scene: Scene, settings: Settings):
+    `changes` are those of the settings, loaded, and `body` is prepared for them (see changes.prepared).
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        options: TrackOptions,
+        people: list[PersonFrame],
+        scene: Scene,
+        settings: Settings,
+        changes: Sequence[Change] = (),
+    ):
         self.body, self.options, self.people, self.scene, self.settings = body, options, people, scene, settings
         self.sensors = len(people[0].origins) if people else 1
         self.capacity = bucket(settings.person.points)
         self.bodies = [(0, body)]  # first frame from which on the body is so
         first = people[0].time_ns if people else 0
         stamps = np.array([f.time_ns for f in people], np.int64)
-        changes = loaded(settings.changes)
         self.pending = [(int(np.searchsorted(stamps, first + round(c.time * 1e9))), c) for c in changes]
         self.left_out = 0  # points beyond settings.person.points
         self.names = FeatureNames(body.topology, settings.features)
-        most = max((len(f.rays.names) + len(f.pairs.names) for f in people), default=0)
-        self.feature_capacity = bucket(most, FEATURE_BUCKETS) if self.names.rows else 0
-        self.choices = self.names.choices({name for f in people for name in (*f.rays.names, *f.pairs.names)})
+        named = [(*f.rays.names, *f.pairs.names) for f in people]
+        self.feature_capacity = bucket(max(map(len, named), default=0), FEATURE_BUCKETS) if self.names.rows else 0
+        seen = Counter(name for names in named for name in names)
+        self.choices = self.names.choices(set(seen))
+        self.unknown = {name: count for name, count in seen.items() if self.names.look_up(name) is None}
+        known = [sum(name not in self.unknown for name in names) for names in named]
+        self.features_left_out = sum(max(0, count - self.feature_capacity) for count in known)
         self.parts = PartNames(body.topology) if any(f.part is not None for f in people) else None
         self.table = marker_table(people, self.names)
         few = np.array([len(f.points) < FEW_POINTS for f in people], bool)
-        known = [any(map(self.names.look_up, (*f.rays.names, *f.pairs.names))) for f in people]
         self.featured = few & np.array(known, bool)
         self.by_markers = by_markers(people)
         self.named = few & self.table.enough(ENOUGH)  # frames that named points alone tell of
@@ -152,11 +167,6 @@ class Session:
         share, residual, weight = (np.array(x) for x in (step.explained, step.residual, step.limb_weight))
         share[frames - at], residual[frames - at], weight[frames - at] = found
         return step._replace(explained=share, residual=residual, limb_weight=weight)
-
-
-def cost_of(step: Step) -> Float[np.ndarray, " frame"]:
-    """How badly the measurements of each frame are explained, square metres: what trials are compared by, too."""
-    return np.asarray(step.residual**2 + 0.02 * (1 - step.explained) + 0.5 * step.feature_residual**2)
 
 
 def by_markers(people: list[PersonFrame]) -> bool:

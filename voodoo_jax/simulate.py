@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt16
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, joint_centres
+from voodoo_jax.body import Body, joint_centres, tree_order, with_rest_from_joints
 from voodoo_jax.pose import Poses, apply, compose, inverse, quat_exp, quat_multiply, unrotate
 from voodoo_jax.tracks import Status, Tracks
 
@@ -49,13 +49,11 @@ def pose_body(body: Body, root: Poses, rotations: Float[np.ndarray, "*frame join
     turns = Rotation.from_rotvec(rotations.reshape(-1, 3)).as_matrix().reshape(*rotations.shape, 3)
     (parent_turn, parent_at), (child_turn, child_at) = _arrays(body.parent_anchor), _arrays(body.child_anchor)
     found = {0: _arrays(root)}
-    while len(found) < len(t.limbs):
-        for j, (parent, child) in enumerate(zip(t.parents, t.children)):
-            if parent in found and child not in found:
-                turn, at = found[parent]
-                at = at + turn @ parent_at[j]
-                turn = turn @ parent_turn[j] @ turns[..., j, :, :] @ child_turn[j].T
-                found[child] = turn, at - turn @ child_at[j]
+    for j in tree_order(t):
+        turn, at = found[t.parents[j]]
+        at = at + turn @ parent_at[j]
+        turn = turn @ parent_turn[j] @ turns[..., j, :, :] @ child_turn[j].T
+        found[t.children[j]] = turn, at - turn @ child_at[j]
     turns, places = (np.stack([found[i][k] for i in range(len(t.limbs))], -2 - (k == 0)) for k in (0, 1))
     quaternions = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat(scalar_first=True, canonical=True)
     return Poses(jnp.asarray(quaternions.reshape(*turns.shape[:-2], 4), jnp.float32), jnp.asarray(places, jnp.float32))
@@ -76,7 +74,7 @@ def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.
     leaves = lambda b: (b.sizes, b.parent_anchor.translation, b.child_anchor.translation, b.centres, b.sites)  # noqa: E731
     factors = (size_factor, at(t.parents), at(t.children), at(t.centre_limbs), at(t.site_limbs))
     body = eqx.tree_at(leaves, body, tuple(x * f for x, f in zip(leaves(body), factors)))
-    return eqx.tree_at(lambda b: b.rest, body, pose_body(body, body.rest[0], np.zeros((len(t.joints), 3))))
+    return with_rest_from_joints(body)
 
 
 def make_motion(body: Body, name: str, seconds: float = 3.0, rate: float = 30.0) -> Motion:

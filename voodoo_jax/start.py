@@ -13,7 +13,7 @@ from voodoo_jax.kernels.features import Features
 from voodoo_jax.person import PersonFrame, Plane, point_spacing
 from voodoo_jax.pose import Poses, compose
 from voodoo_jax.settings import StartSettings
-from voodoo_jax.tracking import State, TrackOptions, at_rest, track_frame
+from voodoo_jax.tracking import State, TrackOptions, at_rest, cost_of, track_frame
 
 
 def rest_height(body: Body) -> float:
@@ -54,7 +54,7 @@ def place(
     x = x / np.linalg.norm(x)
     q = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], 1)).as_quat(scalar_first=True)
     root = Poses(jnp.asarray(q, jnp.float32), jnp.asarray(at, jnp.float32))
-    return compose(Poses(root.rotation[None], root.translation[None]), body.rest)
+    return compose(root[None], body.rest)
 
 
 def _spacings(frames: list[PersonFrame]) -> list[float]:
@@ -105,7 +105,7 @@ class Trial(eqx.Module):
     """How the trials of one start went."""
 
     state: State  # leading axis: trial
-    cost: Float[Array, " trial"]  # mean robust squared distance plus unexplained share; lower is better
+    cost: Float[Array, " trial"]  # mean of cost_of; lower is better
 
 
 @eqx.filter_jit
@@ -122,7 +122,7 @@ def run_trials(
     def one(start):
         def step(state, inputs):
             state, out = track_frame(body, options, state, *inputs)
-            return state, out.residual**2 + 0.02 * (1 - out.explained) + 0.5 * out.feature_residual**2
+            return state, cost_of(out)
 
         state, costs = jax.lax.scan(step, at_rest(start), (points, seconds, features))
         return state, jnp.mean(costs)

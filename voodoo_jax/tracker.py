@@ -27,10 +27,10 @@ from voodoo_jax.marker_notes import marker_notes
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.session import FEW_POINTS, Session, by_markers, cost_of, status_of
+from voodoo_jax.session import FEW_POINTS, Session, by_markers, status_of
 from voodoo_jax.settings import Settings
 from voodoo_jax.start import rest_height, sized
-from voodoo_jax.tracking import State, options_from
+from voodoo_jax.tracking import State, cost_of, options_from
 from voodoo_jax.tracks import Status, Tracks
 
 Progress = Callable[[int], None]
@@ -111,7 +111,8 @@ def track_person(
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     exchanges: list[Exchange] = []
-    if by_markers(people):
+    from_markers = by_markers(people)
+    if from_markers:
         people = without_gaps(people)
         names = FeatureNames(body.topology, settings.features)
         exchanges = jumps(marker_table(people, names).markers)
@@ -119,14 +120,16 @@ def track_person(
         table = marker_table(people, names)
         enough = table.enough(TO_START)
     at = int(np.argmax(enough)) if enough.any() else count
-    if at < count and by_markers(people):
+    if at < count and from_markers:
         body, sides = sized_by_markers(body, table.markers, settings.start.scale)
         people, exchanges = put_right(people, sides), exchanges + sides
     else:
         body = sized(body, people[at : at + settings.start.size_frames], scene.floor, settings.start)
-    body = prepared(body, loaded(settings.changes))
+    changes = loaded(settings.changes)
+    body = prepared(body, changes)
     limbs, joint_count = body.limb_count, len(body.topology.joints)
-    run = Session(body, options_from(settings.solve, settings.track, settings.features), people, scene, settings)
+    options = options_from(settings.solve, settings.track, settings.features)
+    run = Session(body, options, people, scene, settings, changes)
     out = {
         "rotation": np.full((count, limbs, 4), np.nan, np.float32),
         "translation": np.full((count, limbs, 3), np.nan, np.float32),
@@ -166,9 +169,7 @@ def track_person(
         out["rotation"][span] = step.poses.rotation[:keep]
         out["translation"][span] = step.poses.translation[:keep]
         out["status"][span] = status[:keep]
-        cost[span], passages[-1][1] = cost_of(step)[:keep], at + keep
-        absent = ~np.asarray(run.body.present)
-        out["rotation"][span, absent], out["translation"][span, absent] = np.nan, np.nan
+        cost[span], passages[-1][1] = np.asarray(cost_of(step))[:keep], at + keep
         for name in ("residual", "explained", "steps", "limb_weight"):
             out[name][span] = getattr(step, name)[:keep]
         at += keep
@@ -193,6 +194,8 @@ def track_person(
     joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)
     centres = jax.jit(jax.vmap(joint_centres, (None, 0)))
     for (first, body), end in zip(run.bodies, [*(at for at, _ in run.bodies[1:]), count]):
+        absent = ~np.asarray(body.present)
+        out["rotation"][first:end, absent], out["translation"][first:end, absent] = np.nan, np.nan
         poses = Poses(jnp.asarray(out["rotation"][first:end]), jnp.asarray(out["translation"][first:end]))
         joints[first:end] = centres(body, poses) if end > first else 0.0
         _check(body, out, first, end, settings.track.chunk)
@@ -219,18 +222,12 @@ def _both_ways(run: Session, out: dict[str, np.ndarray], cost: np.ndarray, first
         return
     span = slice(first, first + int(good[-1]) + 1)
     last = span.stop - 1
-    # absent limbs wait in their rest pose: NaN would spread
-    there = np.isfinite(out["translation"][last]).all(-1, keepdims=True)
-    rotation = np.where(there, out["rotation"][last], np.asarray(run.body.rest.rotation))
-    translation = np.where(there, out["translation"][last], np.asarray(run.body.rest.translation))
-    poses = Poses(jnp.asarray(rotation), jnp.asarray(translation))
+    poses = Poses(jnp.asarray(out["rotation"][last]), jnp.asarray(out["translation"][last]))
     step = run.backwards(poses, first, span.stop)
     forward = Pass(out["rotation"][span], out["translation"][span], cost[span])
-    backward = Pass(np.asarray(step.poses.rotation), np.asarray(step.poses.translation), cost_of(step))
+    backward = Pass(np.asarray(step.poses.rotation), np.asarray(step.poses.translation), np.asarray(cost_of(step)))
     lengths = np.asarray(run.body.sizes[:, 4])
     out["rotation"][span], out["translation"][span], taken = combined(forward, backward, lengths)
-    absent = ~np.asarray(run.body.present)
-    out["rotation"][span, absent], out["translation"][span, absent] = np.nan, np.nan
     lost_explained = run.settings.track.lost_explained
     status = status_of(step, lost_explained, run.named[span], run.featured[span])
     out["status"][span] = np.where(taken, status, out["status"][span])
@@ -282,7 +279,7 @@ def _notes(run: Session, out: dict[str, np.ndarray], exchanges: list[Exchange]) 
     if run.left_out:
         share, most = 100 * run.left_out / total, run.settings.person.points
         notes.append(f"{share:.0f} % of the body's points were thinned out (person.points = {most} per frame).")
-    for name, count in run.names.unknown.items():
+    for name, count in run.unknown.items():
         notes.append(f"Feature '{name}' was not used ({count} times): features.names gives it no point of this body.")
     if run.parts is not None and run.parts.unknown:
         names = ", ".join(sorted(run.parts.unknown))
@@ -291,6 +288,6 @@ def _notes(run: Session, out: dict[str, np.ndarray], exchanges: list[Exchange]) 
         notes.append(f"The change at {change.time:g} s comes after the last frame: not made.")
     if run.settings.changes and run.settings.track.both_ways:
         notes.append("The body changes on the way, so it was tracked forwards only.")
-    if run.names.left_out:
-        notes.append(f"{run.names.left_out} features were left out: more in a frame than there is room for.")
+    if run.features_left_out:
+        notes.append(f"{run.features_left_out} features were left out: more in a frame than there is room for.")
     return tuple(notes)

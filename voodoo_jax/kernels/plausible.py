@@ -67,16 +67,11 @@ def limit_links(body: Body, poses: Poses, weight: Float[Array, ""]) -> Links:
     reach = 0.5 * body.sizes[children, 4]
     ends = jnp.eye(3, dtype=reach.dtype)[None] * reach[:, None, None]
     target = rotate(found.allowed[:, None], ends)
-    first = apply(_each(body.parent_anchor), target)
-    second = apply(_each(body.child_anchor), ends)
+    first = apply(body.parent_anchor[:, None], target)
+    second = apply(body.child_anchor[:, None], ends)
     there = (found.beyond > 0) & body.present[parents] & body.present[children]
     weights = jnp.where(there, weight * body.weights / 3, 0.0)
     return Links(parents, children, first, second, jnp.broadcast_to(weights[:, None], (weights.shape[0], 3)))
-
-
-def _each(anchor: Poses) -> Poses:
-    """One pose per joint, to be applied to several points."""
-    return Poses(anchor.rotation[:, None], anchor.translation[:, None])
 
 
 class Contacts(NamedTuple):
