@@ -79,6 +79,8 @@ def test_a_file_changes_only_what_it_names(tmp_path):
         ("[solve]\nsolver = ['coupled']", ["solve.solver", "'coupled'", "'per_limb'"]),
         ("[read]\ntopics = '/depth'", ["read.topics", "list of texts"]),
         ("[read]\ntopics = [1]", ["read.topics", "list of texts"]),
+        ("[start]\nlater = [1.0, 'x']", ["start.later", "list of numbers"]),
+        ("[start]\nlater = [-1]", ["start.later", "not negative"]),
         ("[read]\nfixed_frame = 1", ["read.fixed_frame", "a text"]),
         ("[read\n", ["not a TOML file"]),
     ],

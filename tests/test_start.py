@@ -14,7 +14,7 @@ from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.mcap_tracks import limb_mesh
 from voodoo_jax.person import PersonFrame, Plane
 from voodoo_jax.settings import Settings, StartSettings
-from voodoo_jax.simulate import make_motion, placed, simulate, tof_camera
+from voodoo_jax.simulate import Motion, make_motion, placed, simulate, tof_camera
 from voodoo_jax.start import measured_height, place, rest_height, sized, standing_places
 from voodoo_jax.tracker import track
 
@@ -61,6 +61,15 @@ def test_measured_height_forgives_strays():
     assert measured_height([stray], FLOOR, 0.006) == pytest.approx(clean, abs=1e-5)  # two points too high
     worse = replace(good, points=good.points + np.float32(0.5) * UP)
     assert measured_height([good, worse, good], FLOOR, 0.006) == pytest.approx(clean, abs=1e-5)  # one frame of three
+
+
+def test_a_raised_hand_is_not_the_head():
+    body, hand = column(1.8, 3.0), column(2.2, 3.0, count=3)
+    aside = hand.points[hand.points[:, 2] > 1.6] + np.array([0, 0.35, 0], np.float32)
+    points = np.concatenate([body.points, aside])
+    both = replace(body, points=points, sensor=np.zeros(len(points), np.int32))
+    assert measured_height([both], FLOOR, 0.006) == pytest.approx(2.2, abs=0.03)
+    assert measured_height([both], FLOOR, 0.006, reach=0.2) == pytest.approx(1.8, abs=0.03)
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 0, 2.5), (0, 1, 0), (0.6, 0, 0.8), (0.1, -0.9, 0.2)])
@@ -137,3 +146,27 @@ def test_the_right_heading_is_found(degrees, tmp_path):
     cosine = np.sum(found * true, 1) / np.linalg.norm(found, axis=1) / np.linalg.norm(true, axis=1)
     assert cosine.min() > np.cos(np.radians(20))
     assert np.linalg.norm(tracks.joints - sim.joints, axis=-1).mean() < 0.03
+
+
+@pytest.fixture(scope="module")
+def rising(tmp_path_factory):
+    """A person who is bent over when the recording begins, and stands up."""
+    body = scaled(human(), 1.8)
+    motion = placed(make_motion(body, "bow", 3.0, 15.0), 3.2, 0.0, np.radians(150))
+    bent = len(motion) // 2
+    motion = Motion(motion.time[bent:], motion.root[bent:], motion.rotations[bent:])
+    sim = simulate(body, motion, tof_camera(1.0, 0.07))
+    return sim, read_log(write_simulation(sim, tmp_path_factory.mktemp("rising") / "rising.mcap"))
+
+
+def test_who_does_not_stand_at_first_is_followed_back_from_where_they_do(rising):
+    sim, recording = rising
+    tracks = track(human(), recording, Settings())
+    assert abs(float(tracks.body.scale) - 1.8) < 0.03 and tracks.tracked.all()
+    assert np.linalg.norm(tracks.joints - sim.joints, axis=-1).mean() < 0.03
+
+
+def test_without_a_look_ahead_the_first_frames_settle_the_size(rising):
+    _, recording = rising
+    settings = replace(Settings(), track=replace(Settings().track, both_ways=False))
+    assert float(track(human(), recording, settings).body.scale) < 1.7

@@ -11,9 +11,10 @@ from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.session import first_run
 from voodoo_jax.settings import Settings, TrackSettings
 from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
-from voodoo_jax.tracker import _first_run, track
+from voodoo_jax.tracker import track
 from voodoo_jax.tracks import Status
 
 CAMERA = tof_camera(1.0, 0.07)
@@ -117,5 +118,5 @@ def test_progress_counts_every_frame_once(recording, nobody):
     ("mask", "length", "at"),
     [("0110111", 3, 4), ("0110111", 2, 1), ("0110", 3, 4), ("", 2, 0), ("1", 1, 0), ("11", 3, 2), ("111", 3, 0)],
 )
-def test_first_run(mask, length, at):
-    assert _first_run(np.array([c == "1" for c in mask], bool), length) == at
+def testfirst_run(mask, length, at):
+    assert first_run(np.array([c == "1" for c in mask], bool), length) == at

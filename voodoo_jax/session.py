@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,11 +18,30 @@ from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_start, mar
 from voodoo_jax.person import PersonFrame, Scene
 from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Change, Settings, StartSettings
-from voodoo_jax.start import Trial, run_trials, standing_places
+from voodoo_jax.start import Trial, run_trials, sized, standing_places
 from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, track_chunk
 from voodoo_jax.tracks import Status
 
 FEW_POINTS = 20  # fewer on the body: nothing to track by
+CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
+ALIKE = 2.5  # starts that cost less than so much more than the best may tell the size
+
+
+class Beginning(NamedTuple):
+    """A start that could be."""
+
+    frame: int
+    body: Body  # with its size
+    poses: Poses
+    cost: float  # see tracking.cost_of
+
+
+def first_run(mask: Bool[np.ndarray, " frame"], length: int) -> int:
+    """Index of the first run of `length` True, or the array's length."""
+    if len(mask) < length:
+        return len(mask)
+    full = np.convolve(mask, np.ones(length, int), "valid") == length
+    return int(np.argmax(full)) if full.any() else len(mask)
 
 
 class Session:
@@ -43,6 +63,7 @@ class Session:
         self.sensors = len(people[0].origins) if people else 1
         self.capacity = bucket(settings.person.points)
         self.bodies = [(0, body)]  # first frame from which on the body is so
+        self.sized = False  # whether the body has its size; the first start finds it
         first = people[0].time_ns if people else 0
         stamps = np.array([f.time_ns for f in people], np.int64)
         self.pending = [(int(np.searchsorted(stamps, first + round(c.time * 1e9))), c) for c in changes]
@@ -62,21 +83,61 @@ class Session:
         self.by_markers = by_markers(people)
         self.named = few & self.table.enough(ENOUGH)  # frames that named points alone tell of
         if self.by_markers:
-            self.capacity = 8
+            self.capacity, self.sized = 8, True
 
     def start(self, at: int) -> State:
-        """State after the best trial from frame `at`; by markers alone at the nearest frame that has enough of them."""
+        """State in frame `at` after the best trial there, or after a better one later on, followed back.
+
+        By markers alone: in the nearest frame that has enough of them. The first start settles the body's size, too.
+        """
         if self.by_markers:
             good = np.flatnonzero(self.table.enough(TO_START))
             frame = int(good[np.argmin(np.abs(good - at))])
             return at_rest(marker_start(self.body, self.table.markers, frame))
+        found = [self._begin(at, self._sized(at))]
+        for frame in self._later(at) if found[0].cost > self.settings.start.sure else ():
+            found.append(self._begin(frame, self._sized(frame)))
+            if found[-1].cost < self.settings.start.sure:
+                break
+        clearest = min(found, key=lambda b: b.cost)
+        best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]
+        # who bends or walks is taller than they look
+        tallest = max((b for b in found if b.cost < ALIKE * best.cost), key=lambda b: float(b.body.scale)).body
+        if float(tallest.scale) > 1.01 * float(best.body.scale):
+            best = self._begin(best.frame, tallest)
+        self.body, self.sized = best.body, True
+        self.bodies[-1] = (self.bodies[-1][0], self.body)
+        poses = best.poses
+        if best.frame > at:
+            poses = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), self.backwards(poses, at, best.frame + 1).poses)
+        return at_rest(poses)
+
+    def _sized(self, at: int) -> Body:
+        """The body in the size that it seems to have from frame `at` on, or the one that it is known to have."""
+        s: StartSettings = self.settings.start
+        return self.body if self.sized else sized(self.body, self.people[at : at + s.size_frames], self.scene.floor, s)
+
+    def _begin(self, at: int, body: Body) -> Beginning:
+        """The best of trials in all headings from frame `at`."""
         s: StartSettings = self.settings.start
         frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
-        places = standing_places(self.body, frames[::-1], self.scene.floor, s.headings)
-        starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *places)
-        trial = self._trials(frames, starts)
+        places = standing_places(body, frames[::-1], self.scene.floor, s.headings)
+        trial = self._trials(body, frames, jax.tree.map(lambda *leaves: jnp.stack(leaves), *places))
         best = int(np.argmin(np.asarray(trial.cost)))
-        return at_rest(jax.tree.map(lambda leaf: leaf[best], trial.state.poses))
+        poses = jax.tree.map(lambda leaf: leaf[best], trial.state.poses)
+        return Beginning(at, body, poses, float(trial.cost[best]))
+
+    def _later(self, at: int) -> list[int]:
+        """Frames after `at` to start from: with points on end until there, and before the body changes."""
+        if not self.settings.track.both_ways:
+            return []
+        end = min([len(self.people), *(frame for frame, _ in self.pending)])
+        seconds = np.array([f.time_ns - self.people[at].time_ns for f in self.people[at:end]]) / 1e9
+        empty = np.array([len(f.points) < FEW_POINTS for f in self.people[at:end]], bool)
+        # the first pause that is longer than what a start reaches over
+        pause = first_run(empty, self.settings.track.patience)
+        found = [int(np.searchsorted(seconds, t)) for t in self.settings.start.later]
+        return [at + k for k in dict.fromkeys(found) if 0 < k < pause and not empty[k]]
 
     def can_start(self, at: int) -> bool:
         """Whether the frames from `at` on hold something to start from."""
@@ -88,6 +149,7 @@ class Session:
         due = [change for frame, change in self.pending if frame <= at]
         for change in due:
             before, self.body = self.body, applied(self.body, change)
+            self.sized = self.sized or change.scale > 0
             limbs = appeared(before, self.body)
             if state is not None and limbs:
                 if isinstance(change.add, Body) and not change.axis:
@@ -106,10 +168,10 @@ class Session:
         joint = t.children.index(t.limbs.index(thing))
         bodies = [pointing(self.body, joint, axis) for axis in directions(self.settings.start.directions)]
         starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(hung_on(b, state.poses, limbs) for b in bodies))
-        trial = self._trials(self.people[at : at + self.settings.start.frames], starts)
+        trial = self._trials(self.body, self.people[at : at + self.settings.start.frames], starts)
         self.body = bodies[int(np.argmin(np.asarray(trial.cost)))]
 
-    def _trials(self, frames: list[PersonFrame], starts: Poses) -> Trial:
+    def _trials(self, body: Body, frames: list[PersonFrame], starts: Poses) -> Trial:
         """Tracks some frames from every start pose (leading axis), the last one first."""
         s: StartSettings = self.settings.start
         # backwards in time, so that the trials end where tracking begins
@@ -122,7 +184,7 @@ class Session:
             features = eqx.tree_at(lambda f: f.weight, features, jnp.where(sure, features.weight, 0.0))
         # the interval by which the pull to the prediction is set: loose trials would bend to any heading
         seconds = jnp.minimum(jnp.abs(chunk.seconds), self.options.prior_interval)
-        return run_trials(self.body, self.options, starts, chunk.points, seconds, features)
+        return run_trials(body, self.options, starts, chunk.points, seconds, features)
 
     def chunk(self, state: State, at: int) -> tuple[State, Step, int]:
         """Tracks up to one chunk of frames from `at`, not past the next change of the body; the number tracked."""

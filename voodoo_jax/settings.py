@@ -78,6 +78,11 @@ class StartSettings:
     """Directions that are tried for a held thing that appears."""
     size_frames: int = 12
     """Frames over which the size is measured."""
+    later: tuple[float, ...] = (0.5, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0)
+    """Where the beginning is in doubt, times after it, in seconds, at which a clearer pose to start from is looked for;
+    from there the body is followed back to the beginning (with track.both_ways only)."""
+    sure: float = 0.00045
+    """Mean squared distance, square metres, below which a start is in no doubt."""
 
 
 @dataclass(frozen=True)
@@ -257,6 +262,11 @@ def _check(stage: str, f: Field, value: Any) -> Any:
             raise SettingsError(f"{name} = {value!r}: must be one of {', '.join(map(repr, get_args(f.type)))}")
         return value
     if isinstance(default, tuple):
+        if default and isinstance(default[0], float):
+            good = isinstance(value, list) and all(type(v) in (int, float) and 0 <= v < float("inf") for v in value)
+            if not good:
+                raise SettingsError(f"{name} = {value!r}: must be a list of numbers that are not negative")
+            return tuple(float(v) for v in value)
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
             raise SettingsError(f"{name} = {value!r}: must be a list of texts")
         if name in _PAIRS:

@@ -15,6 +15,8 @@ from voodoo_jax.pose import Poses, compose
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.tracking import State, TrackOptions, at_rest, cost_of, track_frame
 
+HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
+
 
 def rest_height(body: Body) -> float:
     """Height of the body above the floor in its rest pose, metres: its stature, or the top of its highest limb."""
@@ -28,8 +30,12 @@ def rest_height(body: Body) -> float:
     return float(np.max(np.maximum(bottom + np.hypot(a0 * x, b0 * y), bottom + length * z + np.hypot(a1 * x, b1 * y))))
 
 
-def measured_height(frames: list[PersonFrame], floor: Plane, pixel: float | list[float]) -> float:
+def measured_height(
+    frames: list[PersonFrame], floor: Plane, pixel: float | list[float], reach: float = float("inf")
+) -> float:
     """Height of a standing body from its points, metres: median over frames of the third highest point.
+
+    `reach` level distance in metres from the middle of the upper half within which the top is: a hand may be higher.
 
     `pixel` is the angle between neighbouring points, radians, of all sensors or of each: the top lies between the
     highest point and the next.
@@ -38,7 +44,12 @@ def measured_height(frames: list[PersonFrame], floor: Plane, pixel: float | list
     for frame in frames:
         if len(frame.points) >= 50:
             above = floor.height(frame.points)
-            third = np.argsort(above)[-3]
+            level = frame.points - above[:, None] * floor.normal
+            middle = np.median(level[above > 0.5 * np.percentile(above, 99)], 0)
+            near = np.linalg.norm(level - middle, axis=1) < reach
+            if near.sum() < 3:
+                continue
+            third = np.argsort(np.where(near, above, -np.inf))[-3]
             sensor = int(frame.sensor[third])
             angle = pixel[sensor] if isinstance(pixel, list) else pixel
             heights.append(above[third] + 1.1 * angle * np.linalg.norm(frame.points[third] - frame.origins[sensor]))
@@ -137,5 +148,9 @@ def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSe
     seen = [f for f in frames if len(f.points) >= 50]
     if not seen:
         return body
-    height = measured_height(seen, floor, _spacings(seen))
+    # a dog's head is not above its middle
+    reach = HEAD_REACH if body.scale_name == "stature" else float("inf")
+    height = measured_height(seen, floor, _spacings(seen), reach)
+    if not np.isfinite(height):
+        return body
     return scaled(body, body.scale * jnp.asarray(1.0045 * height / rest_height(body), jnp.float32))

@@ -27,9 +27,9 @@ from voodoo_jax.marker_notes import marker_notes
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.session import FEW_POINTS, Session, by_markers, status_of
+from voodoo_jax.session import FEW_POINTS, Session, by_markers, first_run, status_of
 from voodoo_jax.settings import Settings
-from voodoo_jax.start import rest_height, sized
+from voodoo_jax.start import rest_height
 from voodoo_jax.tracking import State, cost_of, options_from
 from voodoo_jax.tracks import Status, Tracks
 
@@ -71,14 +71,6 @@ def _compile_clock() -> float:
 
 # one frame's check for a chunk of frames
 check_poses = eqx.filter_jit(eqx.filter_vmap(check, in_axes=(None, 0)))
-
-
-def _first_run(mask: np.ndarray, length: int) -> int:
-    """Index of the first run of `length` True, or the array's length."""
-    if len(mask) < length:
-        return len(mask)
-    full = np.convolve(mask, np.ones(length, int), "valid") == length
-    return int(np.argmax(full)) if full.any() else len(mask)
 
 
 def track(
@@ -123,8 +115,6 @@ def track_person(
     if at < count and from_markers:
         body, sides = sized_by_markers(body, table.markers, settings.start.scale)
         people, exchanges = put_right(people, sides), exchanges + sides
-    else:
-        body = sized(body, people[at : at + settings.start.size_frames], scene.floor, settings.start)
     changes = loaded(settings.changes)
     body = prepared(body, changes)
     limbs, joint_count = body.limb_count, len(body.topology.joints)
@@ -162,8 +152,8 @@ def track_person(
         these = slice(at, at + taken)
         status = status_of(step, settings.track.lost_explained, run.named[these], run.featured[these])
         # gone or lost for long: stop here and look anew
-        gone = _first_run(status == Status.NO_DATA, patience)
-        lost = _first_run(status == Status.LOST, patience) if tried < at else taken
+        gone = first_run(status == Status.NO_DATA, patience)
+        lost = first_run(status == Status.LOST, patience) if tried < at else taken
         keep = min(gone, lost + patience if lost < taken else taken, taken)
         span = slice(at, at + keep)
         out["rotation"][span] = step.poses.rotation[:keep]
