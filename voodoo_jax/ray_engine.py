@@ -1,5 +1,6 @@
 """Many logs on a Ray cluster: the same function for each log, as one task on one core."""
 
+import warnings
 from typing import Any
 
 from voodoo_jax.jobs import Job, do_job
@@ -23,7 +24,9 @@ def on_ray(jobs: list[Job], report: Report) -> Results:
     mine = not ray.is_initialized()
     if mine:
         try:
-            ray.init(log_to_driver=False, logging_level="ERROR", configure_logging=False)
+            with warnings.catch_warnings():  # Ray starts programs by fork and exec at once, which jax need not fear
+                warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
+                ray.init(log_to_driver=False, logging_level="ERROR", configure_logging=False)
         except (ConnectionError, RuntimeError) as problem:
             raise ValueError(
                 f"--engine ray: no cluster answers: {problem}. Look at RAY_ADDRESS and `ray status`"

@@ -93,7 +93,7 @@ class _Worker:
         self.thread.start()
 
     def _start(self) -> "subprocess.Popen[bytes]":
-        share = str(self.threads)
+        self.ready, share = False, str(self.threads)
         names = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
         path = os.pathsep.join(p for p in sys.path if p)  # the same package, however this process came to it
         env = {**os.environ, **dict.fromkeys(names, share), "PYTHONPATH": path}
@@ -104,6 +104,7 @@ class _Worker:
         while not self.stopped and (item := self.waiting.get()) is not None:
             number, job = item
             if self.process.poll() is not None:
+                self._close()
                 self.process = self._start()
             outcome = self._ask(number, job)
             if not self.stopped:
@@ -115,12 +116,11 @@ class _Worker:
 
     def _ask(self, number: int, job: Job) -> Outcome:
         """The worker's answer, or what became of it."""
-        ready = False
         try:
             _send(self.process, job)
             while True:
                 kind, value = pickle.load(_pipe(self.process.stdout))
-                ready = True
+                self.ready = True
                 if kind == "outcome":
                     return value
                 if kind == "progress":
@@ -129,7 +129,7 @@ class _Worker:
             status = self._close()
         for place in output_places(job.log, job.out):
             remove_partials(Path(place))
-        return Outcome(job.log, error=_death(status, ready))
+        return Outcome(job.log, error=_death(status, self.ready))
 
     def stop(self, at_once: bool) -> None:
         """Ends the process: whatever it does, or after its last job."""
@@ -163,13 +163,11 @@ def _send(process: "subprocess.Popen[bytes]", what: Job | None) -> None:
 
 def _death(status: int, ready: bool) -> str:
     """Why a worker that ended so has no answer, and what to try."""
+    if status < 0:
+        name = signal.Signals(-status).name if -status in list(signal.Signals) else f"signal {-status}"
+        killed = "if nobody did that, the machine ran out of memory: use fewer --workers"
+        why = killed if name == "SIGKILL" else "a library crashed: try the log alone with --workers 1"
+        return f"its worker process was ended by {name}; {why}. The other logs went on."
     if not ready:
         return f"its worker process did not start (exit status {status}): see above; --workers 1 does without"
-    if status >= 0:
-        return f"its worker process ended with exit status {status}: see above, and try the log alone with --workers 1"
-    name = signal.Signals(-status).name if -status in list(signal.Signals) else f"signal {-status}"
-    if status == -signal.SIGKILL:
-        why = "if nobody did that, the machine ran out of memory: use fewer --workers"
-    else:
-        why = "a library crashed: try the log alone with --workers 1"
-    return f"its worker process was ended by {name}; {why}. The other logs went on."
+    return f"its worker process ended with exit status {status}: see above, and try the log alone with --workers 1"

@@ -7,7 +7,6 @@ import zlib
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import BinaryIO
 
 import jax
 import numpy as np
@@ -17,7 +16,7 @@ from voodoo_jax import __version__
 from voodoo_jax.body import Body
 from voodoo_jax.io.body_file import format_body
 from voodoo_jax.io.container import READ_ERRORS
-from voodoo_jax.io.urls import opened
+from voodoo_jax.io.urls import Readable, opened
 from voodoo_jax.settings import Settings
 
 BLOCK = 1 << 16  # bytes of each sample of a log
@@ -25,7 +24,7 @@ BLOCK = 1 << 16  # bytes of each sample of a log
 BROKEN = (OSError, ValueError, KeyError, EOFError, StopIteration, zipfile.BadZipFile, zlib.error, *READ_ERRORS)
 
 
-def log_fingerprint(stream: BinaryIO) -> str:
+def log_fingerprint(stream: Readable) -> str:
     """A fingerprint of a log: its length, and its bytes at the start, the end and two places between.
 
     The end holds the index and checksums, so that two logs that differ agree in practice never. A copy elsewhere has

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, Protocol, runtime_checkable
 
 URL_HELP = 'pip install "voodoo_jax[urls]"'
 
@@ -65,16 +65,24 @@ def byte_size(place: str) -> int:
         return 0
 
 
+@runtime_checkable
+class Readable(Protocol):
+    """An open file of any store."""
+
+    def read(self, size: int = -1, /) -> bytes: ...
+    def seek(self, offset: int, whence: int = 0, /) -> int: ...
+
+
 @contextmanager
-def opened(place: str) -> Iterator[BinaryIO]:
-    """A file opened for reading at any place of it. Raises OSError."""
+def opened(place: str) -> Iterator[Any]:
+    """A file opened for reading at any place of it: a Readable. Raises OSError."""
     if not is_url(place):
         with open(place, "rb") as stream:
             yield stream
         return
     system, path = file_system(place)
     with system.open(path, "rb") as stream:
-        yield cast(BinaryIO, stream)
+        yield stream
 
 
 @contextmanager
