@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import jax.monitoring
 import pytest
 from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
 
@@ -63,16 +64,30 @@ def test_shards_change_nothing_and_share_nothing(some_logs, reference, tmp_path)
     assert sorted(named) == [path.name for path in some_logs]
 
 
-def test_one_trace_whatever_the_lengths(some_logs, reference, tmp_path):
-    """Logs of 5 to 33 frames with different numbers of points have been tracked already: nothing is left to trace."""
+def test_one_program_whatever_the_lengths(some_logs, reference, tmp_path):
+    """A log of a length and of numbers of points that no other has had: nothing of the tracking is compiled for it."""
     import voodoo_jax.session
 
     programs = [getattr(voodoo_jax.session, name)._cached for name in ("run_trials", "track_chunk")]
     before = [program._cache_size() for program in programs]
-    points = [int(a["points"].mean()) for a in arrays_of(reference).values()]
-    assert len(set(points)) > 1
-    replay(some_logs, tmp_path, small_body(), SETTINGS, quiet=True)
+    points = {int(number) for arrays in arrays_of(reference).values() for number in arrays["points"]}
+    assert len(points) > 10
+    compiled = []
+
+    def count(event: str, seconds: float, fun_name: str = "", **_: str | int) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(fun_name)
+
+    new = small_log(tmp_path / "new.mcap", 27, 9)
+    jax.monitoring.register_event_duration_secs_listener(count)
+    try:
+        (outcome,) = replay([new], tmp_path, small_body(), SETTINGS, quiet=True)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(count)
+    assert outcome.ok and outcome.frames == 27
     assert [program._cache_size() for program in programs] == before
+    # what is still compiled for every length: joint centres of all frames, and arrays on their way to them
+    assert set(compiled) <= {"jit(joint_centres)", "jit(stage)"} and len(compiled) <= 4, compiled
 
 
 def test_finished_logs_are_skipped_and_others_done(some_logs, reference, tmp_path, capsys):
