@@ -1,7 +1,8 @@
 """Several logs at once on one machine: worker processes, each with its share of the cores.
 
 A process of its own per log that is being tracked, and not a thread: half of the time goes to NumPy and Python, which
-threads would have to take turns at. A worker that dies takes one log with it and no more.
+threads would have to take turns at, and two threads that run large programs at once on a small pool of XLA's threads
+can wait for each other for ever (seen with jax 0.10.2 on two cores). A worker that dies takes one log with it.
 """
 
 import os
