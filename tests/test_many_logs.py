@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.monitoring
 import pytest
 from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
@@ -17,7 +18,7 @@ from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, smal
 from voodoo_jax.cli import main
 from voodoo_jax.jobs import Job
 from voodoo_jax.replay import Outcome, replay
-from voodoo_jax.workers import in_workers, usable_cores
+from voodoo_jax.workers import default_workers, in_workers, usable_cores
 
 FRAMES = {"a": 12, "b": 5, "c": 33, "d": 20}
 
@@ -126,6 +127,9 @@ def test_finished_logs_are_skipped_and_others_done(some_logs, reference, tmp_pat
     outcomes = replay([*logs, missing], out, small_body(), SETTINGS, quiet=True)
     assert [o.skipped for o in outcomes] == [True] * 4 + [False] and outcomes[4].ok
     assert rows(out)["missing.mcap"]["status"] == "tracked"
+    missing.write_text("a diary")
+    outcomes = replay([missing], out, small_body(), SETTINGS, quiet=True)
+    assert outcomes[0].status == "failed" and "from an earlier run" in outcomes[0].error
 
 
 def test_other_settings_and_again_do_logs_anew(some_logs, reference, tmp_path):
@@ -241,7 +245,10 @@ def test_a_worker_that_cannot_start(tmp_path, monkeypatch):
     assert number == 0 and "did not start" in outcome.error and "--workers 1" in outcome.error
 
 
-def test_cores_are_counted():
+def test_cores_are_counted(monkeypatch):
+    assert 1 <= default_workers(1000) <= usable_cores() and default_workers(1) == 1
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert default_workers(1000) == 1
     assert 1 <= usable_cores() <= (os.cpu_count() or 1)
 
 

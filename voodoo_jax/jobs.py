@@ -98,6 +98,8 @@ def do_job(job: Job, progress: Progress | None = None) -> Outcome:
     except Exception as problem:  # one log's trouble is not the others'
         outcome = Outcome(job.log, error=f"unexpected {type(problem).__name__}: {problem}")
     keep_compiled()
+    if outcome.error and os.path.exists(output_places(job.log, job.out)[0]):
+        outcome = replace(outcome, error=f"{outcome.error} (What is there of this log is from an earlier run.)")
     return replace(outcome, total_seconds=time.perf_counter() - began)
 
 

@@ -16,6 +16,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+import jax
+
 from voodoo_jax.jobs import Job, do_job, output_places, remove_partials
 from voodoo_jax.outcomes import Outcome
 
@@ -34,7 +36,9 @@ def usable_cores() -> int:
 
 
 def default_workers(logs: int) -> int:
-    """As many workers as there are logs, cores, and memory for."""
+    """As many workers as there are logs, cores, and memory for; one where jax computes on a GPU."""
+    if jax.default_backend() != "cpu":
+        return 1
     lines = (_text("/proc/meminfo") or "").splitlines()
     free = next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), 1 << 60)
     return max(1, min(logs, usable_cores(), free // WORKER_BYTES))
@@ -98,6 +102,7 @@ class _Worker:
         names = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
         path = os.pathsep.join(p for p in sys.path if p)  # the same package, however this process came to it
         env = {**os.environ, **dict.fromkeys(names, share), "PYTHONPATH": path}
+        env.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # on a GPU: each takes what it needs, not most of it
         command = [sys.executable, "-P", "-m", "voodoo_jax.worker_process"]
         return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
 

@@ -3,10 +3,10 @@
     python experiments/bench/many_logs.py LOG.mcap ... [--workers 1 2] [--rounds 3]
 
 Each run is the installed package's command in a process of its own: start, imports, reading, finding the person,
-tracking there and back, writing. Cold: without any compiled program; warm: with the compile cache that the cold run has
-filled. Runs are made in rounds, one of each kind, so that a busy machine hits all alike; the ratio of several workers to
-one is the median of the rounds' ratios. Beside the wall time stands the processor time of all processes together, which
-a busy machine changes little.
+tracking there and back, writing. Cold: without any compiled program; warm: with the compile cache that the cold run
+has filled. Runs are made in rounds, one of each kind, so that a busy machine hits all alike; the ratio of several
+workers to one is the median of the rounds' ratios. Beside the wall time stands the processor time of all processes
+together, which a busy machine changes little.
 """
 
 import os
