@@ -1,5 +1,10 @@
 """Runtime checks of shapes and types in the whole package, and double precision for the tests that ask for it."""
 
+import atexit
+import os
+import shutil
+import tempfile
+
 import jax
 import numpy as np
 import pytest
@@ -8,6 +13,11 @@ from jaxtyping import install_import_hook
 # before any test module imports the package: a module that is already loaded would go unchecked
 # tower: an int is welcome where a float is asked for (PEP 484), as for the type checker
 install_import_hook(["voodoo_jax"], "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+
+# the user's own compile cache stays as it is; one for all processes of a test run saves minutes
+if "VOODOO_JAX_COMPILE_CACHE" not in os.environ:
+    os.environ["VOODOO_JAX_COMPILE_CACHE"] = tempfile.mkdtemp(prefix="voodoo-tests-")
+    atexit.register(shutil.rmtree, os.environ["VOODOO_JAX_COMPILE_CACHE"], ignore_errors=True)
 
 
 @pytest.fixture

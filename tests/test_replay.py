@@ -105,7 +105,8 @@ def many_run(tmp_path_factory, wave_log) -> Run:
     broken = folder / "broken.mcap"
     broken.write_text("This is a diary, not a log.\n")
     before = programs()
-    done = run(folder / "out", wave_log, broken, DEMO)
+    # in this process, where programs can be counted
+    done = run(folder / "out", wave_log, broken, DEMO, "--workers", "1")
     return done._replace(compiled={name: count - before[name] for name, count in programs().items()})
 
 
@@ -154,8 +155,12 @@ def test_the_picture_file_shows_the_same(demo_run):
 
 
 def test_nothing_is_left_half_written(demo_run, many_run):
-    assert sorted(p.name for p in demo_run.out.iterdir()) == ["demo.tracks.npz", "demo.voodoo.mcap"]
-    names = ["demo.tracks.npz", "demo.voodoo.mcap", "wave.tracks.npz", "wave.voodoo.mcap"]
+    assert sorted(p.name for p in demo_run.out.iterdir()) == [
+        "demo.tracks.npz",
+        "demo.voodoo.mcap",
+        "replay.jsonl",
+    ]
+    names = ["demo.tracks.npz", "demo.voodoo.mcap", "replay.jsonl", "wave.tracks.npz", "wave.voodoo.mcap"]
     assert sorted(p.name for p in many_run.out.iterdir()) == names
 
 

@@ -37,10 +37,10 @@ class Replay:
     log. Nothing about the person need be given: start, place and size are found.
     """
 
-    logs: Positional[tuple[Path, ...]] = ()
-    """MCAP logs with depth images or point clouds."""
-    out: Path = Path("voodoo-out")
-    """Folder for the results; made if it is missing."""
+    logs: Positional[tuple[str, ...]] = ()
+    """MCAP logs with depth images or point clouds: files, or URLs such as s3://bucket/*.mcap."""
+    out: str = "voodoo-out"
+    """Folder for the results, or a URL; made if it is missing."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
     preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
@@ -48,6 +48,16 @@ class Replay:
     """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
     picture: bool = False
     """Also write <log>.png: cloud and tracked body side by side."""
+    again: bool = False
+    """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""
+    workers: int = 0
+    """Processes that track one log each; 1: in this one, 0: as many as there are cores, memory and logs for."""
+    shard: str = ""
+    """Only a part of the logs, for array jobs: 2/8 is the second of eight. The same logs make the same parts."""
+    engine: Literal["local", "ray"] = "local"
+    """local: this machine; ray: the Ray cluster that runs here or that RAY_ADDRESS names."""
+    compile_cache: str = ""
+    """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
 
 
@@ -94,33 +104,32 @@ def run_replay(command: Replay) -> int:
     if not command.logs:
         print("voodoo-jax replay: name at least one log", file=sys.stderr)
         return 2
+    from voodoo_jax.compile_cache import cache_folder, use_compile_cache
     from voodoo_jax.io.body_file import BodyFileError, load_body
-    from voodoo_jax.replay import output_paths, replay
+    from voodoo_jax.replay import replay
 
+    if problem := use_compile_cache(cache_folder(command.compile_cache)):
+        print(f"voodoo-jax replay: {problem}; it goes on without", file=sys.stderr)
     try:
         body = load_body(body_name(command))
-        outcomes = replay(command.logs, command.out, body, command.settings, smooth_seconds=command.smooth)
+        outcomes = replay(
+            command.logs, command.out, body, command.settings, smooth_seconds=command.smooth, picture=command.picture,
+            again=command.again, workers=command.workers, engine=command.engine, shard=command.shard,
+            compile_cache=command.compile_cache,
+        )  # fmt: skip
     except FileExistsError:
         print(f"voodoo-jax replay: --out '{command.out}' is a file; name a folder", file=sys.stderr)
         return 2
     except (BodyFileError, ValueError, OSError) as problem:
         print(f"voodoo-jax replay: {problem}", file=sys.stderr)
         return 2
-    if command.picture:
-        from voodoo_jax.replay import draw
-
-        for outcome in outcomes:
-            if outcome.tracks is not None:
-                path = output_paths(outcome.path, command.out)[0]
-                target = path.with_name(path.name.removesuffix(".tracks.npz") + ".png")
-                try:
-                    draw(outcome.tracks, target, command.settings)
-                    print(f"wrote {target}")
-                except (ValueError, OSError) as problem:
-                    print(f"voodoo-jax replay: no picture of {outcome.path}: {problem}", file=sys.stderr)
     failed = [o for o in outcomes if not o.ok]
-    frames = sum(len(o.tracks.time_ns) for o in outcomes if o.tracks)
-    print(f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked, {frames} frames, results in {command.out}")
+    frames, skipped = sum(o.frames for o in outcomes), sum(o.skipped for o in outcomes)
+    before = f" ({skipped} of them finished before)" if skipped else ""
+    print(
+        f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked{before}, {frames} frames, "
+        f"results in {command.out}"
+    )
     if failed:
         print("not tracked: " + ", ".join(Path(o.path).name for o in failed), file=sys.stderr)
     return 1 if failed else 0

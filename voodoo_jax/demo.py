@@ -25,19 +25,20 @@ def demo(out: Path) -> int:
     with as_file(files("voodoo_jax") / "data") as data:
         log, truth_file = data / "demo.mcap", data / "demo.truth.npz"
         print("Tracking a simulated person who waves and bows, seen by one depth camera; nothing about them is given.")
-        outcome = replay([log], out)[0]
-        if outcome.tracks is None or not outcome.ok:
+        outcome = replay([log], out, again=True)[0]
+        tracks = outcome.tracks
+        if tracks is None or not outcome.ok:
             return 1
         with np.load(truth_file) as file:
             truth = dict(file)
-        errors = joint_errors(outcome.tracks, truth)
+        errors = joint_errors(tracks, truth)
         print("\nMean distance to the true joint centres:")
         for name, error in zip(truth["names"], np.nanmean(errors, 0)):
             print(f"  {name:16s} {100 * error:5.1f} cm")
         print(f"  {'all joints':16s} {100 * np.nanmean(errors):5.1f} cm")
         print("(The simulated person is made of the tracker's own kind of limbs: on real people expect 2 to 4 cm.)")
         target = Path(out) / "demo.png"
-        picture(outcome.tracks, read_log(log), target, truth=_on_frames(outcome.tracks, truth))
+        picture(tracks, read_log(log), target, truth=_on_frames(tracks, truth))
     print(f"\nLook at {target}: cloud and tracked body side by side; crosses are the truth.")
     print(f"In Foxglove or Rerun open {Path(out) / 'demo.voodoo.mcap'}.")
     return 0

@@ -1,92 +1,30 @@
-"""Many logs: read, track, write, one after the other; a log that fails does not stop the others."""
+"""Many logs: which are to be done, by whom, and what became of them; a log that fails does not stop the others."""
 
 import os
+import time
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
-import numpy as np
 from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
 from voodoo_jax.body import Body
+from voodoo_jax.compile_cache import cache_folder
+from voodoo_jax.io.urls import byte_size, expanded, file_system, is_url
+from voodoo_jax.jobs import Job, draw, output_paths, output_places, track_log
+from voodoo_jax.outcomes import Outcome, outcome_of_arrays
 from voodoo_jax.settings import Settings
-from voodoo_jax.tracks import Tracks
+from voodoo_jax.shards import largest_first, parse_shard, shard_of
+from voodoo_jax.workers import Report, Results, default_workers, in_process, in_workers
 
+__all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one log."""
-
-    path: str
-    tracks: Tracks | None  # None: failed
-    error: str = ""
-    notes: tuple[str, ...] = ()
-
-    @property
-    def ok(self) -> bool:
-        """Whether the log was read and somebody was tracked in it."""
-        return self.tracks is not None and bool(self.tracks.tracked.any())
-
-    def __str__(self) -> str:
-        name = Path(self.path).name
-        if self.tracks is None:
-            return f"{name}: FAILED: {self.error}"
-        t = self.tracks
-        share = 100 * float(t.tracked.mean()) if len(t.tracked) else 0.0
-        residual = np.nanmean(t.residual) * 1000 if np.isfinite(t.residual).any() else float("nan")
-        speed = len(t.time_ns) / t.seconds if t.seconds > 0 else float("nan")
-        size = f"{t.body.scale_name} {float(t.body.scale):.3f} m"
-        line = (
-            f"{name}: {len(t.time_ns)} frames, {share:.1f} % tracked, residual {residual:.1f} mm, {size}, "
-            f"{speed:.0f} frames/s"
-        )
-        if t.compile_seconds > 0.5:
-            line += f" after {t.compile_seconds:.0f} s of compiling"
-        if not self.ok:
-            line += "; NOTHING TRACKED"
-        return "\n".join([line, *(f"    {note}" for note in self.notes)])
-
-
-def output_paths(log: str | os.PathLike[str], out: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Where the tracks of a log go: `<stem>.tracks.npz` and `<stem>.voodoo.mcap` in `out`."""
-    stem = Path(log).name.removesuffix(".mcap")
-    return Path(out) / f"{stem}.tracks.npz", Path(out) / f"{stem}.voodoo.mcap"
-
-
-def track_log(path: str | os.PathLike[str], body: Body, settings: Settings, bar: tqdm | None = None) -> Tracks:
-    """Reads a log frame by frame and tracks the body in it. Raises LogError."""
-    from voodoo_jax.io.mcap_log import open_log
-    from voodoo_jax.tracker import find_person, track_person
-
-    log = open_log(path, settings.read)
-    if bar is not None:
-        bar.reset(total=(2 + settings.track.both_ways) * len(log))  # read, track there, and back
-
-    def counted() -> Iterable:
-        for frame in log.frames():
-            if bar is not None:
-                bar.update(1)
-            yield frame
-
-    scene, people = find_person(counted(), log.up, body, settings)
-
-    def progress(done: int) -> None:
-        if bar is not None:
-            bar.update(done)
-
-    return track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, progress)
-
-
-def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4) -> None:
-    """Writes a picture of some frames of a tracked log, reading it once more but keeping these frames only."""
-    from voodoo_jax.io.mcap_log import open_log
-    from voodoo_jax.picture import picture, spread
-    from voodoo_jax.recording import Recording
-
-    log = open_log(tracks.source, settings.read)
-    wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
-    frames = tuple(frame for frame in log.frames() if frame.time_ns in wanted)
-    picture(tracks, Recording(log.path, log.fixed_frame, log.up, log.sensors, frames), target, count)
+SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being done
 
 
 def replay(
@@ -96,48 +34,151 @@ def replay(
     settings: Settings | None = None,
     quiet: bool = False,
     smooth_seconds: float = 0.0,
+    *,
+    picture: bool = False,
+    again: bool = False,
+    workers: int = 1,
+    engine: Literal["local", "ray"] = "local",
+    shard: str = "",
+    compile_cache: str = "off",
 ) -> list[Outcome]:
     """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`.
 
     A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
-    under their final names only when complete. Raises ValueError if two logs would write the same files,
-    or `smooth_seconds` (see smoothing.smooth) is negative.
+    under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
+    version are skipped. `replay.jsonl` in `out` has a line for each log.
+
+    **Arguments:** `logs` and `out` paths, or URLs (see io/urls.py); `smooth_seconds` see smoothing.smooth; `picture`
+    draws `<stem>.png` too; `again` does finished logs anew; `workers` processes, 1: in this one, 0: as many as are good
+    for this machine; `engine` "ray": on a Ray cluster instead; `shard` "2/8": the second of eight parts of the logs
+    only; `compile_cache` folder for compiled programs, "": the user's.
+
+    **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
+
+    Raises ValueError if two logs would write the same files, or an argument cannot be used.
     """
     from voodoo_jax.io.body_file import human
-    from voodoo_jax.io.mcap_log import LogError
-    from voodoo_jax.io.mcap_tracks import write_tracks_mcap
-    from voodoo_jax.io.tracks_file import write_tracks_npz
-    from voodoo_jax.smoothing import smooth
+    from voodoo_jax.io.finished import recipe_key
+    from voodoo_jax.io.summary_file import summary_name, write_summary
 
     if not smooth_seconds >= 0:
         raise ValueError(f"--smooth {smooth_seconds}: must not be negative")
-    logs = [Path(p) for p in logs]
-    settings, body = settings or Settings(), body or human()
-    stems = [output_paths(p, out)[0].name for p in logs]
-    twice = sorted({s for s in stems if stems.count(s) > 1})
-    if twice:
+    if workers < 0:
+        raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
+    number, count = parse_shard(shard)
+    places = [_absolute(place) for log in logs for place in expanded(log)]
+    _check_names(places)
+    out, settings, body = _absolute(out), settings or Settings(), body or human()
+    if not is_url(out):
+        Path(out).mkdir(parents=True, exist_ok=True)
+    places = shard_of(places, number, count)
+    job = Job(
+        log="",
+        out=out,
+        body=body,
+        settings=settings,
+        smooth_seconds=smooth_seconds,
+        recipe=recipe_key(body, settings, smooth_seconds),
+        parameters=_parameters(settings, smooth_seconds),
+        picture=picture,
+        compile_cache=cache_folder(compile_cache),
+    )
+    jobs = {log: replace(job, log=log, size=max(1, byte_size(log))) for log in places}
+    done: dict[str, Outcome] = {}
+    save = partial(write_summary, folder=out, name=summary_name(number, count))
+    with ThreadPoolExecutor(8) as several:  # a store's answers take long
+        for log, found in zip(places, several.map(partial(_finished, again=again), jobs.values())):
+            if found is not None and found.picture == "due":
+                jobs[log] = replace(jobs[log], only_picture=True)
+            elif found is not None:
+                done[log] = found
+                _say(found, quiet)
+    left = largest_first([log for log in places if log not in done], {log: jobs[log].size for log in places})
+    ordered, saved = [jobs[log] for log in left], time.monotonic()
+    sizes = [job.size for job in ordered]
+    try:
+        with tqdm(total=sum(sizes), unit="B", unit_scale=True, disable=quiet or None, leave=False) as bar:
+            shares = [0.0] * len(ordered)
+
+            def report(which: int, share: float) -> None:
+                bar.update(round(sizes[which] * share) - round(sizes[which] * shares[which]))
+                shares[which] = share
+
+            bar.set_description(f"{len(done)}/{len(places)} logs")
+            with closing(_engine(ordered, report, engine, workers)) as results:
+                for which, outcome in results:
+                    done[outcome.path] = outcome
+                    report(which, 1.0)
+                    bar.set_description(f"{len(done)}/{len(places)} logs")
+                    _say(outcome, quiet)
+                    if time.monotonic() - saved > SUMMARY_SECONDS:
+                        save(done.values())
+                        saved = time.monotonic()
+    finally:
+        save(done.values())
+    return [done[log] for log in places]
+
+
+def _engine(jobs: list[Job], report: Report, engine: Literal["local", "ray"], workers: int) -> Results:
+    """Number and outcome of each job as it is done."""
+    if engine == "ray":
+        from voodoo_jax.ray_engine import on_ray
+
+        return on_ray(jobs, report)
+    count = min(workers or default_workers(len(jobs)), len(jobs))
+    # what is in this process's memory no other can read
+    within = any(place.startswith("memory://") for job in jobs for place in (job.log, job.out))
+    return in_process(jobs, report) if count <= 1 or within else in_workers(jobs, report, count)
+
+
+def _finished(job: Job, again: bool) -> Outcome | None:
+    """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run."""
+    from voodoo_jax.io.finished import finished_arrays
+
+    npz, mcap, png = output_places(job.log, job.out)
+    arrays = None if again else finished_arrays(job.log, npz, mcap, job.recipe)
+    if arrays is None:
+        return None
+    due = job.picture and _changed(png) < _changed(npz)
+    return outcome_of_arrays(job.log, npz, arrays, skipped=True, picture="due" if due else png if job.picture else "")
+
+
+def _changed(place: str) -> float:
+    """When a file was written, seconds; 0 if it is not there, or its store does not say."""
+    try:
+        if not is_url(place):
+            return os.stat(place).st_mtime
+        system, path = file_system(place)
+        return system.modified(path).timestamp()
+    except (OSError, NotImplementedError, KeyError):
+        return 0.0
+
+
+def _absolute(place: str | os.PathLike[str]) -> str:
+    """A place as other processes understand it; file:// URLs as paths. Raises ValueError if fsspec lacks something."""
+    place = os.fspath(place)
+    if is_url(place):
+        path = file_system(place)[1]
+        return path if place.startswith("file://") else place
+    return os.path.abspath(os.path.expanduser(place))
+
+
+def _check_names(logs: list[str]) -> None:
+    names = Counter(output_paths(log, "")[0].name for log in logs)
+    if twice := sorted(name for name, count in names.items() if count > 1):
         raise ValueError(
             f"several logs would write {', '.join(twice)}: replay logs of the same name into different folders"
         )
-    Path(out).mkdir(parents=True, exist_ok=True)
+
+
+def _parameters(settings: Settings, smooth_seconds: float) -> tuple[tuple[str, str], ...]:
+    """All settings as text."""
     stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
-    parameters = {f"{stage}.{k}": str(v) for stage, values in stages.items() for k, v in values.items()}
-    parameters["smooth_seconds"] = str(smooth_seconds)
-    parameters |= {f"change.{n}": str(change) for n, change in enumerate(settings.changes, 1)}
-    outcomes: list[Outcome] = []
-    for number, path in enumerate(logs, 1):
-        with tqdm(desc=f"{number}/{len(logs)} {path.name}", unit="frame", disable=quiet or None, leave=False) as bar:
-            try:
-                tracks = smooth(track_log(path, body, settings, bar), smooth_seconds)
-                npz, mcap = output_paths(path, out)
-                write_tracks_mcap(tracks, mcap, parameters)
-                write_tracks_npz(tracks, npz)  # last: where it is, both are
-                outcome = Outcome(str(path), tracks, notes=tracks.notes)
-            except LogError as problem:
-                outcome = Outcome(str(path), None, str(problem))
-            except Exception as problem:  # one log's trouble is not the others'
-                outcome = Outcome(str(path), None, f"unexpected {type(problem).__name__}: {problem}")
-        outcomes.append(outcome)
-        if not quiet:
-            tqdm.write(str(outcome))
-    return outcomes
+    out = {f"{stage}.{k}": str(v) for stage, values in stages.items() for k, v in values.items()}
+    out["smooth_seconds"] = str(smooth_seconds)
+    return tuple((out | {f"change.{n}": str(change) for n, change in enumerate(settings.changes, 1)}).items())
+
+
+def _say(outcome: Outcome, quiet: bool) -> None:
+    if not quiet:
+        tqdm.write(str(outcome))

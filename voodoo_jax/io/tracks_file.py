@@ -23,12 +23,13 @@ class TracksFileError(ValueError):
     """A file that is not a complete tracks file."""
 
 
-def write_tracks_npz(tracks: Tracks, path: str | os.PathLike) -> None:
+def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "") -> None:
     """Writes `.tracks.npz`: arrays in metres and nanoseconds, in the tracks' fixed frame; no pickled objects.
 
     Keys: time_ns, joint_names, joints, tracked, body_json (name, stature or what the body's scale is called,
     segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
-    body_joint_names, beyond_limits (radians), depth_inside (metres), fixed_frame, source, seconds, notes, body_toml.
+    body_joint_names, beyond_limits (radians), depth_inside (metres), fixed_frame, source, seconds, notes, body_toml;
+    run_key if one is given (see finished.py).
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
@@ -51,6 +52,8 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike) -> None:
         "seconds": np.array(tracks.seconds, np.float64),
         "notes": np.array(tracks.notes, np.str_),
     }
+    if run_key:
+        arrays["run_key"] = np.array(run_key)
     with replacing(path) as partial, open(partial, "wb") as file:
         np.savez_compressed(file, **arrays)
 

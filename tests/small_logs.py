@@ -1,0 +1,50 @@
+"""Many small logs that are tracked in no time: a robot's arm that swings, few points, few frames."""
+
+from pathlib import Path
+
+import numpy as np
+
+from voodoo_jax.body import Body, scaled
+from voodoo_jax.io.body_file import load_body
+from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.settings import PersonSettings, Settings, StartSettings, TrackSettings
+from voodoo_jax.simulate import make_motion, placed, simulate, tof_camera
+
+FLAGS = (
+    "--body arm --start.scale 0.8 --start.headings 3 --start.frames 2 --person.points 256 --track.chunk 16 "
+    "--track.no-both-ways"
+).split()
+SETTINGS = Settings(
+    person=PersonSettings(points=256),
+    start=StartSettings(scale=0.8, headings=3, frames=2),
+    track=TrackSettings(chunk=16, both_ways=False),
+)
+NOT_COMPARED = {"seconds", "source", "run_key"}  # of the time taken, and of where the log lay
+
+
+def small_body() -> Body:
+    return load_body("arm")
+
+
+def small_log(path: Path, frames: int, seed: int = 0) -> Path:
+    """An arm of 0.8 m seen by a depth camera at 20 Hz."""
+    moved = placed(make_motion(scaled(small_body(), 0.8), "swing", frames / 20.0, 20.0), 1.8, 0.0, 2.3)
+    return write_simulation(simulate(scaled(small_body(), 0.8), moved, tof_camera(0.7, 0.15), seed=seed), path)
+
+
+def arrays_of(folder: Path) -> dict[str, dict[str, np.ndarray]]:
+    """What is in each tracks file of a folder, without what may differ between two runs."""
+    out = {}
+    for path in sorted(folder.glob("*.tracks.npz")):
+        with np.load(path, allow_pickle=False) as file:
+            out[path.name] = {name: file[name] for name in file.files if name not in NOT_COMPARED}
+    return out
+
+
+def assert_same(one: dict[str, dict[str, np.ndarray]], other: dict[str, dict[str, np.ndarray]]) -> None:
+    """To the last bit."""
+    assert one.keys() == other.keys()
+    for name, arrays in one.items():
+        assert arrays.keys() == other[name].keys()
+        for key, value in arrays.items():
+            np.testing.assert_array_equal(value, other[name][key], err_msg=f"{name}, {key}")

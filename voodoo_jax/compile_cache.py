@@ -1,0 +1,130 @@
+"""Compiled programs kept for later processes: jax's persistent compilation cache, made safe for many at once.
+
+jax writes an entry in place, so that a process that is killed meanwhile leaves half of one for good. Here each process
+writes into a folder of its own and links whole entries to the shared one.
+"""
+
+import atexit
+import hashlib
+import os
+import platform
+import shutil
+import socket
+import tempfile
+import time
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+
+OLD_SECONDS = 2 * 86_400  # a process's folder of another machine that is older was left by a killed one
+_own: dict[str, tuple[Path, Path]] = {}  # folder as asked for -> the shared one, this process's own
+
+
+def cache_folder(asked: str) -> str:
+    """The folder that is meant: a path as it is, "off" for none (empty); where nothing is asked for that of the
+    environment variable VOODOO_JAX_COMPILE_CACHE, or one in the user's cache."""
+    asked = asked or os.environ.get("VOODOO_JAX_COMPILE_CACHE", "")
+    if asked:
+        return "" if asked == "off" else str(Path(asked).expanduser().absolute())
+    home = os.environ.get("XDG_CACHE_HOME", "")
+    base = Path(home) if os.path.isabs(home) else Path.home() / ".cache"
+    return str(base / "voodoo_jax")
+
+
+def use_compile_cache(folder: str) -> str:
+    """Lets jax take compiled programs from a folder (empty: does nothing) and keep them for `keep_compiled`.
+
+    A cache that jax has been given already (JAX_COMPILATION_CACHE_DIR) stays as it is. Returns why it does not work,
+    or nothing: slower is better than not at all.
+    """
+    if not folder:
+        return ""
+    if folder in _own:
+        _link_all(*_own[folder])
+        return ""
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    if jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
+        return ""
+    try:
+        shared = Path(folder) / _machine()
+        shared.mkdir(parents=True, exist_ok=True)
+        _sweep(shared)
+        own = Path(tempfile.mkdtemp(prefix=f"run-{socket.gethostname()}-{os.getpid()}-", dir=shared))
+        _link_all(shared, own)
+    except OSError as problem:
+        return f"no compile cache in {folder}: {problem.strerror}"
+    _own[folder] = shared, own
+    # whoever has compiled before without a cache would never look for one
+    compilation_cache.reset_cache()
+    jax.config.update("jax_compilation_cache_dir", str(own))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
+    atexit.register(_end, folder)
+    return ""
+
+
+def keep_compiled() -> None:
+    """Hands what was compiled since the last call to other processes."""
+    for shared, own in _own.values():
+        _link_all(own, shared)
+
+
+def _end(folder: str) -> None:
+    shared, own = _own.pop(folder)
+    _link_all(own, shared)
+    shutil.rmtree(own, ignore_errors=True)
+
+
+def _link_all(source: Path, target: Path) -> None:
+    """Gives `target` all entries of `source` that it does not have, each whole or not at all."""
+    with suppress(OSError):  # a full disk, or a folder that somebody has cleared: compiled again next time
+        there = set(os.listdir(target))
+        for name in os.listdir(source):
+            if name.endswith("-cache") and name not in there:
+                _link(source / name, target / name)
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        pass
+    except OSError:  # a file system without links
+        partial = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+        shutil.copyfile(source, partial)
+        os.replace(partial, target)
+
+
+def _machine() -> str:
+    """A name for what compiled programs run on: this version of jax on this kind of processor."""
+    kind = platform.machine() + platform.processor()
+    with suppress(OSError):  # Linux: programs use whatever instructions the processor has
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        kind += "".join(sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))}))
+    return f"jax-{version('jax')}-{version('jaxlib')}-{hashlib.sha256(kind.encode()).hexdigest()[:12]}"
+
+
+def process_runs(pid: int) -> bool:
+    """Whether a process of this number runs on this machine; where that cannot be asked, True."""
+    if os.name != "posix":  # elsewhere the question ends the process
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # somebody else's
+        return True
+    return True
+
+
+def _sweep(shared: Path) -> None:
+    """Removes what killed processes have left."""
+    for folder in shared.glob("run-*-*-*"):
+        host, pid = folder.name.removeprefix("run-").rsplit("-", 2)[:2]
+        with suppress(OSError, ValueError):
+            here = host == socket.gethostname() and not process_runs(int(pid))
+            if here or time.time() - folder.stat().st_mtime > OLD_SECONDS:
+                shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,93 @@
+"""Which logs an earlier run has finished: results carry a key of all that they depend on."""
+
+import hashlib
+import os
+import zipfile
+import zlib
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+
+import jax
+import numpy as np
+from mcap.reader import SeekingReader
+
+from voodoo_jax import __version__
+from voodoo_jax.body import Body
+from voodoo_jax.io.body_file import format_body
+from voodoo_jax.io.container import READ_ERRORS
+from voodoo_jax.io.urls import Readable, opened
+from voodoo_jax.settings import Settings
+
+BLOCK = 1 << 16  # bytes of each sample of a log
+# what a file that is missing, cut or of another kind raises
+BROKEN = (OSError, ValueError, KeyError, EOFError, StopIteration, zipfile.BadZipFile, zlib.error, *READ_ERRORS)
+
+
+def log_fingerprint(stream: Readable) -> str:
+    """A fingerprint of a log: its length, and its bytes at the start, the end and two places between.
+
+    The end holds the index and checksums, so that two logs that differ agree in practice never. A copy elsewhere has
+    the same one. Raises OSError.
+    """
+    length = stream.seek(0, os.SEEK_END)
+    digest = hashlib.sha256(str(length).encode())
+    for part in range(4):
+        stream.seek(max(0, (length - BLOCK) * part // 3))
+        digest.update(stream.read(BLOCK))
+    return digest.hexdigest()
+
+
+@cache
+def _code_fingerprint() -> str:
+    """Of this package's version and sources: tracks of another version are not the same."""
+    digest, root = hashlib.sha256(__version__.encode()), Path(__file__).parents[1]
+    for file in sorted(root.rglob("*.py")):
+        digest.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def _body_bytes(body: Body) -> bytes:
+    """All of a body: its file, which has the names, and its numbers to the last bit."""
+    arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(body)]
+    return format_body(body).encode() + b"".join(repr((a.dtype.str, a.shape)).encode() + a.tobytes() for a in arrays)
+
+
+def recipe_key(body: Body, settings: Settings, smooth_seconds: float) -> str:
+    """A key of all that tracks depend on but the log: body, settings, smoothing, this package's code."""
+    stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
+    digest = hashlib.sha256(repr((stages, smooth_seconds, _code_fingerprint())).encode() + _body_bytes(body))
+    for change in settings.changes:
+        fields = {name: value for name, value in vars(change).items() if name != "add"}
+        digest.update(repr(fields).encode() + _thing_bytes(change.add))
+    return digest.hexdigest()
+
+
+def _thing_bytes(thing: Body | str) -> bytes:
+    """What a change adds: a body, a body file's content, or a name."""
+    if isinstance(thing, Body):
+        return _body_bytes(thing)
+    return Path(thing).read_bytes() if os.path.isfile(thing) else thing.encode()
+
+
+def run_key(recipe: str, fingerprint: str) -> str:
+    """The key of one log's results."""
+    return hashlib.sha256(f"{recipe} {fingerprint}".encode()).hexdigest()
+
+
+def finished_arrays(log: str, npz: str, mcap: str, recipe: str) -> dict[str, np.ndarray] | None:
+    """What outcome_of needs of a log's tracks, if both result files are whole and carry this run's key; else None."""
+    try:
+        with opened(npz) as stream, np.load(stream, allow_pickle=False) as data:
+            if "run_key" not in data.files:
+                return None
+            with opened(log) as measured:
+                key = run_key(recipe, log_fingerprint(measured))
+            if str(data["run_key"]) != key:
+                return None
+            arrays = {name: data[name] for name in ("body_json", "residual", "tracked", "seconds", "notes")}
+        with opened(mcap) as stream:
+            metadata = [m.metadata for m in SeekingReader(stream).iter_metadata() if m.name == "voodoo_jax"]
+        return arrays if [m.get("run_key") for m in metadata] == [key] else None
+    except BROKEN:
+        return None

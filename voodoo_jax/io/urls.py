@@ -1,0 +1,114 @@
+"""Logs and results in object stores: URLs such as s3://bucket/a.mcap, through fsspec. Paths pass through unchanged.
+
+A log is read from a local copy: it is gone through two to three times and by its index at its end, and every byte is
+needed once at least, so that random access over the network would fetch it twice.
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+URL_HELP = 'pip install "voodoo_jax[urls]"'
+
+
+def is_url(place: str | os.PathLike[str]) -> bool:
+    """Whether a place is a URL and not a path; file:// counts as one."""
+    return "://" in os.fspath(place)
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it. Raises ValueError with what to install."""
+    protocol = url.split("://", 1)[0]
+    try:
+        import fsspec
+    except ImportError as problem:
+        raise ValueError(f"{url}: URLs need the package fsspec: {URL_HELP}") from problem
+    try:
+        return fsspec.core.url_to_fs(url)
+    except ImportError as problem:
+        raise ValueError(f"{url}: {protocol}:// needs another package for fsspec: {problem}") from problem
+    except ValueError as problem:
+        raise ValueError(f"{url}: fsspec cannot use it: {problem}") from problem
+
+
+def expanded(place: str | os.PathLike[str]) -> list[str]:
+    """The place as text; for a URL with *, ? or [ all that it matches. Raises ValueError if nothing does."""
+    place = os.fspath(place)
+    if not is_url(place) or not any(mark in place for mark in "*?["):
+        return [place]
+    system, path = file_system(place)
+    try:
+        found = sorted(system.glob(path))
+    except Exception as problem:  # every store has its own errors
+        raise ValueError(f"{place}: cannot be listed: {type(problem).__name__}: {problem}") from problem
+    if not found:
+        raise ValueError(f"{place}: no log matches; look at the names in the store, or at your access to it")
+    return [system.unstrip_protocol(name) for name in found]
+
+
+def joined(folder: str, name: str) -> str:
+    """A file in a folder, either of them a path or a URL."""
+    return f"{folder.rstrip('/')}/{name}" if is_url(folder) else str(Path(folder) / name)
+
+
+def byte_size(place: str) -> int:
+    """Bytes of a file; 0 if it is not there."""
+    try:
+        if not is_url(place):
+            return os.stat(place).st_size
+        system, path = file_system(place)
+        return int(system.size(path) or 0)
+    except Exception:  # what is wrong with it is said when it is read
+        return 0
+
+
+@runtime_checkable
+class Readable(Protocol):
+    """An open file of any store."""
+
+    def read(self, size: int = -1, /) -> bytes: ...
+    def seek(self, offset: int, whence: int = 0, /) -> int: ...
+
+
+@contextmanager
+def opened(place: str) -> Iterator[Any]:
+    """A file opened for reading at any place of it: a Readable. Raises OSError."""
+    if not is_url(place):
+        with open(place, "rb") as stream:
+            yield stream
+        return
+    system, path = file_system(place)
+    with system.open(path, "rb") as stream:
+        yield stream
+
+
+@contextmanager
+def fetched(place: str) -> Iterator[str]:
+    """A local path of a file: its own, or that of a copy that is removed at the end. Raises OSError, ValueError."""
+    if not is_url(place):
+        yield place
+        return
+    system, path = file_system(place)
+    with tempfile.TemporaryDirectory(prefix="voodoo-") as folder:
+        local = os.path.join(folder, path.rstrip("/").rsplit("/", 1)[-1])
+        system.get_file(path, local)
+        yield local
+
+
+@contextmanager
+def delivered(folder: str) -> Iterator[Path]:
+    """A local folder for results, made if it is missing; for a URL what was written there is sent at the end, in the
+    order of writing. Raises OSError, ValueError."""
+    if not is_url(folder):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        yield Path(folder)
+        return
+    system, path = file_system(folder)
+    with tempfile.TemporaryDirectory(prefix="voodoo-") as made:
+        yield Path(made)
+        system.makedirs(path, exist_ok=True)
+        for file in sorted(Path(made).iterdir(), key=lambda file: file.stat().st_mtime_ns):
+            system.put_file(str(file), f"{path.rstrip('/')}/{file.name}")

@@ -1,0 +1,111 @@
+"""What became of a log, as replay reports it: small, so that thousands fit in memory; the tracks stay in their file."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from voodoo_jax.io.urls import fetched
+from voodoo_jax.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one log."""
+
+    path: str  # of the log, or its URL
+    npz: str = ""  # where its tracks are; empty: failed
+    frames: int = 0
+    tracked: float = 0.0  # share of the frames, 0..1
+    residual: float = math.nan  # mean over the frames, metres
+    size: str = ""  # what was found of the body, such as "stature 1.832 m"
+    seconds: float = 0.0  # of tracking, without reading, writing and compiling
+    compile_seconds: float = 0.0
+    total_seconds: float = 0.0  # all that was done for this log, 0 if it was skipped
+    picture: str = ""  # where a picture was drawn
+    error: str = ""
+    notes: tuple[str, ...] = field(default=())
+    skipped: bool = False  # an earlier run had done it already
+
+    @property
+    def ok(self) -> bool:
+        """Whether the log was read and somebody was tracked in it."""
+        return bool(self.npz) and self.tracked > 0
+
+    @property
+    def status(self) -> str:
+        """In a word or two."""
+        return "failed" if not self.npz else "tracked" if self.ok else "nothing tracked"
+
+    @property
+    def tracks(self) -> Tracks | None:
+        """The tracks, read from their file; None for a log that failed. Raises OSError if the file is gone."""
+        if not self.npz:
+            return None
+        from voodoo_jax.io.tracks_file import read_tracks_npz
+
+        with fetched(self.npz) as path:
+            return read_tracks_npz(path)
+
+    def __str__(self) -> str:
+        name = Path(self.path).name
+        if not self.npz:
+            return f"{name}: FAILED: {self.error}"
+        line = f"{name}: {self.frames} frames, {100 * self.tracked:.1f} % tracked, "
+        line += f"residual {1000 * self.residual:.1f} mm, {self.size}"
+        if self.skipped:
+            line = f"{name}: skipped, finished before: " + line.removeprefix(f"{name}: ")
+        elif self.seconds > 0:
+            line += f", {self.frames / self.seconds:.0f} frames/s"
+            if self.compile_seconds > 0.5:
+                line += f" after {self.compile_seconds:.0f} s of compiling"
+        if self.picture:
+            line += f", picture {self.picture}"
+        if not self.ok:
+            line += "; NOTHING TRACKED"
+        # what an earlier run has said it need not say again
+        return "\n".join([line, *(f"    {note}" for note in self.notes if not self.skipped)])
+
+    def row(self) -> dict[str, Any]:
+        """The outcome for replay.jsonl: numbers that are not finite become null."""
+        return {
+            "log": self.path,
+            "status": self.status,
+            "skipped": self.skipped,
+            "frames": self.frames,
+            "tracked": round(self.tracked, 6),
+            "residual_m": round(self.residual, 6) if math.isfinite(self.residual) else None,
+            "body": self.size,
+            "seconds": round(self.seconds, 3),
+            "compile_seconds": round(self.compile_seconds, 3),
+            "total_seconds": round(self.total_seconds, 3),
+            "tracks": self.npz,
+            "error": self.error,
+            "notes": list(self.notes),
+        }
+
+
+def outcome_of(path: str, npz: str, tracks: Tracks, **more: Any) -> Outcome:
+    """The outcome of a log that was tracked; `more` are other fields of Outcome."""
+    body, times = tracks.body, {"seconds": tracks.seconds, "compile_seconds": tracks.compile_seconds}
+    size = f"{body.scale_name} {float(body.scale):.3f} m"
+    return _of(path, npz, tracks.tracked, tracks.residual, size, notes=tracks.notes, **times, **more)
+
+
+def outcome_of_arrays(path: str, npz: str, data: Mapping[str, np.ndarray], **more: Any) -> Outcome:
+    """The same from the arrays of a tracks file."""
+    summary = json.loads(str(data["body_json"]))
+    scale = next(name for name in summary if name not in ("name", "segment_lengths"))
+    notes = tuple(str(note) for note in data["notes"])
+    size, seconds = f"{scale} {summary[scale]:.3f} m", float(data["seconds"])
+    return _of(path, npz, data["tracked"], data["residual"], size, notes=notes, seconds=seconds, **more)
+
+
+def _of(path: str, npz: str, tracked: np.ndarray, residual: np.ndarray, size: str, **more: Any) -> Outcome:
+    share = float(tracked.mean()) if len(tracked) else 0.0
+    mean = float(np.nanmean(residual)) if np.isfinite(residual).any() else math.nan
+    return Outcome(path, npz, len(tracked), share, mean, size, **more)

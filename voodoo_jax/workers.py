@@ -1,0 +1,179 @@
+"""Several logs at once on one machine: worker processes, each with its share of the cores.
+
+A process of its own per log that is being tracked, and not a thread: half of the time goes to NumPy and Python, which
+threads would have to take turns at, and two threads that run large programs at once on a small pool of XLA's threads
+can wait for each other for ever (seen with jax 0.10.2 on two cores). A worker that dies takes one log with it.
+"""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Generator
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import jax
+
+from voodoo_jax.jobs import Job, do_job, output_places, remove_partials
+from voodoo_jax.outcomes import Outcome
+
+Report = Callable[[int, float], None]  # number of the job, share that is done
+Results = Generator[tuple[int, Outcome], None, None]  # number of the job and what became of it
+WORKER_BYTES = 3 << 29  # what a worker may need: 1.5 GiB
+
+
+def usable_cores() -> int:
+    """Physical cores that this process may use: affinity and the container's quota are heeded."""
+    cpus = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
+    siblings = {_text(f"/sys/devices/system/cpu/cpu{n}/topology/thread_siblings_list") or str(n) for n in cpus}
+    quota = (_text("/sys/fs/cgroup/cpu.max") or "max 1").split()
+    most = int(quota[0]) // int(quota[1]) if quota[0].isdigit() else len(siblings)
+    return max(1, min(len(siblings), most))
+
+
+def default_workers(logs: int) -> int:
+    """As many workers as there are logs, cores, and memory for; one where jax computes on a GPU."""
+    if jax.default_backend() != "cpu":
+        return 1
+    lines = (_text("/proc/meminfo") or "").splitlines()
+    free = next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), 1 << 60)
+    return max(1, min(logs, usable_cores(), free // WORKER_BYTES))
+
+
+def _text(path: str) -> str:
+    try:
+        return Path(path).read_text().strip()
+    except OSError:
+        return ""
+
+
+def in_process(jobs: list[Job], report: Report) -> Results:
+    """Does the jobs here, one after the other, each with all cores. Gives the number of each job and its outcome."""
+    for number, job in enumerate(jobs):
+        yield number, do_job(job, lambda share, number=number: report(number, share))
+
+
+def in_workers(jobs: list[Job], report: Report, count: int) -> Results:
+    """Does the jobs in `count` processes, in their order. Gives number and outcome of each as it is done.
+
+    Ends the processes when the iterator is closed or interrupted.
+    """
+    waiting: SimpleQueue[tuple[int, Job] | None] = SimpleQueue()
+    events: SimpleQueue[tuple[int, float | Outcome]] = SimpleQueue()
+    for item in enumerate(jobs):
+        waiting.put(item)
+    for _ in range(count):
+        waiting.put(None)
+    threads_each = max(1, usable_cores() // count)
+    workers = [_Worker(threads_each, waiting, events) for _ in range(count)]
+    try:
+        left = len(jobs)
+        while left:
+            try:
+                number, news = events.get(timeout=1)  # not for ever: Ctrl-C must be heard everywhere
+            except Empty:
+                continue
+            if isinstance(news, Outcome):
+                left -= 1
+                yield number, news
+            else:
+                report(number, news)
+    finally:
+        for worker in workers:
+            worker.stop(at_once=left > 0)
+
+
+class _Worker:
+    """A thread that keeps one worker process busy, and starts another where it dies."""
+
+    def __init__(self, threads: int, waiting: SimpleQueue, events: SimpleQueue):
+        self.threads, self.waiting, self.events = threads, waiting, events
+        self.stopped = False
+        self.process = self._start()
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+
+    def _start(self) -> "subprocess.Popen[bytes]":
+        self.ready, share = False, str(self.threads)
+        names = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+        path = os.pathsep.join(p for p in sys.path if p)  # the same package, however this process came to it
+        env = {**os.environ, **dict.fromkeys(names, share), "PYTHONPATH": path}
+        env.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # on a GPU: each takes what it needs, not most of it
+        command = [sys.executable, "-P", "-m", "voodoo_jax.worker_process"]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
+
+    def _run(self) -> None:
+        while not self.stopped and (item := self.waiting.get()) is not None:
+            number, job = item
+            if self.process.poll() is not None:
+                self._close()
+                self.process = self._start()
+            outcome = self._ask(number, job)
+            if not self.stopped:
+                self.events.put((number, outcome))
+        try:
+            _send(self.process, None)
+        except (OSError, ValueError):  # gone, or closed
+            pass
+
+    def _ask(self, number: int, job: Job) -> Outcome:
+        """The worker's answer, or what became of it."""
+        try:
+            _send(self.process, job)
+            while True:
+                kind, value = pickle.load(_pipe(self.process.stdout))
+                self.ready = True
+                if kind == "outcome":
+                    return value
+                if kind == "progress":
+                    self.events.put((number, value))
+        except (EOFError, OSError, pickle.UnpicklingError):
+            status = self._close()
+        for place in output_places(job.log, job.out):
+            remove_partials(Path(place))
+        return Outcome(job.log, error=_death(status, self.ready))
+
+    def stop(self, at_once: bool) -> None:
+        """Ends the process: whatever it does, or after its last job."""
+        if at_once:
+            self.stopped = True
+            self.process.kill()
+        self.thread.join()
+        self._close()
+
+    def _close(self) -> int:
+        """Waits for the end of the process; its exit status."""
+        status = self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout):
+            try:
+                _pipe(pipe).close()
+            except OSError:  # what was still to be sent
+                pass
+        return status
+
+
+def _pipe(pipe: Any) -> Any:
+    assert pipe is not None
+    return pipe
+
+
+def _send(process: "subprocess.Popen[bytes]", what: Job | None) -> None:
+    pipe = _pipe(process.stdin)
+    pipe.write(pickle.dumps(what))
+    pipe.flush()
+
+
+def _death(status: int, ready: bool) -> str:
+    """Why a worker that ended so has no answer, and what to try."""
+    if status < 0:
+        name = signal.Signals(-status).name if -status in list(signal.Signals) else f"signal {-status}"
+        killed = "if nobody did that, the machine ran out of memory: use fewer --workers"
+        why = killed if name == "SIGKILL" else "a library crashed: try the log alone with --workers 1"
+        return f"its worker process was ended by {name}; {why}. The other logs went on."
+    if not ready:
+        return f"its worker process did not start (exit status {status}): see above; --workers 1 does without"
+    return f"its worker process ended with exit status {status}: see above, and try the log alone with --workers 1"
