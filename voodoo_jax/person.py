@@ -351,6 +351,10 @@ def person_frames(frames: Iterable[Frame], finder: PersonFinder) -> Iterator[Per
     return (finder(frame) for frame in frames)
 
 
+AWAY = 0.55  # metres from the body's axis: not part of it
+BLOCK = 4_000_000  # cells times frames that are compared at once
+
+
 def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -> list[PersonFrame]:
     """Takes out what stayed in its place while the body came or went: furniture that the body touched.
 
@@ -372,14 +376,17 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
     which = which.ravel()
     middle = (unique + 0.5).astype(np.float32) * np.float32(0.1)
     middle -= (middle @ up)[:, None] * up
-    distance = np.linalg.norm(middle[:, None] - axis[seen][None], axis=2)  # [cell, frame]
-    occupied = np.zeros(distance.shape, bool)
-    occupied[which, frame_of] = True
-    away = distance > 0.55
-    share = (occupied & away).sum(1) / np.maximum(away.sum(1), 1)
-    here = np.where(occupied, distance, np.nan)
-    varied = np.nanmax(here, 1) - np.nanmin(here, 1) > 0.4
-    furniture = unique[varied & (share > 0.5) & (away.sum(1) >= 8)]
+    # where it was seen: per occurrence; where it could have been: per cell and frame, in blocks
+    distance = np.linalg.norm(middle[which] - axis[seen][frame_of], axis=1)
+    seen_away = np.bincount(which, distance > AWAY, len(unique))
+    nearest, farthest = np.full(len(unique), np.inf), np.zeros(len(unique))
+    np.minimum.at(nearest, which, distance)
+    np.maximum.at(farthest, which, distance)
+    away = np.zeros(len(unique), int)
+    for block in np.array_split(np.array(seen), max(1, len(seen) * len(unique) // BLOCK)):
+        away += (np.linalg.norm(middle[:, None] - axis[block][None], axis=2) > AWAY).sum(1)
+    share = seen_away / np.maximum(away, 1)
+    furniture = unique[(farthest - nearest > 0.4) & (share > 0.5) & (away >= 8)]
     if not len(furniture):
         return frames
     # the cells around too: noise at the faces

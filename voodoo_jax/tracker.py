@@ -69,8 +69,9 @@ def _compile_clock() -> float:
     return _compiling[0]
 
 
-# one frame's check for a chunk of frames
+# for a chunk of frames
 check_poses = eqx.filter_jit(eqx.filter_vmap(check, in_axes=(None, 0)))
+centres_of = eqx.filter_jit(eqx.filter_vmap(joint_centres, in_axes=(None, 0)))
 
 
 def track(
@@ -182,13 +183,10 @@ def track_person(
                 progress(end - first)
     out["residual"][out["status"] == Status.NO_DATA] = np.nan
     joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)
-    centres = jax.jit(jax.vmap(joint_centres, (None, 0)))
     for (first, body), end in zip(run.bodies, [*(at for at, _ in run.bodies[1:]), count]):
         absent = ~np.asarray(body.present)
         out["rotation"][first:end, absent], out["translation"][first:end, absent] = np.nan, np.nan
-        poses = Poses(jnp.asarray(out["rotation"][first:end]), jnp.asarray(out["translation"][first:end]))
-        joints[first:end] = centres(body, poses) if end > first else 0.0
-        _check(body, out, first, end, settings.track.chunk)
+        _look_at(body, out, joints, first, end, settings.track.chunk)
     compiling = _compile_clock() - compiled
     seconds = time.perf_counter() - began - compiling
     stamps = np.array([f.time_ns for f in people], np.int64)
@@ -226,15 +224,18 @@ def _both_ways(run: Session, out: dict[str, np.ndarray], cost: np.ndarray, first
         out[name][span] = np.where(taken.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
 
-def _check(body: Body, out: dict[str, np.ndarray], first: int, end: int, chunk: int) -> None:
-    """Fills in what is not plausible about the poses of some frames with one body."""
+def _look_at(body: Body, out: dict[str, np.ndarray], joints: np.ndarray, first: int, end: int, chunk: int) -> None:
+    """Fills in the joints of some frames with one body, and what is not plausible about their poses."""
     for at in range(first, end, chunk):
         span = slice(at, min(at + chunk, end))
-        pad = ((0, chunk - (span.stop - at)), (0, 0), (0, 0))  # one program for every length
-        odd = check_poses(body, Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad)))
+        count = span.stop - at
+        pad = ((0, chunk - count), (0, 0), (0, 0))  # one program for every length
+        poses = Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad))
+        joints[span] = np.asarray(centres_of(body, poses))[:count]
+        odd = check_poses(body, poses)
         there = np.any(np.isfinite(out["translation"][span]), (1, 2), keepdims=True)[:, 0]
         for name, found in (("beyond_limits", odd.beyond), ("depth_inside", odd.depth)):
-            out[name][span] = np.where(there, np.asarray(found)[: span.stop - at], np.nan)
+            out[name][span] = np.where(there, np.asarray(found)[:count], np.nan)
 
 
 def _implausible(body: Body, out: dict[str, np.ndarray]) -> list[str]:
