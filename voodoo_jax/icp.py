@@ -16,8 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 from voodoo_jax.body import Body, Links, Topology, bands
 from voodoo_jax.kernels.bands import link_moments, prior_moments
 from voodoo_jax.kernels.correspond import MatchOptions, Points, match, moments
-from voodoo_jax.kernels.coupled import coupled_step, pair_normals
-from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
+from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, pair_normals
+from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
 from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, compose, quat_normalize
@@ -78,21 +78,29 @@ def adjacency(topology: Topology) -> Bool[Array, "limb limb"]:
     return near.at[parents, children].set(True).at[children, parents].set(True)
 
 
-def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
-    """One ICP step: new poses of all limbs, and what was seen on entry.
+class Pulls(NamedTuple):
+    """All that pulls at the limbs in a pose, each limb's in its own frame."""
 
-    Every limb's problem is set up in its own frame on entry, so that the solve is for a small motion near the
-    origin: float32 keeps its digits wherever the person stands (pitfall P28).
-    """
+    info: StepInfo
+    measured: Float[Array, "limb 4 4"]  # sums over points of kernels.procrustes
+    second: Float[Array, "limb 3 3"]
+    named: FeatureSums | None
+    prior: Float[Array, "limb 4 4"]
+    prior_second: Float[Array, "limb 3 3"]
+    links: tuple[Links, ...]
+    strength: Float[Array, " limb"]
+
+
+def pulls_at(poses: Poses, problem: Problem) -> Pulls:
+    """Measurements, bands and prediction as sums, set up in each limb's frame: a solve is for a small motion near the
+    origin, and float32 keeps its digits wherever the person stands (pitfall P28)."""
     body, options = problem.body, problem.options
-    poses = Poses(quat_normalize(poses.rotation), poses.translation)
     found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
     measured, second = moments(found)
     limb_weight, squares, total = measured[:, 0, 0], found.squares(), jnp.sum(problem.points.weight)
     named = None
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)
-        measured = measured + named.moments
         limb_weight, squares = limb_weight + named.weight, squares + named.squares
         total = total + jnp.sum(problem.features.weight)
     total = jnp.maximum(total, 1e-6)
@@ -103,20 +111,35 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
         middle, poses, problem.predicted, options.prior * total, options.prior_radius
     )
     links = (problem.bands, *corrections(body, poses, options.plausible))
-    if options.solver == "coupled":
+    quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
+    info = StepInfo(quality, limb_weight)
+    return Pulls(info, measured, second, named, pull, pull_second, links, strength)
+
+
+def frame_normals(
+    poses: Poses, pulls: Pulls, damping: Float[Array, ""]
+) -> tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]:
+    """Normal matrix and right-hand side of all limbs' twists in a frame (see kernels.coupled)."""
+    normals, rhs = jax.vmap(pair_normals)(pulls.measured + pulls.prior, pulls.second + pulls.prior_second)
+    if pulls.named is not None:
         # the features' own normals: their moments hold motion along a line of sight too
-        fixed = measured if named is None else measured - named.moments
-        normals, rhs = jax.vmap(pair_normals)(fixed + pull, second + pull_second)
-        if named is not None:
-            normals, rhs = normals + named.normals, rhs + named.rhs
-        motion = coupled_step(links, poses, normals, rhs, strength, options.damping)
+        normals, rhs = normals + pulls.named.normals, rhs + pulls.named.rhs
+    return coupled_normals(pulls.links, poses, normals, rhs, pulls.strength, damping)
+
+
+def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
+    """One ICP step: new poses of all limbs, and what was seen on entry."""
+    poses = Poses(quat_normalize(poses.rotation), poses.translation)
+    pulls = pulls_at(poses, problem)
+    if problem.options.solver == "coupled":
+        motion = coupled_step(*frame_normals(poses, pulls, problem.options.damping))
     else:
-        held = sum(link_moments(some, poses, strength) for some in links)
-        solved = jax.vmap(align)(measured + held + pull)
+        held = sum(link_moments(some, poses, pulls.strength) for some in pulls.links)
+        features = 0.0 if pulls.named is None else pulls.named.moments
+        solved = jax.vmap(align)(pulls.measured + features + held + pulls.prior)
         motion = solved.rotation, solved.translation
     moved = compose(poses, Poses(*motion))
-    quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
-    return Poses(quat_normalize(moved.rotation), moved.translation), StepInfo(quality, limb_weight)
+    return Poses(quat_normalize(moved.rotation), moved.translation), pulls.info
 
 
 def solve_frame(

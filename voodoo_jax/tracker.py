@@ -32,8 +32,11 @@ from voodoo_jax.settings import Settings
 from voodoo_jax.start import rest_height
 from voodoo_jax.tracking import State, cost_of, options_from
 from voodoo_jax.tracks import Status, Tracks
+from voodoo_jax.uncertainty import covariances
 
 Progress = Callable[[int], None]
+# what tracks take from each Step as it is
+SEEN = {name: name for name in ("residual", "explained", "steps", "limb_weight")} | {"limb_covariance": "covariance"}
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
 SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
 
@@ -132,6 +135,8 @@ def track_person(
         "limb_weight": np.zeros((count, limbs), np.float32),
         "beyond_limits": np.full((count, joint_count), np.nan, np.float32),
         "depth_inside": np.full((count, limbs), np.nan, np.float32),
+        "limb_covariance": np.full((count, limbs, 6, 6), np.nan, np.float32),
+        "joint_covariance": np.full((count, len(body.topology.centres), 3, 3), np.nan, np.float32),
     }
     cost, passages = np.zeros(count), []  # square metres; frames from one start to the next
     patience = settings.track.patience
@@ -161,8 +166,8 @@ def track_person(
         out["translation"][span] = step.poses.translation[:keep]
         out["status"][span] = status[:keep]
         cost[span], passages[-1][1] = np.asarray(cost_of(step))[:keep], at + keep
-        for name in ("residual", "explained", "steps", "limb_weight"):
-            out[name][span] = getattr(step, name)[:keep]
+        for name, field in SEEN.items():
+            out[name][span] = getattr(step, field)[:keep]
         at += keep
         state = after
         if keep < taken:
@@ -185,7 +190,8 @@ def track_person(
     joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)
     for (first, body), end in zip(run.bodies, [*(at for at, _ in run.bodies[1:]), count]):
         absent = ~np.asarray(body.present)
-        out["rotation"][first:end, absent], out["translation"][first:end, absent] = np.nan, np.nan
+        for name in ("rotation", "translation", "limb_covariance"):
+            out[name][first:end, absent] = np.nan
         _look_at(body, out, joints, first, end, settings.track.chunk)
     compiling = _compile_clock() - compiled
     seconds = time.perf_counter() - began - compiling
@@ -219,13 +225,13 @@ def _both_ways(run: Session, out: dict[str, np.ndarray], cost: np.ndarray, first
     lost_explained = run.settings.track.lost_explained
     status = status_of(step, lost_explained, run.named[span], run.featured[span])
     out["status"][span] = np.where(taken, status, out["status"][span])
-    for name in ("residual", "explained", "steps", "limb_weight"):
-        new, old = getattr(step, name), out[name][span]
+    for name, field in SEEN.items():
+        new, old = getattr(step, field), out[name][span]
         out[name][span] = np.where(taken.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
 
 def _look_at(body: Body, out: dict[str, np.ndarray], joints: np.ndarray, first: int, end: int, chunk: int) -> None:
-    """Fills in the joints of some frames with one body, and what is not plausible about their poses."""
+    """Fills in joints of some frames with one body, how sure they are, and what is not plausible about the poses."""
     for at in range(first, end, chunk):
         span = slice(at, min(at + chunk, end))
         count = span.stop - at
@@ -233,9 +239,13 @@ def _look_at(body: Body, out: dict[str, np.ndarray], joints: np.ndarray, first: 
         poses = Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad))
         joints[span] = np.asarray(centres_of(body, poses))[:count]
         odd = check_poses(body, poses)
-        there = np.any(np.isfinite(out["translation"][span]), (1, 2), keepdims=True)[:, 0]
-        for name, found in (("beyond_limits", odd.beyond), ("depth_inside", odd.depth)):
-            out[name][span] = np.where(there, np.asarray(found)[:count], np.nan)
+        twist = jnp.asarray(np.pad(out["limb_covariance"][span], (*pad, (0, 0))))
+        of_limbs, of_joints = covariances(body, poses, twist)
+        there = np.any(np.isfinite(out["translation"][span]), (1, 2))
+        for name, found in (("beyond_limits", odd.beyond), ("depth_inside", odd.depth),
+                            ("limb_covariance", of_limbs), ("joint_covariance", of_joints)):  # fmt: skip
+            found = np.asarray(found)[:count]
+            out[name][span] = np.where(there.reshape(-1, *[1] * (found.ndim - 1)), found, np.nan)
 
 
 def _implausible(body: Body, out: dict[str, np.ndarray]) -> list[str]:

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body
-from voodoo_jax.icp import IcpOptions, Problem, adjacency, solve_frame
+from voodoo_jax.icp import IcpOptions, Problem, adjacency, frame_normals, pulls_at, solve_frame
 from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling, match
+from voodoo_jax.kernels.coupled import twist_covariance
 from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions
 from voodoo_jax.pose import AnyArray, Poses, compose, inverse, quat_exp, quat_log, quat_multiply, quat_normalize
@@ -44,6 +45,7 @@ class Step(NamedTuple):
     limb_weight: Float[Array, " limb"]
     steps: Int[Array, ""]
     points: Int[Array, ""]
+    covariance: Float[Array, "limb 6 6"]  # of each limb's twist, for unit variance per unit of weight (kernels.coupled)
 
 
 def cost_of(step: Step) -> Float[AnyArray, "*frame"]:
@@ -143,7 +145,9 @@ def track_frame(
     moving = (seconds > 0) & good
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
-    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count)
+    full, _ = frame_normals(poses, pulls_at(poses, problem), icp.damping)
+    covariance = twist_covariance(full)
+    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count, covariance)
     return State(poses, spin, velocity), step
 
 

@@ -38,6 +38,8 @@ class Tracks:
     limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
     beyond_limits: Float32[np.ndarray, "frame bodyjoint"] | None = None  # of `body.topology.joints`, radians; 0: within
     depth_inside: Float32[np.ndarray, "frame limb"] | None = None  # in another limb, more than in the rest pose; metres
+    limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None  # turn (rad), shift (m) in the limb's frame
+    joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None  # of `joints`, square metres; uncertainty.py
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())

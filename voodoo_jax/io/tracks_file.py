@@ -16,7 +16,7 @@ from voodoo_jax.tracks import Tracks
 FRAME_ARRAYS = (
     "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",
 )  # fmt: skip
-PLAUSIBILITY = ("beyond_limits", "depth_inside")
+MORE_ARRAYS = ("beyond_limits", "depth_inside", "limb_covariance", "joint_covariance")  # where they were found
 
 
 class TracksFileError(ValueError):
@@ -28,8 +28,9 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
 
     Keys: time_ns, joint_names, joints, tracked, body_json (name, stature or what the body's scale is called,
     segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
-    body_joint_names, beyond_limits (radians), depth_inside (metres), fixed_frame, source, seconds, notes, body_toml;
-    run_key if one is given (see finished.py).
+    body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
+    limb frame), joint_covariance (square metres, fixed frame; see uncertainty.py), fixed_frame, source, seconds, notes,
+    body_toml; run_key if one is given (see finished.py).
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
@@ -39,7 +40,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
         "segment_lengths": segment_lengths(body),
     }
     arrays: dict[str, Any] = {name: getattr(tracks, name) for name in FRAME_ARRAYS}
-    arrays |= {name: value for name in PLAUSIBILITY if (value := getattr(tracks, name)) is not None}
+    arrays |= {name: value for name in MORE_ARRAYS if (value := getattr(tracks, name)) is not None}
     arrays |= {
         "tracked": tracks.tracked,
         "joint_names": np.array(body.topology.centres, np.str_),
@@ -81,7 +82,7 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
         fixed_frame=str(data["fixed_frame"]),
         body=body,
         **{name: data[name] for name in FRAME_ARRAYS},
-        **{name: data[name] for name in PLAUSIBILITY if name in data},
+        **{name: data[name] for name in MORE_ARRAYS if name in data},
         seconds=float(data.get("seconds", 0.0)),
         notes=tuple(str(note) for note in data.get("notes", ())),
     )

@@ -64,15 +64,15 @@ def _add_links(links: Links, poses: Poses, strength, h, g):
     return h, g.at[one].add(along(j1, gap)).at[two].add(-along(j2, gap))
 
 
-def coupled_step(
+def coupled_normals(
     links: tuple[Links, ...],
     poses: Poses,
     normals: Float[Array, "limb 6 6"],
     rhs: Float[Array, "limb 6"],
     strength: Float[Array, " limb"],
     damping: Float[Array, ""],
-) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
-    """Motions of all limbs, each in its own frame: unit quaternions and shifts (metres).
+) -> tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]:
+    """Normal matrix of all limbs' twists (turn, shift; each in its limb's frame), damped, and the right-hand side.
 
     **Arguments:** `normals, rhs` of each limb's own pairs; `strength` what a linked pair of weight 1 weighs on a limb,
     a link takes the mean of its two; `damping` added to the diagonal, as a share of each limb's mean diagonal.
@@ -85,10 +85,33 @@ def coupled_step(
         h, g = _add_links(some, poses, strength, h, g)
     full = h.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count)
     own = jax.vmap(lambda k: jnp.trace(h[k, k]) / 6)(limbs)
-    full = full + jnp.diag(jnp.repeat(damping * own + 1e-9, 6))
-    twist = cho_solve(cho_factor(full, lower=True), g.reshape(-1)).reshape(count, 6)
+    return full + jnp.diag(jnp.repeat(damping * own + 1e-9, 6)), g
+
+
+def coupled_step(
+    full: Float[Array, "limb6 limb6"], rhs: Float[Array, "limb 6"]
+) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
+    """Motions of all limbs, each in its own frame: unit quaternions and shifts (metres). See coupled_normals."""
+    twist = cho_solve(cho_factor(full, lower=True), rhs.reshape(-1)).reshape(rhs.shape)
     # a first step from far away may ask for more than the linearisation is good for
     turn = twist[:, :3]
     angle = jnp.sqrt(jnp.sum(turn * turn, -1, keepdims=True) + 1e-12)
     turn = turn * jnp.minimum(1.0, 0.5 / angle)
     return quat_exp(turn), twist[:, 3:]
+
+
+def twist_covariance(full: Float[Array, "limb6 limb6"]) -> Float[Array, "limb 6 6"]:
+    """Covariance of each limb's twist (turn, shift; limb frame) for measurements of unit variance per unit of weight:
+    the limb's block of the inverse of the normal matrix, so that what the other limbs leave open counts."""
+    count = full.shape[0] // 6
+    inverse = cho_solve(cho_factor(full, lower=True), jnp.eye(full.shape[0], dtype=full.dtype))
+    limbs = jnp.arange(count)
+    return inverse.reshape(count, 6, count, 6)[limbs, :, limbs]
+
+
+def point_covariance(twist: Float[Array, "6 6"], pose: Poses, point: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Covariance in the world frame of a point of a limb (limb frame, metres) from that of the limb's twist."""
+    turn = matrix(pose.rotation)
+    slope = jnp.concatenate([-_cross(point), jnp.eye(3, dtype=point.dtype)], -1)
+    local = jnp.matmul(jnp.matmul(slope, twist, precision="highest"), slope.T, precision="highest")
+    return jnp.matmul(jnp.matmul(turn, local, precision="highest"), turn.T, precision="highest")
