@@ -29,9 +29,11 @@ from voodoo_jax.fit_objective import UserLoss
 from voodoo_jax.fit_parameters import parameters
 from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.fit_user import minimised
+from voodoo_jax.person import PersonFrame
 from voodoo_jax.recording import Recording
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracking import options_from
+from voodoo_jax.tracks import Tracks
 
 SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
 
@@ -130,7 +132,7 @@ def fit(
     before, after = whole.sums(np.zeros(size)), whole.sums(progress.x)
     first = [next(p for p in search.parts if p.person == k) for k in range(len(search.rows))]
     bodies = tuple(search.body(progress.x, p) for p in first)
-    judged = tuple(_judged(search, part, k, progress.x, before, after) for k, part in enumerate(search.parts))
+    judged = tuple(_judged(search, part, k, progress.x, before, after) for k, part in enumerate(whole.parts))
     return Fit(
         bodies[0], bodies, tuple(p.body for p in first), _all_names(search, len(first)), progress.x, sd, search.sd,
         progress.losses, progress.done, judged, options,
@@ -151,11 +153,25 @@ def prepared_search(
 
     seen = []
     for log in logs:
-        source = log if isinstance(log, Recording) else open_log(log, settings.read)
+        if isinstance(log, Recording):
+            source, frames = log, iter(log)
+        else:
+            source = open_log(log, settings.read)
+            frames = source.frames()
         tell(f"tracking {Path(source.path).name}")
-        frames = log if isinstance(log, Recording) else source.frames()  # pyright: ignore[reportAttributeAccessIssue]
         scene, people = find_person(frames, source.up, body, settings)
         seen.append((track_person(body, scene, people, settings, source.path, source.fixed_frame), people))
+    return search_of(seen, settings, options, truths)
+
+
+def search_of(
+    seen: Sequence[tuple[Tracks, list[PersonFrame]]],
+    settings: Settings,
+    options: FitSettings,
+    truths: Sequence[Truth | str | os.PathLike[str] | None] = (),
+) -> Search:
+    """The same from tracks and the frames that they were found in."""
+    body = seen[0][0].body
     names = tuple(sorted({n for _, people in seen for n in feature_names(people, body.topology, settings.features)}))
     free = parameters(body, options.free, names, options.mirrored)
     persons = [0 if options.persons == "one" else k for k in range(len(seen))]

@@ -1,4 +1,4 @@
-"""The frames that a fit looks at: chosen from tracked recordings, each cut in two: one part to solve on, one to judge by.
+"""The frames that a fit looks at, chosen from tracked recordings: one part of each to solve on, one to judge by.
 
 Host side. Which frames and points are chosen depends on the recording alone: the same on every run.
 """
@@ -12,7 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64, Int, Int64
+from scipy.spatial.transform import Rotation
 
 from voodoo_jax.batch import FEATURE_BUCKETS, V1_NAMES, FeatureNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Topology
@@ -26,6 +27,7 @@ from voodoo_jax.tracks import Tracks
 
 BLOCKS, EVERY = 8, 4  # the chosen frames are cut into so many runs of time; every so many-th is held out
 HALF_FRAME_NS = 17_000_000  # a truth further away in time belongs to another frame
+ALIKE = 0.2  # radians: a limb in frames whose angles differ by less is seen alike
 WELL = 1.5  # times the median residual: frames above it are not well tracked
 
 
@@ -142,7 +144,32 @@ def fit_frames(
         known=None if known is None else jnp.asarray(np.isfinite(known).all(-1)),
         log=jnp.full(count, log, jnp.int32),
         weight=jnp.asarray(np.arange(count) < len(at), jnp.float32),
+        news=jnp.asarray(news(tracks, people, at, count), jnp.float32),
     )
+
+
+def news(
+    tracks: Tracks, people: list[PersonFrame], at: Int[np.ndarray, " chosen"], count: int
+) -> Float64[np.ndarray, "frame limb"]:
+    """What each chosen frame says of each limb that the others do not say, 0..1; zero for padding.
+
+    Where a person differs from cylinders, she does so again in every frame in which the limb is seen alike: such frames
+    share one vote. Alike: the same angles to the limbs it hangs together with and to the line of sight.
+    """
+    t = tracks.body.topology
+    axes = Rotation.from_quat(tracks.rotation[at].reshape(-1, 4), scalar_first=True).apply([0.0, 0.0, 1.0])
+    axes = axes.reshape(len(at), -1, 3)
+    origins = np.stack([people[i].origins.mean(0) for i in at])
+    sight = origins[:, None] - tracks.translation[at]
+    sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+    between = lambda a, b: np.arccos(np.clip(np.sum(a * b, -1), -1, 1))  # noqa: E731
+    out = np.zeros((count, len(t.limbs)))
+    for limb in range(len(t.limbs)):
+        near = [p if c == limb else c for p, c in zip(t.parents, t.children) if limb in (p, c)]
+        angles = np.stack([between(axes[:, limb], v) for v in (sight[:, limb], *(axes[:, n] for n in near))], -1)
+        apart = np.sum((angles[:, None] - angles[None]) ** 2, -1)
+        out[: len(at), limb] = 1 / np.exp(-apart / (2 * ALIKE**2)).sum(1)
+    return out
 
 
 def _truth_at(truth: Truth, stamps: list[int], topology: Topology, count: int) -> np.ndarray:

@@ -23,7 +23,8 @@ from voodoo_jax.icp import IcpOptions
 from voodoo_jax.io.atomic import replacing
 from voodoo_jax.pose import Poses
 
-GAIN = 3e-3  # a step that gains less of the cost is the last
+GAIN = 3e-3  # a step that gains less of the loss is the last
+SLACK = 0.01  # a step may lose so much: points change limbs on the way, and the loss jumps a little
 FEWEST = 6  # frames of a log that must be at rest
 
 
@@ -133,6 +134,17 @@ class Search:
             poses.append(found.poses)
         return Sums(loss, slope, curve, tuple(rest), tuple(costs), tuple(poses))
 
+    def gain(self, x: np.ndarray, other: np.ndarray, here: Sums, there: Sums) -> float:
+        """By how much the loss is smaller at `other`, in frames that are at rest at both."""
+        out = 0.5 * float(np.sum((x / self.sd) ** 2) - np.sum((other / self.sd) ** 2))
+        for k, part in enumerate(self.parts):
+            both = here.at_rest[k] & there.at_rest[k]
+            share = float(np.asarray(part.frames.weight).sum()) / max(both.sum(), 1) * (POINT_SD / self.noise) ** 2
+            out += share * float((here.costs[k] - there.costs[k])[both].sum())
+            if self.objective == "held":
+                out += 0.5 * (self.height(x, part)[0] ** 2 - self.height(other, part)[0] ** 2)
+        return out
+
     def body(self, x: Float64[np.ndarray, " all"], part: Part) -> Body:
         """A recording's body at x."""
         return changed(part.body, self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32)))
@@ -151,13 +163,12 @@ def run_search(
         # at most one and a half usual deviations at once: matches change on the way
         step *= min(1.0, 1.5 / max(float(np.max(np.abs(step) / search.sd)), 1e-9))
         there = search.sums(progress.x + step, sums.poses)
-        gain = sums.loss - there.loss
-        if gain > 0:
-            small = gain < GAIN * sums.loss
-            progress = replace(progress, x=progress.x + step, damping=max(progress.damping / 5, 1e-6), done=small)
+        gain = search.gain(progress.x, progress.x + step, sums, there)
+        if gain > -SLACK * sums.loss:
+            small = abs(gain) < GAIN * sums.loss or float(np.max(np.abs(step) / search.sd)) < 0.03
+            progress = replace(progress, x=progress.x + step, damping=max(progress.damping / 5, 1e-3), done=small)
             sums = there
         else:
-            # frames that come and go make the loss jump a little: no gain by a short step is the end
             progress = replace(progress, damping=max(progress.damping, 1e-2) * 10, done=progress.damping > 1)
         progress = replace(progress, step=progress.step + 1, losses=(*progress.losses, sums.loss))
         if say is not None:

@@ -23,8 +23,9 @@ from voodoo_jax.kernels.features import Features, named_points
 from voodoo_jax.pose import Poses, rotate
 
 # Standard deviations of one measurement. Points: a person's surface is 2 cm from cylinders, and that error is
-# common to a patch of skin, not to a point; so a limb counts as few independent measurements a frame, not as its points.
+# common to a patch of skin, not to a point; so a limb counts as so many measurements a frame, not as its points.
 POINT_SD, PER_LIMB = 0.02, 1.0  # metres; independent measurements of each limb in each frame
+FEW = 10.0  # points of a limb with which it counts half
 RAY_SD = 0.03  # metres: a detector's point from the body's, across the line of sight
 JOINT_SD = 0.03  # metres: tracked joints from the truth
 SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) count nothing
@@ -44,6 +45,7 @@ class FitFrames(eqx.Module):
     known: Bool[Array, "frame centre"] | None  # where there is a truth
     log: Int[Array, " frame"]  # which recording
     weight: Float[Array, " frame"]  # 0: padding
+    news: Float[Array, "frame limb"]  # what the frame says of a limb that no other frame says, 0..1
 
 
 class FrameTerms(NamedTuple):
@@ -100,9 +102,10 @@ def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: P
     found = match_assigned(body.sizes, poses, frame.held, limbs, matching)
     there = found.weight[0] > 0
     gap = jnp.stack([jnp.where(there, p - c, 0.0) for p, c in zip(found.data, found.model)], -1)
-    # a limb counts as PER_LIMB independent measurements, however many points show it
-    share = PER_LIMB * body.limb_count / jnp.maximum(jnp.sum(there), 1)
-    return (_robust(gap, ROBUST) * jnp.sqrt(share) / POINT_SD).reshape(-1)
+    # a limb counts as PER_LIMB independent measurements, however many points show it, but less if these are few
+    count = jax.ops.segment_sum(there.astype(gap.dtype), limbs, body.limb_count + 1)
+    share = PER_LIMB * jnp.append(frame.news, 0.0) / (count + FEW)
+    return (_robust(gap, ROBUST) * jnp.sqrt(share)[limbs][:, None] / POINT_SD).reshape(-1)
 
 
 def _closest(sizes, poses: Poses, frame: FitFrames, options: IcpOptions, body: Body) -> Int[Array, " point"]:

@@ -40,6 +40,9 @@ WORDS = {  # what people say -> patterns of names
 SETTINGS = ("ratio", "floor", "prior", "robust_scale")  # of SolveSettings
 
 
+Entry = tuple[str, int, tuple[int, ...], float, str]
+
+
 class Changes(NamedTuple):
     """What a parameter vector says, quantity by quantity; all zero: nothing changes."""
 
@@ -77,9 +80,10 @@ def _plain(name: str) -> str:
     return name[2:] if name[:2] in ("l_", "r_") else name
 
 
-def _all_names(topology: Topology, features: tuple[str, ...], body: Body) -> list[tuple[str, int, tuple, float, str]]:
+def _all_names(topology: Topology, features: tuple[str, ...], body: Body) -> list[Entry]:
     """Name, field of Changes, index in it, sign under mirroring, prior's key, of everything that can be free."""
-    t, out = topology, [("scale", 0, (), 1.0, "scale")]
+    t = topology
+    out: list[Entry] = [("scale", 0, (), 1.0, "scale")]
     for i, limb in enumerate(t.limbs):
         if i in t.held:
             continue
@@ -118,7 +122,7 @@ def parameters(
                 f"free parameter '{pattern}': this body has nothing of that name; "
                 f"say one of {groups}, or a pattern of names such as {examples}"
             )
-    rows: dict[str, list] = {}
+    rows: dict[str, list[Entry]] = {}
     for entry in known:
         if any(_named(entry[0], p) for p in patterns):
             name = entry[0]

@@ -155,8 +155,8 @@ def balance_slope(
     strength_by_own = by_weight[:, None] * weight_by_own
     for links in _links(poses, problem):
         ends = jnp.stack([links.first, links.second], 1)
-        one = lambda *args: _force_slope(*args, problem.options.solver)  # noqa: E731
-        here, by_ends = jax.vmap(one)(links, poses[ends], strength[ends], strength_by_own[ends])
+        one = jax.vmap(_force_slope, (0, 0, 0, 0, None))
+        here, by_ends = one(links, poses[ends], strength[ends], strength_by_own[ends], problem.options.solver)
         force = force.at[ends].add(here)
         slope = slope.at[ends[:, :, None], ends[:, None, :]].add(by_ends.transpose(0, 1, 3, 2, 4))
     slope = slope.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count)

@@ -50,8 +50,8 @@ def minimised(
 
     z = jnp.asarray(progress.x / search.sd, jnp.float32)
     solver = optx.BFGS(rtol=1e-3, atol=1e-3)
-    shape = jax.eval_shape(function, z, None)
-    state = solver.init(function, z, None, {}, *shape, frozenset())
+    value, aux = jax.eval_shape(function, z, None)
+    state = solver.init(function, z, None, {}, value, aux, frozenset())
     step = eqx.filter_jit(lambda z, state: solver.step(function, z, None, {}, state, frozenset()))
     ended = eqx.filter_jit(lambda z, state: solver.terminate(function, z, None, {}, state, frozenset()))
     if not progress.losses:

@@ -55,8 +55,8 @@ def report_text(fit: "Fit") -> str:
     rows = []
     for j in fit.judged:
         for word, mask in (("fitted", ~j.held), ("held out", j.held)):
-            values = (np.nanmean(v[mask]) if np.isfinite(v[mask]).any() else np.nan
-                      for v in (j.before, j.after, j.joints_before, j.joints_after))  # fmt: skip
+            columns = [v[mask] for v in (j.before, j.after, j.joints_before, j.joints_after)]
+            values = [float(np.nanmean(v)) if np.isfinite(v).any() else float("nan") for v in columns]
             rows.append([f"{j.name}, {word}", str(int(np.isfinite(j.after[mask]).sum())), *map(_cm, values)])
     head = ["frames", "at rest", "before, cm", "after, cm", "joints before, cm", "joints after, cm"]
     out += ["## Before and after\n", _table(head, rows)]
