@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from voodoo_jax.body import Body as Body
+    from voodoo_jax.body import joint_centres as joint_centres
     from voodoo_jax.changes import attach as attach
     from voodoo_jax.fit_body import fit as fit
     from voodoo_jax.fit_settings import FitSettings as FitSettings
@@ -52,6 +53,7 @@ _PUBLIC = {
     "attach": ("changes", "attach"),
     "fit": ("fit_body", "fit"),
     "human": ("io.body_file", "human"),
+    "joint_centres": ("body", "joint_centres"),
     "load_body": ("io.body_file", "load_body"),
     "preset": ("settings", "preset"),
     "read_body": ("io.body_file", "read_body"),

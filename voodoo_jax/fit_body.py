@@ -79,6 +79,7 @@ class Fit:
         return [n for n, s, p in zip(self.names, self.sd, self.prior_sd) if s > 0.9 * p]
 
 
+TruthLike = Truth | str | os.PathLike[str] | None
 Log = str | os.PathLike[str] | Recording
 
 
@@ -87,7 +88,7 @@ def fit(
     logs: Sequence[Log],
     settings: Settings | None = None,
     options: FitSettings | None = None,
-    truths: Sequence[Truth | str | os.PathLike[str] | None] = (),
+    truths: Sequence[TruthLike] = (),
     loss: UserLoss | None = None,
     state: str | os.PathLike[str] | None = None,
     say: Callable[[str, Progress | None], None] | None = None,
@@ -106,14 +107,32 @@ def fit(
     if truths and len(truths) != len(logs):
         raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
     tell = say or (lambda what, progress: None)
-    search = prepared_search(body, logs, settings, options, truths, lambda what: tell(what, None))
+    seen = tracked(body, logs, settings, lambda what: tell(what, None))
+    return fit_tracked(seen, settings, options, truths, loss, state, say)
+
+
+def fit_tracked(
+    seen: Sequence[tuple[Tracks, list[PersonFrame]]],
+    settings: Settings,
+    options: FitSettings,
+    truths: Sequence[TruthLike] = (),
+    loss: UserLoss | None = None,
+    state: str | os.PathLike[str] | None = None,
+    say: Callable[[str, Progress | None], None] | None = None,
+    judge: Sequence[TruthLike] = (),
+) -> Fit:
+    """The same from tracks and the frames that they were found in; `judge` truths that only the report looks at."""
+    tell = say or (lambda what, progress: None)
+    search = search_of(seen, settings, options, truths or judge)
+    if not truths:
+        search = replace(search, objective="held")
     whole = search
     search = replace(
         search,
         parts=tuple(p._replace(frames=with_weight(p.frames, ~held_out(len(p.frames.weight)))) for p in search.parts),
     )
     size = len(search.sd)
-    mark = _fingerprint(search, options, [str(log.path if isinstance(log, Recording) else log) for log in logs])
+    mark = _fingerprint(search, options)
     progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(size))
 
     def step_done(now: Progress) -> None:
@@ -139,15 +158,10 @@ def fit(
     )  # fmt: skip
 
 
-def prepared_search(
-    body: Body,
-    logs: Sequence[Log],
-    settings: Settings,
-    options: FitSettings,
-    truths: Sequence[Truth | str | os.PathLike[str] | None] = (),
-    tell: Callable[[str], None] = lambda what: None,
-) -> Search:
-    """The logs tracked, their frames chosen, and what is free."""
+def tracked(
+    body: Body, logs: Sequence[Log], settings: Settings, tell: Callable[[str], None] = lambda what: None
+) -> list[tuple[Tracks, list[PersonFrame]]]:
+    """Every log tracked with the body, and the person's frames."""
     from voodoo_jax.io.mcap_log import open_log
     from voodoo_jax.tracker import find_person, track_person
 
@@ -161,16 +175,16 @@ def prepared_search(
         tell(f"tracking {Path(source.path).name}")
         scene, people = find_person(frames, source.up, body, settings)
         seen.append((track_person(body, scene, people, settings, source.path, source.fixed_frame), people))
-    return search_of(seen, settings, options, truths)
+    return seen
 
 
 def search_of(
     seen: Sequence[tuple[Tracks, list[PersonFrame]]],
     settings: Settings,
     options: FitSettings,
-    truths: Sequence[Truth | str | os.PathLike[str] | None] = (),
+    truths: Sequence[TruthLike] = (),
 ) -> Search:
-    """The same from tracks and the frames that they were found in."""
+    """The frames that are looked at, and what is free."""
     body = seen[0][0].body
     names = tuple(sorted({n for _, people in seen for n in feature_names(people, body.topology, settings.features)}))
     free = parameters(body, options.free, names, options.mirrored)
@@ -210,12 +224,12 @@ def _all_names(search: Search, persons: int) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _fingerprint(search: Search, options: FitSettings, logs: list[str]) -> str:
+def _fingerprint(search: Search, options: FitSettings) -> str:
     """What a saved search must agree in to be gone on with."""
     arrays = [np.asarray(v).tobytes() for p in search.parts for v in jax.tree.leaves((p.body, p.frames.points.xyz))]
     stop = repr(replace(options, iterations=0))
     return hashlib.sha256(
-        b"".join([*arrays, stop.encode(), "\n".join([*logs, *search.free.names]).encode()])
+        b"".join([*arrays, stop.encode(), "\n".join([*(p.name for p in search.parts), *search.free.names]).encode()])
     ).hexdigest()
 
 

@@ -2,35 +2,17 @@
 
 import sys
 from pathlib import Path
-from typing import Protocol
 
 from tqdm.auto import tqdm
 
+from voodoo_jax.cli import FitCommand
 from voodoo_jax.fit_body import fit
 from voodoo_jax.fit_frames import TruthError
 from voodoo_jax.fit_loop import FitError, Progress
-from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.io.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.io.fit_report import verdict, write_report
 from voodoo_jax.io.mcap_log import LogError
 from voodoo_jax.settings import Settings
-
-
-class Command(Protocol):
-    """What the command line says (cli.FitCommand)."""
-
-    @property
-    def logs(self) -> tuple[Path, ...]: ...
-    @property
-    def out(self) -> Path: ...
-    @property
-    def truth(self) -> tuple[Path, ...]: ...
-    @property
-    def overwrite(self) -> bool: ...
-    @property
-    def body(self) -> str: ...
-    @property
-    def fit(self) -> FitSettings: ...
 
 
 def outputs(out: Path, persons: int) -> list[Path]:
@@ -38,7 +20,7 @@ def outputs(out: Path, persons: int) -> list[Path]:
     return [out] if persons == 1 else [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, persons + 1)]
 
 
-def run_fit(command: Command, settings: Settings) -> int:
+def run_fit(command: FitCommand, settings: Settings) -> int:
     """0 if the body was written, 1 if the fit failed, 2 if it could not begin, 130 if it was interrupted."""
     bodies = outputs(command.out, 1 if command.fit.persons == "one" else len(command.logs))
     report, state = command.out.with_suffix(".md"), command.out.with_name(f".{command.out.name}.fit-state.npz")
