@@ -159,3 +159,26 @@ def test_fit_of_the_demo(tmp_path, capsys):
     assert "95 % interval" in text and "lengths.thigh" in text and "nan" not in text
     share = lambda b: segment_lengths(b)["thigh"] / float(b.scale)  # noqa: E731
     assert share(wrong) < share(fitted)
+
+
+def test_a_loss_of_ones_own():
+    """BFGS finds the thigh that a function asks for; priors pull a little; it goes on from where it stopped."""
+    from voodoo_jax.fit_loop import Part, Search
+    from voodoo_jax.fit_user import minimised
+    from voodoo_jax.settings import Settings
+    from voodoo_jax.tracking import options_from
+
+    chosen = parameters(BODY, ["lengths.thigh", "lengths.shank"])
+    row = BODY.topology.limbs.index("l_thigh")
+    wanted = 1.05 * float(BODY.sizes[row, 4])
+    settings = Settings()
+    icp = options_from(settings.solve, settings.track).icp
+    # the function does not look at the frames
+    part = Part("none", BODY, None, 0)  # pyright: ignore[reportArgumentType]
+    search = Search(chosen, (part,), icp, "held", (np.arange(2),), chosen.sd)
+    loss = lambda body, options, frames: 1e5 * (body.sizes[row, 4] - wanted) ** 2  # noqa: E731
+    heard: list[Progress] = []
+    first = minimised(search, loss, Progress(np.zeros(2)), 2, heard.append)
+    found = minimised(search, loss, first, 30, heard.append)
+    assert found.done and len(heard) == found.step and found.losses[-1] <= found.losses[0]
+    np.testing.assert_allclose(np.exp(found.x), [1.05, 1.0], atol=0.005)

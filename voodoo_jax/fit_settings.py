@@ -8,7 +8,7 @@ from typing import Literal
 class FitSettings:
     """What is fitted to what, and how long."""
 
-    free: tuple[str, ...] = ("scale", "lengths", "radii")
+    free: tuple[str, ...] = ("scale", "lengths", "radii", "joint centres")
     """What may change: scale, lengths, radii, "joint centres", bands, "measurement weights", or patterns of names such
     as lengths.*thigh, radii.chest.top, bands.*.weight, bands.*.axes.x, anchors.hip.y, solve.ratio."""
     mirrored: bool = True
@@ -24,7 +24,7 @@ class FitSettings:
     """ICP steps before the Newton steps, in each frame and each step of the fit."""
     iterations: int = 12
     """Most steps of the fit; it stops by itself before, where the loss falls by less than 0.3 %."""
-    noise: float = 0.02
+    noise: float = 0.01
     """How far a person's surface is from the body's cylinders (standard deviation, metres); smaller trusts the log more
     and the priors less."""
     looseness: float = 1.0

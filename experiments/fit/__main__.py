@@ -1,8 +1,8 @@
 """What fitting a body gives: python -m experiments.fit [RECORDINGS]
 
-Two tables, real.md and simulated.md. Real recordings: the body fitted to each from depth alone; segment lengths and stature against the
-truth, joint errors in frames that were held out, before and after. Simulated ones: a body whose limbs are 15 % off,
-with and without the camera's noise; how far lengths are from the simulated body's afterwards.
+Two tables, real.md and simulated.md. Real recordings: the body fitted to each from depth alone; segment lengths and
+stature against the truth, joint errors in frames that were held out, before and after. Simulated ones: a body whose
+limbs are 15 % off, with and without the camera's noise; how far lengths are from the simulated body's afterwards.
 """
 
 import json
@@ -59,7 +59,8 @@ def real(recordings: Path, every: int, frames: int, options: FitSettings) -> str
     mean = np.nanmean(numbers, 0) if numbers else np.zeros(9)
     head = [
         "recording", "segments before, cm", "after, cm", "stature before, cm", "after, cm",
-        "held out: distance before, cm", "after, cm", "held out: joints before, cm", "after, cm", "seconds", "frames at rest",
+        "held out: distance before, cm", "after, cm", "held out: joints before, cm", "after, cm",
+        "seconds", "frames at rest",
     ]  # fmt: skip
     return table(head, [*rows, ["**mean**", *_cells(mean), ""]])
 
