@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from voodoo_jax.body import Body as Body
+    from voodoo_jax.body import joint_centres as joint_centres
     from voodoo_jax.changes import attach as attach
+    from voodoo_jax.fit_body import fit as fit
+    from voodoo_jax.fit_settings import FitSettings as FitSettings
+    from voodoo_jax.fit_solution import solution as solution
+    from voodoo_jax.fit_user import solve_frames as solve_frames
     from voodoo_jax.io.body_file import human as human
     from voodoo_jax.io.body_file import load_body as load_body
     from voodoo_jax.io.body_file import read_body as read_body
@@ -40,12 +45,15 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "Body": ("body", "Body"),
     "Change": ("settings", "Change"),
+    "FitSettings": ("fit_settings", "FitSettings"),
     "LogError": ("io.mcap_log", "LogError"),
     "Recording": ("recording", "Recording"),
     "Settings": ("settings", "Settings"),
     "Tracks": ("tracks", "Tracks"),
     "attach": ("changes", "attach"),
+    "fit": ("fit_body", "fit"),
     "human": ("io.body_file", "human"),
+    "joint_centres": ("body", "joint_centres"),
     "load_body": ("io.body_file", "load_body"),
     "preset": ("settings", "preset"),
     "read_body": ("io.body_file", "read_body"),
@@ -55,6 +63,8 @@ _PUBLIC = {
     "save_picture": ("picture", "picture"),
     "show": ("picture", "show"),
     "smooth": ("smoothing", "smooth"),
+    "solution": ("fit_solution", "solution"),
+    "solve_frames": ("fit_user", "solve_frames"),
     "survey": ("io.mcap_log", "survey"),
     "track": ("tracker", "track"),
     "write_body": ("io.body_file", "write_body"),

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional, arg, subcommand
 
+from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.settings import (
     PRESETS,
     ReadSettings,
@@ -79,6 +80,29 @@ class Demo:
 
 
 @dataclass(frozen=True)
+class FitCommand:
+    """Fit a body's sizes (or joints, bands, weights of measurements) to recorded logs.
+
+    Tracks the logs, then changes the body until measurements that the poses were not solved on lie on it. Writes the
+    body file, and beside it a report (.md, .png) that says what changed, how sure that is, and whether it helps in
+    frames that were held out. Use it with `voodoo-jax replay LOG --body FILE`: the size is found anew, the proportions
+    are kept. Ctrl-C stops it; the same command goes on from there.
+    """
+
+    logs: Positional[tuple[Path, ...]] = ()
+    """MCAP logs."""
+    out: Path = Path("body.toml")
+    """Body file to write; with several persons -1, -2, ... is added to its name."""
+    truth: tuple[Path, ...] = ()
+    """Fit joint centres to these .npz files instead (time_ns, joints, joint_names), one for each log."""
+    overwrite: bool = False
+    """Replace files that exist."""
+    body: Annotated[str, arg(help=BODY_HELP)] = ""
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    fit: Annotated[FitSettings, arg(name="")] = field(default_factory=FitSettings)
+
+
+@dataclass(frozen=True)
 class Config:
     """Print the settings with their meanings, as a file for --config."""
 
@@ -90,6 +114,7 @@ Command = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Replay, subcommand("replay")]
     | Annotated[Info, subcommand("info")]
+    | Annotated[FitCommand, subcommand("fit")]
     | Annotated[Config, subcommand("config")]
 )
 
@@ -209,7 +234,11 @@ def main(argv: list[str] | None = None) -> int:
         return 130
 
 
-def _run(command: "Replay | Info | Demo | Config", base: Settings) -> int:
+def _run(command: "Replay | Info | Demo | Config | FitCommand", base: Settings) -> int:
+    if isinstance(command, FitCommand):
+        from voodoo_jax.fit_command import run_fit
+
+        return run_fit(command, base)
     if isinstance(command, Replay):
         return run_replay(command)
     if isinstance(command, Info):

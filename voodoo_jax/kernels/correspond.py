@@ -82,6 +82,15 @@ def _sensor_directions(poses: Poses, points: Points) -> tuple[Float[Array, "limb
     return local[..., 0], local[..., 1]
 
 
+def _near_body(sizes, poses, points: Points, options: MatchOptions, present) -> Bool[Array, " point"]:
+    """Points in the body's box, or known to be on the body."""
+    low, high = body_box(sizes, poses, options.body_enlarge, present)
+    near_body = in_box(low, high, points.xyz)
+    if points.limb is not None:
+        near_body |= points.limb != FREE
+    return near_body & (points.weight > 0)
+
+
 def match(
     sizes: Float[Array, "limb 5"],
     poses: Poses,
@@ -96,11 +105,7 @@ def match(
     (2007, Fig. 4).
     """
     present = jnp.ones(sizes.shape[0], bool) if present is None else present
-    low, high = body_box(sizes, poses, options.body_enlarge, present)
-    near_body = in_box(low, high, points.xyz)
-    if points.limb is not None:
-        near_body |= points.limb != FREE
-    near_body &= points.weight > 0
+    near_body = _near_body(sizes, poses, points, options, present)
     if options.overlap == "exclusive":
         return _match_closest(sizes, poses, points, near_body, present, options)
     x, y, z = points.xyz[:, 0], points.xyz[:, 1], points.xyz[:, 2]
@@ -118,6 +123,8 @@ def match(
     limbs = jnp.arange(sizes.shape[0])
     model, data, signed, box = jax.vmap(one_limb)(limbs, present, sizes, poses, to_x, to_y)
     chosen = resolve_overlap(options.overlap, box & near_body[None, :], signed, adjacent)
+    if options.sampling is not None:
+        chosen = _sampled(chosen, options.sampling)
     return _weigh(chosen, model, data, points.weight[None, :], options)
 
 
@@ -131,6 +138,14 @@ def _in_limb_box(limb, size, px, py, pz, points: Points, options: MatchOptions):
 
 def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     """The exclusive rule: distances to all limbs, then the pair of each point with its closest limb alone."""
+    limb = _closest_limb(sizes, poses, points, near_body, present, options)
+    found = match_assigned(sizes, poses, points, limb, options)
+    chosen = jnp.arange(sizes.shape[0])[:, None] == limb
+    return found._replace(weight=jnp.where(chosen, found.weight, 0.0))
+
+
+def _closest_limb(sizes, poses, points, near_body, present, options) -> Int[Array, " point"]:
+    """The closest limb of those in whose box a point is; the number of limbs where there is none."""
     x, y, z = points.xyz[:, 0], points.xyz[:, 1], points.xyz[:, 2]
     limbs = sizes.shape[0]
 
@@ -142,13 +157,41 @@ def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     signed = jax.vmap(one_limb)(jnp.arange(limbs), present, sizes, poses)
     nearest = jnp.min(signed, 0)
     # the first of equals; two minima are faster than one argmin
-    order = jnp.arange(limbs)[:, None]
-    winner = jnp.min(jnp.where(signed == nearest, order, limbs), 0)
-    chosen = (order == winner) & near_body & (nearest < jnp.inf)
+    winner = jnp.min(jnp.where(signed == nearest, jnp.arange(limbs)[:, None], limbs), 0)
+    winner = jnp.where(near_body & (nearest < jnp.inf), winner, limbs)
+    if options.sampling is None:
+        return winner
+    return jnp.where(_sampled(jnp.arange(limbs)[:, None] == winner, options.sampling).any(0), winner, limbs)
+
+
+def closest_limbs(
+    sizes: Float[Array, "limb 5"],
+    poses: Poses,
+    points: Points,
+    options: MatchOptions,
+    present: Bool[Array, " limb"],
+) -> Int[Array, " point"]:
+    """Which limb each point is matched to under the exclusive rule; the number of limbs where to none."""
+    near_body = _near_body(sizes, poses, points, options, present)
+    return _closest_limb(sizes, poses, points, near_body, present, options)
+
+
+def match_assigned(
+    sizes: Float[Array, "limb 5"],
+    poses: Poses,
+    points: Points,
+    limb: Int[Array, " point"],
+    options: MatchOptions,
+) -> Match:
+    """Pairs of points whose limbs are settled (see closest_limbs); of the limb axis of the weights 1 is left."""
+    x, y, z = points.xyz[:, 0], points.xyz[:, 1], points.xyz[:, 2]
+    order = jnp.arange(sizes.shape[0])[:, None]
+    # points of no limb take the last one's row, with weight zero
+    row = order == jnp.minimum(limb, sizes.shape[0] - 1)
     to_x, to_y = _sensor_directions(poses, points)
     rows = jnp.concatenate([poses.rotation, poses.translation, sizes, to_x, to_y], -1)
     # each point's row of the table by one product: much faster than a gather
-    mine = jnp.matmul(rows.T, (order == winner).astype(x.dtype), precision="highest")
+    mine = jnp.matmul(rows.T, row.astype(x.dtype), precision="highest")
     size = mine[7:12]
     px, py, pz = _into_limb(mine[:4], mine[4:7], x, y, z)
     surface = closest_point(size, px, py, pz, options.refine)
@@ -157,13 +200,12 @@ def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
         one = jax.nn.one_hot(points.sensor, sensors, axis=0, dtype=x.dtype)
         towards = [jnp.sum(mine[k : k + sensors] * one, 0) for k in (12, 12 + sensors)]
         surface = near_side(size, px, py, surface, *towards)
-    return _weigh(chosen, (surface.x, surface.y, surface.z), (px, py, pz), points.weight, options)
+    chosen = (limb < sizes.shape[0])[None]
+    return _weigh(chosen, (surface.x, surface.y, surface.z), (px, py, pz), points.weight[None], options)
 
 
 def _weigh(chosen, model, data, weight, options) -> Match:
-    """Point number reduction, maximum distance and robust weight (Geman-McClure) of the chosen pairs."""
-    if options.sampling is not None:
-        chosen = _sampled(chosen, options.sampling)
+    """Maximum distance and robust weight (Geman-McClure) of the chosen pairs."""
     d2 = sum((p - c) ** 2 for p, c in zip(data, model))
     # a ratio, so that an infinite scale gives exactly one
     robust = (1 / (1 + d2 / options.robust_scale**2)) ** 2

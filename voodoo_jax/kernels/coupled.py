@@ -36,7 +36,7 @@ def pair_normals(
     return h, jnp.concatenate([torque, p - c])
 
 
-def _add_links(links: Links, poses: Poses, strength, h, g):
+def add_links(links: Links, poses: Poses, strength, h, g):
     """Adds linked pairs to the normal matrix [limb, limb, 6, 6] and right-hand side [limb, 6]."""
     one, two = links.first, links.second
     r = matrix(poses.rotation)
@@ -82,7 +82,7 @@ def coupled_normals(
     h = jnp.zeros((count, count, 6, 6), normals.dtype).at[limbs, limbs].add(normals)
     g = rhs
     for some in links:
-        h, g = _add_links(some, poses, strength, h, g)
+        h, g = add_links(some, poses, strength, h, g)
     full = h.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count)
     own = jax.vmap(lambda k: jnp.trace(h[k, k]) / 6)(limbs)
     return full + jnp.diag(jnp.repeat(damping * own + 1e-9, 6)), g

@@ -1,0 +1,59 @@
+"""`voodoo-jax fit`: logs in, body file and report out."""
+
+import sys
+from pathlib import Path
+
+from tqdm.auto import tqdm
+
+from voodoo_jax.cli import FitCommand
+from voodoo_jax.fit_body import fit
+from voodoo_jax.fit_frames import TruthError
+from voodoo_jax.fit_loop import FitError, Progress
+from voodoo_jax.io.body_file import BodyFileError, load_body, write_body
+from voodoo_jax.io.fit_report import verdict, write_report
+from voodoo_jax.io.mcap_log import LogError
+from voodoo_jax.settings import Settings
+
+
+def outputs(out: Path, persons: int) -> list[Path]:
+    """The body files that a fit writes."""
+    return [out] if persons == 1 else [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, persons + 1)]
+
+
+def run_fit(command: FitCommand, settings: Settings) -> int:
+    """0 if the body was written, 1 if the fit failed, 2 if it could not begin, 130 if it was interrupted."""
+    bodies = outputs(command.out, 1 if command.fit.persons == "one" else len(command.logs))
+    report, state = command.out.with_suffix(".md"), command.out.with_name(f".{command.out.name}.fit-state.npz")
+    there = [p for p in (*bodies, report, report.with_suffix(".png")) if p.exists()]
+    if command.out.suffix != ".toml":
+        print(f"voodoo-jax fit: --out '{command.out}': name a body file, with the ending .toml", file=sys.stderr)
+        return 2
+    if there and not command.overwrite:
+        print(f"voodoo-jax fit: {there[0]} exists: name another --out, or say --overwrite", file=sys.stderr)
+        return 2
+    with tqdm(total=command.fit.iterations, unit="step", leave=False, disable=None) as bar:
+
+        def say(what: str, progress: Progress | None) -> None:
+            bar.set_description(what)
+            if progress is not None:
+                bar.n = progress.step
+                bar.set_postfix(loss=f"{progress.losses[-1]:.2f}" if progress.losses else "compiling")
+                bar.refresh()
+
+        try:
+            command.out.parent.mkdir(parents=True, exist_ok=True)
+            body = load_body(command.body or "human")
+            found = fit(body, command.logs, settings, command.fit, command.truth, state=state, say=say)
+        except KeyboardInterrupt:
+            print("voodoo-jax fit: interrupted; the same command goes on from the last step", file=sys.stderr)
+            return 130
+        except (BodyFileError, TruthError, FitError, LogError, ValueError, OSError) as problem:
+            print(f"voodoo-jax fit: {problem}", file=sys.stderr)
+            return 1 if isinstance(problem, (FitError, LogError)) and command.logs else 2
+    for fitted, path in zip(found.bodies, bodies):
+        write_body(fitted, path)
+    text, drawn = write_report(found, report)
+    state.unlink(missing_ok=True)
+    print(verdict(found.judged))
+    print(f"written: {', '.join(str(p) for p in (*bodies, text, drawn))}")
+    return 0

@@ -1,0 +1,210 @@
+"""The frames that a fit looks at, chosen from tracked recordings: one part of each to solve on, one to judge by.
+
+Host side. Which frames and points are chosen depends on the recording alone: the same on every run.
+"""
+
+import os
+import zipfile
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float64, Int, Int64
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.batch import FEATURE_BUCKETS, V1_NAMES, FeatureNames, bucket, pad_features, pad_frames
+from voodoo_jax.body import Topology
+from voodoo_jax.fit_objective import FitFrames
+from voodoo_jax.marker_sets import plain_name
+from voodoo_jax.person import PersonFrame
+from voodoo_jax.pose import Poses
+from voodoo_jax.recording import Pairs, Rays
+from voodoo_jax.settings import FeatureSettings
+from voodoo_jax.tracks import Tracks
+
+BLOCKS, EVERY = 8, 4  # the chosen frames are cut into so many runs of time; every so many-th is held out
+HALF_FRAME_NS = 17_000_000  # a truth further away in time belongs to another frame
+ALIKE = 0.2  # radians: a limb in frames whose angles differ by less is seen alike
+WELL = 1.5  # times the median residual: frames above it are not well tracked
+
+
+class Truth(NamedTuple):
+    """Known joint centres over time."""
+
+    time_ns: Int64[np.ndarray, " time"]
+    names: tuple[str, ...]
+    joints: Float64[np.ndarray, "time joint 3"]  # metres, in the fixed frame of the log; NaN: not known
+
+
+class TruthError(ValueError):
+    """A truth file that cannot be used."""
+
+
+def read_truth(path: str | os.PathLike[str]) -> Truth:
+    """Joint centres from an .npz with `time_ns`, `joints` [time, joint, 3] and `joint_names` (or `names`).
+
+    Raises TruthError.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            key = "joint_names" if "joint_names" in file else "names"
+            missing = [k for k in ("time_ns", "joints", key) if k not in file]
+            if missing:
+                raise TruthError(f"{path}: no array '{missing[0]}'; a truth has time_ns, joints and joint_names")
+            names = tuple(V1_NAMES.get(str(n), str(n)) for n in file[key])
+            stamps, joints = file["time_ns"].astype(np.int64), file["joints"].astype(np.float64)
+    except (OSError, ValueError, zipfile.BadZipFile) as problem:
+        if isinstance(problem, TruthError):
+            raise
+        raise TruthError(f"{path}: cannot be read as a truth: {problem}") from problem
+    if joints.shape != (len(stamps), len(names), 3):
+        raise TruthError(f"{path}: joints are {joints.shape}, but there are {len(stamps)} times and {len(names)} names")
+    return Truth(stamps, names, joints)
+
+
+def chosen_frames(tracks: Tracks, people: list[PersonFrame], count: int) -> np.ndarray:
+    """Up to `count` well tracked frames, evenly spread. Raises ValueError if there are fewer than eight."""
+    residual = np.where(tracks.tracked, tracks.residual, np.inf)
+    seen = np.array([len(f.points) >= 60 for f in people], bool)
+    good = (
+        np.flatnonzero((residual <= WELL * np.median(residual[tracks.tracked])) & seen) if tracks.tracked.any() else []
+    )
+    if len(good) < BLOCKS:
+        raise ValueError(
+            f"{tracks.source}: only {len(good)} frames are tracked well enough to fit to, {BLOCKS} are needed; "
+            "look at the log with voodoo-jax replay --picture"
+        )
+    return np.unique(np.asarray(good)[np.linspace(0, len(good) - 1, count).round().astype(int)])
+
+
+def held_out(count: int) -> Bool[np.ndarray, " frame"]:
+    """Which of the chosen frames no parameter is fitted to: whole runs of time, for neighbours are alike."""
+    return (np.arange(count) * BLOCKS // max(count, 1)) % EVERY == EVERY - 2
+
+
+def feature_names(people: list[PersonFrame], topology: Topology, settings: FeatureSettings) -> tuple[str, ...]:
+    """Names of the features of some frames that the body has a point for."""
+    names = FeatureNames(topology, settings)
+    found = sorted({name for f in people for name in (*f.rays.names, *f.pairs.names)})
+    return tuple(name for name in found if names.look_up(name))
+
+
+def fit_frames(
+    tracks: Tracks,
+    people: list[PersonFrame],
+    features: FeatureSettings,
+    names: tuple[str, ...],
+    count: int,
+    points: int,
+    truth: Truth | None = None,
+    log: int = 0,
+    markers: bool = False,
+) -> FitFrames:
+    """Frames of one recording, padded to `count`, each with up to `points` points to solve on and as many to judge by.
+
+    **Arguments:** `names` of the measurement weights that may be free; `log` number of the recording; `markers` named
+    places judge only, otherwise half of the features of a frame do.
+    """
+    at = chosen_frames(tracks, people, count)
+    solve, judge = [], []
+    for number, frame in enumerate(people[i] for i in at):
+        order = np.random.default_rng(frame.time_ns & 0xFFFFFFFFFFFF).permutation(len(frame.points))[: 2 * points]
+        parts = []
+        for k in (0, 1):
+            mask = np.zeros(len(frame.points), bool)
+            mask[order[k::2]] = True
+            rays = [i for i in range(len(frame.rays.names)) if (i + number) % 2 == k]
+            pairs = [i for i in range(len(frame.pairs.names)) if (k == 1 if markers else (i + number) % 2 == k)]
+            part = frame.only(mask)
+            parts.append(replace(part, rays=_some_rays(frame.rays, rays), pairs=_some_pairs(frame.pairs, pairs)))
+        solve.append(parts[0])
+        judge.append(parts[1])
+    sensors, capacity = len(people[0].origins), bucket(points)
+    table = FeatureNames(tracks.body.topology, features)
+    most = max((len(f.rays.names) + len(f.pairs.names) for f in people), default=0)
+    room = bucket(most, FEATURE_BUCKETS) if names else 0
+    choices = table.choices({name for f in people for name in (*f.rays.names, *f.pairs.names)})
+    numbered = FeatureNames(tracks.body.topology, features)
+    for row, name in enumerate(names, 1):
+        numbered.weights |= {name: float(row), V1_NAMES.get(name, name): float(row), plain_name(name): float(row)}
+    rows = pad_features([_unweighted(f) for f in solve], count, room, numbered, choices)
+    known = None if truth is None else _truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
+    poses = _padded(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)
+    return FitFrames(
+        points=pad_frames(solve, capacity, count, None, sensors).points,
+        held=pad_frames(judge, capacity, count, None, sensors).points,
+        features=pad_features(solve, count, room, table, choices),
+        held_features=pad_features(judge, count, room, table, choices),
+        feature_name=None if rows is None else jnp.maximum(rows.weight.astype(jnp.int32) - 1, 0),
+        poses=poses,
+        truth=None if known is None else jnp.asarray(np.nan_to_num(known), jnp.float32),
+        known=None if known is None else jnp.asarray(np.isfinite(known).all(-1)),
+        log=jnp.full(count, log, jnp.int32),
+        weight=jnp.asarray(np.arange(count) < len(at), jnp.float32),
+        news=jnp.asarray(news(tracks, people, at, count), jnp.float32),
+    )
+
+
+def news(
+    tracks: Tracks, people: list[PersonFrame], at: Int[np.ndarray, " chosen"], count: int
+) -> Float64[np.ndarray, "frame limb"]:
+    """What each chosen frame says of each limb that the others do not say, 0..1; zero for padding.
+
+    Where a person differs from cylinders, she does so again in every frame in which the limb is seen alike: such frames
+    share one vote. Alike: the same angles to the limbs it hangs together with and to the line of sight.
+    """
+    t = tracks.body.topology
+    axes = Rotation.from_quat(tracks.rotation[at].reshape(-1, 4), scalar_first=True).apply([0.0, 0.0, 1.0])
+    axes = axes.reshape(len(at), -1, 3)
+    origins = np.stack([people[i].origins.mean(0) for i in at])
+    sight = origins[:, None] - tracks.translation[at]
+    sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+    between = lambda a, b: np.arccos(np.clip(np.sum(a * b, -1), -1, 1))  # noqa: E731
+    out = np.zeros((count, len(t.limbs)))
+    for limb in range(len(t.limbs)):
+        near = [p if c == limb else c for p, c in zip(t.parents, t.children) if limb in (p, c)]
+        angles = np.stack([between(axes[:, limb], v) for v in (sight[:, limb], *(axes[:, n] for n in near))], -1)
+        apart = np.sum((angles[:, None] - angles[None]) ** 2, -1)
+        out[: len(at), limb] = 1 / np.exp(-apart / (2 * ALIKE**2)).sum(1)
+    return out
+
+
+def _truth_at(truth: Truth, stamps: list[int], topology: Topology, count: int) -> np.ndarray:
+    """Joint centres of the body at some times [count, centre, 3], metres; NaN where nothing is known."""
+    out = np.full((count, len(topology.centres), 3), np.nan)
+    for i, stamp in enumerate(stamps):
+        k = int(np.abs(truth.time_ns - stamp).argmin())
+        if abs(int(truth.time_ns[k]) - stamp) < HALF_FRAME_NS:
+            for j, name in enumerate(truth.names):
+                if name in topology.centres:
+                    out[i, topology.centres.index(name)] = truth.joints[k, j]
+    if not np.isfinite(out).any():
+        raise TruthError("the truth has no joint of this body at the times of the log: do they belong together?")
+    return out
+
+
+def _padded(poses: Poses, count: int) -> Poses:
+    """Poses with the last one repeated."""
+    return jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], count - len(x), 0)]), poses)
+
+
+def _some_rays(rays: Rays, rows: list[int]) -> Rays:
+    weights = None if rays.weights is None else rays.weights[rows]
+    return Rays(tuple(rays.names[i] for i in rows), rays.origins[rows], rays.directions[rows], weights)
+
+
+def _some_pairs(pairs: Pairs, rows: list[int]) -> Pairs:
+    weights = None if pairs.weights is None else pairs.weights[rows]
+    return Pairs(tuple(pairs.names[i] for i in rows), pairs.points[rows], weights)
+
+
+def _unweighted(frame: PersonFrame) -> PersonFrame:
+    return replace(frame, rays=replace(frame.rays, weights=None), pairs=replace(frame.pairs, weights=None))
+
+
+def with_weight(frames: FitFrames, mask: Bool[np.ndarray, " frame"]) -> FitFrames:
+    """The same frames, of which only some count."""
+    return eqx.tree_at(lambda f: f.weight, frames, frames.weight * jnp.asarray(mask, jnp.float32))

@@ -1,0 +1,168 @@
+"""What a fit makes small: how far measurements that the poses were not solved on lie from the body, and where the truth
+is known, how far joints are from it.
+
+Every frame's pose is solved on one part of its points; the other part, held back, is what counts. So a body cannot win
+by poses that bend to the noise, and as both parts ask for nearly the same, pose and sizes are fitted together (variable
+projection, Golub and Pereyra 1973).
+"""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from voodoo_jax.body import Body, joint_centres
+from voodoo_jax.fit_parameters import Changes, changed, changed_options
+from voodoo_jax.fit_solution import settled, solution
+from voodoo_jax.icp import IcpOptions, Problem
+from voodoo_jax.kernels.correspond import Points, match_assigned
+from voodoo_jax.kernels.features import Features, named_points
+from voodoo_jax.pose import Poses, rotate
+
+# Standard deviations of one measurement. Points: a person's surface is 2 cm from cylinders, and that error is
+# common to a patch of skin, not to a point; so a limb counts as so many measurements a frame, not as its points.
+POINT_SD, PER_LIMB = 0.02, 1.0  # metres; independent measurements of each limb in each frame
+FEW = 10.0  # points of a limb with which it counts half
+RAY_SD = 0.03  # metres: a detector's point from the body's, across the line of sight
+JOINT_SD = 0.03  # metres: tracked joints from the truth
+SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) count nothing
+ROBUST = 0.06  # metres at which a residual begins to count less
+
+
+class FitFrames(eqx.Module):
+    """Frames to fit to, padded; leading axis: frame."""
+
+    points: Points  # poses are solved on these
+    held: Points  # and judged by these
+    features: Features | None
+    held_features: Features | None
+    feature_name: Int[Array, "frame feature"] | None  # row of the measurement weights
+    poses: Poses  # [frame limb] as tracked: start and prediction
+    truth: Float[Array, "frame centre 3"] | None  # joint centres in the frame of the points, metres
+    known: Bool[Array, "frame centre"] | None  # where there is a truth
+    log: Int[Array, " frame"]  # which recording
+    weight: Float[Array, " frame"]  # 0: padding
+    news: Float[Array, "frame limb"]  # what the frame says of a limb that no other frame says, 0..1
+
+
+class FrameTerms(NamedTuple):
+    """One frame's part of the loss."""
+
+    residuals: Float[Array, " residual"]  # in standard deviations
+    converged: Bool[Array, ""]
+    poses: Poses
+
+
+Objective = Literal["held", "truth"]
+UserLoss = Callable[[Body, IcpOptions, FitFrames], Float[Array, ""]]
+
+
+def frame_problem(body: Body, options: IcpOptions, frame: FitFrames, by: Changes) -> Problem:
+    """What a frame's pose is solved on."""
+    features = frame.features
+    if features is not None and frame.feature_name is not None and by.features.shape[0]:
+        factor = jnp.exp(by.features[frame.feature_name])
+        features = eqx.tree_at(lambda f: f.weight, features, features.weight * factor)
+    return Problem.build(body, frame.points, frame.poses, options, features)
+
+
+def frame_terms(
+    body: Body, options: IcpOptions, frame: FitFrames, by: Changes, start: Poses, objective: Objective
+) -> FrameTerms:
+    """Residuals of one frame (no leading axes) for a body and options before the changes `by`.
+
+    **Arguments:** `start` where the solve of the pose begins; `objective` "held": measurements held back; "truth":
+    joint centres.
+    """
+    body, options = changed(body, by), changed_options(options, by)
+    solved = solution(start, frame_problem(body, options, frame, by), newton=2, tolerance=SETTLED)
+    if objective == "truth":
+        assert frame.truth is not None and frame.known is not None
+        gap = jnp.where(frame.known[:, None], joint_centres(body, solved.poses) - frame.truth, 0.0) / JOINT_SD
+        return FrameTerms(gap.reshape(-1), solved.converged, solved.poses)
+    parts = [_point_residuals(body, options, frame, solved.poses)]
+    if frame.held_features is not None:
+        parts.append(_ray_residuals(body, frame.held_features, solved.poses))
+    return FrameTerms(jnp.concatenate(parts), solved.converged, solved.poses)
+
+
+def _robust(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
+    """Vectors whose square is Geman and McClure's cost of the given ones."""
+    return gap / jnp.sqrt(1 + jnp.sum(gap * gap, -1, keepdims=True) / scale**2)
+
+
+def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: Poses) -> Float[Array, " residual"]:
+    """Held-back points from the side of the limbs that their sensor sees; a vector each, so that no root is taken."""
+    matching = eqx.tree_at(lambda o: o.robust_scale, options.match, jnp.full_like(options.match.robust_scale, jnp.inf))
+    at, sizes = jax.lax.stop_gradient((poses, body.sizes))
+    limbs = _closest(sizes, at, frame, options, body)
+    found = match_assigned(body.sizes, poses, frame.held, limbs, matching)
+    there = found.weight[0] > 0
+    gap = jnp.stack([jnp.where(there, p - c, 0.0) for p, c in zip(found.data, found.model)], -1)
+    # a limb counts as PER_LIMB independent measurements, however many points show it, but less if these are few
+    count = jax.ops.segment_sum(there.astype(gap.dtype), limbs, body.limb_count + 1)
+    share = PER_LIMB * jnp.append(frame.news, 0.0) / (count + FEW)
+    return (_robust(gap, ROBUST) * jnp.sqrt(share)[limbs][:, None] / POINT_SD).reshape(-1)
+
+
+def _closest(sizes, poses: Poses, frame: FitFrames, options: IcpOptions, body: Body) -> Int[Array, " point"]:
+    fixed = eqx.tree_at(lambda b: b.sizes, jax.lax.stop_gradient(body), sizes)
+    limbs = settled(poses, Problem.build(fixed, frame.held, poses, options))
+    if limbs is None:
+        raise ValueError("a fit needs solve.overlap = 'exclusive': each point belongs to one limb")
+    return limbs
+
+
+def _ray_residuals(body: Body, features: Features, poses: Poses) -> Float[Array, " residual"]:
+    """Held-back features across their lines of sight, or from their places."""
+    limbs, places = named_points(body)
+    point = features.point[:, 0]
+    world = rotate(poses.rotation[limbs[point]], places[point]) + poses.translation[limbs[point]]
+    d = features.direction
+    gap = features.origin + d * jnp.sum(d * (world - features.origin), -1, keepdims=True) - world
+    # what may be face or hand judges nobody
+    sure = jnp.all(features.point == features.point[:, :1], -1) & (features.weight > 0)
+    gap = jnp.where(sure[:, None], gap, 0.0)
+    return (_robust(gap, 3 * ROBUST) / RAY_SD).reshape(-1)
+
+
+class Normals(NamedTuple):
+    """Gauss-Newton sums of many frames, and what they came from; `frame`: leading axis."""
+
+    cost: Float[Array, " frame"]  # half the squared residuals of a converged frame, else 0
+    slope: Float[Array, "frame free"]
+    curve: Float[Array, "frame free free"]
+    converged: Bool[Array, " frame"]
+    poses: Poses  # [frame limb]
+
+
+def normals(
+    body: Body,
+    options: IcpOptions,
+    frames: FitFrames,
+    starts: Poses,
+    x: Float[Array, " free"],
+    say: Callable[[Float[Array, " free"]], Changes],
+    objective: Objective = "held",
+    batch: int = 8,
+) -> Normals:
+    """Residuals of all frames at x, their derivative forward (one tangent per parameter), and the sums of a step."""
+
+    def one(inputs):
+        frame, start = inputs
+
+        def residuals(x):
+            terms = frame_terms(body, options, frame, say(x), start, objective)
+            return terms.residuals, terms
+
+        by_x, terms = jax.jacfwd(residuals, has_aux=True)(x)
+        r = terms.residuals
+        good = terms.converged & (frame.weight > 0) & jnp.all(jnp.isfinite(r)) & jnp.all(jnp.isfinite(by_x))
+        r, by_x = jnp.where(good, r, 0.0), jnp.where(good, by_x, 0.0)
+        slope, curve = (jnp.matmul(by_x.T, v, precision="highest") for v in (r, by_x))
+        return Normals(jnp.sum(r * r) / 2, slope, curve, good, terms.poses)
+
+    return jax.lax.map(one, (frames, starts), batch_size=batch)

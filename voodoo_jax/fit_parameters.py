@@ -1,0 +1,211 @@
+"""Free parameters of a fit: names, the unconstrained vector behind them, priors, and how they change body and options.
+
+Zero is the body one starts with. Lengths, radii, weights and settings are logarithms of a factor, so that they stay
+positive; joints move by shares of the body's scale. Priors are normal, around the start.
+"""
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Float64
+
+from voodoo_jax.batch import V1_NAMES
+from voodoo_jax.body import Body, Topology, scaled
+from voodoo_jax.icp import IcpOptions
+from voodoo_jax.marker_start import tree_order
+from voodoo_jax.pose import matrix, rotate, unrotate
+
+# Usual deviations. Adults of one stature differ by 4 to 5 % in the length of a limb (ANSUR II: standard deviation of
+# a segment after regression on stature over its mean), by 12 to 15 % in girth; a joint of a body of cylinders lies
+# within 1.5 cm (1 % of stature) of a person's. Scale is all lengths in common; height is held beside. Bands and
+# settings are inventions of this method: a factor of two either way is usual.
+PRIORS = {
+    "scale": 0.02, "lengths": 0.045, "radii": 0.13, "anchors": 0.009, "bands.weight": 0.7, "bands.axes": 0.3,
+    "solve": 0.5, "features": 0.7,
+}  # fmt: skip
+HEIGHT = 0.005  # logarithm: the height is measured on the standing person before a fit, to half a percent
+WORDS = {  # what people say -> patterns of names
+    "scale": ("scale",),
+    "lengths": ("lengths.*",),
+    "radii": ("radii.*",),
+    "joint centres": ("anchors.*",),
+    "anchors": ("anchors.*",),
+    "bands": ("bands.*",),
+    "measurement weights": ("features.*.weight", "solve.ratio", "solve.prior"),
+}
+SETTINGS = ("ratio", "floor", "prior", "robust_scale")  # of SolveSettings
+
+
+Entry = tuple[str, int, tuple[int, ...], float, str]
+
+
+class Changes(NamedTuple):
+    """What a parameter vector says, quantity by quantity; all zero: nothing changes."""
+
+    scale: Float[Array, ""]  # logarithm
+    lengths: Float[Array, " limb"]  # logarithms
+    radii: Float[Array, "limb 2"]  # logarithms, bottom and top
+    anchors: Float[Array, "joint 3"]  # x, y, z of the body frame at rest, shares of the scale
+    weights: Float[Array, " joint"]  # logarithms
+    axes: Float[Array, "joint 2"]  # logarithms
+    settings: Float[Array, " setting"]  # logarithms
+    features: Float[Array, " feature"]  # logarithms
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The free parameters of a fit: one row per entry of the unconstrained vector."""
+
+    names: tuple[str, ...]
+    sd: Float64[np.ndarray, " free"]  # of the prior
+    maps: tuple[Float[np.ndarray | Array, "..."], ...]  # of the fields of Changes: [*field, free]
+    mirrored: bool
+
+    def changes(self, x: Float[Array, " free"]) -> Changes:
+        """What a vector says."""
+        return Changes(*(jnp.sum(jnp.asarray(m, x.dtype) * x, -1) for m in self.maps))
+
+    def shown(self, x: Float64[np.ndarray, " free"]) -> list[str]:
+        """The vector as people read it: percent, or centimetres per metre of scale."""
+        share = [name.startswith("anchors") for name in self.names]
+        return [f"{100 * v:+.2f} % of scale" if s else f"{100 * np.expm1(v):+.1f} %" for v, s in zip(x, share)]
+
+
+def _plain(name: str) -> str:
+    """A limb's or joint's name without its side."""
+    return name[2:] if name[:2] in ("l_", "r_") else name
+
+
+def _all_names(topology: Topology, features: tuple[str, ...], body: Body) -> list[Entry]:
+    """Name, field of Changes, index in it, sign under mirroring, prior's key, of everything that can be free."""
+    t = topology
+    out: list[Entry] = [("scale", 0, (), 1.0, "scale")]
+    for i, limb in enumerate(t.limbs):
+        if i in t.held:
+            continue
+        out.append((f"lengths.{limb}", 1, (i,), 1.0, "lengths"))
+        out += [(f"radii.{limb}.{end}", 2, (i, k), 1.0, "radii") for k, end in enumerate(("bottom", "top"))]
+    for j, joint in enumerate(t.joints):
+        for k, axis in enumerate("xyz"):
+            sign = -1.0 if axis == "y" and joint.startswith("r_") else 1.0
+            out.append((f"anchors.{joint}.{axis}", 3, (j, k), sign, "anchors"))
+        out.append((f"bands.{joint}.weight", 4, (j,), 1.0, "bands.weight"))
+        out += [
+            (f"bands.{joint}.axes.{axis}", 5, (j, k), 1.0, "bands.axes")
+            for k, axis in enumerate("xy")
+            if body.axes[j, k] > 0
+        ]
+    out += [(f"solve.{name}", 6, (k,), 1.0, "solve") for k, name in enumerate(SETTINGS)]
+    out += [(f"features.{name}.weight", 7, (k,), 1.0, "features") for k, name in enumerate(features)]
+    return out
+
+
+def parameters(
+    body: Body, free: tuple[str, ...] | list[str], features: tuple[str, ...] = (), mirrored: bool = True
+) -> Parameters:
+    """The parameters that words (see WORDS) and patterns such as "lengths.*thigh" name.
+
+    **Arguments:** `features` names of the measured features; `mirrored` left and right change alike: what both sides
+    have is one parameter, and its name has no side. Raises ValueError for a pattern that names nothing.
+    """
+    known = _all_names(body.topology, features, body)
+    patterns = [p for word in free for p in (WORDS.get(word) or (word,))]
+    for pattern in patterns:
+        if not any(_named(name, pattern) for name, *_ in known):
+            groups = ", ".join(WORDS)
+            examples = ", ".join([known[1][0], known[-1][0]])
+            raise ValueError(
+                f"free parameter '{pattern}': this body has nothing of that name; "
+                f"say one of {groups}, or a pattern of names such as {examples}"
+            )
+    rows: dict[str, list[Entry]] = {}
+    for entry in known:
+        if any(_named(entry[0], p) for p in patterns):
+            name = entry[0]
+            if mirrored:
+                name = ".".join(map(_plain, name.split(".")))
+                if entry[1] == 3 and entry[0] == name and name.endswith(".y"):
+                    continue  # a joint of the middle stays in it
+            rows.setdefault(name, []).append(entry)
+    t = body.topology
+    shapes = [(), (len(t.limbs),), (len(t.limbs), 2), *(((len(t.joints), *s)) for s in ((3,), (), (2,)))]
+    maps = [np.zeros((*shape, len(rows))) for shape in (*shapes, (len(SETTINGS),), (len(features),))]
+    for column, entries in enumerate(rows.values()):
+        for _, part, index, sign, _ in entries:
+            maps[part][(*index, column)] = sign if mirrored else 1.0
+    sd = np.array([PRIORS[entries[0][4]] for entries in rows.values()])
+    return Parameters(tuple(rows), sd, tuple(maps), mirrored)
+
+
+def _named(name: str, pattern: str) -> bool:
+    """Whether a pattern names a parameter, by its full name or by that without its side."""
+    return fnmatchcase(name, pattern) or fnmatchcase(".".join(map(_plain, name.split("."))), pattern)
+
+
+def changed(body: Body, by: Changes) -> Body:
+    """The body after changes; every limb carries along what it carries, and the rest pose follows down the tree."""
+    t = body.topology
+    parents = jnp.array(t.parents, int)
+    along = jnp.exp(by.lengths)
+    stretch = lambda points, limbs: points.at[:, 2].multiply(along[jnp.array(limbs, int)])  # noqa: E731
+    # the frame of each joint's shift is the body's
+    shift = unrotate(body.rest.rotation[parents], by.anchors) * body.scale
+    on_parent = stretch(body.parent_anchor.translation, t.parents) + shift
+    on_child = stretch(body.child_anchor.translation, t.children)
+    ends = jnp.exp(by.radii)
+    sizes = body.sizes * jnp.stack([ends[:, 0], ends[:, 0], ends[:, 1], ends[:, 1], along], -1)
+    site_limbs = jnp.array(t.site_limbs, int)
+    share = jnp.clip(body.sites[:, 2] / body.sizes[site_limbs, 4], 0.0, 1.0)
+    girth = jnp.exp(by.radii[site_limbs, 0] * (1 - share) + by.radii[site_limbs, 1] * share)
+    sites = stretch(body.sites, t.site_limbs).at[:, :2].multiply(girth[:, None])
+    centres = stretch(body.centres, t.centre_limbs)
+    for j, joint in enumerate(t.joints):
+        # a reported centre on the parent moves with its joint; one on the child does anyway
+        name = V1_NAMES.get(joint, joint)
+        if name in t.centres and t.centre_limbs[t.centres.index(name)] == t.parents[j]:
+            centres = centres.at[t.centres.index(name)].add(shift[j])
+    at, was = [body.rest.translation[0]] * len(t.limbs), body.rest.translation
+    for j in tree_order(t):
+        p, c = t.parents[j], t.children[j]
+        held = lambda limb, point: rotate(body.rest.rotation[limb], point)  # noqa: E731
+        gap = was[c] - was[p] - held(p, body.parent_anchor.translation[j]) + held(c, body.child_anchor.translation[j])
+        at[c] = at[p] + held(p, on_parent[j]) - held(c, on_child[j]) + gap
+    leaves = lambda b: (  # noqa: E731
+        b.sizes, b.rest.translation, b.parent_anchor.translation, b.child_anchor.translation, b.axes, b.weights,
+        b.centres, b.sites,
+    )  # fmt: skip
+    axes, weights = body.axes * jnp.exp(by.axes), body.weights * jnp.exp(by.weights)
+    new = (sizes, jnp.stack(at), on_parent, on_child, axes, weights, centres, sites)
+    grown = scaled(eqx.tree_at(leaves, body, new), body.scale * jnp.exp(by.scale))
+    return named_by_height(grown, body)
+
+
+def changed_options(options: IcpOptions, by: Changes) -> IcpOptions:
+    """The solve's options after changes."""
+    factor = jnp.exp(by.settings)
+    leaves = lambda o: (o.ratio, o.floor, o.prior, o.match.robust_scale)  # noqa: E731
+    return eqx.tree_at(leaves, options, tuple(v * f for v, f in zip(leaves(options), factor)))
+
+
+def height_of(body: Body) -> Float[Array, ""]:
+    """Height of the rest pose: from the lowest to the highest point of the limbs' end ellipses, metres."""
+    turn = matrix(body.rest.rotation)[:, 2]  # [limb] row of z
+    a0, b0, a1, b1, length = (body.sizes[:, k] for k in range(5))
+    bottom = body.rest.translation[:, 2]
+    top = bottom + length * turn[:, 2]
+    reach0, reach1 = (jnp.sqrt((a * turn[:, 0]) ** 2 + (b * turn[:, 1]) ** 2 + 1e-12) for a, b in ((a0, b0), (a1, b1)))
+    return jnp.maximum(jnp.max(bottom + reach0), jnp.max(top + reach1)) - jnp.minimum(
+        jnp.min(bottom - reach0), jnp.min(top - reach1)
+    )
+
+
+def named_by_height(body: Body, before: Body) -> Body:
+    """The body with its `scale` in proportion to its height, as it was `before`: limbs may have grown beside it.
+
+    Else a start that measures a person's height would make a long-legged body too small.
+    """
+    return eqx.tree_at(lambda b: b.scale, body, before.scale * height_of(body) / height_of(before))

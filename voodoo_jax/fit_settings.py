@@ -1,0 +1,33 @@
+"""Options of a fit. No JAX here: the command line shows them at once."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """What is fitted to what, and how long."""
+
+    free: tuple[str, ...] = ("scale", "lengths", "radii", "joint centres")
+    """What may change: scale, lengths, radii, "joint centres", bands, "measurement weights", or patterns of names such
+    as lengths.*thigh, radii.chest.top, bands.*.weight, bands.*.axes.x, anchors.hip.y, solve.ratio."""
+    mirrored: bool = True
+    """Left and right change alike."""
+    persons: Literal["one", "each"] = "one"
+    """one: all logs show the same person; each: every log another one, with a body of its own. Bands, measurement
+    weights and settings are common to all logs either way."""
+    frames: int = 24
+    """Frames of each log that are looked at, spread over the well tracked ones; a quarter of them is held out."""
+    points: int = 256
+    """Points of a frame that its pose is solved on; as many others judge."""
+    steps: int = 10
+    """ICP steps before the Newton steps, in each frame and each step of the fit."""
+    iterations: int = 12
+    """Most steps of the fit; it stops by itself before, where the loss falls by less than 0.3 %."""
+    noise: float = 0.01
+    """How far a person's surface is from the body's cylinders (standard deviation, metres); smaller trusts the log more
+    and the priors less."""
+    looseness: float = 1.0
+    """Widens all priors by this factor."""
+    markers: bool = False
+    """Named 3D points of the logs judge the fit and hold no pose; otherwise half of them do."""

@@ -1,0 +1,73 @@
+"""Fits to a loss of the user's own: a function of body, options and frames, made small by BFGS, priors added."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from voodoo_jax.body import Body
+from voodoo_jax.fit_loop import FitError, Progress, Search
+from voodoo_jax.fit_objective import SETTLED, FitFrames, UserLoss
+from voodoo_jax.fit_parameters import changed, changed_options
+from voodoo_jax.fit_solution import Solution, solution
+from voodoo_jax.icp import IcpOptions, Problem
+
+
+def solve_frames(body: Body, options: IcpOptions, frames: FitFrames) -> Solution:
+    """Poses of all frames (leading axis) with exact derivatives; what a loss of one's own is built on.
+
+    Give frames that are not `converged` weight zero: their derivatives are wrong (pitfall P10).
+    """
+
+    def one(frame: FitFrames) -> Solution:
+        problem = Problem.build(body, frame.points, frame.poses, options, frame.features)
+        return solution(frame.poses, problem, newton=2, tolerance=SETTLED)
+
+    return jax.lax.map(one, frames, batch_size=8)
+
+
+def minimised(
+    search: Search, loss: UserLoss, progress: Progress, most: int, say: Callable[[Progress], None] | None = None
+) -> Progress:
+    """BFGS from where `progress` stands, sum of the loss over all recordings and half the squared priors.
+
+    Raises FitError where the loss is not a finite number at the start.
+    """
+    sd = jnp.asarray(search.sd, jnp.float32)
+
+    def function(z: Float[Array, " all"], _) -> tuple[Float[Array, ""], None]:
+        # in units of the priors' deviations: BFGS begins with steps alike in all directions
+        total = 0.5 * jnp.sum(z * z)
+        for part in search.parts:
+            by = search.free.changes((z * sd)[search.rows[part.person]])
+            total = total + loss(changed(part.body, by), changed_options(search.options, by), part.frames)
+        return total, None
+
+    z = jnp.asarray(progress.x / search.sd, jnp.float32)
+    solver = optx.BFGS(rtol=1e-3, atol=1e-3)
+    value, aux = jax.eval_shape(function, z, None)
+    state = solver.init(function, z, None, {}, value, aux, frozenset())
+    step = eqx.filter_jit(lambda z, state: solver.step(function, z, None, {}, state, frozenset()))
+    ended = eqx.filter_jit(lambda z, state: solver.terminate(function, z, None, {}, state, frozenset()))
+    if not progress.losses:
+        first = float(jax.jit(function)(z, None)[0])
+        if not np.isfinite(first):
+            raise FitError(f"the loss is {first} for the body as it is; it must be a finite number")
+        progress = replace(progress, losses=(first,))
+    best, best_z = progress.losses[-1], z
+    while not progress.done and progress.step < most:
+        z, state, _ = step(z, state)
+        value = float(state.f_info.f)
+        if np.isfinite(value) and value < best:
+            best, best_z = value, z
+        x = np.asarray(best_z, np.float64) * search.sd
+        done = bool(ended(z, state)[0])
+        progress = replace(progress, x=x, step=progress.step + 1, done=done, losses=(*progress.losses, best))
+        if say is not None:
+            say(progress)
+    return progress
