@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, Links, Topology, bands
 from voodoo_jax.kernels.bands import link_moments, prior_moments
-from voodoo_jax.kernels.correspond import MatchOptions, Points, match, moments
+from voodoo_jax.kernels.correspond import Match, MatchOptions, Points, match, moments
 from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, pair_normals
 from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
@@ -82,6 +82,7 @@ class Pulls(NamedTuple):
     """All that pulls at the limbs in a pose, each limb's in its own frame."""
 
     info: StepInfo
+    found: Match
     measured: Float[Array, "limb 4 4"]  # sums over points of kernels.procrustes
     second: Float[Array, "limb 3 3"]
     named: FeatureSums | None
@@ -113,7 +114,7 @@ def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     links = (problem.bands, *corrections(body, poses, options.plausible))
     quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
     info = StepInfo(quality, limb_weight)
-    return Pulls(info, measured, second, named, pull, pull_second, links, strength)
+    return Pulls(info, found, measured, second, named, pull, pull_second, links, strength)
 
 
 def frame_normals(

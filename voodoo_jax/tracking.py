@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body
-from voodoo_jax.icp import IcpOptions, Problem, adjacency, frame_normals, pulls_at, solve_frame
-from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling, match
+from voodoo_jax.icp import IcpOptions, Problem, frame_normals, pulls_at, solve_frame
+from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.coupled import twist_covariance
-from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
+from voodoo_jax.kernels.features import FeatureOptions, Features
 from voodoo_jax.kernels.plausible import PlausibleOptions
 from voodoo_jax.pose import AnyArray, Poses, compose, inverse, quat_exp, quat_log, quat_multiply, quat_normalize
 from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
@@ -131,22 +131,21 @@ def track_frame(
     )
     poses = jax.tree.map(lambda a, b: jnp.where(good, a, b), solved.poses, predicted)
 
-    found = match(body.sizes, poses, points, adjacency(body.topology), options.icp.match, body.present)
+    pulls = pulls_at(poses, problem)
+    found, named = pulls.found, pulls.named
     weight = jnp.sum(found.weight, -1)
     quality = found.squares() / jnp.maximum(jnp.sum(weight), 1e-6)
     explained = jnp.sum(found.close(0.1)) / jnp.maximum(count, 1)
 
     off = jnp.zeros(())
-    if features is not None:
-        named = feature_sums(body, poses, features, options.icp.features)
+    if named is not None:
         off = jnp.sqrt(named.squares / jnp.maximum(jnp.sum(named.weight), 1e-6))
     safe = jnp.where(seconds > 0, seconds, 1.0)
     turn = compose(inverse(state.poses), poses).rotation
     moving = (seconds > 0) & good
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
-    full, _ = frame_normals(poses, pulls_at(poses, problem), icp.damping)
-    covariance = twist_covariance(full)
+    covariance = twist_covariance(frame_normals(poses, pulls, icp.damping)[0])
     step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count, covariance)
     return State(poses, spin, velocity), step
 

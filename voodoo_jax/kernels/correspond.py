@@ -1,5 +1,6 @@
 """From points to weighted correspondences of all limbs, and to their moments (Knoop 2007, sec. 5.2)."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -139,9 +140,19 @@ def _in_limb_box(limb, size, px, py, pz, points: Points, options: MatchOptions):
 def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     """The exclusive rule: distances to all limbs, then the pair of each point with its closest limb alone."""
     limb = _closest_limb(sizes, poses, points, near_body, present, options)
-    found = match_assigned(sizes, poses, points, limb, options)
+    found = _once(options.robust_scale > 0, lambda: match_assigned(sizes, poses, points, limb, options))
     chosen = jnp.arange(sizes.shape[0])[:, None] == limb
     return found._replace(weight=jnp.where(chosen, found.weight, 0.0))
+
+
+def _once(true: Bool[Array, ""], compute: Callable[[], Match]) -> Match:
+    """What `compute` gives, computed once; `true` is a condition that the compiler cannot know to be so.
+
+    The compiler for the CPU repeats a whole match for each sum that uses it (half of a step's time, and not linear in
+    the points), but it does not look through a branch.
+    """
+    shapes = jax.eval_shape(compute)
+    return jax.lax.cond(true, compute, lambda: jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes))
 
 
 def _closest_limb(sizes, poses, points, near_body, present, options) -> Int[Array, " point"]:
@@ -231,9 +242,8 @@ def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 
     cross = [a * b for a in c for b in p]
     square = [found.model[a] * found.model[b] for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))]
     if one.ndim == 1:
-        table = jnp.stack([*cross, *square], -1)
-        # one product for all sums of all limbs; full float32 where the default is less (pitfall P27)
-        sums = jnp.matmul(found.weight, table, precision="highest")
+        # column by column: a table of all would be made anew for each; full float32 everywhere (pitfall P27)
+        sums = jnp.stack([jnp.matmul(found.weight, v, precision="highest") for v in (*cross, *square)], -1)
     else:
         sums = jnp.stack([jnp.sum(found.weight * v, -1) for v in (*cross, *square)], -1)
     xx, xy, xz, yy, yz, zz = (sums[:, 16 + i] for i in range(6))
