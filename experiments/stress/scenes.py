@@ -25,6 +25,7 @@ from experiments.stress.motions import (
     turning,
 )
 from voodoo_jax.body import Body, joint_centres, scaled, segment_lengths
+from voodoo_jax.io.body_file import format_body, parse_body
 from voodoo_jax.recording import Frame
 from voodoo_jax.simulate import (
     FIXED_FRAME,
@@ -139,9 +140,30 @@ STANDS = ((0.0, RELAXED), (0.7, RELAXED))
 CHAIR = Room(boxes=(Box(3.47, 0.06, (0.46, 0.46, 0.38), 0.2),))
 
 
+def with_neck(body: Body) -> Body:
+    """The body with a neck: it is the tracker's own else, and its head hangs in the air."""
+    low, high, joint = 0.785, 0.87, 0.81  # of the stature
+    neck = f"""
+[[limb]]
+name = "throat"
+bottom = [0.0, 0.0, {low}]
+top = [0.006, 0.0, {high}]
+bottom_axes = [0.033, 0.033]
+top_axes = [0.032, 0.032]
+[[joint]]
+name = "throat"
+parent = "chest"
+child = "throat"
+at = [0.0, 0.0, {joint}]
+axes = [0.0, 0.0]
+"""
+    return parse_body(format_body(body) + neck, "with a neck")
+
+
 def scenes() -> dict[str, Callable[[], Scene]]:
     """All scenes by name; each is made when it is asked for."""
-    body, tall = demo_body(), scaled(demo_body(), 1.86)
+    body = with_neck(demo_body())
+    tall = scaled(body, 1.86)
 
     def seen(x: float, height: float, pitch: float, tilt: float = 0.0) -> Callable[[], Scene]:
         return lambda: Scene(body, _facing(_bow_wave(body), x), tof_camera(height, pitch), tilt=tilt)
