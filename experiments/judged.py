@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
@@ -14,7 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int64
 
 from experiments.common import ALIAS, Log, Score, errors, nearest, off, score, scored
 from voodoo_jax.body import Body, segment_lengths
-from voodoo_jax.compile_cache import cache_folder, use_compile_cache
+from voodoo_jax.compile_cache import cache_folder, keep_compiled, use_compile_cache
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.recording import Frame
 from voodoo_jax.settings import Settings
@@ -140,10 +141,17 @@ def honest_cells(verdicts: list[Verdict]) -> list[str]:
 
 
 def trials(work: Callable[[Job], Verdict], jobs: list[Job], processes: int) -> Iterator[Verdict]:
-    """Results in the order of the jobs, as they come; 1: in this process."""
-    use_compile_cache(cache_folder(""))
+    """Verdicts in the order of the jobs, as they come. `work` of an importable module; 1 process: this one."""
     if processes <= 1:
         yield from map(work, jobs)
         return
-    with ProcessPoolExecutor(processes, get_context("spawn"), use_compile_cache, (cache_folder(""),)) as pool:
-        yield from pool.map(work, jobs)
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        yield from pool.map(partial(_sharing, work), jobs)
+
+
+def _sharing(work: Callable[[Job], Verdict], job: Job) -> Verdict:
+    """Does a job with the programs that any process has compiled before."""
+    use_compile_cache(cache_folder(""))
+    verdict = work(job)
+    keep_compiled()
+    return verdict
