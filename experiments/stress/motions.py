@@ -1,4 +1,4 @@
-"""Motions of a simulated person that the simulator does not have: key poses, and what stays in its place."""
+"""A simulated person with what the simulator does not have: a neck, key poses, feet that stay in their place."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body
+from voodoo_jax.io.body_file import format_body, parse_body
 from voodoo_jax.pose import Poses
 from voodoo_jax.simulate import Motion, _ease, _grounded, _motion, pose_body
 
@@ -84,3 +85,23 @@ def _on_its_feet(body: Body, motion: Motion) -> Motion:
     at = np.asarray(pose_body(body, motion.root, motion.rotations).translation, float)[:, feet].mean(1)
     shift = (at[0] - at) * [1, 1, 0]
     return replace(motion, root=Poses(motion.root.rotation, motion.root.translation + jnp.asarray(shift, jnp.float32)))
+
+
+def with_neck(body: Body) -> Body:
+    """The body with a neck: it is the tracker's own else, and its head hangs in the air."""
+    low, high, joint = 0.785, 0.87, 0.81  # of the stature
+    neck = f"""
+[[limb]]
+name = "throat"
+bottom = [0.0, 0.0, {low}]
+top = [0.006, 0.0, {high}]
+bottom_axes = [0.033, 0.033]
+top_axes = [0.032, 0.032]
+[[joint]]
+name = "throat"
+parent = "chest"
+child = "throat"
+at = [0.0, 0.0, {joint}]
+axes = [0.0, 0.0]
+"""
+    return parse_body(format_body(body) + neck, "with a neck")

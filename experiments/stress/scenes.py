@@ -1,10 +1,13 @@
 """Simulated scenes that are hard to track, each with a time-of-flight camera and nothing given."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from experiments.demo.make_demo import demo_body
 from experiments.judged import Recorded
@@ -23,9 +26,9 @@ from experiments.stress.motions import (
     Pose,
     posed,
     turning,
+    with_neck,
 )
 from voodoo_jax.body import Body, joint_centres, scaled, segment_lengths
-from voodoo_jax.io.body_file import format_body, parse_body
 from voodoo_jax.recording import Frame
 from voodoo_jax.simulate import (
     FIXED_FRAME,
@@ -65,25 +68,22 @@ def shoot(name: str, scene: Scene, frames: int = 0) -> Recorded:
     camera = scene.camera or tof_camera()
     wait, count = round(scene.absent * RATE), len(scene.motion)
     poses = pose_body(scene.body, scene.motion.root, scene.motion.rotations)
+    nobody = eqx.tree_at(lambda b: b.present, scene.body, jnp.zeros(scene.body.limb_count, bool))
     joints = np.asarray(jax.vmap(joint_centres, (None, 0))(scene.body, poses), float)
     joints = np.concatenate([np.full((wait, *joints.shape[1:]), np.nan), joints])
     others = pose_body(scene.other[0], scene.other[1].root, scene.other[1].rotations) if scene.other else None
     # about the camera, about the axis to its right
-    axis, position = camera.rotation[:, 0], np.array(camera.position)
-    tilt = np.eye(3) + np.sin(scene.tilt) * _cross(axis) + (1 - np.cos(scene.tilt)) * _cross(axis) @ _cross(axis)
+    tilt = Rotation.from_rotvec(scene.tilt * camera.rotation[:, 0])
+    position = np.array(camera.position)
     found = []
     for i in range(min(frames or count + wait, count + wait)):
-        depth, cosine = render(scene.body, poses[max(i - wait, 0)], camera, scene.room) if i >= wait else (None, None)
-        if depth is None or cosine is None:
-            hidden = replace(scene.motion.root[0:1], translation=scene.motion.root[0:1].translation - 1000.0)
-            depth, cosine = render(
-                scene.body, pose_body(scene.body, hidden, scene.motion.rotations[:1])[0], camera, scene.room
-            )
+        body = scene.body if i >= wait else nobody
+        depth, cosine = render(body, poses[max(i - wait, 0)], camera, scene.room)
         if scene.other and others is not None:
             more, slant = render(scene.other[0], others[min(i, len(scene.other[1]) - 1)], camera, None)
             depth, cosine = np.minimum(depth, more), np.where(more < depth, slant, cosine)
         z = add_noise(depth, cosine, camera, TOF_NOISE, np.random.default_rng([7, i])).ravel() / 1000
-        points = position + (camera.rays()[z > 0] * z[z > 0, None]) @ tilt.T
+        points = position + tilt.apply(camera.rays()[z > 0] * z[z > 0, None])
         stamp = START_NS + round(i / RATE * 1e9)
         origins = np.asarray(position, np.float32)[None]
         found.append(Frame(stamp, points.astype(np.float32), np.zeros(len(points), np.int32), origins))
@@ -91,13 +91,8 @@ def shoot(name: str, scene: Scene, frames: int = 0) -> Recorded:
     stamps = np.array([f.time_ns for f in found], np.int64)
     dims = segment_lengths(scene.body) | {"stature": float(scene.body.scale)}
     up, there = np.array([0, 0, 1], np.float32), _in_view(joints, camera)
-    joints = position + (joints - position) @ tilt.T
+    joints = position + tilt.apply((joints - position).reshape(-1, 3)).reshape(joints.shape)
     return Recorded(name, FIXED_FRAME, up, found, stamps, scene.body.topology.centres, joints, there, dims)
-
-
-def _cross(axis: np.ndarray) -> np.ndarray:
-    """Matrix of the cross product with a vector."""
-    return np.cross(np.eye(3), axis)
 
 
 def _in_view(joints: np.ndarray, camera: Camera) -> np.ndarray:
@@ -138,26 +133,6 @@ CROSSES = ((0.8, CROSSED), (1.2, CROSSED), (0.8, RELAXED), (0.4, RELAXED))
 CROUCHES = ((0.9, CROUCHED), (1.0, CROUCHED), (0.9, RELAXED), (0.5, RELAXED))
 STANDS = ((0.0, RELAXED), (0.7, RELAXED))
 CHAIR = Room(boxes=(Box(3.47, 0.06, (0.46, 0.46, 0.38), 0.2),))
-
-
-def with_neck(body: Body) -> Body:
-    """The body with a neck: it is the tracker's own else, and its head hangs in the air."""
-    low, high, joint = 0.785, 0.87, 0.81  # of the stature
-    neck = f"""
-[[limb]]
-name = "throat"
-bottom = [0.0, 0.0, {low}]
-top = [0.006, 0.0, {high}]
-bottom_axes = [0.033, 0.033]
-top_axes = [0.032, 0.032]
-[[joint]]
-name = "throat"
-parent = "chest"
-child = "throat"
-at = [0.0, 0.0, {joint}]
-axes = [0.0, 0.0]
-"""
-    return parse_body(format_body(body) + neck, "with a neck")
 
 
 def scenes() -> dict[str, Callable[[], Scene]]:
