@@ -115,27 +115,47 @@ class Score:
 
 def score(log: Log, tracks: Tracks) -> Score:
     """Compares tracks with a recording's truth, but for its first half second."""
-    scored = log.stamps >= log.stamps[0] + int(SKIP * 1e9)
-    stamps, truth = log.stamps[scored], log.joints[scored]
-    nearest = np.abs(tracks.time_ns[None] - stamps[:, None]).argmin(1)
-    found = tracks.joints[nearest][:, [tracks.body.topology.centres.index(n) for n in log.names]].astype(float)
-    # farther than half a frame at 30 Hz: a stamp of another frame
-    found[np.abs(tracks.time_ns[nearest] - stamps) >= 17_000_000] = np.nan
-    error = np.linalg.norm(found - truth, axis=-1)
-    error = np.where(np.isfinite(error), error, 1.0)
-    error[~np.isfinite(truth).all(-1)] = np.nan
+    error = errors(log, tracks)[scored(log)]
     known = error[np.isfinite(error)]
-    rate = 1e9 / float(np.median(np.diff(stamps)))
+    rate = 1e9 / float(np.median(np.diff(log.stamps)))
     joints = {n: 100 * float(e) for n, e in zip(log.names, np.nanmean(error, 0))}
     return Score(100 * float(known.mean()), 100 * float((known < 0.1).mean()), _grade(error, log.names, rate), joints)
 
 
-def _grade(error: np.ndarray, names: tuple[str, ...], rate: float) -> int:
-    """0: trunk or two limbs over 20 cm off for over 1 s or at the end; 1: a joint over 15 cm off for over 0.5 s."""
+def scored(log: Log) -> np.ndarray:
+    """[time] Which times of the truth are scored."""
+    return log.stamps >= log.stamps[0] + int(SKIP * 1e9)
+
+
+def nearest(log: Log, tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
+    """[time] The tracks' frame nearest to each time of the truth, and whether it is near enough to be that frame."""
+    found = np.abs(tracks.time_ns[None] - log.stamps[:, None]).argmin(1)
+    # farther than half a frame at 30 Hz: a stamp of another frame
+    return found, np.abs(tracks.time_ns[found] - log.stamps) < 17_000_000
+
+
+def errors(log: Log, tracks: Tracks) -> np.ndarray:
+    """[time, joint] Distances from the truth, metres: 1 where there is no answer, NaN where there is no truth."""
+    frame, near = nearest(log, tracks)
+    found = tracks.joints[frame][:, [tracks.body.topology.centres.index(n) for n in log.names]].astype(float)
+    found[~near] = np.nan
+    error = np.linalg.norm(found - log.joints, axis=-1)
+    error = np.where(np.isfinite(error), error, 1.0)
+    error[~np.isfinite(log.joints).all(-1)] = np.nan
+    return error
+
+
+def off(error: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """[time] Where the trunk or two limbs are more than 20 cm off."""
     mean = lambda group: np.nanmean(error[:, [names.index(n) for n in group if n in names]], 1)  # noqa: E731
     limbs = np.stack([mean(limb) for limb in LIMBS if set(limb) <= set(names)], 1)
-    off = (mean(GROUPS["trunk"]) > 0.2) | ((limbs > 0.2).sum(1) >= 2)
-    if longest(off) > rate or off[-max(1, int(0.3 * rate)) :].all():
+    return (mean(GROUPS["trunk"]) > 0.2) | ((limbs > 0.2).sum(1) >= 2)
+
+
+def _grade(error: np.ndarray, names: tuple[str, ...], rate: float) -> int:
+    """0: trunk or two limbs over 20 cm off for over 1 s or at the end; 1: a joint over 15 cm off for over 0.5 s."""
+    bad = off(error, names)
+    if longest(bad) > rate or bad[-max(1, int(0.3 * rate)) :].all():
         return 0
     return 1 if any(longest(joint > 0.15) > 0.5 * rate for joint in error.T) else 2
 

@@ -20,6 +20,8 @@ RUNS = {
         dict(frames=40, points=(128, 256), features=(8,), turns=1),
         ("measurements.md", "measurements.png"),
     ),
+    "stress": (dict(frames=40, only="as they are", processes=1), ("stress.md", "stress.png")),
+    "ablation": (dict(frames=40, only="no *", processes=1), ("ablation.md", "ablation.png")),
 }
 
 

@@ -1,0 +1,73 @@
+"""What is taken away or changed, one thing at a time, and a trial of it. Worker processes import this."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from experiments.common import Log, human, without_features
+from experiments.judged import Recorded, Verdict, judge, read
+from voodoo_jax.body import Body
+from voodoo_jax.io.body_file import load_body
+from voodoo_jax.settings import Settings
+
+# stage and option of the settings = value; "body" names another body
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "solver limb by limb": {"solve.solver": "per_limb"},
+    "both sides of limbs (near_side off)": {"solve.near_side": False},
+    "all pairs count fully (robust_scale inf)": {"solve.robust_scale": float("inf")},
+    "prior x 10": {"solve.prior": 10 * Settings().solve.prior},
+    "prior / 10": {"solve.prior": Settings().solve.prior / 10},
+    "no velocity (damping 0)": {"track.damping": 0.0},
+    "forwards only (both_ways off)": {"track.both_ways": False},
+    "prior the same over any interval": {"track.prior_interval": 10.0},
+    "no features": {"read.features": False},
+    "joint limits 0.1": {"solve.limits": 0.1},
+    "collisions 0.3": {"solve.collisions": 0.3},
+    "ten limbs (human10)": {"body": "human10"},
+    "one heading at the start": {"start.headings": 1},
+    "no later start": {"start.later": ()},
+    "256 points": {"person.points": 256},
+    "at most 6 steps": {"solve.max_steps": 6},
+    "exact closest points (refine 4)": {"solve.refine": 4},
+    "epsilon 1e-5": {"solve.epsilon": 1e-5},
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One variant on one recording."""
+
+    variant: str
+    log: Path
+    step: int = 1  # every so many-th frame is kept
+    frames: int = 0
+
+
+def variant(name: str) -> tuple[Body, Settings]:
+    """Body and settings of a variant."""
+    body, settings = human(), Settings()
+    for key, value in VARIANTS[name].items():
+        if key == "body":
+            body = load_body(value)
+            continue
+        stage, option = key.split(".")
+        settings = replace(settings, **{stage: replace(getattr(settings, stage), **{option: value})})
+    return body, settings
+
+
+def work(job: Job) -> Verdict:
+    """Tracks and judges."""
+    recorded, log = _told_apart(job.log, job.step, job.frames)
+    body, settings = variant(job.variant)
+    people = log.people if settings.read.features else without_features(log.people)
+    return judge(recorded, log, log.track(body, settings, people))
+
+
+@cache
+def _told_apart(path: Path, step: int, frames: int) -> tuple[Recorded, Log]:
+    """The recording with the person told apart; the points of the room are not kept."""
+    recorded = read(path, Settings(), frames)
+    recorded = replace(recorded, frames=recorded.frames[::step])
+    return replace(recorded, frames=[]), recorded.log(human(), Settings())

@@ -1,0 +1,108 @@
+"""What is done to recordings after reading: fewer frames or points, noise, cuts, gaps, time reversed."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.judged import Recorded
+from voodoo_jax.body import Body
+from voodoo_jax.recording import Frame, Pairs, Rays
+from voodoo_jax.settings import Settings
+from voodoo_jax.tracker import find_person
+
+SIGMA = (0.004, 0.0015)  # of the recordings' camera: metres, and per metre of the squared distance
+GAP = 1.0  # seconds out of view
+
+
+def _frames(recorded: Recorded, keep: Callable[[int, float], bool]) -> Recorded:
+    """The frames of which `keep` (index, share of the recording's time) is true."""
+    first, last = recorded.frames[0].time_ns, recorded.frames[-1].time_ns
+    share = [(f.time_ns - first) / max(last - first, 1) for f in recorded.frames]
+    return replace(recorded, frames=[f for i, f in enumerate(recorded.frames) if keep(i, share[i])])
+
+
+def _cut(recorded: Recorded, start_ns: float) -> Recorded:
+    """What comes after `start_ns`."""
+    late = recorded.stamps >= start_ns
+    frames = [f for f in recorded.frames if f.time_ns >= start_ns]
+    return replace(
+        recorded, frames=frames, stamps=recorded.stamps[late], joints=recorded.joints[late], there=recorded.there[late]
+    )
+
+
+def _points(frame: Frame, keep: np.ndarray) -> Frame:
+    part, weight = (None if a is None else a[keep] for a in (frame.part, frame.weight))
+    return replace(frame, points=frame.points[keep], sensor=frame.sensor[keep], part=part, weight=weight)
+
+
+def half_the_points(recorded: Recorded) -> Recorded:
+    """A random half of every frame's points."""
+    rng = np.random.default_rng(0)
+    return replace(recorded, frames=[_points(f, rng.random(len(f.points)) < 0.5) for f in recorded.frames])
+
+
+def thrice_the_noise(recorded: Recorded) -> Recorded:
+    """Noise along the ray, so much that with what is there already it is three times the camera's."""
+    rng = np.random.default_rng(0)
+    frames = []
+    for f in recorded.frames:
+        origin = f.origins[f.sensor]
+        distance = np.linalg.norm(f.points - origin, axis=1, keepdims=True)
+        sigma = np.sqrt(3.0**2 - 1) * (SIGMA[0] + SIGMA[1] * distance**2)
+        moved = f.points + (f.points - origin) / distance * sigma * rng.standard_normal(distance.shape)
+        frames.append(replace(f, points=moved.astype(np.float32)))
+    return replace(recorded, frames=frames)
+
+
+def reversed_in_time(recorded: Recorded) -> Recorded:
+    """The last frame first."""
+    ends = recorded.frames[0].time_ns + recorded.frames[-1].time_ns
+    turned = [replace(f, time_ns=ends - f.time_ns) for f in recorded.frames[::-1]]
+    return replace(
+        recorded, frames=turned, stamps=ends - recorded.stamps[::-1], joints=recorded.joints[::-1],
+        there=recorded.there[::-1],
+    )  # fmt: skip
+
+
+def away_and_back(recorded: Recorded, body: Body, settings: Settings) -> Recorded:
+    """Without the person for a second in the middle: neither their points nor their features."""
+    people = find_person(recorded.frames, recorded.up, body, settings)[1]
+    middle = (recorded.frames[0].time_ns + recorded.frames[-1].time_ns) / 2
+    gap = lambda ns: np.abs(ns - middle) < GAP / 2 * 1e9  # noqa: E731
+    frames = []
+    for frame, person in zip(recorded.frames, people):
+        if gap(frame.time_ns):
+            mine = {tuple(p) for p in person.points.tolist()}
+            keep = np.array([tuple(p) not in mine for p in frame.points.tolist()], bool)
+            frame = replace(_points(frame, keep), rays=Rays(), pairs=Pairs())
+        frames.append(frame)
+    return replace(recorded, frames=frames, there=recorded.there & ~gap(recorded.stamps))
+
+
+def without_features(recorded: Recorded) -> Recorded:
+    """As --read.no-features."""
+    return replace(recorded, frames=[replace(f, rays=Rays(), pairs=Pairs()) for f in recorded.frames])
+
+
+def later(recorded: Recorded, seconds: float = 0.0, share: float = 0.0) -> Recorded:
+    """Without the first seconds and the first share."""
+    first, last = recorded.frames[0].time_ns, recorded.frames[-1].time_ns
+    return _cut(recorded, first + seconds * 1e9 + share * (last - first))
+
+
+def changes(body: Body, settings: Settings) -> dict[str, Callable[[Recorded], Recorded]]:
+    """All changes by name. `body` and `settings` tell the person apart where one of them needs that."""
+    return {
+        "as they are": lambda r: r,
+        "depth only": without_features,
+        "every second frame": lambda r: _frames(r, lambda i, _: i % 2 == 0),
+        "every third frame": lambda r: _frames(r, lambda i, _: i % 3 == 0),
+        "every tenth frame missing": lambda r: _frames(r, lambda i, _: i % 10 != 9),
+        "half of the points": half_the_points,
+        "three times the noise": thrice_the_noise,
+        "first half second cut off": lambda r: later(r, seconds=0.5),
+        "first 40 % cut off": lambda r: later(r, share=0.4),
+        "reversed in time": reversed_in_time,
+        "out of view for 1 s": lambda r: away_and_back(r, body, settings),
+    }
