@@ -227,6 +227,9 @@ def assigned(frame: Frame | PersonFrame) -> Bool[np.ndarray, " point"]:
     return np.zeros(len(frame.points), bool) if frame.part is None else frame.part >= 0
 
 
+STILL = 0.06  # metres from one frame's points to those of the frame before, of things that do not move
+
+
 class PersonFinder:
     """Follows one thing of a body's height through the frames: first the best candidate, then what hangs together with
     where it was. Places where other things were seen several times count as background from then on.
@@ -237,6 +240,7 @@ class PersonFinder:
     def __init__(self, scene: Scene, body_height: float, settings: PersonSettings):
         self.scene, self.settings, self.body_height = scene, settings, body_height
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
+        self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = 0
         self._spacing: dict[int, float] = {}  # of each sensor
         self._background: dict[tuple[int, int, int], int] = {}
@@ -262,7 +266,8 @@ class PersonFinder:
         if len(index):
             index = index[~self._known(points[index])]
         chosen = self._choose(points[index], sure)
-        self._learn(points[index][~chosen], np.concatenate([points[index][chosen], sure]))
+        self.others = points[index][~chosen]
+        self._learn(self.others, np.concatenate([points[index][chosen], sure]))
         # the points of a limb or two do not tell where the others are
         tells = chosen.sum() >= 30 or self._of_body(frame).sum() >= 30
         index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)]))
@@ -310,7 +315,13 @@ class PersonFinder:
             return most[label] if most.any() else label == self._candidate(points, label, count)
         near = KDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0] < np.inf
         touching = np.bincount(label, near)
-        return (most | (touching > np.maximum(5, 0.3 * count)))[label]
+        taken = touching > np.maximum(5, 0.3 * count)
+        if len(self.others):
+            # what stood apart from the body and stays where it is remains apart, however near: a chair
+            still = KDTree(self.others).query(points, distance_upper_bound=STILL)[0] < np.inf
+            main = np.arange(len(count)) == np.argmax(touching)
+            taken &= main | (np.bincount(label, still) < 0.6 * count)
+        return (most | taken)[label]
 
     def _candidate(self, points, label, count) -> int:
         """Label of the thing that is about as high as the body and not much wider, the largest of several; things of
