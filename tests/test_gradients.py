@@ -1,5 +1,7 @@
 """Derivatives of a frame's solution: implicit, unrolled and by central differences, for every kind of parameter."""
 
+import os
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -25,6 +27,7 @@ from voodoo_jax.kernels.features import Features
 from voodoo_jax.pose import Poses
 
 SENSOR = (2.0, 0.4, 0.5)
+slow = pytest.mark.skipif(not os.environ.get("SLOW"), reason="a minute of compilation; SLOW=1 runs it")
 BODY = """
 name = "two"
 scale = 1.0
@@ -79,7 +82,7 @@ def built(parts, body, points, features, start, options):
     return Problem.build(body, points, Poses(start.rotation, parts["prediction"]), options, features)
 
 
-@pytest.mark.parametrize("solver", ["coupled", "per_limb"])
+@pytest.mark.parametrize("solver", ["coupled", pytest.param("per_limb", marks=slow)])
 def test_gradient_triple(x64, solver):
     """Reverse, forward, unrolled and central differences agree to 1e-4 for every group of parameters."""
     world = scene(jnp.float64, solver=solver)
@@ -133,7 +136,7 @@ def test_slope_is_that_of_the_balance(x64):
     np.testing.assert_allclose(force, here, atol=1e-10)
 
 
-@pytest.mark.parametrize("overlap", ["shared", "adjacent"])
+@pytest.mark.parametrize("overlap", ["shared", pytest.param("adjacent", marks=slow)])
 def test_other_overlap_rules(x64, overlap):
     world = scene(jnp.float64, overlap=overlap)
     start, parts = world[3], parts_of(*world)

@@ -197,6 +197,27 @@ def test_background_is_learned():
     assert (cKDTree(joined).query(chair[chair[:, 2] > 0.05])[0] < 1e-5).mean() > 0.9
 
 
+def test_a_chair_beside_the_person_is_not_taken_but_an_arm_that_swings_out_is():
+    chair, arm = box(2.5, 0.54, 0.4, 0.9), box(2.4, -0.26, 0.1, 0.4) + [0, 0, 0.8]
+    finder, body = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings()), figure(2.5, 0.0)
+    share = lambda got, thing: (cKDTree(got).query(thing)[0] < 1e-5).mean()  # noqa: E731
+    for i, swing in enumerate([0.0, 0.0, 0.05, 0.1, 0.1, 0.1]):  # then as far away as the chair
+        out = arm - [0, swing, 0]
+        got = finder(frame(np.concatenate([body, chair, out]), i)).points
+        assert share(got, chair) < 0.02 and share(got, out) > 0.9
+
+
+def test_a_room_without_anybody_is_learned():
+    """Somebody comes in and touches what stood there before: it does not become part of them."""
+    chair = box(2.5, 0.5, 0.5, 0.9)
+    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+    for i in range(25):
+        assert not len(finder(frame(chair, i)).points)
+    person = figure(2.5, 0.0)
+    got = finder(frame(np.concatenate([person, chair]), 26)).points
+    assert (cKDTree(chair).query(got)[0] < 1e-5).mean() < 0.02 and len(got) > 0.9 * (person[:, 2] > 0.1).sum()
+
+
 def walking(count: int, chair, start: float, speed: float) -> list[PersonFrame]:
     frames = []
     for i in range(count):

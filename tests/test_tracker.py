@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from voodoo_jax.body import scaled
+from voodoo_jax.body import joint_centres, scaled
 from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.session import first_run
+from voodoo_jax.session import Session, first_run
 from voodoo_jax.settings import Settings, TrackSettings
 from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
-from voodoo_jax.tracker import track
+from voodoo_jax.tracker import find_person, track
+from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status
 
 CAMERA = tof_camera(1.0, 0.07)
@@ -120,3 +121,18 @@ def test_progress_counts_every_frame_once(recording, nobody):
 )
 def testfirst_run(mask, length, at):
     assert first_run(np.array([c == "1" for c in mask], bool), length) == at
+
+
+def test_a_wrong_track_is_left_for_a_fresh_start_that_explains_more(recording, standing):
+    settings, body = Settings(), scaled(human(), float(standing.body.scale))
+    scene, people = find_person(recording, recording.up, body, settings)
+    people = [replace(f, time_ns=f.time_ns + 10**9 * turn) for turn in range(3) for f in people]
+    options = options_from(settings.solve, settings.track, settings.features)
+    run, count = Session(body, options, people, scene, settings), len(people)
+    assert count >= 12
+    assert run.fresh(0, count, np.full(count, 1e-4)) is None  # the track is better
+    assert run.fresh(count - 3, count, np.full(count, 1e-2)) is None  # too few frames to tell
+    poses = run.fresh(0, count, np.full(count, 1e-2))
+    assert poses is not None
+    error = np.linalg.norm(np.asarray(joint_centres(body, poses)) - standing.joints[-1], axis=-1)
+    assert error.mean() < 0.03

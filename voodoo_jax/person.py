@@ -243,7 +243,7 @@ class PersonFinder:
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = 0
         self._spacing: dict[int, float] = {}  # of each sensor
-        self._background: dict[tuple[int, int, int], int] = {}
+        self._background: dict[tuple[int, int, int], float] = {}  # how often seen
 
     def __call__(self, frame: Frame) -> PersonFrame:
         s = self.settings
@@ -350,11 +350,15 @@ class PersonFinder:
         return known[inverse.ravel()]
 
     def _learn(self, others, mine) -> None:
-        if self.last is None or not len(others) or not len(mine):
+        if self.last is None and not len(mine):
+            # nobody there: the room, or somebody who is not told from it yet, so it takes most of a second
+            far, times = np.ones(len(others), bool), 0.15
+        elif self.last is None or not len(others) or not len(mine):
             return
-        far = KDTree(mine).query(others, distance_upper_bound=0.25)[0] == np.inf
+        else:
+            far, times = KDTree(mine).query(others, distance_upper_bound=0.25)[0] == np.inf, 1.0
         for cell in set(map(tuple, self._cells(others[far]).tolist())):
-            self._background[cell] = self._background.get(cell, 0) + 1
+            self._background[cell] = self._background.get(cell, 0.0) + times
 
 
 def person_frames(frames: Iterable[Frame], finder: PersonFinder) -> Iterator[PersonFrame]:

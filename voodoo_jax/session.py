@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int8
+from jaxtyping import Bool, Float, Int8
 
 from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Body
@@ -23,6 +23,7 @@ from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, track_chunk
 from voodoo_jax.tracks import Status
 
 FEW_POINTS = 20  # fewer on the body: nothing to track by
+BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
 ALIKE = 2.5  # starts that cost less than so much more than the best may tell the size
 
@@ -85,16 +86,17 @@ class Session:
         if self.by_markers:
             self.capacity, self.sized = 8, True
 
-    def start(self, at: int) -> State:
+    def start(self, at: int, before: Poses | None = None) -> State:
         """State in frame `at` after the best trial there, or after a better one later on, followed back.
 
         By markers alone: in the nearest frame that has enough of them. The first start settles the body's size, too.
+        `before` the last poses before the body was lost: it may still be in them, elsewhere.
         """
         if self.by_markers:
             good = np.flatnonzero(self.table.enough(TO_START))
             frame = int(good[np.argmin(np.abs(good - at))])
             return at_rest(marker_start(self.body, self.table.markers, frame))
-        found = [self._begin(at, self._sized(at))]
+        found = [self._begin(at, self._sized(at), before)]
         for frame in self._later(at) if found[0].cost > self.settings.start.sure else ():
             found.append(self._begin(frame, self._sized(frame)))
             if found[-1].cost < self.settings.start.sure:
@@ -112,16 +114,36 @@ class Session:
             poses = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), self.backwards(poses, at, best.frame + 1).poses)
         return at_rest(poses)
 
+    def fresh(self, first: int, end: int, cost: Float[np.ndarray, " frame"]) -> Poses | None:
+        """Poses in frame `end` - 1 from a start of its own shortly before, if that explains more than the track whose
+        `cost` [frame of the recording] is given, and is in no doubt: else a wrong track is never left."""
+        at = max(first, end - 3 * self.settings.start.frames)
+        if self.by_markers or end - at < 2 * self.settings.start.frames:
+            return None
+        best = self._begin(at, self.body)
+        here = float(np.mean(cost[at : at + self.settings.start.frames]))
+        if not best.cost < min(BETTER * here, self.settings.start.sure):
+            return None
+        state, length = at_rest(best.poses), self.settings.track.chunk
+        for k in range(at, end, length):
+            previous = self.people[k - 1].time_ns if k > at else None
+            state, _, _ = self._tracked(state, self.people[k : min(k + length, end)], previous)
+        return state.poses
+
     def _sized(self, at: int) -> Body:
         """The body in the size that it seems to have from frame `at` on, or the one that it is known to have."""
         s: StartSettings = self.settings.start
         return self.body if self.sized else sized(self.body, self.people[at : at + s.size_frames], self.scene.floor, s)
 
-    def _begin(self, at: int, body: Body) -> Beginning:
-        """The best of trials in all headings from frame `at`."""
+    def _begin(self, at: int, body: Body, before: Poses | None = None) -> Beginning:
+        """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there."""
         s: StartSettings = self.settings.start
         frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
         places = standing_places(body, frames[::-1], self.scene.floor, s.headings)
+        if before is not None:
+            there = np.median(np.concatenate([f.points for f in frames]), 0)
+            shift = there - np.median(np.asarray(before.translation), 0)
+            places.append(Poses(before.rotation, before.translation + jnp.asarray(shift, jnp.float32)))
         trial = self._trials(body, frames, jax.tree.map(lambda *leaves: jnp.stack(leaves), *places))
         best = int(np.argmin(np.asarray(trial.cost)))
         poses = jax.tree.map(lambda leaf: leaf[best], trial.state.poses)

@@ -141,6 +141,7 @@ def track_person(
     cost, passages = np.zeros(count), []  # square metres; frames from one start to the next
     patience = settings.track.patience
     state: State | None = None
+    before: Poses | None = None  # the last ones before the body was gone
     tried = -1
     if progress is not None:
         progress(at)
@@ -152,7 +153,7 @@ def track_person(
                 progress(1)
             continue
         if state is None:
-            state = run.start(at)
+            state = run.start(at, before)
             passages.append([at, at])
         after, step, taken = run.chunk(state, at)
         these = slice(at, at + taken)
@@ -175,9 +176,11 @@ def track_person(
                 later = np.flatnonzero(enough[at:])
                 skip = int(later[0]) if len(later) else count - at
                 out["status"][at : at + skip] = Status.NO_DATA
-                at, keep, state = at + skip, keep + skip, None
+                at, keep = at + skip, keep + skip
+                before = jax.tree.map(lambda leaf, k=gone: jnp.asarray(leaf[k - 1]), step.poses) if gone else None
             else:
-                state = None
+                before = None
+            state = None
             tried = at + patience
         if progress is not None:
             progress(keep)
@@ -216,7 +219,9 @@ def _both_ways(run: Session, out: dict[str, np.ndarray], cost: np.ndarray, first
         return
     span = slice(first, first + int(good[-1]) + 1)
     last = span.stop - 1
-    poses = Poses(jnp.asarray(out["rotation"][last]), jnp.asarray(out["translation"][last]))
+    poses = run.fresh(first, span.stop, cost)
+    if poses is None:
+        poses = Poses(jnp.asarray(out["rotation"][last]), jnp.asarray(out["translation"][last]))
     step = run.backwards(poses, first, span.stop)
     forward = Pass(out["rotation"][span], out["translation"][span], cost[span])
     backward = Pass(np.asarray(step.poses.rotation), np.asarray(step.poses.translation), np.asarray(cost_of(step)))
