@@ -165,7 +165,7 @@ def run_search(
         there = search.sums(progress.x + step, sums.poses)
         gain = search.gain(progress.x, progress.x + step, sums, there)
         if gain > -SLACK * sums.loss:
-            small = abs(gain) < GAIN * sums.loss or float(np.max(np.abs(step) / search.sd)) < 0.03
+            small = bool(abs(gain) < GAIN * sums.loss) or float(np.max(np.abs(step) / search.sd)) < 0.03
             progress = replace(progress, x=progress.x + step, damping=max(progress.damping / 5, 1e-3), done=small)
             sums = there
         else:
