@@ -118,7 +118,7 @@ class Session:
         """Poses in frame `end` - 1 from a start of its own shortly before, if that explains more than the track whose
         `cost` [frame of the recording] is given, and is in no doubt: else a wrong track is never left."""
         at = max(first, end - 3 * self.settings.start.frames)
-        if self.by_markers or end - at < 2 * self.settings.start.frames:
+        if self.by_markers or end - at < 2 * self.settings.start.frames or not self.can_start(at):
             return None
         best = self._begin(at, self.body)
         here = float(np.mean(cost[at : at + self.settings.start.frames]))
