@@ -320,7 +320,8 @@ class PersonFinder:
             # what stood apart from the body and stays where it is remains apart, however near: a chair
             still = KDTree(self.others).query(points, distance_upper_bound=STILL)[0] < np.inf
             main = np.arange(len(count)) == np.argmax(touching)
-            taken &= main | (np.bincount(label, still) < 0.6 * count)
+            # not what is small: a foot rests while the other one steps
+            taken &= main | (np.bincount(label, still) < 0.6 * count) | (count < 0.1 * len(self.last))
         return (most | taken)[label]
 
     def _candidate(self, points, label, count) -> int:
