@@ -1,5 +1,6 @@
 """Fitting a body to recordings: parameters, search, files, the command."""
 
+import os
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.simulate import with_proportions
 
 BODY = human()
+slow = pytest.mark.skipif(not os.environ.get("SLOW"), reason="a fit takes minutes and may hang; SLOW=1 runs it")
 
 
 def after(free, values, **options):
@@ -135,6 +137,7 @@ def test_changes_add_up():
     np.testing.assert_allclose(by.lengths[jnp.array(rows)], [0.1, 0.2])
 
 
+@slow
 def test_fit_of_the_demo(tmp_path, capsys):
     """The whole way, cut short: an upper arm that is 10 % too long comes nearer to the truth."""
     from importlib.resources import files
@@ -161,6 +164,7 @@ def test_fit_of_the_demo(tmp_path, capsys):
     assert share(wrong) < share(fitted)
 
 
+@slow
 def test_a_loss_of_ones_own():
     """BFGS finds the thigh that a function asks for; priors pull a little; it goes on from where it stopped."""
     from voodoo_jax.fit_loop import Part, Search
