@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from experiments.bench.replay_speed import Started
 from voodoo_jax.body import Body
+from voodoo_jax.fit_frames import Truth, read_truth
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.person import PersonFrame, Scene
@@ -25,8 +26,6 @@ from voodoo_jax.tracks import Tracks
 
 DEMO = Path(__file__).parents[1] / "voodoo_jax" / "data"  # the recording that the package brings along
 SKIP = 0.5  # seconds of the truth's beginning that are not scored: the tracker finds the body there
-# H-Anim version 1 names that truths use
-ALIAS = {"l_wrist": "l_radiocarpal", "r_wrist": "r_radiocarpal", "l_ankle": "l_talocrural", "r_ankle": "r_talocrural"}
 GROUPS = {
     "head": ("skullbase",),
     "trunk": ("vc7", "l_shoulder", "r_shoulder", "l_hip", "r_hip"),
@@ -85,13 +84,17 @@ def load_log(path: Path, body: Body, settings: Settings, frames: int = 0) -> Log
     """One recording, its first `frames` frames (0: all)."""
     reader = open_log(path, settings.read)
     scene, people = find_person(islice(reader.frames(), frames or None), reader.up, body, settings)
-    with np.load(path.with_suffix(".truth.npz"), allow_pickle=False) as file:
-        names = tuple(ALIAS.get(str(n), str(n)) for n in file["names"])
-        stamps, joints = file["time_ns"], file["joints"].astype(float)
-    if frames:
-        seen = stamps <= people[-1].time_ns
-        stamps, joints = stamps[seen], joints[seen]
-    return Log(path.stem, reader.path, reader.fixed_frame, scene, people, stamps, names, joints)
+    truth = load_truth(path, people[-1].time_ns if frames else None)
+    return Log(
+        path.stem, reader.path, reader.fixed_frame, scene, people, truth.time_ns, truth.names, truth.joints
+    )  # fmt: skip
+
+
+def load_truth(path: Path, last_ns: int | None = None) -> Truth:
+    """The truth of a recording, up to a time."""
+    truth = read_truth(path.with_suffix(".truth.npz"))
+    seen = slice(None) if last_ns is None else truth.time_ns <= last_ns
+    return truth._replace(time_ns=truth.time_ns[seen], joints=truth.joints[seen])
 
 
 def without_features(people: list[PersonFrame]) -> list[PersonFrame]:

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
-from experiments.common import ALIAS, Log, Score, errors, nearest, off, score, scored
+from experiments.common import Log, Score, errors, load_truth, nearest, off, score, scored
 from voodoo_jax.body import Body, segment_lengths
 from voodoo_jax.compile_cache import cache_folder, keep_compiled, use_compile_cache
 from voodoo_jax.io.mcap_log import open_log
@@ -61,12 +61,10 @@ def read(path: Path, settings: Settings, frames: int = 0) -> Recorded:
     found = list(reader.frames())
     found = found[: frames or None]
     with np.load(path.with_suffix(".truth.npz"), allow_pickle=False) as file:
-        names = tuple(ALIAS.get(str(n), str(n)) for n in file["names"])
-        stamps, joints, dims = file["time_ns"], file["joints"].astype(float), json.loads(str(file["dims"]))
-    seen = stamps <= found[-1].time_ns
-    stamps, joints = stamps[seen].astype(np.int64), joints[seen]
-    there = np.ones(len(stamps), bool)
-    return Recorded(path.stem, reader.fixed_frame, reader.up, found, stamps, names, joints, there, dims)
+        dims = json.loads(str(file["dims"]))
+    t = load_truth(path, found[-1].time_ns)
+    there = np.ones(len(t.time_ns), bool)
+    return Recorded(path.stem, reader.fixed_frame, reader.up, found, t.time_ns, t.names, t.joints, there, dims)
 
 
 @dataclass(frozen=True)

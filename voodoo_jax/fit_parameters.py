@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float, Float64
 
 from voodoo_jax.batch import V1_NAMES
-from voodoo_jax.body import Body, Topology, scaled
+from voodoo_jax.body import Body, Topology, scaled, with_rest_from_joints
 from voodoo_jax.icp import IcpOptions
-from voodoo_jax.marker_start import tree_order
-from voodoo_jax.pose import matrix, rotate, unrotate
+from voodoo_jax.pose import matrix, unrotate
 
 # Usual deviations. Adults of one stature differ by 4 to 5 % in the length of a limb (ANSUR II: standard deviation of
 # a segment after regression on stature over its mean), by 12 to 15 % in girth; a joint of a body of cylinders lies
@@ -168,19 +167,12 @@ def changed(body: Body, by: Changes) -> Body:
         name = V1_NAMES.get(joint, joint)
         if name in t.centres and t.centre_limbs[t.centres.index(name)] == t.parents[j]:
             centres = centres.at[t.centres.index(name)].add(shift[j])
-    at, was = [body.rest.translation[0]] * len(t.limbs), body.rest.translation
-    for j in tree_order(t):
-        p, c = t.parents[j], t.children[j]
-        held = lambda limb, point: rotate(body.rest.rotation[limb], point)  # noqa: E731
-        gap = was[c] - was[p] - held(p, body.parent_anchor.translation[j]) + held(c, body.child_anchor.translation[j])
-        at[c] = at[p] + held(p, on_parent[j]) - held(c, on_child[j]) + gap
     leaves = lambda b: (  # noqa: E731
-        b.sizes, b.rest.translation, b.parent_anchor.translation, b.child_anchor.translation, b.axes, b.weights,
-        b.centres, b.sites,
+        b.sizes, b.parent_anchor.translation, b.child_anchor.translation, b.axes, b.weights, b.centres, b.sites,
     )  # fmt: skip
     axes, weights = body.axes * jnp.exp(by.axes), body.weights * jnp.exp(by.weights)
-    new = (sizes, jnp.stack(at), on_parent, on_child, axes, weights, centres, sites)
-    grown = scaled(eqx.tree_at(leaves, body, new), body.scale * jnp.exp(by.scale))
+    new = eqx.tree_at(leaves, body, (sizes, on_parent, on_child, axes, weights, centres, sites))
+    grown = scaled(with_rest_from_joints(new), body.scale * jnp.exp(by.scale))
     return named_by_height(grown, body)
 
 

@@ -316,13 +316,23 @@ class PersonFinder:
         near = KDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0] < np.inf
         touching = np.bincount(label, near)
         taken = touching > np.maximum(5, 0.3 * count)
-        if len(self.others):
-            # what stood apart from the body and stays where it is remains apart, however near: a chair
-            still = KDTree(self.others).query(points, distance_upper_bound=STILL)[0] < np.inf
-            main = np.arange(len(count)) == np.argmax(touching)
-            # not what is small: a foot rests while the other one steps
-            taken &= main | (np.bincount(label, still) < 0.6 * count) | (count < 0.1 * len(self.last))
+        # what stood apart from the body and stays where it is remains apart, however near: a chair;
+        # not the body itself, and not what is small: a foot rests while the other one steps
+        main = int(np.argmax(touching))
+        doubtful = taken & (count >= 0.1 * len(self.last)) & (np.arange(len(count)) != main)
+        doubtful[[k for k in np.flatnonzero(doubtful) if self._is_head(points[label == k], points[label == main])]] = 0
+        if len(self.others) and doubtful.any():
+            asked = doubtful[label]
+            still = KDTree(self.others).query(points[asked], distance_upper_bound=STILL)[0] < np.inf
+            taken &= ~doubtful | (np.bincount(label[asked], still, len(count)) < 0.6 * count)
         return (most | taken)[label]
+
+    def _is_head(self, thing, body) -> bool:
+        """Whether a thing is right above a body: a head whose neck is hidden or narrow, not a chair."""
+        floor = self.scene.floor
+        apart = np.median(thing, 0) - np.median(body, 0)
+        apart -= (apart @ floor.normal) * floor.normal
+        return floor.height(thing).min() > 0.6 * self.body_height and bool(np.linalg.norm(apart) < 0.3)
 
     def _candidate(self, points, label, count) -> int:
         """Label of the thing that is about as high as the body and not much wider, the largest of several; things of

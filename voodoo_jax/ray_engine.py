@@ -54,7 +54,7 @@ def on_ray(jobs: list[Job], report: Report) -> Results:
 
 def _ray() -> Any:
     try:
-        import ray
+        import ray  # pyright: ignore[reportMissingImports]
     except ImportError as problem:
         raise ValueError(RAY_HELP) from problem
     return ray

@@ -124,11 +124,7 @@ class Session:
         here = float(np.mean(cost[at : at + self.settings.start.frames]))
         if not best.cost < min(BETTER * here, self.settings.start.sure):
             return None
-        state, length = at_rest(best.poses), self.settings.track.chunk
-        for k in range(at, end, length):
-            previous = self.people[k - 1].time_ns if k > at else None
-            state, _, _ = self._tracked(state, self.people[k : min(k + length, end)], previous)
-        return state.poses
+        return self._through(best.poses, self.people[at:end])[0].poses
 
     def _sized(self, at: int) -> Body:
         """The body in the size that it seems to have from frame `at` on, or the one that it is known to have."""
@@ -221,14 +217,18 @@ class Session:
         """Tracks frames `first` to `last` - 1, the last one first, beginning with `poses`; steps in order of time."""
         # the same frames as if time ran the other way
         turned = [replace(f, time_ns=-f.time_ns) for f in self.people[first:last][::-1]]
+        steps = self._through(poses, turned)[1]
+        return self._with_named(jax.tree.map(lambda leaf: leaf[::-1], steps), first, len(turned))
+
+    def _through(self, poses: Poses, frames: list[PersonFrame]) -> tuple[State, Step]:
+        """The state after any number of frames, begun at rest in `poses` in the first, and a step for each of them."""
         state, steps, length = at_rest(poses), [], self.settings.track.chunk
-        for at in range(0, len(turned), length):
-            frames = turned[at : at + length]
-            state, step, _ = self._tracked(state, frames, turned[at - 1].time_ns if at else None)
+        for at in range(0, len(frames), length):
+            previous = frames[at - 1].time_ns if at else None
+            state, step, _ = self._tracked(state, frames[at : at + length], previous)
             steps.append(step)
         # only the last chunk has padding
-        whole = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(turned)][::-1], *steps)
-        return self._with_named(whole, first, len(turned))
+        return state, jax.tree.map(lambda *parts: np.concatenate(parts)[: len(frames)], *steps)
 
     def _tracked(self, state: State, frames: list[PersonFrame], previous_ns: int | None) -> tuple[State, Step, int]:
         """The state after the frames, a step for each of a chunk's frames, and how many points were left out."""

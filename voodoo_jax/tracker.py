@@ -172,15 +172,13 @@ def track_person(
         at += keep
         state = after
         if keep < taken:
+            state = before = None
             if gone == keep:
+                before = jax.tree.map(lambda leaf, k=gone: jnp.asarray(leaf[k - 1]), step.poses) if gone else None
                 later = np.flatnonzero(enough[at:])
                 skip = int(later[0]) if len(later) else count - at
                 out["status"][at : at + skip] = Status.NO_DATA
                 at, keep = at + skip, keep + skip
-                before = jax.tree.map(lambda leaf, k=gone: jnp.asarray(leaf[k - 1]), step.poses) if gone else None
-            else:
-                before = None
-            state = None
             tried = at + patience
         if progress is not None:
             progress(keep)
