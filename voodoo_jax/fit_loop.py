@@ -8,6 +8,7 @@ where the loss is the user's own function (fit_body).
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -26,6 +27,8 @@ from voodoo_jax.pose import Poses
 GAIN = 3e-3  # a step that gains less of the loss is the last
 SLACK = 0.01  # a step may lose so much: points change limbs on the way, and the loss jumps a little
 FEWEST = 6  # frames of a log that must be at rest
+# a large program on XLA's pool of CPU threads may wait for ever for other threads of that pool (seen with two)
+ALONE = {"xla_cpu_multi_thread_eigen": False}
 
 
 class Part(NamedTuple):
@@ -64,7 +67,7 @@ class FitError(ValueError):
     """A fit that cannot be made; says why, and what to try."""
 
 
-@eqx.filter_jit
+@partial(eqx.filter_jit, compiler_options=ALONE)
 def _sums_of(
     body: Body, options: IcpOptions, frames: FitFrames, starts: Poses, x, maps, objective: Objective
 ) -> Normals:

@@ -11,7 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from voodoo_jax.body import Body
-from voodoo_jax.fit_loop import FitError, Progress, Search
+from voodoo_jax.fit_loop import ALONE, FitError, Progress, Search
 from voodoo_jax.fit_objective import SETTLED, FitFrames, UserLoss
 from voodoo_jax.fit_parameters import changed, changed_options
 from voodoo_jax.fit_solution import Solution, solution
@@ -52,10 +52,12 @@ def minimised(
     solver = optx.BFGS(rtol=1e-3, atol=1e-3)
     value, aux = jax.eval_shape(function, z, None)
     state = solver.init(function, z, None, {}, value, aux, frozenset())
-    step = eqx.filter_jit(lambda z, state: solver.step(function, z, None, {}, state, frozenset()))
+    step = eqx.filter_jit(
+        lambda z, state: solver.step(function, z, None, {}, state, frozenset()), compiler_options=ALONE
+    )
     ended = eqx.filter_jit(lambda z, state: solver.terminate(function, z, None, {}, state, frozenset()))
     if not progress.losses:
-        first = float(jax.jit(function)(z, None)[0])
+        first = float(jax.jit(function, compiler_options=ALONE)(z, None)[0])
         if not np.isfinite(first):
             raise FitError(f"the loss is {first} for the body as it is; it must be a finite number")
         progress = replace(progress, losses=(first,))

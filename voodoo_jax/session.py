@@ -14,18 +14,24 @@ from jaxtyping import Bool, Float, Int8
 from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Body
 from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
+from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_start, marker_table
 from voodoo_jax.person import PersonFrame, Scene
 from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Change, Settings, StartSettings
-from voodoo_jax.start import Trial, run_trials, sized, standing_places
-from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, track_chunk
+from voodoo_jax.start import Trial, opposite, run_trials, sized, standing_places
+from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, cost_of, track_chunk
 from voodoo_jax.tracks import Status
 
 FEW_POINTS = 20  # fewer on the body: nothing to track by
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
+RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
+BENT = 0.17  # radians beyond the limits that models of a joint may be wrong by
 ALIKE = 2.5  # starts that cost less than so much more than the best may tell the size
+
+
+check_poses = eqx.filter_jit(eqx.filter_vmap(check, in_axes=(None, 0)))  # for a chunk of frames
 
 
 class Beginning(NamedTuple):
@@ -141,9 +147,24 @@ class Session:
             shift = there - np.median(np.asarray(before.translation), 0)
             places.append(Poses(before.rotation, before.translation + jnp.asarray(shift, jnp.float32)))
         trial = self._trials(body, frames, jax.tree.map(lambda *leaves: jnp.stack(leaves), *places))
-        best = int(np.argmin(np.asarray(trial.cost)))
-        poses = jax.tree.map(lambda leaf: leaf[best], trial.state.poses)
-        return Beginning(at, body, poses, float(trial.cost[best]))
+        found = [
+            Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]))
+            for k in opposite(body, trial, RIVAL)
+        ]
+        return found[0] if len(found) == 1 else min(found, key=self._doubt)
+
+    def _doubt(self, start: Beginning) -> float:
+        """How badly a start goes on: cost of the trial and of the frames after it, more where joints bend too far.
+
+        A few frames hardly tell front from back; later ones do, and so do knees that bend the wrong way.
+        """
+        body, self.body = self.body, start.body
+        frames = self.people[start.frame : start.frame + self.settings.track.chunk]
+        step, self.body = self._through(start.poses, frames)[1], body
+        pad = ((0, self.settings.track.chunk - len(frames)), (0, 0), (0, 0))  # one program for every length
+        odd = check_poses(start.body, jax.tree.map(lambda leaf: np.pad(leaf, pad), step.poses))
+        bent = float(np.mean(np.maximum(np.asarray(odd.beyond)[: len(frames)] - BENT, 0.0)))
+        return start.cost * float(np.mean(np.asarray(cost_of(step)))) * float(np.exp(bent))
 
     def _later(self, at: int) -> list[int]:
         """Frames after `at` to start from: with points on end until there, and before the body changes."""

@@ -11,7 +11,7 @@ from voodoo_jax.body import Body, scaled
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.person import PersonFrame, Plane, point_spacing
-from voodoo_jax.pose import Poses, compose
+from voodoo_jax.pose import Poses, compose, rotate, unrotate
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.tracking import State, TrackOptions, at_rest, cost_of, track_frame
 
@@ -139,6 +139,15 @@ def run_trials(
         return state, jnp.mean(costs)
 
     return Trial(*jax.vmap(one)(starts))
+
+
+def opposite(body: Body, trial: Trial, near: float) -> list[int]:
+    """The best trial, and the best of those that face the other way if it costs less than `near` times as much."""
+    cost, turn = np.asarray(trial.cost), trial.state.poses.rotation[:, 0]
+    front = np.asarray(rotate(turn, unrotate(body.rest.rotation[0], jnp.array([1.0, 0.0, 0.0]))))
+    best = int(np.argmin(cost))
+    rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))
+    return [best, *rivals[np.argsort(cost[rivals])][:1].tolist()]
 
 
 def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSettings) -> Body:

@@ -15,7 +15,6 @@ from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.changes import loaded, prepared
-from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
 from voodoo_jax.marker_log import (
     TO_START,
@@ -27,7 +26,7 @@ from voodoo_jax.marker_notes import marker_notes
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.session import FEW_POINTS, Session, by_markers, first_run, status_of
+from voodoo_jax.session import FEW_POINTS, Session, by_markers, check_poses, first_run, status_of
 from voodoo_jax.settings import Settings
 from voodoo_jax.start import rest_height
 from voodoo_jax.tracking import State, cost_of, options_from
@@ -73,7 +72,6 @@ def _compile_clock() -> float:
 
 
 # for a chunk of frames
-check_poses = eqx.filter_jit(eqx.filter_vmap(check, in_axes=(None, 0)))
 centres_of = eqx.filter_jit(eqx.filter_vmap(joint_centres, in_axes=(None, 0)))
 
 
