@@ -8,7 +8,6 @@ where the loss is the user's own function (fit_body).
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -67,12 +66,14 @@ class FitError(ValueError):
     """A fit that cannot be made; says why, and what to try."""
 
 
-@partial(eqx.filter_jit, compiler_options=ALONE)
 def _sums_of(
     body: Body, options: IcpOptions, frames: FitFrames, starts: Poses, x, maps, objective: Objective
 ) -> Normals:
     free = Parameters((), np.zeros(0), maps, True)  # the names are not needed here
     return normals(body, options, frames, starts, x, free.changes, objective)
+
+
+compiled_sums: Callable[..., Normals] = eqx.filter_jit(_sums_of, compiler_options=ALONE)  # pyright: ignore[reportCallIssue]
 
 
 @eqx.filter_jit
@@ -115,7 +116,7 @@ class Search:
         for part, start in zip(self.parts, starts or tuple(p.frames.poses for p in self.parts)):
             rows = self.rows[part.person]
             at = jnp.asarray(x[rows], jnp.float32)
-            found = _sums_of(part.body, self.options, part.frames, start, at, maps, self.objective)
+            found = compiled_sums(part.body, self.options, part.frames, start, at, maps, self.objective)
             good, wanted = np.asarray(found.converged), float(np.asarray(part.frames.weight).sum())
             if good.sum() < FEWEST:
                 raise FitError(

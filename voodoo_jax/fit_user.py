@@ -53,7 +53,8 @@ def minimised(
     value, aux = jax.eval_shape(function, z, None)
     state = solver.init(function, z, None, {}, value, aux, frozenset())
     step = eqx.filter_jit(
-        lambda z, state: solver.step(function, z, None, {}, state, frozenset()), compiler_options=ALONE
+        lambda z, state: solver.step(function, z, None, {}, state, frozenset()),
+        compiler_options=ALONE,  # pyright: ignore[reportCallIssue]
     )
     ended = eqx.filter_jit(lambda z, state: solver.terminate(function, z, None, {}, state, frozenset()))
     if not progress.losses:

@@ -12,26 +12,23 @@ import numpy as np
 from jaxtyping import Bool, Float, Int8
 
 from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
-from voodoo_jax.body import Body
+from voodoo_jax.body import Body, scaled
 from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
-from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_start, marker_table
 from voodoo_jax.person import PersonFrame, Scene
 from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Change, Settings, StartSettings
+from voodoo_jax.stances import STANCES, in_stance
 from voodoo_jax.start import Trial, opposite, run_trials, sized, standing_places
-from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, cost_of, track_chunk
+from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, track_chunk
 from voodoo_jax.tracks import Status
 
 FEW_POINTS = 20  # fewer on the body: nothing to track by
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
+LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
-BENT = 0.17  # radians beyond the limits that models of a joint may be wrong by
 ALIKE = 2.5  # starts that cost less than so much more than the best may tell the size
-
-
-check_poses = eqx.filter_jit(eqx.filter_vmap(check, in_axes=(None, 0)))  # for a chunk of frames
 
 
 class Beginning(NamedTuple):
@@ -41,6 +38,7 @@ class Beginning(NamedTuple):
     body: Body  # with its size
     poses: Poses
     cost: float  # see tracking.cost_of
+    rival: "Beginning | None" = None  # faces the other way and costs hardly more
 
 
 def first_run(mask: Bool[np.ndarray, " frame"], length: int) -> int:
@@ -92,8 +90,8 @@ class Session:
         if self.by_markers:
             self.capacity, self.sized = 8, True
 
-    def start(self, at: int, before: Poses | None = None) -> State:
-        """State in frame `at` after the best trial there, or after a better one later on, followed back.
+    def start(self, at: int, before: Poses | None = None) -> Beginning:
+        """The best trial in frame `at`, or a better one later on, followed back to there.
 
         By markers alone: in the nearest frame that has enough of them. The first start settles the body's size, too.
         `before` the last poses before the body was lost: it may still be in them, elsewhere.
@@ -101,7 +99,7 @@ class Session:
         if self.by_markers:
             good = np.flatnonzero(self.table.enough(TO_START))
             frame = int(good[np.argmin(np.abs(good - at))])
-            return at_rest(marker_start(self.body, self.table.markers, frame))
+            return Beginning(at, self.body, marker_start(self.body, self.table.markers, frame), 0.0)
         found = [self._begin(at, self._sized(at), before)]
         for frame in self._later(at) if found[0].cost > self.settings.start.sure else ():
             found.append(self._begin(frame, self._sized(frame)))
@@ -109,39 +107,65 @@ class Session:
                 break
         clearest = min(found, key=lambda b: b.cost)
         best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]
-        # who bends or walks is taller than they look
-        tallest = max((b for b in found if b.cost < ALIKE * best.cost), key=lambda b: float(b.body.scale)).body
-        if float(tallest.scale) > 1.01 * float(best.body.scale):
-            best = self._begin(best.frame, tallest)
+        posed = self._in_stances(best.frame) if best.cost > self.settings.start.sure else None
+        if posed is not None and posed.cost < LIKELIER * best.cost:
+            best = posed
+        else:
+            # who bends or walks is taller than they look
+            tallest = max((b for b in found if b.cost < ALIKE * best.cost), key=lambda b: float(b.body.scale)).body
+            if float(tallest.scale) > 1.01 * float(best.body.scale):
+                best = self._begin(best.frame, tallest)
         self.body, self.sized = best.body, True
         self.bodies[-1] = (self.bodies[-1][0], self.body)
-        poses = best.poses
         if best.frame > at:
-            poses = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), self.backwards(poses, at, best.frame + 1).poses)
-        return at_rest(poses)
+            best = best._replace(poses=self._followed(best, at), rival=best.rival and best.rival._replace(
+                poses=self._followed(best.rival, at)))  # fmt: skip
+        return best._replace(frame=at)
 
-    def fresh(self, first: int, end: int, cost: Float[np.ndarray, " frame"]) -> Poses | None:
-        """Poses in frame `end` - 1 from a start of its own shortly before, if that explains more than the track whose
-        `cost` [frame of the recording] is given, and is in no doubt: else a wrong track is never left."""
-        at = max(first, end - 3 * self.settings.start.frames)
+    def _followed(self, start: Beginning, at: int) -> Poses:
+        """The poses in an earlier frame `at`."""
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), self.backwards(start.poses, at, start.frame + 1).poses)
+
+    def fresh(self, first: int, cost: Float[np.ndarray, " frame"]) -> Poses | None:
+        """Poses in the last of some frames, the first of them `first`, from a start of its own shortly before, if that
+        explains more than the track with this `cost` of the frames, and is in no doubt: a wrong track is left so."""
+        count = 3 * self.settings.start.frames
+        skip = max(0, len(cost) - count)
+        at, end = first + skip, first + len(cost)
         if self.by_markers or end - at < 2 * self.settings.start.frames or not self.can_start(at):
             return None
         best = self._begin(at, self.body)
-        here = float(np.mean(cost[at : at + self.settings.start.frames]))
+        here = float(np.mean(cost[skip : skip + self.settings.start.frames]))
         if not best.cost < min(BETTER * here, self.settings.start.sure):
             return None
         return self._through(best.poses, self.people[at:end])[0].poses
+
+    def _in_stances(self, at: int) -> Beginning | None:
+        """The best start from frame `at` with arms raised or sitting; None for a body that can do neither."""
+        found = []
+        for stance in STANCES:
+            # where the size is known, so is what the highest point is
+            for size in (1.0,) if self.sized else stance.sizes:
+                body = self._sized(at)
+                body = body if size == 1.0 else scaled(body, body.scale * jnp.asarray(size, jnp.float32))
+                posed = in_stance(body, stance)
+                if posed is not None:
+                    found.append(self._begin(at, body, rest=posed))
+        return min(found, key=lambda b: b.cost, default=None)
 
     def _sized(self, at: int) -> Body:
         """The body in the size that it seems to have from frame `at` on, or the one that it is known to have."""
         s: StartSettings = self.settings.start
         return self.body if self.sized else sized(self.body, self.people[at : at + s.size_frames], self.scene.floor, s)
 
-    def _begin(self, at: int, body: Body, before: Poses | None = None) -> Beginning:
-        """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there."""
+    def _begin(self, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> Beginning:
+        """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
+
+        `rest` the body with another rest pose, to begin with that.
+        """
         s: StartSettings = self.settings.start
         frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
-        places = standing_places(body, frames[::-1], self.scene.floor, s.headings)
+        places = standing_places(rest or body, frames[::-1], self.scene.floor, s.headings)
         if before is not None:
             there = np.median(np.concatenate([f.points for f in frames]), 0)
             shift = there - np.median(np.asarray(before.translation), 0)
@@ -151,20 +175,7 @@ class Session:
             Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]))
             for k in opposite(body, trial, RIVAL)
         ]
-        return found[0] if len(found) == 1 else min(found, key=self._doubt)
-
-    def _doubt(self, start: Beginning) -> float:
-        """How badly a start goes on: cost of the trial and of the frames after it, more where joints bend too far.
-
-        A few frames hardly tell front from back; later ones do, and so do knees that bend the wrong way.
-        """
-        body, self.body = self.body, start.body
-        frames = self.people[start.frame : start.frame + self.settings.track.chunk]
-        step, self.body = self._through(start.poses, frames)[1], body
-        pad = ((0, self.settings.track.chunk - len(frames)), (0, 0), (0, 0))  # one program for every length
-        odd = check_poses(start.body, jax.tree.map(lambda leaf: np.pad(leaf, pad), step.poses))
-        bent = float(np.mean(np.maximum(np.asarray(odd.beyond)[: len(frames)] - BENT, 0.0)))
-        return start.cost * float(np.mean(np.asarray(cost_of(step)))) * float(np.exp(bent))
+        return found[0]._replace(rival=found[1] if len(found) > 1 else None)
 
     def _later(self, at: int) -> list[int]:
         """Frames after `at` to start from: with points on end until there, and before the body changes."""
@@ -233,6 +244,10 @@ class Session:
         state, step, left_out = self._tracked(state, frames, previous)
         self.left_out += left_out
         return state, self._with_named(step, at, len(frames)), len(frames)
+
+    def forwards(self, poses: Poses, first: int, last: int) -> Step:
+        """Tracks frames `first` to `last` - 1, beginning with `poses`; their steps."""
+        return self._with_named(self._through(poses, self.people[first:last])[1], first, last - first)
 
     def backwards(self, poses: Poses, first: int, last: int) -> Step:
         """Tracks frames `first` to `last` - 1, the last one first, beginning with `poses`; steps in order of time."""

@@ -13,8 +13,8 @@ from jaxtyping import Float32
 
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
-from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.changes import loaded, prepared
+from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
 from voodoo_jax.marker_log import (
     TO_START,
@@ -23,19 +23,18 @@ from voodoo_jax.marker_log import (
     without_gaps,
 )
 from voodoo_jax.marker_notes import marker_notes
+from voodoo_jax.passage import PASSAGE, rows_of, there_and_back
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.session import FEW_POINTS, Session, by_markers, check_poses, first_run, status_of
+from voodoo_jax.session import FEW_POINTS, Beginning, Session, by_markers, first_run
 from voodoo_jax.settings import Settings
 from voodoo_jax.start import rest_height
-from voodoo_jax.tracking import State, cost_of, options_from
+from voodoo_jax.tracking import State, at_rest, options_from
 from voodoo_jax.tracks import Status, Tracks
 from voodoo_jax.uncertainty import covariances
 
 Progress = Callable[[int], None]
-# what tracks take from each Step as it is
-SEEN = {name: name for name in ("residual", "explained", "steps", "limb_weight")} | {"limb_covariance": "covariance"}
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
 SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
 
@@ -72,6 +71,7 @@ def _compile_clock() -> float:
 
 
 # for a chunk of frames
+check_poses = eqx.filter_jit(eqx.filter_vmap(check, in_axes=(None, 0)))
 centres_of = eqx.filter_jit(eqx.filter_vmap(joint_centres, in_axes=(None, 0)))
 
 
@@ -131,12 +131,13 @@ def track_person(
         "steps": np.zeros(count, np.int32),
         "points": np.array([len(f.points) for f in people], np.int32),
         "limb_weight": np.zeros((count, limbs), np.float32),
+        "cost": np.zeros(count),
         "beyond_limits": np.full((count, joint_count), np.nan, np.float32),
         "depth_inside": np.full((count, limbs), np.nan, np.float32),
         "limb_covariance": np.full((count, limbs, 6, 6), np.nan, np.float32),
         "joint_covariance": np.full((count, len(body.topology.centres), 3, 3), np.nan, np.float32),
     }
-    cost, passages = np.zeros(count), []  # square metres; frames from one start to the next
+    passages: list[tuple[Beginning, slice]] = []  # frames from one start to the next
     patience = settings.track.patience
     state: State | None = None
     before: Poses | None = None  # the last ones before the body was gone
@@ -151,22 +152,18 @@ def track_person(
                 progress(1)
             continue
         if state is None:
-            state = run.start(at, before)
-            passages.append([at, at])
+            start = run.start(at, before)
+            state = at_rest(start.poses)
+            passages.append((start, slice(at, at)))
         after, step, taken = run.chunk(state, at)
-        these = slice(at, at + taken)
-        status = status_of(step, settings.track.lost_explained, run.named[these], run.featured[these])
+        rows = rows_of(run, step, at, taken)
         # gone or lost for long: stop here and look anew
-        gone = first_run(status == Status.NO_DATA, patience)
-        lost = first_run(status == Status.LOST, patience) if tried < at else taken
+        gone = first_run(rows["status"] == Status.NO_DATA, patience)
+        lost = first_run(rows["status"] == Status.LOST, patience) if tried < at else taken
         keep = min(gone, lost + patience if lost < taken else taken, taken)
-        span = slice(at, at + keep)
-        out["rotation"][span] = step.poses.rotation[:keep]
-        out["translation"][span] = step.poses.translation[:keep]
-        out["status"][span] = status[:keep]
-        cost[span], passages[-1][1] = np.asarray(cost_of(step))[:keep], at + keep
-        for name, field in SEEN.items():
-            out[name][span] = getattr(step, field)[:keep]
+        for name, row in rows.items():
+            out[name][at : at + keep] = row[:keep]
+        passages[-1] = passages[-1][0], slice(passages[-1][1].start, at + keep)
         at += keep
         state = after
         if keep < taken:
@@ -181,10 +178,12 @@ def track_person(
         if progress is not None:
             progress(keep)
     if settings.track.both_ways and not run.by_markers and not settings.changes:
-        for first, end in passages:
-            _both_ways(run, out, cost, first, end)
+        for start, span in passages:
+            for name, row in there_and_back(run, start, {name: out[name][span] for name in PASSAGE}).items():
+                out[name][span] = row
             if progress is not None:
-                progress(end - first)
+                progress(span.stop - span.start)
+    del out["cost"]
     out["residual"][out["status"] == Status.NO_DATA] = np.nan
     joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)
     for (first, body), end in zip(run.bodies, [*(at for at, _ in run.bodies[1:]), count]):
@@ -206,29 +205,6 @@ def track_person(
         notes=tuple(notes) + _notes(run, out, exchanges),
         **out,
     )
-
-
-def _both_ways(run: Session, out: dict[str, np.ndarray], cost: np.ndarray, first: int, end: int) -> None:
-    """Tracks the frames of one passage backwards from its last good one, and combines that with what is there."""
-    good = np.flatnonzero(out["status"][first:end] == Status.TRACKED)
-    if not len(good):
-        return
-    span = slice(first, first + int(good[-1]) + 1)
-    last = span.stop - 1
-    poses = run.fresh(first, span.stop, cost)
-    if poses is None:
-        poses = Poses(jnp.asarray(out["rotation"][last]), jnp.asarray(out["translation"][last]))
-    step = run.backwards(poses, first, span.stop)
-    forward = Pass(out["rotation"][span], out["translation"][span], cost[span])
-    backward = Pass(np.asarray(step.poses.rotation), np.asarray(step.poses.translation), np.asarray(cost_of(step)))
-    lengths = np.asarray(run.body.sizes[:, 4])
-    out["rotation"][span], out["translation"][span], taken = combined(forward, backward, lengths)
-    lost_explained = run.settings.track.lost_explained
-    status = status_of(step, lost_explained, run.named[span], run.featured[span])
-    out["status"][span] = np.where(taken, status, out["status"][span])
-    for name, field in SEEN.items():
-        new, old = getattr(step, field), out[name][span]
-        out[name][span] = np.where(taken.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
 
 def _look_at(body: Body, out: dict[str, np.ndarray], joints: np.ndarray, first: int, end: int, chunk: int) -> None:

@@ -1,0 +1,60 @@
+"""A passage, the frames from one start of the tracker to the next: tracked there and back in time, and made one."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from voodoo_jax.both_ways import Pass, combined
+from voodoo_jax.pose import Poses
+from voodoo_jax.session import Beginning, Session, status_of
+from voodoo_jax.tracking import Step, cost_of
+from voodoo_jax.tracks import Status
+
+Rows = dict[str, np.ndarray]  # arrays of Tracks, and "cost" [frame], square metres; leading axis: frame
+# what tracks take from each Step as it is
+SEEN = {name: name for name in ("residual", "explained", "steps", "limb_weight")} | {"limb_covariance": "covariance"}
+PASSAGE = ("status", "rotation", "translation", "cost", *SEEN)
+
+
+def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
+    """What tracks keep of the steps of `count` frames from `first` on."""
+    span = slice(first, first + count)
+    status = status_of(step, run.settings.track.lost_explained, run.named[span], run.featured[span])
+    rows = {"rotation": step.poses.rotation, "translation": step.poses.translation, "cost": cost_of(step)}
+    rows |= {name: getattr(step, field) for name, field in SEEN.items()}
+    return {"status": status} | {name: np.asarray(row)[:count] for name, row in rows.items()}
+
+
+def there_and_back(run: Session, start: Beginning, forward: Rows) -> Rows:
+    """A passage that began with `start` and was tracked forwards, combined with a pass back from its last good frame.
+
+    Where the start might as well face the other way, that is tracked both ways too, and what costs less is kept.
+    """
+    found = _and_back(run, start.frame, forward)
+    if start.rival is None:
+        return found
+    count = len(forward["status"])
+    step = run.forwards(start.rival.poses, start.frame, start.frame + count)
+    other = _and_back(run, start.frame, rows_of(run, step, start.frame, count))
+    # a few frames hardly tell front from back: all of them do
+    doubt = [cost * float(np.mean(rows["cost"])) for cost, rows in ((start.cost, found), (start.rival.cost, other))]
+    return found if doubt[0] <= doubt[1] else other
+
+
+def _and_back(run: Session, first: int, forward: Rows) -> Rows:
+    good = np.flatnonzero(forward["status"] == Status.TRACKED)
+    if not len(good):
+        return forward
+    count = int(good[-1]) + 1
+    forth = {name: row[:count] for name, row in forward.items()}
+    poses = run.fresh(first, forth["cost"])
+    if poses is None:
+        poses = Poses(jnp.asarray(forth["rotation"][-1]), jnp.asarray(forth["translation"][-1]))
+    back = rows_of(run, run.backwards(poses, first, first + count), first, count)
+    rotation, translation, taken = combined(_pass(forth), _pass(back), np.asarray(run.body.sizes[:, 4]))
+    pick = lambda old, new: np.where(taken.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731
+    found = {name: pick(forth[name], back[name]) for name in forth} | {"rotation": rotation, "translation": translation}
+    return {name: np.concatenate([found[name], row[count:]]) for name, row in forward.items()}
+
+
+def _pass(rows: Rows) -> Pass:
+    return Pass(rows["rotation"], rows["translation"], rows["cost"])

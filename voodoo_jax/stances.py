@@ -1,0 +1,57 @@
+"""Poses to start from beside the rest pose: arms raised, sitting. For bodies that have such joints."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.body import Body, tree_order, with_rest_from_joints
+
+
+class Stance(NamedTuple):
+    """A pose by the turns of joints, in degrees about the body's x (forward) and y (left) axes, against the rest."""
+
+    turns: tuple[tuple[str, str, float], ...]  # joint, axis, degrees
+    sizes: tuple[float, ...]  # the body's scale over the one that its highest point would give
+
+
+LEFT, RIGHT = ("l_shoulder", "x", 170.0), ("r_shoulder", "x", -170.0)
+STANCES = (
+    # the hand may be what is highest
+    Stance((LEFT,), (1.0, 0.87)),
+    Stance((RIGHT,), (1.0, 0.87)),
+    Stance((LEFT, RIGHT), (1.0, 0.87)),
+    # a seat of 45 cm: a sitting adult's head is at three quarters of the stature
+    Stance((("l_hip", "y", -85.0), ("r_hip", "y", -85.0), ("l_knee", "y", 85.0), ("r_knee", "y", 85.0)), (1.32,)),
+)
+
+
+def in_stance(body: Body, stance: Stance) -> Body | None:
+    """The body with a stance as its rest pose, its lowest limb as high; None if it is nobody's or lacks a joint."""
+    t = body.topology
+    if body.scale_name != "stature" or not {joint for joint, *_ in stance.turns} <= set(t.joints):
+        return None
+    turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True)
+    for joint, axis, degrees in stance.turns:
+        limbs = _beyond(body, t.joints.index(joint))
+        quats = turn.as_quat(scalar_first=True)
+        moved = Rotation.from_euler(axis, degrees, degrees=True) * Rotation.from_quat(quats[limbs], scalar_first=True)
+        quats[limbs] = moved.as_quat(scalar_first=True)
+        turn = Rotation.from_quat(quats, scalar_first=True)
+    new = jnp.asarray(turn.as_quat(scalar_first=True), jnp.float32)
+    moved = with_rest_from_joints(eqx.tree_at(lambda b: b.rest.rotation, body, new))
+    places = jnp.asarray(moved.rest.translation)
+    lower = jnp.min(jnp.asarray(body.rest.translation)[:, 2]) - jnp.min(places[:, 2])
+    return eqx.tree_at(lambda b: b.rest.translation, moved, places.at[:, 2].add(lower))
+
+
+def _beyond(body: Body, joint: int) -> np.ndarray:
+    """The limbs that hang on a joint, itself the first."""
+    t = body.topology
+    out = [t.children[joint]]
+    for j in tree_order(t):
+        if t.parents[j] in out:
+            out.append(t.children[j])
+    return np.array(out)
