@@ -22,10 +22,12 @@ def top_eigenpair(k: Float[Array, "4 4"]) -> tuple[Float[Array, "4"], Float[Arra
 
 @jax.custom_batching.custom_vmap
 def _top_vectors(k: Float[Array, "limb 4 4"]) -> Float[Array, "limb 4"]:
-    """Unit eigenvectors of the largest eigenvalues: in closed form, but by `eigh` for all where one of them would lose
-    digits in it (points nearly on a line; pitfall P22)."""
+    """Unit eigenvectors of the largest eigenvalues: in closed form, but by `eigh` where they would lose digits in it
+    (points nearly on a line; pitfall P22)."""
     vectors, safe = _closed_form(k.transpose(1, 2, 0))
-    return jax.lax.cond(jnp.all(safe), lambda: vectors.T, lambda: jnp.linalg.eigh(k)[1][:, :, -1])
+    # limb by limb: what one limb gets does not depend on the others
+    checked = lambda: jnp.where(safe[:, None], vectors.T, jnp.linalg.eigh(k)[1][:, :, -1])  # noqa: E731
+    return jax.lax.cond(jnp.all(safe), lambda: vectors.T, checked)
 
 
 @_top_vectors.def_vmap
