@@ -87,6 +87,31 @@ def test_nine_clouds(name, turn):
         np.testing.assert_allclose(moved, data, atol=1e-5)
 
 
+@pytest.mark.parametrize("width", [0.3, 0.1, 0.03, 0.01, 0.003, 1e-3])
+def test_nearly_on_a_line(rng, width):
+    """Where a closed form of the eigenvector loses its digits, it is not used (pitfall P22): float32, any motion."""
+    model = rng.normal(size=(200, 20, 3)) * [width, width / 2, 1]
+    turns = random_rotations(rng, 200)
+    data = np.stack([scipy_rotation(q).apply(m) for q, m in zip(turns, model)])
+    moments = jax.vmap(lambda c, p: moments_of(jnp.ones(20), c, p))(
+        *(jnp.asarray(x, jnp.float32) for x in (model, data))
+    )
+    found = jax.jit(jax.vmap(align))(moments)
+    off = [np.degrees((scipy_rotation(q).inv() * scipy_rotation(a)).magnitude()) for q, a in zip(turns, found.rotation)]
+    # the roll about the line is as uncertain as single precision makes it
+    assert np.max(off) < 1e-4 / width**2 + 1e-3
+
+
+def test_a_batch_is_its_parts(rng):
+    """Bit for bit, also where some of a batch need the slower way, or are broken."""
+    clouds = [CLOUDS[name] for name in ("generic", "collinear", "octahedron", "two points")]
+    moments = np.stack([moments_of(np.ones(len(c)), c, c + [0.1, 0.0, 0.3]) for c in clouds]).astype(np.float32)
+    together = jax.jit(jax.vmap(align))(moments).rotation
+    for broken in (0.0, np.nan):
+        pair = np.stack([moments[0], np.full((4, 4), broken, np.float32)])
+        np.testing.assert_array_equal(jax.jit(jax.vmap(align))(pair).rotation[0], together[0])
+
+
 @jax.jit
 def derivatives(moments):
     loss = lambda m: jnp.sum(jnp.sin(align(m).rotation)) + jnp.sum(align(m).translation ** 2)  # noqa: E731

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from voodoo_jax.body import Links
-from voodoo_jax.pose import Poses, compose, inverse, rotate, unrotate
+from voodoo_jax.pose import Poses, compose, inverse, matrix, rotate, unrotate
 
 
 def _pair_moments(
@@ -53,8 +53,10 @@ def prior_moments(
     **Returns:** sum of w [1, c] [1, p]^T and sum of w c c^T.
     """
     difference = compose(inverse(pose), predicted)
-    offsets = jnp.concatenate([jnp.eye(3, dtype=middle.dtype), -jnp.eye(3, dtype=middle.dtype)]) * radius
-    model = middle + offsets
-    data = rotate(difference.rotation, model) + difference.translation
-    second = weight / 6 * jnp.sum(model[:, :, None] * model[:, None, :], 0)
-    return _pair_moments(jnp.broadcast_to(weight / 6, (6,)), model, data), second
+    data = rotate(difference.rotation, middle) + difference.translation
+    # the sum over the pairs written out: of the offsets +-radius along each axis, only their squares are left
+    square = weight * radius**2 / 3
+    moments = _pair_moments(weight[None], middle[None], data[None])
+    moments = moments.at[1:, 1:].add(square * matrix(difference.rotation).T)
+    second = weight * middle[:, None] * middle[None] + square * jnp.eye(3, dtype=middle.dtype)
+    return moments, second

@@ -6,14 +6,11 @@ points c and data points p: longer lists and heavier weights cost nothing (Knoop
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from voodoo_jax.kernels.eigen import top_eigenpair
 from voodoo_jax.pose import quat_normalize, rotate
-
-# Relative damping of the pseudo-inverse in the derivative of the eigenvector: smooth where the gap closes (pitfall P1).
-GAP_DAMPING = 1e-6
 
 
 class Alignment(NamedTuple):
@@ -37,66 +34,6 @@ def horn_matrix(s: Float[Array, "3 3"]) -> Float[Array, "4 4"]:
     return jnp.stack([jnp.stack(r) for r in rows])
 
 
-@jax.custom_jvp
-def top_eigenpair(k: Float[Array, "4 4"]) -> tuple[Float[Array, "4"], Float[Array, "4"]]:
-    """Eigenvalues (ascending) and the eigenvector of the largest one of a symmetric matrix.
-
-    The derivative of `eigh` is NaN in reverse mode when any two eigenvalues meet, even if the wanted one stands apart
-    (pitfall P1); this rule needs only the top one to stand apart and is damped, hence finite, where it does not.
-    Second derivatives hold for the top pair; those of the other three eigenvalues leave out the turn of their vectors.
-    """
-    values, vectors = jnp.linalg.eigh(k)
-    return values, vectors[:, -1]
-
-
-@top_eigenpair.defjvp
-def _top_eigenpair_jvp(primals, tangents):
-    (k,), (dk,) = primals, tangents
-    values, top = top_eigenpair(k)
-    dkv = jnp.sum(dk * top, -1)
-    others = _frozen_vectors(k)[:, :-1]
-    dothers = jnp.sum(others * jnp.sum(dk[:, :, None] * others[None], 1), 0)
-    return (values, top), (jnp.append(dothers, jnp.sum(top * dkv)), jnp.sum(_turn_of_top(k) * dkv, -1))
-
-
-@jax.custom_jvp
-def _frozen_vectors(k: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
-    """Eigenvectors held constant: not even their derivative times zero is taken, which would be NaN."""
-    return jnp.linalg.eigh(k)[1]
-
-
-@_frozen_vectors.defjvp
-def _frozen_vectors_jvp(primals, tangents):
-    vectors = _frozen_vectors(*primals)
-    return vectors, jnp.zeros_like(vectors)
-
-
-@jax.custom_jvp
-def _turn_of_top(k: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
-    """Damped pseudo-inverse of (top eigenvalue - k): takes a change of k times the top eigenvector to its turn."""
-    values, vectors = jnp.linalg.eigh(k)
-    gaps = values[-1] - values
-    scale = jnp.maximum(jnp.max(jnp.abs(values)), 1e-30)
-    inverse = gaps / (gaps * gaps + (GAP_DAMPING * scale) ** 2)  # damped 1/gap; 0 for the top one itself
-    return _product(vectors * inverse, vectors.T)
-
-
-@_turn_of_top.defjvp
-def _turn_of_top_jvp(primals, tangents):
-    # derivative of a pseudo-inverse of constant rank (Golub and Pereyra 1973), damping held constant
-    (k,), (dk,) = primals, tangents
-    _, top = top_eigenpair(k)
-    inverse = _turn_of_top(k)
-    change = jnp.sum(top * jnp.sum(dk * top, -1)) * jnp.eye(4, dtype=k.dtype) - dk
-    across = _product(inverse, _product(inverse, jnp.sum(change * top, -1)[:, None])) * top
-    return inverse, across + across.T - _product(inverse, _product(change, inverse))
-
-
-def _product(a, b):
-    """Matrix product as sums: no reduced precision on any device (pitfall P27)."""
-    return jnp.sum(a[:, :, None] * b[None], 1)
-
-
 def align(moments: Float[Array, "4 4"]) -> Alignment:
     """The rotation and translation that minimise the weighted sum of squares |R c + t - p|^2.
 
@@ -116,7 +53,7 @@ def align(moments: Float[Array, "4 4"]) -> Alignment:
     spread = jnp.sqrt(jnp.where(flat, 1.0, spread2))  # the root of 0 has no derivative (pitfall P6)
     # normalised by the limb's own spread: eigenvalues near one, whatever unit or weight (pitfall P2)
     k = horn_matrix(cross / spread)
-    identity = jnp.zeros((4, 4), k.dtype).at[0, 0].set(1.0)
+    identity = jnp.diag(jnp.array([3, -1, -1, -1], k.dtype)) / 3**0.5
     values, q = top_eigenpair(jnp.where(flat, identity, k))
     # nearest to the identity, never sign(): that is 0 at 0 (pitfall P5)
     q = quat_normalize(q * jnp.where(q[0] >= 0, 1.0, -1.0))
