@@ -1,6 +1,5 @@
 """Fitting a body to recordings: parameters, search, files, the command."""
 
-import os
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -16,7 +15,6 @@ from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.simulate import with_proportions
 
 BODY = human()
-slow = pytest.mark.skipif(not os.environ.get("SLOW"), reason="a fit takes minutes and may hang; SLOW=1 runs it")
 
 
 def after(free, values, **options):
@@ -137,7 +135,6 @@ def test_changes_add_up():
     np.testing.assert_allclose(by.lengths[jnp.array(rows)], [0.1, 0.2])
 
 
-@slow
 def test_fit_of_the_demo(tmp_path, capsys):
     """The whole way, cut short: an upper arm that is 10 % too long comes nearer to the truth."""
     from importlib.resources import files
@@ -155,7 +152,7 @@ def test_fit_of_the_demo(tmp_path, capsys):
         "--noise",
         "0.005",
     ]
-    assert main([*words, "--frames", "16", "--points", "128", "--iterations", "4"]) == 0
+    assert main([*words, "--frames", "16", "--points", "128", "--iterations", "3", "--rounds", "2"]) == 0
     assert "held out" in capsys.readouterr().out
     assert {p.name for p in tmp_path.iterdir()} == {"wrong.toml", "body.toml", "body.md", "body.png"}
     fitted, text = read_body(tmp_path / "body.toml"), (tmp_path / "body.md").read_text()
@@ -164,7 +161,6 @@ def test_fit_of_the_demo(tmp_path, capsys):
     assert share(wrong) < share(fitted)
 
 
-@slow
 def test_a_loss_of_ones_own():
     """BFGS finds the thigh that a function asks for; priors pull a little; it goes on from where it stopped."""
     from voodoo_jax.fit_loop import Part, Search

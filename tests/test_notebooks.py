@@ -8,7 +8,7 @@ import matplotlib
 import pytest
 
 # the fit has hung inside a compiled program here once: until that is understood it does not hold up a test run
-SLOW = pytest.mark.skipif(not os.environ.get("SLOW"), reason="a fit takes minutes and may hang; SLOW=1 runs it")
+SLOW = pytest.mark.skipif(not os.environ.get("SLOW"), reason="takes minutes; SLOW=1 runs it")
 NOTEBOOKS = [
     pytest.param(path, marks=SLOW if path.stem == "tune_a_body" else (), id=path.stem)
     for path in sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))

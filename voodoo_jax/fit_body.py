@@ -5,15 +5,16 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int
 
 from voodoo_jax.body import Body, joint_centres, scaled
-from voodoo_jax.fit_frames import Truth, feature_names, fit_frames, held_out, read_truth, with_weight
+from voodoo_jax.fit_frames import Truth, chosen_frames, feature_names, fit_frames, held_out, read_truth, with_weight
 from voodoo_jax.fit_loop import (
     FitError,
     Part,
@@ -29,13 +30,14 @@ from voodoo_jax.fit_objective import UserLoss
 from voodoo_jax.fit_parameters import parameters
 from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.fit_user import minimised
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person import PersonFrame, Scene
 from voodoo_jax.recording import Recording
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Tracks
 
 SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
+MOVED = 0.2  # usual deviations: a round that changes nothing by more is the last
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,14 @@ class Fit:
         return [n for n, s, p in zip(self.names, self.sd, self.prior_sd) if s > 0.9 * p]
 
 
+class Seen(NamedTuple):
+    """One recording, tracked."""
+
+    tracks: Tracks
+    people: list[PersonFrame]
+    scene: Scene | None = None  # to track it again with the body found; None: one round only
+
+
 TruthLike = Truth | str | os.PathLike[str] | None
 Log = str | os.PathLike[str] | Recording
 
@@ -112,7 +122,7 @@ def fit(
 
 
 def fit_tracked(
-    seen: Sequence[tuple[Tracks, list[PersonFrame]]],
+    seen: Sequence[Seen],
     settings: Settings,
     options: FitSettings,
     truths: Sequence[TruthLike] = (),
@@ -123,14 +133,11 @@ def fit_tracked(
 ) -> Fit:
     """The same from tracks and the frames that they were found in; `judge` truths that only the report looks at."""
     tell = say or (lambda what, progress: None)
-    search = search_of(seen, settings, options, truths or judge)
+    chosen = [chosen_frames(s.tracks, s.people, options.frames) for s in seen]
+    whole = now = search_of(seen, settings, options, truths or judge, chosen)
     if not truths:
-        search = replace(search, objective="held")
-    whole = search
-    search = replace(
-        search,
-        parts=tuple(p._replace(frames=with_weight(p.frames, ~held_out(len(p.frames.weight)))) for p in search.parts),
-    )
+        whole = now = replace(whole, objective="held")
+    search = _but_held_out(now)
     size = len(search.sd)
     mark = _fingerprint(search, options)
     progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(size))
@@ -145,10 +152,20 @@ def fit_tracked(
     if loss is not None:
         progress = minimised(search, loss, progress, options.iterations, step_done)
     else:
-        progress, sums = run_search(search, progress, options.iterations, step_done)
-        sd = deviations(search, sums)
+        for number in range(1, options.rounds + 1):
+            began = progress.x
+            progress, sums = run_search(search, progress, number * options.iterations, step_done)
+            sd = deviations(search, sums)
+            moved = float(np.max(np.abs(progress.x - began) / search.sd, initial=0.0))
+            if number == options.rounds or moved < MOVED or any(s.scene is None for s in seen):
+                break
+            tell("tracking again", progress)
+            again = [_again(one, search.body(progress.x, part), settings) for one, part in zip(seen, search.parts)]
+            parts = search_of(again, settings, options, truths or judge, chosen).parts
+            now = replace(now, parts=tuple(old._replace(frames=new.frames) for old, new in zip(now.parts, parts)))
+            search, progress = _but_held_out(now), replace(progress, done=False)
     tell("judging", progress)
-    before, after = whole.sums(np.zeros(size)), whole.sums(progress.x)
+    before, after = whole.sums(np.zeros(size)), now.sums(progress.x)
     first = [next(p for p in search.parts if p.person == k) for k in range(len(search.rows))]
     bodies = tuple(search.body(progress.x, p) for p in first)
     judged = tuple(_judged(search, part, k, progress.x, before, after) for k, part in enumerate(whole.parts))
@@ -158,9 +175,25 @@ def fit_tracked(
     )  # fmt: skip
 
 
+def _but_held_out(search: Search) -> Search:
+    """The search without the frames that nothing is fitted to."""
+    parts = (p._replace(frames=with_weight(p.frames, ~held_out(len(p.frames.weight)))) for p in search.parts)
+    return replace(search, parts=tuple(parts))
+
+
+def _again(seen: Seen, body: Body, settings: Settings) -> Seen:
+    """A recording tracked with a body of known size."""
+    from voodoo_jax.tracker import track_person
+
+    assert seen.scene is not None
+    settings = replace(settings, start=replace(settings.start, scale=float(body.scale)))
+    found = track_person(body, seen.scene, seen.people, settings, seen.tracks.source, seen.tracks.fixed_frame)
+    return seen._replace(tracks=found)
+
+
 def tracked(
     body: Body, logs: Sequence[Log], settings: Settings, tell: Callable[[str], None] = lambda what: None
-) -> list[tuple[Tracks, list[PersonFrame]]]:
+) -> list[Seen]:
     """Every log tracked with the body, and the person's frames."""
     from voodoo_jax.io.mcap_log import open_log
     from voodoo_jax.tracker import find_person, track_person
@@ -174,27 +207,30 @@ def tracked(
             frames = source.frames()
         tell(f"tracking {Path(source.path).name}")
         scene, people = find_person(frames, source.up, body, settings)
-        seen.append((track_person(body, scene, people, settings, source.path, source.fixed_frame), people))
+        found = track_person(body, scene, people, settings, source.path, source.fixed_frame)
+        seen.append(Seen(found, people, scene))
     return seen
 
 
 def search_of(
-    seen: Sequence[tuple[Tracks, list[PersonFrame]]],
+    seen: Sequence[Seen],
     settings: Settings,
     options: FitSettings,
     truths: Sequence[TruthLike] = (),
+    chosen: Sequence[Int[np.ndarray, " chosen"]] = (),
 ) -> Search:
-    """The frames that are looked at, and what is free."""
-    body = seen[0][0].body
-    names = tuple(sorted({n for _, people in seen for n in feature_names(people, body.topology, settings.features)}))
+    """What is free, and the frames that are looked at: `chosen` ones of each recording, or well tracked ones."""
+    chosen = chosen or [chosen_frames(s.tracks, s.people, options.frames) for s in seen]
+    body = seen[0].tracks.body
+    names = tuple(sorted({n for s in seen for n in feature_names(s.people, body.topology, settings.features)}))
     free = parameters(body, options.free, names, options.mirrored)
     persons = [0 if options.persons == "one" else k for k in range(len(seen))]
-    scales = [np.median([float(t.body.scale) for (t, _), p in zip(seen, persons) if p == k]) for k in set(persons)]
+    scales = [np.median([float(s.tracks.body.scale) for s, p in zip(seen, persons) if p == k]) for k in set(persons)]
     parts = []
     known = [read_truth(t) if isinstance(t, (str, os.PathLike)) else t for t in truths] or [None] * len(seen)
-    for k, ((tracks, people), person, truth) in enumerate(zip(seen, persons, known)):
+    for k, ((tracks, people, _), at, person, truth) in enumerate(zip(seen, chosen, persons, known)):
         frames = fit_frames(
-            tracks, people, settings.features, names, options.frames, options.points, truth, k, options.markers
+            tracks, people, at, settings.features, names, options.frames, options.points, truth, k, options.markers
         )
         own = scaled(tracks.body, float(scales[person]))
         parts.append(Part(Path(tracks.source).name, own, frames, person))

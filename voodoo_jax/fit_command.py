@@ -31,7 +31,7 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
     if there and not command.overwrite:
         print(f"voodoo-jax fit: {there[0]} exists: name another --out, or say --overwrite", file=sys.stderr)
         return 2
-    with tqdm(total=command.fit.iterations, unit="step", leave=False, disable=None) as bar:
+    with tqdm(total=command.fit.iterations * command.fit.rounds, unit="step", leave=False, disable=None) as bar:
 
         def say(what: str, progress: Progress | None) -> None:
             bar.set_description(what)

@@ -95,6 +95,7 @@ def feature_names(people: list[PersonFrame], topology: Topology, settings: Featu
 def fit_frames(
     tracks: Tracks,
     people: list[PersonFrame],
+    at: Int[np.ndarray, " chosen"],
     features: FeatureSettings,
     names: tuple[str, ...],
     count: int,
@@ -105,10 +106,9 @@ def fit_frames(
 ) -> FitFrames:
     """Frames of one recording, padded to `count`, each with up to `points` points to solve on and as many to judge by.
 
-    **Arguments:** `names` of the measurement weights that may be free; `log` number of the recording; `markers` named
-    places judge only, otherwise half of the features of a frame do.
+    **Arguments:** `at` which frames (see chosen_frames); `names` of the measurement weights that may be free; `log`
+    number of the recording; `markers` named places judge only, otherwise half of the features of a frame do.
     """
-    at = chosen_frames(tracks, people, count)
     solve, judge = [], []
     for number, frame in enumerate(people[i] for i in at):
         order = np.random.default_rng(frame.time_ns & 0xFFFFFFFFFFFF).permutation(len(frame.points))[: 2 * points]

@@ -29,6 +29,7 @@ FEW = 10.0  # points of a limb with which it counts half
 RAY_SD = 0.03  # metres: a detector's point from the body's, across the line of sight
 JOINT_SD = 0.03  # metres: tracked joints from the truth
 SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) count nothing
+CAP = 0.001  # metres from a limb's end
 ROBUST = 0.06  # metres at which a residual begins to count less
 
 
@@ -100,7 +101,9 @@ def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: P
     at, sizes = jax.lax.stop_gradient((poses, body.sizes))
     limbs = _closest(sizes, at, frame, options, body)
     found = match_assigned(body.sizes, poses, frame.held, limbs, matching)
-    there = found.weight[0] > 0
+    # what is beyond a limb's end is on its cap, or on what hangs there: the side that is fitted is not near
+    length, z = jnp.append(sizes[:, 4], 0.0)[limbs], jax.lax.stop_gradient(found.model[2])
+    there = (found.weight[0] > 0) & (z > CAP) & (z < length - CAP)
     gap = jnp.stack([jnp.where(there, p - c, 0.0) for p, c in zip(found.data, found.model)], -1)
     # a limb counts as PER_LIMB independent measurements, however many points show it, but less if these are few
     count = jax.ops.segment_sum(there.astype(gap.dtype), limbs, body.limb_count + 1)

@@ -23,7 +23,10 @@ class FitSettings:
     steps: int = 10
     """ICP steps before the Newton steps, in each frame and each step of the fit."""
     iterations: int = 12
-    """Most steps of the fit; it stops by itself before, where the loss falls by less than 0.3 %."""
+    """Most steps of a round; it ends by itself before, where the loss falls by less than 0.1 %."""
+    rounds: int = 3
+    """After each round but the last the logs are tracked anew with the body found so far: wrong sizes make wrong poses,
+    which no step from there leaves."""
     noise: float = 0.01
     """How far a person's surface is from the body's cylinders (standard deviation, metres); smaller trusts the log more
     and the priors less."""

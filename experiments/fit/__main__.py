@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from experiments.common import DEMO, human, load_log, log_files, table, without_features, write
 from voodoo_jax.body import Body, scaled, segment_lengths
-from voodoo_jax.fit_body import Fit, fit, fit_tracked
+from voodoo_jax.fit_body import Fit, Seen, fit, fit_tracked
 from voodoo_jax.fit_frames import Truth
 from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.recording import Frame, Recording
@@ -55,7 +55,9 @@ def real(recordings: Path, every: int, frames: int, options: FitSettings) -> str
         people = without_features(log.people)
         tracks = log.track(body, settings, people)
         began = time.perf_counter()
-        found = fit_tracked([(tracks, people)], settings, options, judge=[Truth(log.stamps, log.names, log.joints)])
+        found = fit_tracked(
+            [Seen(tracks, people, log.scene)], settings, options, judge=[Truth(log.stamps, log.names, log.joints)]
+        )
         seconds = time.perf_counter() - began
         row = np.array([*_lengths(found, dims), *_held(found), seconds])
         numbers.append(row)
@@ -109,7 +111,7 @@ def simulated(frames: int, options: FitSettings) -> str:
     """Table of the recovery of limbs that are 15 % off."""
     rows = []
     body = scaled(human(), 1.75)
-    moves = [make_motion(body, name, 2.0) for name in ("walk", "wave", "bow")]
+    moves = [make_motion(body, name, 2.0) for name in ("walk", "swing", "wave")]
     motion = placed(sequence(*moves), 3.2, 0.0, np.pi)
     wrong = {"thigh": 1.15, "shank": 0.85, "upper_arm": 0.85, "forearm": 1.15}
     start = with_proportions(body, {f"{s}_{k}": v for k, v in wrong.items() for s in "lr"})
@@ -123,7 +125,7 @@ def simulated(frames: int, options: FitSettings) -> str:
         # the stature is known: with such limbs the height would not give it
         settings = replace(settings, start=replace(settings.start, scale=float(start.scale)))
         # cylinders are seen, and the start is far off: little noise, wide priors
-        found = fit(start, [recording], settings, replace(options, noise=0.004, looseness=4.0, iterations=20))
+        found = fit(start, [recording], settings, replace(options, noise=0.002, looseness=4.0))
         before, after = off(found.starts[0], truth), off(found.body, truth)
         rows.append([word, *(f"{before[k]:+.1f} to {after[k]:+.2f}" for k in LIMBS), f"{len(found.losses) - 1}"])
     return table(["noise", *(f"{k}, cm" for k in LIMBS), "steps"], rows)
