@@ -4,6 +4,7 @@ import atexit
 import os
 import shutil
 import tempfile
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -31,3 +32,14 @@ def x64():
     """float64 for this test; elsewhere the tests run in float32 as the product does (part of jit's cache key)."""
     with jax.enable_x64(True):
         yield
+
+
+MAPS = Path("/proc/self/maps")  # of this process's memory; Linux only
+
+
+@pytest.fixture(autouse=True, scope="module")
+def room_for_programs():
+    """Forgets compiled programs where there are many: each maps memory anew, and past 65,530 maps a process dies."""
+    yield
+    if MAPS.exists() and MAPS.read_bytes().count(b"\n") > 25_000:
+        jax.clear_caches()

@@ -130,12 +130,12 @@ def test_a_wrong_track_is_left_for_a_fresh_start_that_explains_more(recording, s
     options = options_from(settings.solve, settings.track, settings.features)
     run, count = Session(body, options, people, scene, settings), len(people)
     assert count >= 12
-    assert run.fresh(0, count, np.full(count, 1e-4)) is None  # the track is better
-    assert run.fresh(count - 3, count, np.full(count, 1e-2)) is None  # too few frames to tell
+    assert run.fresh(0, np.full(count, 1e-4)) is None  # the track is better
+    assert run.fresh(count - 3, np.full(3, 1e-2)) is None  # too few frames to tell
     run.people = [f.only(np.zeros(len(f.points), bool)) for f in people]
-    assert run.fresh(0, count, np.full(count, 1e-2)) is None  # nothing to start from
+    assert run.fresh(0, np.full(count, 1e-2)) is None  # nothing to start from
     run.people = people
-    poses = run.fresh(0, count, np.full(count, 1e-2))
+    poses = run.fresh(0, np.full(count, 1e-2))
     assert poses is not None
     error = np.linalg.norm(np.asarray(joint_centres(body, poses)) - standing.joints[-1], axis=-1)
     assert error.mean() < 0.03
