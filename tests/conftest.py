@@ -41,5 +41,5 @@ MAPS = Path("/proc/self/maps")  # of this process's memory; Linux only
 def room_for_programs():
     """Forgets compiled programs where there are many: each maps memory anew, and past 65,530 maps a process dies."""
     yield
-    if MAPS.exists() and MAPS.read_bytes().count(b"\n") > 25_000:
+    if MAPS.exists() and MAPS.read_bytes().count(b"\n") > 15_000:
         jax.clear_caches()
