@@ -142,12 +142,11 @@ class Session:
 
     def _in_stances(self, at: int) -> Beginning | None:
         """The best start from frame `at` with arms raised or sitting; None for a body that can do neither."""
-        found = []
+        found, seen = [], self._sized(at)
         for stance in STANCES:
             # where the size is known, so is what the highest point is
             for size in (1.0,) if self.sized else stance.sizes:
-                body = self._sized(at)
-                body = body if size == 1.0 else scaled(body, body.scale * jnp.asarray(size, jnp.float32))
+                body = seen if size == 1.0 else scaled(seen, seen.scale * jnp.asarray(size, jnp.float32))
                 posed = in_stance(body, stance)
                 if posed is not None:
                     found.append(self._begin(at, body, rest=posed))
