@@ -124,27 +124,27 @@ def test_a_hinge_turns_about_its_own_axis_only(x64, axis):
 
 
 def random_prior(rng):
-    """Middle, pose, prediction, weight and radius."""
+    """Middle, pose, prediction, weight, and weight times radius squared."""
     pose, predicted = (
         Poses(jnp.asarray(random_rotations(rng, 1)[0]), jnp.asarray(rng.normal(size=3))) for _ in range(2)
     )
-    return jnp.array([0.0, 0.0, 0.2]), pose, predicted, jnp.asarray(3.0), jnp.asarray(0.4)
+    return jnp.array([0.0, 0.0, 0.2]), pose, predicted, jnp.asarray(3.0), jnp.asarray(3.0 * 0.4**2)
 
 
 def test_prior_is_six_explicit_pairs(x64, rng):
-    middle, pose, predicted, weight, radius = random_prior(rng)
+    middle, pose, predicted, weight, square = random_prior(rng)
     pairs = []
     for offset in np.concatenate([np.eye(3), -np.eye(3)]) * 0.4:
         model = middle + offset
         pairs.append((3.0 / 6, model, apply(inverse(pose), apply(predicted, model))))
-    found, second = prior_moments(middle, pose, predicted, weight, radius)
+    found, second = prior_moments(middle, pose, predicted, weight, square)
     np.testing.assert_allclose(second, moments_of_pairs([(w, c, c) for w, c, _ in pairs])[1:, 1:], atol=1e-12)
     np.testing.assert_allclose(found, moments_of_pairs(pairs), atol=1e-12)
 
 
 def test_prior_alone_leads_to_the_prediction(x64, rng):
-    middle, pose, predicted, weight, radius = random_prior(rng)
-    motion = align(prior_moments(middle, pose, predicted, weight, radius)[0])
+    middle, pose, predicted, weight, square = random_prior(rng)
+    motion = align(prior_moments(middle, pose, predicted, weight, square)[0])
     moved = compose(pose, Poses(motion.rotation, motion.translation))
     assert (scipy_rotation(moved.rotation).inv() * scipy_rotation(predicted.rotation)).magnitude() < 1e-7
     np.testing.assert_allclose(moved.translation, predicted.translation, atol=1e-12)
@@ -154,11 +154,11 @@ def test_prior_alone_leads_to_the_prediction(x64, rng):
 @pytest.mark.parametrize("angle", [1e-3, 1e-2])
 def test_cost_of_turning_against_the_prior(x64, rng, angle):
     """2/3 weight radius^2 angle^2, about any axis through the middle."""
-    middle, pose, _, weight, radius = random_prior(rng)
+    middle, pose, _, weight, square = random_prior(rng)
     axis = random_like(rng, middle)
     q = quat_exp(axis / jnp.linalg.norm(axis) * angle)
     about_middle = Poses(q, middle - apply(Poses(q, jnp.zeros(3)), middle))
-    m, _ = prior_moments(middle, pose, compose(pose, about_middle), weight, radius)
+    m, _ = prior_moments(middle, pose, compose(pose, about_middle), weight, square)
     # the sum of squares from moments of offsets from the middle; both squared lengths are weight radius^2
     shift = np.eye(4)
     shift[1:, 0] = -middle

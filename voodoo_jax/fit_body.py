@@ -235,7 +235,7 @@ def search_of(
         own = scaled(tracks.body, float(scales[person]))
         parts.append(Part(Path(tracks.source).name, own, frames, person))
     icp = options_from(
-        replace(settings.solve, max_steps=options.steps, epsilon=0.0), settings.track, settings.features
+        replace(settings.solve, max_steps=options.steps, epsilon=0.0, steady=0.0), settings.track, settings.features
     ).icp
     shared = np.array([n.startswith(SHARED) for n in free.names], bool)
     rows, size = [], int(shared.sum())

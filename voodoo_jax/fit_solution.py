@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Links
-from voodoo_jax.icp import Problem, adjacency, solve_frame
-from voodoo_jax.kernels.bands import link_moments, prior_moments
+from voodoo_jax.icp import Problem, adjacency, pull_to_prediction, solve_frame
+from voodoo_jax.kernels.bands import link_moments
 from voodoo_jax.kernels.correspond import Match, closest_limbs, match, match_assigned, moments
 from voodoo_jax.kernels.coupled import add_links, pair_normals
 from voodoo_jax.kernels.features import feature_sums
@@ -83,14 +83,11 @@ def _own(poses: Poses, problem: Problem, limbs: Settled) -> tuple[Float[Array, "
         force, weight = _forces_of_points(
             match_assigned(body.sizes, poses, problem.points, limbs, options.match), limbs, body.limb_count
         )
-    middle = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)
-    pull, _ = jax.vmap(prior_moments, in_axes=(0, 0, 0, None, None))(
-        middle, poses, problem.predicted, options.prior * _total(problem), options.prior_radius
-    )
-    force = force + jax.vmap(pair_normals)(pull, jnp.zeros((body.limb_count, 3, 3), weight.dtype))[1]
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)
         force, weight = force + named.rhs, weight + named.weight
+    pull, _ = pull_to_prediction(poses, problem, weight, _total(problem))
+    force = force + jax.vmap(pair_normals)(pull, jnp.zeros((body.limb_count, 3, 3), weight.dtype))[1]
     return force, weight
 
 

@@ -20,7 +20,9 @@ from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, pair_norma
 from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
 from voodoo_jax.kernels.procrustes import align
-from voodoo_jax.pose import Poses, compose, quat_normalize
+from voodoo_jax.pose import Poses, apply, compose, quat_normalize
+
+STEADY_RADIUS = 0.1  # metres: about what a limb's own points hold its rotation with
 
 
 class IcpOptions(eqx.Module):
@@ -32,6 +34,8 @@ class IcpOptions(eqx.Module):
     floor: Float[Array, ""]  # least measured weight that bands refer to, as a share of the frame's total
     prior: Float[Array, ""]  # weight of the pull to the predicted pose, as a share of the frame's total
     prior_radius: Float[Array, ""]  # metres, see prior_moments
+    steady: Float[Array, "*limb"]  # weight of a limb's pull to where it stands still, over its measured weight
+    steady_distance: Float[Array, ""]  # metres at which that pull is down to a quarter
     epsilon: Float[Array, ""]  # stop when the quality measure changes by less, square metres
     max_steps: Int[Array, ""]
     damping: Float[Array, ""]  # Levenberg-Marquardt damping of the coupled solver
@@ -92,6 +96,28 @@ class Pulls(NamedTuple):
     strength: Float[Array, " limb"]
 
 
+def _near(body: Body, poses: Poses, predicted: Poses, distance: Float[Array, ""]) -> Float[Array, " limb"]:
+    """How near each limb is to its prediction: 1 there, 1/4 where an end is `distance` away (Geman-McClure)."""
+    top = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4])
+    ends = jnp.stack([jnp.zeros_like(top), top], 1)
+    moved = apply(poses[:, None], ends) - apply(predicted[:, None], ends)
+    far = jnp.max(jnp.sum(moved * moved, -1), -1) / distance**2
+    return 1.0 / (1.0 + far) ** 2
+
+
+def pull_to_prediction(
+    poses: Poses, problem: Problem, limb_weight: Float[Array, " limb"], total: Float[Array, ""]
+) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
+    """Moments of the pairs that pull every limb to its predicted pose (see prior_moments): weakly wherever it is, and
+    strongly where it hardly differs, for then it stands still and what differs is noise."""
+    body, options = problem.body, problem.options
+    middle = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)
+    still = options.steady * limb_weight * _near(body, poses, problem.predicted, options.steady_distance)
+    weight = options.prior * total
+    square = weight * options.prior_radius**2 + still * STEADY_RADIUS**2
+    return jax.vmap(prior_moments)(middle, poses, problem.predicted, weight + still, square)
+
+
 def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     """Measurements, bands and prediction as sums, set up in each limb's frame: a solve is for a small motion near the
     origin, and float32 keeps its digits wherever the person stands (pitfall P28)."""
@@ -107,10 +133,7 @@ def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     total = jnp.maximum(total, 1e-6)
 
     strength = options.ratio * jnp.maximum(limb_weight, options.floor * total)
-    middle = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)
-    pull, pull_second = jax.vmap(prior_moments, in_axes=(0, 0, 0, None, None))(
-        middle, poses, problem.predicted, options.prior * total, options.prior_radius
-    )
+    pull, pull_second = pull_to_prediction(poses, problem, limb_weight, total)
     links = (problem.bands, *corrections(body, poses, options.plausible))
     quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
     info = StepInfo(quality, limb_weight)

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from voodoo_jax.bending import wrong_bend
 from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.pose import Poses
 from voodoo_jax.session import Beginning, Session, status_of
@@ -12,6 +13,8 @@ from voodoo_jax.tracks import Status
 Rows = dict[str, np.ndarray]  # arrays of Tracks, and "cost" [frame], square metres; leading axis: frame
 # what tracks take from each Step as it is
 SEEN = {name: name for name in ("residual", "explained", "steps", "limb_weight")} | {"limb_covariance": "covariance"}
+FREE_BEND = 0.17  # radians beyond a joint's limits that say nothing: people differ
+WRONG_WAY = 0.1  # radians beyond, mean of all joints and frames, that count as much as costs e times higher
 PASSAGE = ("status", "rotation", "translation", "cost", *SEEN)
 
 
@@ -36,8 +39,14 @@ def there_and_back(run: Session, start: Beginning, forward: Rows) -> Rows:
     step = run.forwards(start.rival.poses, start.frame, start.frame + count)
     other = _and_back(run, start.frame, rows_of(run, step, start.frame, count))
     # a few frames hardly tell front from back: all of them do
-    doubt = [cost * float(np.mean(rows["cost"])) for cost, rows in ((start.cost, found), (start.rival.cost, other))]
+    doubt = [_doubt(run, cost, rows) for cost, rows in ((start.cost, found), (start.rival.cost, other))]
     return found if doubt[0] <= doubt[1] else other
+
+
+def _doubt(run: Session, trial: float, rows: Rows) -> float:
+    """How unlikely a passage is, to compare: by the cost of its trial and its own, and joints bent the wrong way."""
+    bent = np.maximum(wrong_bend(run.body, rows["rotation"]) - FREE_BEND, 0.0)
+    return trial * float(np.mean(rows["cost"])) * float(np.exp(np.mean(bent) / WRONG_WAY))
 
 
 def _and_back(run: Session, first: int, forward: Rows) -> Rows:

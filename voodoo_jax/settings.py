@@ -147,6 +147,10 @@ class SolveSettings:
     """Weight of the pull to the predicted pose, as a share of the frame's weight."""
     prior_radius: float = 0.4
     """Where the pull's pairs sit: larger holds rotations more, metres."""
+    steady: float = 8.0
+    """Weight of the pull that holds a limb where it stands still, over the limb's measured weight; 0: none."""
+    steady_distance: float = 0.004
+    """Distance from the predicted place at which that pull is down to a quarter: who moves is not held, metres."""
     limits: float = 0.0
     """Weight of pairs that turn joints back into their limits, relative to a joint's bands; 0: only reported."""
     collisions: float = 0.0
@@ -163,6 +167,8 @@ class TrackSettings:
     """Share of the last frame's velocity that is expected to go on (0: stand still, 1: constant velocity)."""
     prior_interval: float = 0.035
     """Over longer intervals between frames the pull to the prediction weakens with the square of the time, seconds."""
+    still_speed: float = 0.2
+    """Limbs that are slower are held where they are (solve.steady), metres per second."""
     lost_explained: float = 0.6
     """Less than this share of the person's points explained: the frame counts as lost."""
     patience: int = 15

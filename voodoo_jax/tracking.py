@@ -25,6 +25,7 @@ class TrackOptions(eqx.Module):
     icp: IcpOptions
     damping: Float[Array, ""]  # share of the velocity that goes on
     prior_interval: Float[Array, ""]  # seconds; over longer intervals the pull to the prediction weakens
+    still_speed: Float[Array, ""]  # metres per second; limbs that are slower are held where they are
 
 
 class State(NamedTuple):
@@ -80,6 +81,8 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
         floor=number(solve.floor),
         prior=number(solve.prior),
         prior_radius=number(solve.prior_radius),
+        steady=number(solve.steady),
+        steady_distance=number(solve.steady_distance),
         epsilon=number(solve.epsilon),
         max_steps=whole(solve.max_steps),
         damping=number(solve.damping),
@@ -90,7 +93,7 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
         ),
         solver=solve.solver,
     )
-    return TrackOptions(icp, number(track.damping), number(track.prior_interval))
+    return TrackOptions(icp, number(track.damping), number(track.prior_interval), number(track.still_speed))
 
 
 def at_rest(poses: Poses) -> State:
@@ -106,6 +109,12 @@ def predict(state: State, seconds: Float[Array, ""], damping: Float[Array, ""]) 
     return Poses(rotation, state.poses.translation + damping * seconds * state.velocity)
 
 
+def _still(body: Body, state: State, speed: Float[Array, ""]) -> Float[Array, " limb"]:
+    """How still each limb stands: 1 at rest, 1/4 at `speed`, metres per second."""
+    square = jnp.sum(state.velocity**2, -1) + body.sizes[:, 4] ** 2 * jnp.sum(state.spin[:, :2] ** 2, -1)
+    return 1.0 / (1.0 + square / speed**2) ** 2
+
+
 def track_frame(
     body: Body,
     options: TrackOptions,
@@ -118,7 +127,9 @@ def track_frame(
     predicted = predict(state, seconds, options.damping)
     # a prediction over a longer interval is worth less: its error grows with the square of the time
     late = jnp.maximum(seconds / options.prior_interval, 1.0)
-    icp = eqx.tree_at(lambda o: o.prior, options.icp, options.icp.prior / jnp.minimum(late**2, 16.0))
+    weaker = jnp.minimum(late**2, 16.0)
+    steady = options.icp.steady * _still(body, state, options.still_speed)
+    icp = eqx.tree_at(lambda o: (o.prior, o.steady), options.icp, (options.icp.prior / weaker, steady / weaker))
     problem = Problem.build(body, points, predicted, icp, features)
     solved = solve_frame(predicted, problem)
     count = jnp.sum(points.weight > 0)
@@ -131,7 +142,8 @@ def track_frame(
     )
     poses = jax.tree.map(lambda a, b: jnp.where(good, a, b), solved.poses, predicted)
 
-    pulls = pulls_at(poses, problem)
+    # how sure a frame is of itself, whatever holds who stands still
+    pulls = pulls_at(poses, eqx.tree_at(lambda p: p.options.steady, problem, jnp.zeros_like(icp.steady)))
     found, named = pulls.found, pulls.named
     weight = jnp.sum(found.weight, -1)
     quality = found.squares() / jnp.maximum(jnp.sum(weight), 1e-6)

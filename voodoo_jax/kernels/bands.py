@@ -42,21 +42,20 @@ def link_moments(links: Links, poses: Poses, strength: Float[Array, " limb"]) ->
 
 
 def prior_moments(
-    middle: Float[Array, "3"], pose: Poses, predicted: Poses, weight: Float[Array, ""], radius: Float[Array, ""]
+    middle: Float[Array, "3"], pose: Poses, predicted: Poses, weight: Float[Array, ""], square: Float[Array, ""]
 ) -> tuple[Float[Array, "4 4"], Float[Array, "3 3"]]:
     """Moments of six weak pairs that pull one limb to its predicted pose and determine it where nothing else does.
 
     **Arguments:** `middle` of the limb, limb frame; `pose`, `predicted` of this limb; `weight` of all six pairs
-    together; the pairs sit `radius` metres from the middle along the limb's axes: turning by an angle costs
-    2/3 weight radius^2 angle^2 (pitfall P11: never leave a direction undetermined).
+    together; `square` that weight times the square of the pairs' distance, metres, from the middle along the limb's
+    axes: turning by an angle costs 2/3 square angle^2 (pitfall P11: never leave a direction undetermined).
 
     **Returns:** sum of w [1, c] [1, p]^T and sum of w c c^T.
     """
     difference = compose(inverse(pose), predicted)
     data = rotate(difference.rotation, middle) + difference.translation
     # the sum over the pairs written out: of the offsets +-radius along each axis, only their squares are left
-    square = weight * radius**2 / 3
     moments = _pair_moments(weight[None], middle[None], data[None])
-    moments = moments.at[1:, 1:].add(square * matrix(difference.rotation).T)
-    second = weight * middle[:, None] * middle[None] + square * jnp.eye(3, dtype=middle.dtype)
+    moments = moments.at[1:, 1:].add(square / 3 * matrix(difference.rotation).T)
+    second = weight * middle[:, None] * middle[None] + square / 3 * jnp.eye(3, dtype=middle.dtype)
     return moments, second
