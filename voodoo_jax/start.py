@@ -12,6 +12,7 @@ from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.person import PersonFrame, Plane, point_spacing
 from voodoo_jax.pose import Poses, compose, rotate, unrotate
+from voodoo_jax.programs import program
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.tracking import State, TrackOptions, at_rest, cost_of, track_frame
 
@@ -119,7 +120,7 @@ class Trial(eqx.Module):
     cost: Float[Array, " trial"]  # mean of cost_of; lower is better
 
 
-@eqx.filter_jit
+@program
 def run_trials(
     body: Body,
     options: TrackOptions,

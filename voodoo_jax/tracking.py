@@ -14,6 +14,7 @@ from voodoo_jax.kernels.coupled import twist_covariance
 from voodoo_jax.kernels.features import FeatureOptions, Features
 from voodoo_jax.kernels.plausible import PlausibleOptions
 from voodoo_jax.pose import AnyArray, Poses, compose, inverse, quat_exp, quat_log, quat_multiply, quat_normalize
+from voodoo_jax.programs import program
 from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
 FEATURE_SHARE = 0.005  # of the features' squared distance in cost_of
@@ -150,7 +151,7 @@ def track_frame(
     return State(poses, spin, velocity), step
 
 
-@eqx.filter_jit
+@program
 def track_chunk(
     body: Body,
     options: TrackOptions,
