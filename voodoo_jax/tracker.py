@@ -6,7 +6,6 @@ from itertools import chain, islice
 
 import jax
 import jax.monitoring
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float32
 
@@ -175,7 +174,7 @@ def track_person(
         if keep < taken:
             state = before = None
             if gone == keep:
-                before = jax.tree.map(lambda leaf, k=gone: jnp.asarray(leaf[k - 1]), step.poses) if gone else None
+                before = jax.tree.map(lambda leaf, k=gone: leaf[k - 1], step.poses) if gone else None
                 later = np.flatnonzero(enough[at:])
                 skip = int(later[0]) if len(later) else count - at
                 out["status"][at : at + skip] = Status.NO_DATA
@@ -220,7 +219,7 @@ def _look_at(body: Body, out: dict[str, np.ndarray], joints: np.ndarray, first: 
         count = span.stop - at
         pad = ((0, chunk - count), (0, 0), (0, 0))  # one program for every length
         poses = Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad))
-        centres, seen = looked_at(body, poses, jnp.asarray(np.pad(out["limb_covariance"][span], (*pad, (0, 0)))))
+        centres, seen = looked_at(body, poses, jax.device_put(np.pad(out["limb_covariance"][span], (*pad, (0, 0)))))
         joints[span] = np.asarray(centres)[:count]
         there = np.any(np.isfinite(out["translation"][span]), (1, 2))
         for name, found in seen.items():

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body
@@ -32,8 +33,8 @@ class State(NamedTuple):
     """What one frame hands to the next."""
 
     poses: Poses
-    spin: Float[Array, "limb 3"]  # radians per second, in the limb's frame
-    velocity: Float[Array, "limb 3"]  # metres per second, world frame
+    spin: Float[AnyArray, "limb 3"]  # radians per second, in the limb's frame
+    velocity: Float[AnyArray, "limb 3"]  # metres per second, world frame
 
 
 class Step(NamedTuple):
@@ -60,8 +61,8 @@ def cost_of(step: Step) -> Float[AnyArray, "*frame"]:
 def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSettings | None = None) -> TrackOptions:
     """Traced options from settings."""
     features = features or FeatureSettings()
-    number = lambda v: jnp.asarray(v, jnp.float32)  # noqa: E731
-    whole = lambda v: jnp.asarray(v, jnp.int32)  # noqa: E731
+    number = lambda v: jax.device_put(np.asarray(v, np.float32))  # noqa: E731
+    whole = lambda v: jax.device_put(np.asarray(v, np.int32))  # noqa: E731
     matching = MatchOptions(
         body_enlarge=number(solve.body_enlarge),
         limb_enlarge=number(solve.limb_enlarge),
@@ -96,7 +97,8 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
 
 def at_rest(poses: Poses) -> State:
     """A state without motion."""
-    zero = jnp.zeros_like(poses.translation)
+    # of NumPy's arrays where the poses are: see pose.AnyArray
+    zero = (np if isinstance(poses.translation, np.ndarray) else jnp).zeros_like(poses.translation)
     return State(poses, zero, zero)
 
 
