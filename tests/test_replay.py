@@ -95,7 +95,7 @@ def wave_log(tmp_path_factory) -> Path:
 
 def programs() -> dict[str, int]:
     """How many compiled programs there are of each kind."""
-    return {f: getattr(voodoo_jax.session, f)._cached._cache_size() for f in ("run_trials", "track_chunk")}
+    return {f: len(getattr(voodoo_jax.session, f).ready) for f in ("run_trials", "track_chunk")}
 
 
 @pytest.fixture(scope="module")

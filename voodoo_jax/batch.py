@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from voodoo_jax.body import Topology
@@ -116,7 +116,7 @@ def pad_features(
             # the first one again where a name stands for fewer points than another
             point[i, k] = (found + found[:1] * choices)[:choices]
             weight[i, k], origin[i, k], direction[i, k] = w * source, o, d
-    return Features(jnp.asarray(point), jnp.asarray(origin), jnp.asarray(direction), jnp.asarray(weight))
+    return Features(*jax.device_put((point, origin, direction, weight)))
 
 
 def pad_frames(
@@ -161,6 +161,5 @@ def pad_frames(
         if previous_ns is not None:
             seconds[i] = (frame.time_ns - previous_ns) / 1e9
         previous_ns = frame.time_ns
-    known = None if parts is None else jnp.asarray(limb)
-    points = Points(jnp.asarray(xyz), jnp.asarray(weight), jnp.asarray(sensor), jnp.asarray(origins), known)
+    points = Points(*jax.device_put((xyz, weight, sensor, origins, None if parts is None else limb)))
     return Chunk(points, seconds, valid, left_out)

@@ -4,13 +4,15 @@ Limb frame: origin in the centre of the bottom ellipse, +z along the cylinder to
 ellipses' axes. Body frame: the frame in which the rest pose is given, z up, x forward, y left, origin on the floor.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.pose import Poses, apply, rotate
+from voodoo_jax.pose import AnyArray, Poses, apply, on_device, on_host, rotate
 
 
 class Topology(NamedTuple):
@@ -61,20 +63,22 @@ class Links(NamedTuple):
     weights: Float[Array, "link pair"]  # 0: unused
 
 
-def scaled(body: Body, scale: Float[Array, ""] | float) -> Body:
+def scaled(body: Body, scale: Float[AnyArray, ""] | float) -> Body:
     """The same body with another `scale` (stature for people): every length and offset in proportion, but for held
     things."""
-    factor = jnp.asarray(scale / body.scale, body.sizes.dtype)
-    t = body.topology
-    own = jnp.full(body.limb_count, factor).at[jnp.array(t.held, int)].set(1.0)
-    of = lambda limbs: own[jnp.array(limbs, int)][:, None]  # noqa: E731
+    body, scale = on_host((body, scale))
+    dtype, t = body.sizes.dtype, body.topology
+    here = np if isinstance(body.sizes, np.ndarray) and not isinstance(scale, jax.Array) else jnp
+    factor = here.asarray(scale, dtype) / here.asarray(body.scale, dtype)
+    own = here.where(np.isin(np.arange(body.limb_count), t.held), here.ones((), dtype), factor)
+    of = lambda limbs: own[np.array(limbs, int)][:, None]  # noqa: E731
     lengths = lambda b: (  # noqa: E731
         b.sizes, b.rest.translation, b.parent_anchor.translation, b.child_anchor.translation, b.axes, b.centres,
         b.sites, b.scale,
     )  # fmt: skip
     factors = (own[:, None], factor, of(t.parents), of(t.children), of(t.children), of(t.centre_limbs),
                of(t.site_limbs), factor)  # fmt: skip
-    return eqx.tree_at(lengths, body, tuple(x * f for x, f in zip(lengths(body), factors)))
+    return on_device(eqx.tree_at(lengths, body, tuple(x * f for x, f in zip(lengths(body), factors))))
 
 
 def tree_order(topology: Topology) -> list[int]:
@@ -89,14 +93,15 @@ def tree_order(topology: Topology) -> list[int]:
 
 def with_rest_from_joints(body: Body) -> Body:
     """The body with every limb but the root moved in the rest pose to where its joint holds it; no limb is turned."""
+    body = on_host(body)
     t, turn = body.topology, body.rest.rotation
-    ends = [rotate(turn[jnp.array(limbs, int)], anchor.translation) for limbs, anchor in (
+    ends = [rotate(turn[np.array(limbs, int)], anchor.translation) for limbs, anchor in (
         (t.parents, body.parent_anchor), (t.children, body.child_anchor))]  # fmt: skip
-    at = {0: jnp.asarray(body.rest.translation[0])}
+    at = {0: body.rest.translation[0]}
     for j in tree_order(t):
         at[t.children[j]] = at[t.parents[j]] + ends[0][j] - ends[1][j]
-    places = jnp.stack([at[limb] for limb in range(body.limb_count)])
-    return eqx.tree_at(lambda b: b.rest.translation, body, places)
+    places = (np if isinstance(turn, np.ndarray) else jnp).stack([at[limb] for limb in range(body.limb_count)])
+    return on_device(eqx.tree_at(lambda b: b.rest.translation, body, places))
 
 
 def band_mask(axes: Float[Array, "joint 2"]) -> Bool[Array, "joint band"]:
@@ -127,9 +132,9 @@ def bands(body: Body) -> Links:
     )
 
 
-def joint_centres(body: Body, poses: Poses) -> Float[Array, "centre 3"]:
+def joint_centres(body: Body, poses: Poses) -> Float[Any, "centre 3"]:
     """Joint centres that tracks report, in the frame of the poses."""
-    return apply(poses[jnp.array(body.topology.centre_limbs, int)], body.centres)
+    return apply(poses[np.array(body.topology.centre_limbs, int)], body.centres)
 
 
 def site_points(body: Body, poses: Poses) -> Float[Array, "site 3"]:
@@ -143,11 +148,12 @@ def segment_lengths(body: Body) -> dict[str, float]:
     Between joints of the model where the ends are joints: reported joint centres are shifted to where people's lie when
     the model fits their surface, which is right for places and not for lengths.
     """
+    body = on_host(body)
     ends = dict(zip(body.topology.centres, joint_centres(body, body.rest)))
-    parents = jnp.array(body.topology.parents, int)
+    parents = np.array(body.topology.parents, int)
     ends |= dict(zip(body.topology.joints, apply(body.rest[parents], body.parent_anchor.translation)))
     found: dict[str, list[float]] = {}
     for name, start, end in body.topology.segments:
-        length = jnp.sqrt(jnp.sum((ends[start] - ends[end]) ** 2))
+        length = np.sqrt(np.sum((ends[start] - ends[end]) ** 2))
         found.setdefault(name, []).append(float(length))
     return {name: sum(values) / len(values) for name, values in found.items()}

@@ -11,13 +11,20 @@ import platform
 import shutil
 import socket
 import tempfile
+import threading
 import time
-from contextlib import suppress
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 
+LOCK = "lock-"
+PATIENCE = 300.0  # seconds that a process waits for what another one compiles
+DIGEST = 32  # bytes of checksum before an entry of `keep`
 OLD_SECONDS = 2 * 86_400  # a process's folder of another machine that is older was left by a killed one
 _own: dict[str, tuple[Path, Path]] = {}  # folder as asked for -> the shared one, this process's own
+_turn, _aside = threading.Lock(), 0  # how many threads compile without jax's cache
 
 
 def cache_folder(asked: str) -> str:
@@ -72,6 +79,86 @@ def keep_compiled() -> None:
         _link_all(own, shared)
 
 
+@contextmanager
+def jax_cache_aside() -> Iterator[None]:
+    """Compiles without jax's cache what `keep` keeps: a program that jax has loaded from there cannot be kept whole."""
+    global _aside
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    def give(folder: str | None) -> None:
+        compilation_cache.reset_cache()
+        jax.config.update("jax_compilation_cache_dir", folder)
+
+    with _turn:
+        _aside += 1
+        if _own and _aside == 1:
+            give(None)
+    try:
+        yield
+    finally:
+        with _turn:
+            _aside -= 1
+            if _own and not _aside:
+                give(str(next(iter(_own.values()))[1]))
+
+
+def kept(name: str) -> bytes | None:
+    """What some process has kept under a name (see programs.py); None if nothing, or not whole."""
+    for shared, own in _own.values():
+        for folder in (own, shared):
+            with suppress(OSError):
+                data = _entry(folder, name).read_bytes()
+                if hashlib.sha256(data[DIGEST:]).digest() == data[:DIGEST]:
+                    return zlib.decompress(data[DIGEST:])
+                spoiled(name)
+    return None
+
+
+def keep(name: str, data: bytes) -> None:
+    """Keeps something for other processes, at once: what takes long to make, two should not make."""
+    for shared, own in _own.values():
+        with suppress(OSError):  # as in _link_all
+            entry = _entry(own, name)
+            partial = entry.with_name(f".{name}.tmp")
+            packed = zlib.compress(data, 1)
+            partial.write_bytes(hashlib.sha256(packed).digest() + packed)
+            os.replace(partial, entry)
+            _link(entry, _entry(shared, name))
+
+
+def spoiled(name: str) -> None:
+    """Takes away what was kept under a name."""
+    for folder in (folder for both in _own.values() for folder in both):
+        with suppress(OSError):
+            _entry(folder, name).unlink()
+
+
+@contextmanager
+def alone(name: str) -> Iterator[None]:
+    """Waits until no other process is busy with this name, or for so long that it is not worth it."""
+    with ExitStack() as stack:
+        for shared, _ in _own.values():
+            with suppress(OSError, ImportError):
+                import fcntl  # not on Windows
+
+                lock = shared / f"{LOCK}{name}"
+                stream = stack.enter_context(open(lock, "w"))
+                stack.callback(lock.unlink, missing_ok=True)
+                until = time.monotonic() + PATIENCE
+                while time.monotonic() < until:
+                    try:
+                        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                        break
+                    except BlockingIOError:
+                        time.sleep(0.05)
+        yield
+
+
+def _entry(folder: Path, name: str) -> Path:
+    return folder / f"program-{name}-cache"
+
+
 def _end(folder: str) -> None:
     shared, own = _own.pop(folder)
     _link_all(own, shared)
@@ -122,6 +209,10 @@ def process_runs(pid: int) -> bool:
 
 def _sweep(shared: Path) -> None:
     """Removes what killed processes have left."""
+    for lock in shared.glob(f"{LOCK}*"):
+        with suppress(OSError):
+            if time.time() - lock.stat().st_mtime > OLD_SECONDS:
+                lock.unlink()
     for folder in shared.glob("run-*-*-*"):
         host, pid = folder.name.removeprefix("run-").rsplit("-", 2)[:2]
         with suppress(OSError, ValueError):

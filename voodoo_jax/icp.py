@@ -36,7 +36,7 @@ class IcpOptions(eqx.Module):
     prior_radius: Float[Array, ""]  # metres, see prior_moments
     steady: Float[Array, "*limb"]  # weight of a limb's pull to where it stands still, over its measured weight
     steady_distance: Float[Array, ""]  # metres at which that pull is down to a quarter
-    epsilon: Float[Array, ""]  # stop when the quality measure changes by less, square metres
+    epsilon: Float[Array, ""]  # stop when the quality measure changes by less, square metres; 0: never
     max_steps: Int[Array, ""]
     damping: Float[Array, ""]  # Levenberg-Marquardt damping of the coupled solver
     plausible: PlausibleOptions
@@ -171,14 +171,26 @@ def solve_frame(
 ) -> FrameResult:
     """Repeats the step until the quality measure changes by less than epsilon, or max_steps is reached (sec. 3.2).
 
+    The coupled solver stops where the measure rises, too: points then change limbs to and fro, and going on takes more
+    than twice the steps and finds nothing better. Not where pairs that nobody measured may make it rise; with epsilon
+    0 all max_steps are taken.
+
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed (pitfall P9).
     `capacity` bounds the steps of all kinds but "lax" at compile time.
     """
 
+    options = problem.options
+    extra = options.plausible.limits is not None or options.plausible.collisions is not None
+
+    def at_rest(previous, quality):
+        fallen = previous - quality
+        still = jnp.abs(fallen) < options.epsilon
+        return still if extra or options.solver != "coupled" else still | ((fallen < 0) & (options.epsilon > 0))
+
     def unfinished(state):
         _, quality, previous, step = state
-        rest = (step >= 2) & (jnp.abs(previous - quality) < problem.options.epsilon)
-        return (step < problem.options.max_steps) & ~rest
+        rest = (step >= 2) & at_rest(previous, quality)
+        return (step < options.max_steps) & ~rest
 
     def body(state):
         poses, quality, _, step = state
@@ -189,7 +201,7 @@ def solve_frame(
     state = (start, huge, huge, jnp.array(0, jnp.int32))
     most = None if kind == "lax" else capacity
     poses, quality, previous, steps = eqxi.while_loop(unfinished, body, state, max_steps=most, kind=kind)
-    return FrameResult(poses, steps, jnp.abs(previous - quality) < problem.options.epsilon)
+    return FrameResult(poses, steps, at_rest(previous, quality))
 
 
 def _iterate(poses: Poses, problem: Problem) -> Poses:

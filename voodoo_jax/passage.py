@@ -1,6 +1,5 @@
 """A passage, the frames from one start of the tracker to the next: tracked there and back in time, and made one."""
 
-import jax.numpy as jnp
 import numpy as np
 
 from voodoo_jax.bending import wrong_bend
@@ -57,7 +56,7 @@ def _and_back(run: Session, first: int, forward: Rows) -> Rows:
     forth = {name: row[:count] for name, row in forward.items()}
     poses = run.fresh(first, forth["cost"])
     if poses is None:
-        poses = Poses(jnp.asarray(forth["rotation"][-1]), jnp.asarray(forth["translation"][-1]))
+        poses = Poses(forth["rotation"][-1], forth["translation"][-1])
     back = rows_of(run, run.backwards(poses, first, first + count), first, count)
     rotation, translation, taken = combined(_pass(forth), _pass(back), np.asarray(run.body.sizes[:, 4]))
     pick = lambda old, new: np.where(taken.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731

@@ -7,12 +7,32 @@ of components. Last axis is always the component; leading axes are free.
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-# The functions here serve the host side too, where poses are NumPy arrays; what they return is always a JAX array.
+# The functions here serve the host side too: products of NumPy arrays are NumPy arrays again, for every JAX operation
+# outside of a program is compiled and called by itself.
 AnyArray = Array | np.ndarray
+
+
+def _stack(components: list[Any]) -> AnyArray:
+    """Components as the last axis: in NumPy where all are NumPy's."""
+    return (np if all(isinstance(c, (np.ndarray, np.generic)) for c in components) else jnp).stack(components, -1)
+
+
+def on_host(tree: Any) -> Any:
+    """A tree with NumPy arrays for JAX's, to be computed with on the host; as it is where something in it is traced."""
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree)):
+        return tree
+    return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf, tree)
+
+
+def on_device(tree: Any) -> Any:
+    """A tree with JAX's arrays for NumPy's."""
+    return jax.tree.map(lambda leaf: jax.device_put(leaf) if isinstance(leaf, np.ndarray | np.generic) else leaf, tree)
 
 
 class Poses(eqx.Module):
@@ -25,24 +45,23 @@ class Poses(eqx.Module):
         return Poses(self.rotation[index], self.translation[index])
 
 
-def quat_multiply(p: Float[AnyArray, "*#b 4"], q: Float[AnyArray, "*#b 4"]) -> Float[Array, "*b 4"]:
+def quat_multiply(p: Float[AnyArray, "*#b 4"], q: Float[AnyArray, "*#b 4"]) -> Float[Any, "*b 4"]:
     """Hamilton product p q: first rotate by q, then by p."""
     pw, px, py, pz = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
     qw, qx, qy, qz = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    return jnp.stack(
+    return _stack(
         [
             pw * qw - px * qx - py * qy - pz * qz,
             pw * qx + px * qw + py * qz - pz * qy,
             pw * qy - px * qz + py * qw + pz * qx,
             pw * qz + px * qy - py * qx + pz * qw,
-        ],
-        -1,
+        ]
     )
 
 
-def quat_conjugate(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 4"]:
+def quat_conjugate(q: Float[AnyArray, "*b 4"]) -> Float[Any, "*b 4"]:
     """Inverse of a unit quaternion."""
-    return jnp.asarray(q * jnp.array([1, -1, -1, -1], q.dtype))
+    return q * np.array([1, -1, -1, -1], q.dtype)
 
 
 def quat_normalize(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 4"]:
@@ -53,15 +72,15 @@ def quat_normalize(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 4"]:
     return jnp.where(zero, jnp.array([1, 0, 0, 0], q.dtype), unit)
 
 
-def rotate(q: Float[AnyArray, "*#b 4"], v: Float[AnyArray, "*#b 3"]) -> Float[Array, "*b 3"]:
+def rotate(q: Float[AnyArray, "*#b 4"], v: Float[AnyArray, "*#b 3"]) -> Float[Any, "*b 3"]:
     """Rotates v by the unit quaternion q: v + 2 w (u x v) + 2 u x (u x v)."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     a, b, c = v[..., 0], v[..., 1], v[..., 2]
     tx, ty, tz = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
-    return jnp.stack([a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx], -1)
+    return _stack([a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx])
 
 
-def unrotate(q: Float[AnyArray, "*#b 4"], v: Float[AnyArray, "*#b 3"]) -> Float[Array, "*b 3"]:
+def unrotate(q: Float[AnyArray, "*#b 4"], v: Float[AnyArray, "*#b 3"]) -> Float[Any, "*b 3"]:
     """Rotates v by the inverse of the unit quaternion q."""
     return rotate(quat_conjugate(q), v)
 
@@ -109,6 +128,6 @@ def inverse(a: Poses) -> Poses:
     return Poses(q, -rotate(q, a.translation))
 
 
-def apply(a: Poses, point: Float[AnyArray, "*#b 3"]) -> Float[Array, "*b 3"]:
+def apply(a: Poses, point: Float[AnyArray, "*#b 3"]) -> Float[Any, "*b 3"]:
     """World point of a limb point."""
     return rotate(a.rotation, point) + a.translation

@@ -16,7 +16,7 @@ from voodoo_jax.body import Body, scaled
 from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_start, marker_table
 from voodoo_jax.person import PersonFrame, Scene
-from voodoo_jax.pose import Poses
+from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.settings import Change, Settings, StartSettings
 from voodoo_jax.stances import STANCES, in_stance
 from voodoo_jax.start import Trial, opposite, run_trials, sized, standing_places
@@ -124,7 +124,7 @@ class Session:
 
     def _followed(self, start: Beginning, at: int) -> Poses:
         """The poses in an earlier frame `at`."""
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), self.backwards(start.poses, at, start.frame + 1).poses)
+        return self.backwards(start.poses, at, start.frame + 1).poses[0]
 
     def fresh(self, first: int, cost: Float[np.ndarray, " frame"]) -> Poses | None:
         """Poses in the last of some frames, the first of them `first`, from a start of its own shortly before, if that
@@ -146,7 +146,7 @@ class Session:
         for stance in STANCES:
             # where the size is known, so is what the highest point is
             for size in (1.0,) if self.sized else stance.sizes:
-                body = seen if size == 1.0 else scaled(seen, seen.scale * jnp.asarray(size, jnp.float32))
+                body = seen if size == 1.0 else scaled(seen, float(seen.scale) * size)
                 posed = in_stance(body, stance)
                 if posed is not None:
                     found.append(self._begin(at, body, rest=posed))
@@ -166,10 +166,10 @@ class Session:
         frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
         places = standing_places(rest or body, frames[::-1], self.scene.floor, s.headings)
         if before is not None:
-            there = np.median(np.concatenate([f.points for f in frames]), 0)
-            shift = there - np.median(np.asarray(before.translation), 0)
-            places.append(Poses(before.rotation, before.translation + jnp.asarray(shift, jnp.float32)))
-        trial = self._trials(body, frames, jax.tree.map(lambda *leaves: jnp.stack(leaves), *places))
+            there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
+            shift = (there - np.median(last.translation, 0)).astype(np.float32)
+            places.append(Poses(last.rotation, last.translation + shift))
+        trial = on_host(self._trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places)))
         found = [
             Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]))
             for k in opposite(body, trial, RIVAL)
@@ -203,8 +203,8 @@ class Session:
             if state is not None and limbs:
                 if isinstance(change.add, Body) and not change.axis:
                     self._look_for(change.add.topology.limbs[0], limbs, at, state)
-                rows = jnp.array(limbs, int)
-                spin, velocity = state.spin.at[rows].set(0.0), state.velocity.at[rows].set(0.0)
+                spin, velocity = np.array(state.spin), np.array(state.velocity)
+                spin[limbs], velocity[limbs] = 0.0, 0.0
                 state = State(hung_on(self.body, state.poses, limbs), spin, velocity)
         if due:
             self.pending = self.pending[len(due) :]
@@ -229,10 +229,11 @@ class Session:
         features = pad_features(frames, s.frames, self.feature_capacity, self.names, self.choices)
         if features is not None:
             # what may be face or hand fits any heading and blurs the choice between them
-            sure = jnp.all(features.point == features.point[..., :1], -1)
-            features = eqx.tree_at(lambda f: f.weight, features, jnp.where(sure, features.weight, 0.0))
+            point, weight = np.asarray(features.point), np.asarray(features.weight)
+            weight = np.where(np.all(point == point[..., :1], -1), weight, np.float32(0))
+            features = eqx.tree_at(lambda f: f.weight, features, jax.device_put(weight))
         # the interval by which the pull to the prediction is set: loose trials would bend to any heading
-        seconds = jnp.minimum(jnp.abs(chunk.seconds), self.options.prior_interval)
+        seconds = jax.device_put(np.minimum(np.abs(chunk.seconds), np.asarray(self.options.prior_interval)))
         return run_trials(body, self.options, starts, chunk.points, seconds, features)
 
     def chunk(self, state: State, at: int) -> tuple[State, Step, int]:
@@ -271,7 +272,7 @@ class Session:
         most = self.settings.person.points
         padded = pad_frames(frames, self.capacity, length, previous_ns, self.sensors, most, self.parts)
         features = pad_features(frames, length, self.feature_capacity, self.names, self.choices)
-        seconds, valid = jnp.asarray(padded.seconds), jnp.asarray(padded.valid)
+        seconds, valid = jax.device_put((padded.seconds, padded.valid))
         state, step = track_chunk(self.body, self.options, state, padded.points, seconds, valid, features)
         return state, jax.tree.map(np.asarray, step), padded.left_out
 

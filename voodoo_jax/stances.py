@@ -3,11 +3,11 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, tree_order, with_rest_from_joints
+from voodoo_jax.pose import on_device, on_host
 
 
 class Stance(NamedTuple):
@@ -40,11 +40,11 @@ def in_stance(body: Body, stance: Stance) -> Body | None:
         moved = Rotation.from_euler(axis, degrees, degrees=True) * Rotation.from_quat(quats[limbs], scalar_first=True)
         quats[limbs] = moved.as_quat(scalar_first=True)
         turn = Rotation.from_quat(quats, scalar_first=True)
-    new = jnp.asarray(turn.as_quat(scalar_first=True), jnp.float32)
-    moved = with_rest_from_joints(eqx.tree_at(lambda b: b.rest.rotation, body, new))
-    places = jnp.asarray(moved.rest.translation)
-    lower = jnp.min(jnp.asarray(body.rest.translation)[:, 2]) - jnp.min(places[:, 2])
-    return eqx.tree_at(lambda b: b.rest.translation, moved, places.at[:, 2].add(lower))
+    new = turn.as_quat(scalar_first=True).astype(np.float32)
+    moved = on_host(with_rest_from_joints(eqx.tree_at(lambda b: b.rest.rotation, body, new)))
+    lower = np.zeros(3, np.float32)
+    lower[2] = np.min(np.asarray(body.rest.translation)[:, 2]) - np.min(moved.rest.translation[:, 2])
+    return on_device(eqx.tree_at(lambda b: b.rest.translation, moved, moved.rest.translation + lower))
 
 
 def _beyond(body: Body, joint: int) -> np.ndarray:

@@ -11,7 +11,8 @@ from voodoo_jax.body import Body, scaled
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.person import PersonFrame, Plane, point_spacing
-from voodoo_jax.pose import Poses, compose, rotate, unrotate
+from voodoo_jax.pose import Poses, compose, on_host, rotate, unrotate
+from voodoo_jax.programs import program
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.tracking import State, TrackOptions, at_rest, cost_of, track_frame
 
@@ -64,8 +65,8 @@ def place(
     x = heading - (heading @ z) * z
     x = x / np.linalg.norm(x)
     q = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], 1)).as_quat(scalar_first=True)
-    root = Poses(jnp.asarray(q, jnp.float32), jnp.asarray(at, jnp.float32))
-    return compose(root[None], body.rest)
+    root = Poses(q.astype(np.float32), np.asarray(at, np.float32))
+    return compose(root[None], on_host(body.rest))
 
 
 def _spacings(frames: list[PersonFrame]) -> list[float]:
@@ -119,7 +120,7 @@ class Trial(eqx.Module):
     cost: Float[Array, " trial"]  # mean of cost_of; lower is better
 
 
-@eqx.filter_jit
+@program
 def run_trials(
     body: Body,
     options: TrackOptions,
@@ -143,8 +144,8 @@ def run_trials(
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:
     """The best trial, and the best of those that face the other way if it costs less than `near` times as much."""
-    cost, turn = np.asarray(trial.cost), trial.state.poses.rotation[:, 0]
-    front = np.asarray(rotate(turn, unrotate(body.rest.rotation[0], jnp.array([1.0, 0.0, 0.0]))))
+    cost, turn, rest = (np.asarray(x) for x in (trial.cost, trial.state.poses.rotation, body.rest.rotation))
+    front = rotate(turn[:, 0], unrotate(rest[0], np.array([1.0, 0.0, 0.0], np.float32)))
     best = int(np.argmin(cost))
     rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))
     return [best, *rivals[np.argsort(cost[rivals])][:1].tolist()]
@@ -153,7 +154,7 @@ def opposite(body: Body, trial: Trial, near: float) -> list[int]:
 def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSettings) -> Body:
     """The body scaled to what was seen, or to what the settings say."""
     if settings.scale > 0:
-        return scaled(body, jnp.asarray(settings.scale, jnp.float32))
+        return scaled(body, settings.scale)
     seen = [f for f in frames if len(f.points) >= 50]
     if not seen:
         return body
@@ -162,4 +163,4 @@ def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSe
     height = measured_height(seen, floor, _spacings(seen), reach)
     if not np.isfinite(height):
         return body
-    return scaled(body, body.scale * jnp.asarray(1.0045 * height / rest_height(body), jnp.float32))
+    return scaled(body, float(body.scale) * 1.0045 * height / rest_height(body))

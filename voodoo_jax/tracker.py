@@ -4,12 +4,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, islice
 
-import equinox as eqx
 import jax
 import jax.monitoring
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Array, Float, Float32
 
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
@@ -26,6 +24,7 @@ from voodoo_jax.marker_notes import marker_notes
 from voodoo_jax.passage import PASSAGE, rows_of, there_and_back
 from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
 from voodoo_jax.pose import Poses
+from voodoo_jax.programs import program
 from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.session import FEW_POINTS, Beginning, Session, by_markers, first_run
 from voodoo_jax.settings import Settings
@@ -70,9 +69,15 @@ def _compile_clock() -> float:
     return _compiling[0]
 
 
-# for a chunk of frames
-check_poses = eqx.filter_jit(eqx.filter_vmap(check, in_axes=(None, 0)))
-centres_of = eqx.filter_jit(eqx.filter_vmap(joint_centres, in_axes=(None, 0)))
+@program
+def looked_at(
+    body: Body, poses: Poses, twist: Float[Array, "frame limb 6 6"]
+) -> tuple[Float[Array, "frame centre 3"], dict[str, Array]]:
+    """Joint centres of a chunk of frames, how sure they are, and what is not plausible, by names of Tracks' arrays."""
+    centres, odd = jax.vmap(lambda some: (joint_centres(body, some), check(body, some)))(poses)
+    of_limbs, of_joints = covariances(body, poses, twist)
+    return centres, {"beyond_limits": odd.beyond, "depth_inside": odd.depth, "limb_covariance": of_limbs,
+                     "joint_covariance": of_joints}  # fmt: skip
 
 
 def track(
@@ -169,7 +174,7 @@ def track_person(
         if keep < taken:
             state = before = None
             if gone == keep:
-                before = jax.tree.map(lambda leaf, k=gone: jnp.asarray(leaf[k - 1]), step.poses) if gone else None
+                before = jax.tree.map(lambda leaf, k=gone: leaf[k - 1], step.poses) if gone else None
                 later = np.flatnonzero(enough[at:])
                 skip = int(later[0]) if len(later) else count - at
                 out["status"][at : at + skip] = Status.NO_DATA
@@ -214,13 +219,10 @@ def _look_at(body: Body, out: dict[str, np.ndarray], joints: np.ndarray, first: 
         count = span.stop - at
         pad = ((0, chunk - count), (0, 0), (0, 0))  # one program for every length
         poses = Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad))
-        joints[span] = np.asarray(centres_of(body, poses))[:count]
-        odd = check_poses(body, poses)
-        twist = jnp.asarray(np.pad(out["limb_covariance"][span], (*pad, (0, 0))))
-        of_limbs, of_joints = covariances(body, poses, twist)
+        centres, seen = looked_at(body, poses, jax.device_put(np.pad(out["limb_covariance"][span], (*pad, (0, 0)))))
+        joints[span] = np.asarray(centres)[:count]
         there = np.any(np.isfinite(out["translation"][span]), (1, 2))
-        for name, found in (("beyond_limits", odd.beyond), ("depth_inside", odd.depth),
-                            ("limb_covariance", of_limbs), ("joint_covariance", of_joints)):  # fmt: skip
+        for name, found in seen.items():
             found = np.asarray(found)[:count]
             out[name][span] = np.where(there.reshape(-1, *[1] * (found.ndim - 1)), found, np.nan)
 

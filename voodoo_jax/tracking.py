@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body
@@ -14,6 +15,7 @@ from voodoo_jax.kernels.coupled import twist_covariance
 from voodoo_jax.kernels.features import FeatureOptions, Features
 from voodoo_jax.kernels.plausible import PlausibleOptions
 from voodoo_jax.pose import AnyArray, Poses, compose, inverse, quat_exp, quat_log, quat_multiply, quat_normalize
+from voodoo_jax.programs import program
 from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
 FEATURE_SHARE = 0.005  # of the features' squared distance in cost_of
@@ -32,8 +34,8 @@ class State(NamedTuple):
     """What one frame hands to the next."""
 
     poses: Poses
-    spin: Float[Array, "limb 3"]  # radians per second, in the limb's frame
-    velocity: Float[Array, "limb 3"]  # metres per second, world frame
+    spin: Float[AnyArray, "limb 3"]  # radians per second, in the limb's frame
+    velocity: Float[AnyArray, "limb 3"]  # metres per second, world frame
 
 
 class Step(NamedTuple):
@@ -60,8 +62,8 @@ def cost_of(step: Step) -> Float[AnyArray, "*frame"]:
 def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSettings | None = None) -> TrackOptions:
     """Traced options from settings."""
     features = features or FeatureSettings()
-    number = lambda v: jnp.asarray(v, jnp.float32)  # noqa: E731
-    whole = lambda v: jnp.asarray(v, jnp.int32)  # noqa: E731
+    number = lambda v: jax.device_put(np.asarray(v, np.float32))  # noqa: E731
+    whole = lambda v: jax.device_put(np.asarray(v, np.int32))  # noqa: E731
     matching = MatchOptions(
         body_enlarge=number(solve.body_enlarge),
         limb_enlarge=number(solve.limb_enlarge),
@@ -98,7 +100,8 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
 
 def at_rest(poses: Poses) -> State:
     """A state without motion."""
-    zero = jnp.zeros_like(poses.translation)
+    # of NumPy's arrays where the poses are: see pose.AnyArray
+    zero = (np if isinstance(poses.translation, np.ndarray) else jnp).zeros_like(poses.translation)
     return State(poses, zero, zero)
 
 
@@ -162,7 +165,7 @@ def track_frame(
     return State(poses, spin, velocity), step
 
 
-@eqx.filter_jit
+@program
 def track_chunk(
     body: Body,
     options: TrackOptions,

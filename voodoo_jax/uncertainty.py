@@ -7,7 +7,6 @@ features. Found on one half of the bodies, 93 % of the other half's joints lie i
 round; both are set for 95 % here.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -33,7 +32,6 @@ def joint_covariances(body: Body, poses: Poses, twist: Float[Array, "limb 6 6"])
     return NOISE**2 * found + SHAPE**2 * jnp.eye(3, dtype=twist.dtype)
 
 
-@eqx.filter_jit
 def covariances(
     body: Body, poses: Poses, twist: Float[Array, "frame limb 6 6"]
 ) -> tuple[Float[Array, "frame limb 6 6"], Float[Array, "frame centre 3 3"]]:

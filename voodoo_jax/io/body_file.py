@@ -9,7 +9,7 @@ import os
 from importlib import resources
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from voodoo_jax.body import Body, Topology
@@ -136,7 +136,7 @@ def parse_body(text: str, source: str = "<text>") -> Body:
         sites=sites, site_limbs=site_limbs,
         segments=tuple((t.name, known[i], known[j]) for t, (i, j) in zip(tables["segment"], ends)),
     )  # fmt: skip
-    array = lambda x, *shape: jnp.array(np.array(x, np.float64).reshape(shape), jnp.float32)  # noqa: E731
+    array = lambda x, *shape: jax.device_put(np.array(x, np.float32).reshape(shape))  # noqa: E731
     return Body(
         sizes=array(np.array(sizes) * scale, -1, 5),
         rest=_to_jax(rest),
@@ -148,7 +148,7 @@ def parse_body(text: str, source: str = "<text>") -> Body:
         sites=array(site_points, -1, 3),
         scale=array(scale),
         limits=array([_limits(t) for t in tables["joint"]], -1, 3, 2),
-        present=jnp.ones(len(limbs), bool),
+        present=jax.device_put(np.ones(len(limbs), bool)),
         topology=topology,
         name=root.name,
         scale_name=root.string("scale_name", "scale"),
@@ -178,7 +178,7 @@ def format_body(body: Body) -> str:
             lines += [f"{prefix}at = {_list(at / scale)}", f"{prefix}x_axis = {_list(frame[:, 0])}"]
             lines += [f"{prefix}z_axis = {_list(frame[:, 2])}"]
         lines += [f"axes = {_list(axes[j] / scale)}", f"weight = {_number(weights[j])}"]
-        limits = np.round(np.degrees(np.asarray(body.limits[j], np.float64)), 4)
+        limits = np.round(np.degrees(np.asarray(body.limits, np.float64)[j]), 4)
         lines += [f"{key} = {_list(row)}" for key, row in zip(LIMITS, limits) if np.isfinite(row).all()]
     named = (("centre", t.centres, t.centre_limbs, body.centres), ("site", t.sites, t.site_limbs, body.sites))
     for kind, names, owner, points in named:
@@ -242,7 +242,7 @@ def _relative(rest: _Frames, owner: tuple[int, ...], frames: _Frames) -> _Frames
 
 def _to_jax(frames: _Frames) -> Poses:
     rotations = np.array([_quaternion(m) for m in frames[0]]).reshape(-1, 4)
-    return Poses(jnp.array(rotations, jnp.float32), jnp.array(frames[1], jnp.float32))
+    return Poses(*jax.device_put((rotations.astype(np.float32), frames[1].astype(np.float32))))
 
 
 def _from_jax(poses: Poses) -> _Frames:

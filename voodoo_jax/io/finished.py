@@ -5,18 +5,17 @@ import os
 import zipfile
 import zlib
 from dataclasses import asdict
-from functools import cache
 from pathlib import Path
 
 import jax
 import numpy as np
 from mcap.reader import SeekingReader
 
-from voodoo_jax import __version__
 from voodoo_jax.body import Body
 from voodoo_jax.io.body_file import format_body
 from voodoo_jax.io.container import READ_ERRORS
 from voodoo_jax.io.urls import Readable, opened
+from voodoo_jax.programs import code_fingerprint
 from voodoo_jax.settings import Settings
 
 BLOCK = 1 << 16  # bytes of each sample of a log
@@ -38,15 +37,6 @@ def log_fingerprint(stream: Readable) -> str:
     return digest.hexdigest()
 
 
-@cache
-def _code_fingerprint() -> str:
-    """Of this package's version and sources: tracks of another version are not the same."""
-    digest, root = hashlib.sha256(__version__.encode()), Path(__file__).parents[1]
-    for file in sorted(root.rglob("*.py")):
-        digest.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
-    return digest.hexdigest()
-
-
 def _body_bytes(body: Body) -> bytes:
     """All of a body: its file, which has the names, and its numbers to the last bit."""
     arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(body)]
@@ -56,7 +46,7 @@ def _body_bytes(body: Body) -> bytes:
 def recipe_key(body: Body, settings: Settings, smooth_seconds: float) -> str:
     """A key of all that tracks depend on but the log: body, settings, smoothing, this package's code."""
     stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
-    digest = hashlib.sha256(repr((stages, smooth_seconds, _code_fingerprint())).encode() + _body_bytes(body))
+    digest = hashlib.sha256(repr((stages, smooth_seconds, code_fingerprint())).encode() + _body_bytes(body))
     for change in settings.changes:
         fields = {name: value for name, value in vars(change).items() if name != "add"}
         digest.update(repr(fields).encode() + _thing_bytes(change.add))

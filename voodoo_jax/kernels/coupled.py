@@ -6,7 +6,7 @@ linear system, so that a limb pulls the whole chain at once. Same correspondence
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_factor, cho_solve
+from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
 from voodoo_jax.body import Links
@@ -104,9 +104,14 @@ def twist_covariance(full: Float[Array, "limb6 limb6"]) -> Float[Array, "limb 6 
     """Covariance of each limb's twist (turn, shift; limb frame) for measurements of unit variance per unit of weight:
     the limb's block of the inverse of the normal matrix, so that what the other limbs leave open counts."""
     count = full.shape[0] // 6
-    inverse = cho_solve(cho_factor(full, lower=True), jnp.eye(full.shape[0], dtype=full.dtype))
-    limbs = jnp.arange(count)
-    return inverse.reshape(count, 6, count, 6)[limbs, :, limbs]
+    factor = jnp.linalg.cholesky(full)
+
+    def block(columns):
+        half = solve_triangular(factor, columns, lower=True)
+        return jnp.matmul(half.T, half, precision="highest")
+
+    # limb by limb: for more columns at once LAPACK wakes threads, which takes a hundred times as long as the solve
+    return jax.lax.map(block, jnp.eye(6 * count, dtype=full.dtype).reshape(-1, count, 6).transpose(1, 0, 2))
 
 
 def point_covariance(twist: Float[Array, "6 6"], pose: Poses, point: Float[Array, "3"]) -> Float[Array, "3 3"]:

@@ -1,0 +1,182 @@
+"""Programs that need not be traced again: whole executables, kept beside jax's compile cache.
+
+jax's own cache spares compiling, but it finds an entry by the lowered program: tracing a tracker takes seconds in each
+process. Here an executable is found by what tracing would begin with: the function, this package's code, the static
+part of the arguments and the shapes of the others. Whatever does not fit is traced and compiled as ever.
+"""
+
+import hashlib
+import os
+import pickle
+from collections.abc import Callable, Hashable
+from contextlib import suppress
+from functools import cache, update_wrapper
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Generic, ParamSpec, TypeVar, cast
+
+import equinox as eqx
+import jax
+import jax.core
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
+
+from voodoo_jax.compile_cache import alone, jax_cache_aside, keep, kept, spoiled
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Run = Callable[[list[Any]], list[Any]]  # leaves that are arrays -> leaves of what the function returns
+Made = tuple[Run, Any]  # an executable, and the structure of what it returns
+LIBRARIES = ("jax", "jaxlib", "equinox", "optimistix")  # whose code is traced too
+# what else a trace depends on
+CONTEXT = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans",
+           "jax_debug_infs", "jax_disable_jit", "jax_default_device", "jax_num_cpu_devices")  # fmt: skip
+_all: list["Program"] = []
+
+
+@cache
+def code_fingerprint() -> str:
+    """Of this package's version and sources: what another version computes is not the same."""
+    from voodoo_jax import __version__
+
+    digest, root = hashlib.sha256(__version__.encode()), Path(__file__).parent
+    for file in sorted(root.rglob("*.py")):
+        digest.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+class Program(Generic[P, R]):
+    """A compiled function like eqx.filter_jit's, for positional arguments and results of arrays."""
+
+    def __init__(self, function: Callable[P, R]):
+        update_wrapper(self, function)
+        self.function: Callable[..., Any] = function
+        self.jitted = eqx.filter_jit(function)  # for other functions' traces and for odd cases
+        self.ready: dict[Hashable, Made] = {}  # of this process
+        _all.append(self)
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        found = None if kwargs else self.prepare(*args)
+        if found is None:
+            return self.jitted(*args, **kwargs)
+        run, form = found
+        return cast(R, jax.tree.unflatten(form, run([x for x in jax.tree.leaves(args) if eqx.is_array(x)])))
+
+    def prepare(self, *args: Any) -> Made | None:
+        """The executable for such arguments, and the structure of what it returns; None where jax has to see to it."""
+        leaves, tree = jax.tree.flatten(args)
+        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+        if _odd(arrays):
+            return None
+        static = tuple(None if eqx.is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
+        shapes = tuple((x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in arrays)
+        key = (tree, static, shapes, tuple(getattr(jax.config, name, None) for name in CONTEXT))
+        try:
+            found = self.ready.get(key)
+        except TypeError:  # a static argument that cannot be hashed
+            return None
+        if found is None:
+            self.ready[key] = found = self._made(key, leaves, tree, arrays)
+        return found
+
+    def _made(self, key: Hashable, leaves: list[Any], tree: Any, arrays: list[Any]) -> Made:
+        text = repr((self.__module__, self.function.__qualname__, code_fingerprint(), key, _surroundings()))
+        if " at 0x" in text:  # an address is another one in every process
+            return self._traced(leaves, tree, arrays)[:2]
+        name = hashlib.sha256(text.encode()).hexdigest()
+        if (found := _known(name, arrays)) is None:
+            with alone(name):  # others that want the same wait for it
+                found = _known(name, arrays)
+                if found is None:
+                    run, form, content = self._traced(leaves, tree, arrays)
+                    found = run, form
+                    # not every structure can be pickled: only slower next time
+                    with suppress(Exception):
+                        keep(name, pickle.dumps((content, jax.tree.unflatten(form, range(form.num_leaves)))))
+        return found
+
+    def _traced(self, leaves: list[Any], tree: Any, arrays: list[Any]) -> tuple[Run, Any, str]:
+        """Made as ever: executable, structure of the results, and the name under which the executable is kept."""
+        places = [i for i, leaf in enumerate(leaves) if eqx.is_array(leaf)]
+        forms = []
+
+        def run(arrays: list[Any]) -> list[Any]:
+            full = list(leaves)
+            for place, array in zip(places, arrays):
+                full[place] = array
+            out, form = jax.tree.flatten(self.function(*jax.tree.unflatten(tree, full)))
+            forms.append(form)
+            return out
+
+        run.__name__ = self.function.__name__
+        lowered = jax.jit(run, keep_unused=True).lower(arrays)
+        # code that has changed elsewhere lowers to the same program
+        content = hashlib.sha256((lowered.as_text() + repr(_surroundings())).encode()).hexdigest()
+        form = forms[-1]
+        if (loaded := _loaded(content, arrays, form)) is not None:
+            return loaded, form, content
+        with jax_cache_aside():
+            compiled = lowered.compile()
+        with suppress(Exception):  # not every device can
+            keep(content, serialize(compiled)[0])
+        return compiled, form, content
+
+
+def _known(name: str, arrays: list[Any]) -> Made | None:
+    """What some process has made under a name."""
+    if (data := kept(name)) is None:
+        return None
+    try:
+        content, numbered = pickle.loads(data)
+    except Exception:  # whatever is wrong with it, what follows works without
+        spoiled(name)
+        return None
+    form = jax.tree.structure(numbered)
+    run = _loaded(content, arrays, form)
+    return None if run is None else (run, form)
+
+
+def _loaded(content: str, arrays: list[Any], form: Any) -> Run | None:
+    if (data := kept(content)) is None:
+        return None
+    try:
+        _find_lapack()
+        return deserialize_and_load(
+            data, jax.tree.structure(((arrays,), {})), jax.tree.structure([0] * form.num_leaves)
+        )
+    except Exception:
+        spoiled(content)
+        return None
+
+
+def program(function: Callable[P, R]) -> Program[P, R]:
+    """Makes a Program of a function of a module."""
+    return Program(function)
+
+
+def forget() -> None:
+    """Lets go of all executables of this process, as jax.clear_caches does with others'."""
+    for each in _all:
+        each.ready.clear()
+
+
+def _odd(arrays: list[Any]) -> bool:
+    """Whether arrays are being traced, or are not where programs run unless told otherwise."""
+    here = {jax.devices()[0]}
+    return any(
+        isinstance(x, jax.core.Tracer) or (isinstance(x, jax.Array) and x.devices() != here) for x in arrays
+    ) or bool(jax.config.jax_disable_jit)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@cache
+def _find_lapack() -> None:
+    """Lets jax look up LAPACK's functions, which it does where it lowers a program that calls one: a loaded one would
+    call address zero."""
+    jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), "float32"))
+
+
+@cache
+def _surroundings() -> tuple[str, ...]:
+    libraries = [f"{name} {version(name)}" for name in LIBRARIES]
+    device = jax.devices()[0]
+    flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
+    return (*libraries, device.platform, device.device_kind, str(len(jax.devices())), *flags)
