@@ -22,6 +22,7 @@ from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
 from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, apply, compose, quat_normalize
 
+MOVED = 0.003  # metres: a step that moves no limb farther may be the last where it gains nothing
 STEADY_RADIUS = 0.1  # metres: about what a limb's own points hold its rotation with
 
 
@@ -171,9 +172,9 @@ def solve_frame(
 ) -> FrameResult:
     """Repeats the step until the quality measure changes by less than epsilon, or max_steps is reached (sec. 3.2).
 
-    The coupled solver stops where the measure rises, too: points then change limbs to and fro, and going on takes more
-    than twice the steps and finds nothing better. Not where pairs that nobody measured may make it rise; with epsilon
-    0 all max_steps are taken.
+    The coupled solver stops where the measure rises and no limb moves any more, too: points then change limbs to and
+    fro, and going on takes more than twice the steps and finds nothing better. Not where pairs that nobody measured may
+    make it rise; with epsilon 0 all max_steps are taken.
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed (pitfall P9).
     `capacity` bounds the steps of all kinds but "lax" at compile time.
@@ -182,26 +183,29 @@ def solve_frame(
     options = problem.options
     extra = options.plausible.limits is not None or options.plausible.collisions is not None
 
-    def at_rest(previous, quality):
+    def at_rest(previous, quality, moved):
         fallen = previous - quality
         still = jnp.abs(fallen) < options.epsilon
-        return still if extra or options.solver != "coupled" else still | ((fallen < 0) & (options.epsilon > 0))
+        if extra or options.solver != "coupled":
+            return still
+        return still | ((fallen < 0) & (options.epsilon > 0) & (moved < MOVED**2))
 
     def unfinished(state):
-        _, quality, previous, step = state
-        rest = (step >= 2) & at_rest(previous, quality)
+        _, quality, previous, moved, step = state
+        rest = (step >= 2) & at_rest(previous, quality, moved)
         return (step < options.max_steps) & ~rest
 
     def body(state):
-        poses, quality, _, step = state
-        poses, info = icp_step(poses, problem)
-        return poses, info.quality, quality, step + 1
+        before, quality, _, _, step = state
+        poses, info = icp_step(before, problem)
+        moved = jnp.max(jnp.sum((poses.translation - before.translation) ** 2, -1))
+        return poses, info.quality, quality, moved, step + 1
 
     huge = jnp.array(jnp.inf, start.translation.dtype)
-    state = (start, huge, huge, jnp.array(0, jnp.int32))
+    state = (start, huge, huge, huge, jnp.array(0, jnp.int32))
     most = None if kind == "lax" else capacity
-    poses, quality, previous, steps = eqxi.while_loop(unfinished, body, state, max_steps=most, kind=kind)
-    return FrameResult(poses, steps, at_rest(previous, quality))
+    poses, quality, previous, moved, steps = eqxi.while_loop(unfinished, body, state, max_steps=most, kind=kind)
+    return FrameResult(poses, steps, at_rest(previous, quality, moved))
 
 
 def _iterate(poses: Poses, problem: Problem) -> Poses:
