@@ -144,13 +144,17 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
 
 
 def solve_frame(
-    start: Poses, problem: Problem, kind: Literal["lax", "checkpointed", "bounded"] = "lax", capacity: int = 64
+    start: Poses,
+    problem: Problem,
+    kind: Literal["lax", "checkpointed", "bounded"] = "lax",
+    capacity: int = 64,
+    patient: Bool[Array, ""] | bool = False,
 ) -> FrameResult:
     """Repeats the step until the quality measure changes by less than epsilon, or max_steps is reached (sec. 3.2).
 
     The coupled solver stops where the measure rises, too: points then change limbs to and fro, and going on takes more
-    than twice the steps and finds nothing better. Not where pairs that nobody measured may make it rise; with epsilon
-    0 all max_steps are taken.
+    than twice the steps and finds nothing better. Not where `patient` (the start may be far off), or where pairs that
+    nobody measured may make it rise; with epsilon 0 all max_steps are taken.
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed (pitfall P9).
     `capacity` bounds the steps of all kinds but "lax" at compile time.
@@ -162,7 +166,9 @@ def solve_frame(
     def at_rest(previous, quality):
         fallen = previous - quality
         still = jnp.abs(fallen) < options.epsilon
-        return still if extra or options.solver != "coupled" else still | ((fallen < 0) & (options.epsilon > 0))
+        if extra or options.solver != "coupled":
+            return still
+        return still | ((fallen < 0) & (options.epsilon > 0) & jnp.logical_not(patient))
 
     def unfinished(state):
         _, quality, previous, step = state

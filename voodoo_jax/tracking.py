@@ -18,6 +18,7 @@ from voodoo_jax.pose import AnyArray, Poses, compose, inverse, quat_exp, quat_lo
 from voodoo_jax.programs import program
 from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
+FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off
 FEATURE_SHARE = 0.005  # of the features' squared distance in cost_of
 
 
@@ -123,7 +124,7 @@ def track_frame(
     late = jnp.maximum(seconds / options.prior_interval, 1.0)
     icp = eqx.tree_at(lambda o: o.prior, options.icp, options.icp.prior / jnp.minimum(late**2, 16.0))
     problem = Problem.build(body, points, predicted, icp, features)
-    solved = solve_frame(predicted, problem)
+    solved = solve_frame(predicted, problem, patient=late > FAR)
     count = jnp.sum(points.weight > 0)
     any_feature = jnp.array(False) if features is None else jnp.any(features.weight > 0)
     # a frame without a point keeps the prediction, a broken one (NaN) is not passed on
