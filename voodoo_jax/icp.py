@@ -148,13 +148,13 @@ def solve_frame(
     problem: Problem,
     kind: Literal["lax", "checkpointed", "bounded"] = "lax",
     capacity: int = 64,
-    patient: Bool[Array, ""] | bool = False,
+    patient: Bool[Array, ""] | bool = True,
 ) -> FrameResult:
     """Repeats the step until the quality measure changes by less than epsilon, or max_steps is reached (sec. 3.2).
 
-    The coupled solver stops where the measure rises, too: points then change limbs to and fro, and going on takes more
-    than twice the steps and finds nothing better. Not where `patient` (the start may be far off), or where pairs that
-    nobody measured may make it rise; with epsilon 0 all max_steps are taken.
+    From a near start (not `patient`) the coupled solver stops where the measure rises, too: points then change limbs to
+    and fro, and going on takes more than twice the steps and finds nothing better. Not where pairs that nobody measured
+    may make it rise; with epsilon 0 all max_steps are taken.
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed (pitfall P9).
     `capacity` bounds the steps of all kinds but "lax" at compile time.
