@@ -168,13 +168,17 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
 
 
 def solve_frame(
-    start: Poses, problem: Problem, kind: Literal["lax", "checkpointed", "bounded"] = "lax", capacity: int = 64
+    start: Poses,
+    problem: Problem,
+    kind: Literal["lax", "checkpointed", "bounded"] = "lax",
+    capacity: int = 64,
+    patient: Bool[Array, ""] | bool = True,
 ) -> FrameResult:
     """Repeats the step until the quality measure changes by less than epsilon, or max_steps is reached (sec. 3.2).
 
-    The coupled solver stops where the measure rises and no limb moves any more, too: points then change limbs to and
-    fro, and going on takes more than twice the steps and finds nothing better. Not where pairs that nobody measured may
-    make it rise; with epsilon 0 all max_steps are taken.
+    From a near start (not `patient`) the coupled solver stops where the measure rises and no limb moves much any more,
+    too: points then change limbs to and fro, and going on takes more than twice the steps and finds nothing better. Not
+    where pairs that nobody measured may make it rise; with epsilon 0 all max_steps are taken.
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed (pitfall P9).
     `capacity` bounds the steps of all kinds but "lax" at compile time.
@@ -188,7 +192,8 @@ def solve_frame(
         still = jnp.abs(fallen) < options.epsilon
         if extra or options.solver != "coupled":
             return still
-        return still | ((fallen < 0) & (options.epsilon > 0) & (moved < MOVED**2))
+        aimless = (fallen < 0) & (options.epsilon > 0) & (moved < MOVED**2) & jnp.logical_not(patient)
+        return still | aimless
 
     def unfinished(state):
         _, quality, previous, moved, step = state

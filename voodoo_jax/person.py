@@ -143,17 +143,27 @@ def _lowest(points, up, up_is_sure) -> Plane:
     return Plane(up, 0.0 if up_is_sure and abs(lowest) < 0.2 else lowest)
 
 
+def unique_cells(cells: Int[np.ndarray, "point 3"]) -> tuple[Int[np.ndarray, "cell 3"], Int[np.ndarray, " point"]]:
+    """The cells that occur, in order, and which of them each entry is: np.unique by one number for each cell, which is
+    several times as fast as by rows."""
+    if not len(cells):
+        return cells, np.zeros(0, np.int64)
+    low = cells.min(0)
+    span = cells.max(0) - low + 1
+    if np.prod(span.astype(float)) > 2**62:
+        unique, inverse = np.unique(cells, axis=0, return_inverse=True)
+        return unique, inverse.ravel()
+    x, y, z = (cells - low).T
+    key, inverse = np.unique((x * span[1] + y) * span[2] + z, return_inverse=True)
+    return np.stack([key // (span[1] * span[2]), key // span[2] % span[1], key % span[2]], 1) + low, inverse
+
+
 def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.ndarray, " point"]:
     """Labels of connected things: points in touching cells of half of `link` metres belong together."""
-    cells = np.floor(points / np.float32(link / 2)).astype(np.int64)
-    cells -= cells.min(0)
-    span = cells.max(0) + 5
-    key = (cells[:, 0] * span[1] + cells[:, 1]) * span[2] + cells[:, 2]
-    unique, inverse = np.unique(key, return_inverse=True)
-    middle = np.stack([unique // (span[1] * span[2]), unique // span[2] % span[1], unique % span[2]], 1)
+    middle, inverse = unique_cells(np.floor(points / np.float32(link / 2)).astype(np.int64))
     # the 26 cells around: a distance between half and the whole of `link`
     pairs = KDTree(middle).query_pairs(1.8, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique),) * 2)
+    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(middle),) * 2)
     return connected_components(graph, directed=False)[1][inverse]
 
 
@@ -173,8 +183,9 @@ def without_strays(
     """
     if len(points) < 5:
         return np.zeros(len(points), bool)
-    third = KDTree(points).query(points, k=4)[0][:, 3]
-    return third < 0.02 + 3 * spacing * np.linalg.norm(points - origin, axis=1)
+    near = 0.02 + 3 * spacing * np.linalg.norm(points - origin, axis=1)
+    tree = KDTree(points, balanced_tree=False, compact_nodes=False)  # faster to make than it is to ask
+    return tree.query(points, k=4, distance_upper_bound=1.01 * float(near.max()))[0][:, 3] < near
 
 
 def fair_share(sensor: Int[np.ndarray, " point"], most: int) -> Int[np.ndarray, " kept"]:
@@ -356,9 +367,9 @@ class PersonFinder:
         """Whether points lie where something else than the body was seen before."""
         if not self._background:
             return np.zeros(len(points), bool)
-        unique, inverse = np.unique(self._cells(points), axis=0, return_inverse=True)
+        unique, inverse = unique_cells(self._cells(points))
         known = np.array([self._background.get(tuple(c), 0) >= 3 for c in unique.tolist()])
-        return known[inverse.ravel()]
+        return known[inverse]
 
     def _learn(self, others, mine) -> None:
         if self.last is None and not len(mine):
@@ -396,10 +407,9 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
         height = frames[i].points @ up
         axis[i] = np.median(frames[i].points[height > np.percentile(height, 60)], 0)
         axis[i] -= (axis[i] @ up) * up
-    cells = [np.unique(np.floor(frames[i].points / np.float32(0.1)).astype(np.int64), axis=0) for i in seen]
+    cells = [unique_cells(np.floor(frames[i].points / np.float32(0.1)).astype(np.int64))[0] for i in seen]
     frame_of = np.repeat(np.arange(len(seen)), [len(c) for c in cells])
-    unique, which = np.unique(np.concatenate(cells), axis=0, return_inverse=True)
-    which = which.ravel()
+    unique, which = unique_cells(np.concatenate(cells))
     middle = (unique + 0.5).astype(np.float32) * np.float32(0.1)
     middle -= (middle @ up)[:, None] * up
     # where it was seen: per occurrence; where it could have been: per cell and frame, in blocks

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -89,6 +90,27 @@ class Session:
         self.named = few & self.table.enough(ENOUGH)  # frames that named points alone tell of
         if self.by_markers:
             self.capacity, self.sized = 8, True
+
+    def prepare(self) -> None:
+        """Makes the programs of starting and tracking, each in a thread: none waits until another one is compiled."""
+        if self.by_markers or jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+            return  # the threads would not know of it
+        s, limbs, calls = self.settings, self.body.limb_count, []
+        at = lambda *lead: Poses(np.zeros((*lead, limbs, 4), np.float32), np.zeros((*lead, limbs, 3), np.float32))  # noqa: E731
+        for length in (s.start.frames, s.track.chunk):
+            chunk = pad_frames([], self.capacity, length, None, self.sensors, None, self.parts)
+            features = pad_features([], length, self.feature_capacity, self.names, self.choices)
+            calls.append((chunk.points, chunk.seconds, chunk.valid, features))
+        (points, seconds, _, features), rest = calls
+        with ThreadPoolExecutor(2) as pool:
+            made = [
+                pool.submit(
+                    run_trials.prepare, self.body, self.options, at(s.start.headings), points, seconds, features
+                ),
+                pool.submit(track_chunk.prepare, self.body, self.options, at_rest(at()), *rest),
+            ]
+        for each in made:
+            each.result()
 
     def start(self, at: int, before: Poses | None = None) -> Beginning:
         """The best trial in frame `at`, or a better one later on, followed back to there.

@@ -118,7 +118,7 @@ class SolveSettings:
     max_steps: int = 30
     """Most ICP steps per frame (the papers: 6 online, 3 to 15 in general)."""
     epsilon: float = 1e-7
-    """Stop when the mean squared distance changes by less, or rises (coupled), square metres; 0: take all steps."""
+    """Stop when the mean squared distance changes by less, square metres (coupled: or rises); 0: take all steps."""
     ratio: float = 0.6
     """r: weight of a joint's bands over the measured weight of the limb (the papers: 0.4 to 0.7)."""
     floor: float = 0.03

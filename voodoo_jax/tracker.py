@@ -127,6 +127,8 @@ def track_person(
     limbs, joint_count = body.limb_count, len(body.topology.joints)
     options = options_from(settings.solve, settings.track, settings.features)
     run = Session(body, options, people, scene, settings, changes)
+    if at < count:
+        run.prepare()
     out = {
         "rotation": np.full((count, limbs, 4), np.nan, np.float32),
         "translation": np.full((count, limbs, 3), np.nan, np.float32),

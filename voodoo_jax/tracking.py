@@ -18,6 +18,7 @@ from voodoo_jax.pose import AnyArray, Poses, compose, inverse, quat_exp, quat_lo
 from voodoo_jax.programs import program
 from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
+FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off
 FEATURE_SHARE = 0.005  # of the features' squared distance in cost_of
 
 
@@ -134,7 +135,7 @@ def track_frame(
     steady = options.icp.steady * _still(body, state, options.still_speed)
     icp = eqx.tree_at(lambda o: (o.prior, o.steady), options.icp, (options.icp.prior / weaker, steady / weaker))
     problem = Problem.build(body, points, predicted, icp, features)
-    solved = solve_frame(predicted, problem)
+    solved = solve_frame(predicted, problem, patient=late > FAR)
     count = jnp.sum(points.weight > 0)
     any_feature = jnp.array(False) if features is None else jnp.any(features.weight > 0)
     # a frame without a point keeps the prediction, a broken one (NaN) is not passed on
