@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from voodoo_jax.beginning import Beginning, fresh
 from voodoo_jax.bending import wrong_bend
 from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.pose import Poses
-from voodoo_jax.session import Beginning, Session, status_of
+from voodoo_jax.session import Session, status_of
 from voodoo_jax.tracking import Step, cost_of
 from voodoo_jax.tracks import Status
 
@@ -54,7 +55,7 @@ def _and_back(run: Session, first: int, forward: Rows) -> Rows:
         return forward
     count = int(good[-1]) + 1
     forth = {name: row[:count] for name, row in forward.items()}
-    poses = run.fresh(first, forth["cost"])
+    poses = fresh(run, first, forth["cost"])
     if poses is None:
         poses = Poses(forth["rotation"][-1], forth["translation"][-1])
     back = rows_of(run, run.backwards(poses, first, first + count), first, count)
