@@ -1,4 +1,4 @@
-"""Where and how a passage begins: the best of several starts, tracked as trials, and what else it might be. Host side."""
+"""Where and how a passage begins: the best of several starts, tracked as trials. Host side."""
 
 from typing import NamedTuple
 
