@@ -22,7 +22,8 @@ from voodoo_jax.settings import Settings
 from voodoo_jax.tracker import find_person
 from voodoo_jax.tracks import Tracks
 
-Job, Out = TypeVar("Job"), TypeVar("Out")
+Job = TypeVar("Job")
+Out = TypeVar("Out")
 ROOT_NEAR = 0.2  # metres: who claims to track has the pelvis at least so near
 
 
