@@ -173,22 +173,24 @@ class Search:
         return Step(slope, curve)
 
     def compiled(self) -> None:
-        """Compiles both programs for the first recording at the same time; else each is compiled when it is needed."""
-        with ThreadPoolExecutor(1) as pool:
-            other = pool.submit(self._compiled_step)
-            self.place(np.zeros(len(self.sd)))
-            other.result()
+        """Compiles both programs for the first recording at the same time; else each is compiled when it is needed.
 
-    def _compiled_step(self) -> None:
+        Only compiles: two such programs that ran at the same time have waited for each other for ever.
+        """
         part = self.parts[0]
         frames, limbs = part.frames, part.body.limb_count
-        number = frames.weight.shape[0]
-        none = jnp.zeros(number)
-        slope = jnp.broadcast_to(jnp.eye(6 * limbs), (number, 6 * limbs, 6 * limbs))
-        settled = jnp.zeros(frames.points.weight.shape, jnp.int32)
-        rest = Rest(frames.poses, slope, settled, jnp.zeros(number, jnp.int32), none)
-        at = Placed(rest, none, jnp.zeros(number, bool))
-        compiled_normals(part.body, self.options, frames, at, *self._inputs(np.zeros(len(self.sd)), part))
+        count = frames.weight.shape[0]
+        none = jnp.zeros(count)
+        slope = jnp.zeros((count, 6 * limbs, 6 * limbs))
+        closest = jnp.zeros(frames.points.weight.shape, jnp.int32)
+        rest = Rest(frames.poses, slope, closest, jnp.zeros(count, jnp.int32), none)
+        at = Placed(rest, none, jnp.zeros(count, bool))
+        inputs = self._inputs(np.zeros(len(self.sd)), part)
+        with ThreadPoolExecutor(2) as pool:
+            both = (compiled_placed, frames.poses), (compiled_normals, at)
+            lowered = [f.lower(part.body, self.options, frames, start, *inputs) for f, start in both]  # pyright: ignore
+            for job in [pool.submit(program.compile) for program in lowered]:
+                job.result()
 
     def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
         """By how much the loss is smaller at `other`, in frames that are at rest at both."""
