@@ -9,8 +9,8 @@ import pytest
 from voodoo_jax.body import joint_centres, segment_lengths
 from voodoo_jax.cli import main
 from voodoo_jax.fit_frames import TruthError, held_out, read_truth
-from voodoo_jax.fit_loop import Progress, load_progress, save_progress
 from voodoo_jax.fit_parameters import Changes, changed, height_of, parameters
+from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.simulate import with_proportions
 

@@ -19,15 +19,13 @@ from voodoo_jax.fit_loop import (
     FitError,
     Part,
     Place,
-    Progress,
     Search,
     deviations,
-    load_progress,
     run_search,
-    save_progress,
 )  # fmt: skip
 from voodoo_jax.fit_objective import UserLoss
 from voodoo_jax.fit_parameters import parameters
+from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.fit_user import minimised
 from voodoo_jax.person import PersonFrame, Scene

@@ -5,7 +5,6 @@ implicit solution. optimistix' Levenberg-Marquardt would solve them twice a step
 where the loss is the user's own function (fit_body).
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -30,9 +29,9 @@ from voodoo_jax.fit_objective import (
     placed,
 )
 from voodoo_jax.fit_parameters import HEIGHT, Parameters, changed, height_of
+from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Rest
 from voodoo_jax.icp import IcpOptions
-from voodoo_jax.io.atomic import replacing
 from voodoo_jax.pose import Poses
 
 GAIN = 1e-3  # a step that gains less of the loss is the last
@@ -49,17 +48,6 @@ class Part(NamedTuple):
     body: Body  # before the fit
     frames: FitFrames  # those that are fitted to have weight, those held out have none
     person: int
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a search stands; all that is needed to go on."""
-
-    x: Float64[np.ndarray, " all"]
-    step: int = 0
-    damping: float = 1e-3
-    losses: tuple[float, ...] = ()
-    done: bool = False
 
 
 @dataclass(frozen=True)
@@ -258,27 +246,6 @@ def _along(
             break
         best = max(best, other, key=lambda one: one[1])
     return best
-
-
-def save_progress(progress: Progress, path: str | os.PathLike[str], fingerprint: str) -> None:
-    """Writes a state file, complete or not at all."""
-    with replacing(path) as partial, open(partial, "wb") as file:
-        np.savez(
-            file, x=progress.x, step=progress.step, damping=progress.damping, losses=np.array(progress.losses),
-            done=progress.done, fingerprint=np.array(fingerprint),
-        )  # fmt: skip
-
-
-def load_progress(path: str | os.PathLike[str], fingerprint: str) -> Progress | None:
-    """What save_progress wrote; None if there is no file, or one of another fit."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if str(file["fingerprint"]) != fingerprint:
-                return None
-            losses = tuple(float(v) for v in file["losses"])
-            return Progress(file["x"], int(file["step"]), float(file["damping"]), losses, bool(file["done"]))
-    except (OSError, ValueError, KeyError):
-        return None
 
 
 def deviations(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:
