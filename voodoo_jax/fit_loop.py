@@ -236,7 +236,10 @@ def _along(
     """
 
     def at(share: float) -> tuple[float, float, Place]:
-        there = search.place(x + share * step, starts)
+        try:
+            there = search.place(x + share * step, starts)
+        except FitError:  # a body that too few frames come to rest with gains nothing
+            return share, -np.inf, here
         return share, search.gain(x, x + share * step, here, there), there
 
     best = at(1.0)
