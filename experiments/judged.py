@@ -23,6 +23,7 @@ from voodoo_jax.tracker import find_person
 from voodoo_jax.tracks import Tracks
 
 Job = TypeVar("Job")
+Out = TypeVar("Out")
 ROOT_NEAR = 0.2  # metres: who claims to track has the pelvis at least so near
 
 
@@ -138,8 +139,8 @@ def honest_cells(verdicts: list[Verdict]) -> list[str]:
     return [f"{x:.{d}f}" if np.isfinite(x) else "-" for x, d in zip(found, (1, 1, 2))]
 
 
-def trials(work: Callable[[Job], Verdict], jobs: list[Job], processes: int) -> Iterator[Verdict]:
-    """Verdicts in the order of the jobs, as they come. `work` of an importable module; 1 process: this one."""
+def trials(work: Callable[[Job], Out], jobs: list[Job], processes: int) -> Iterator[Out]:
+    """Outcomes in the order of the jobs, as they come. `work` of an importable module; 1 process: this one."""
     if processes <= 1:
         yield from map(work, jobs)
         return
@@ -147,9 +148,9 @@ def trials(work: Callable[[Job], Verdict], jobs: list[Job], processes: int) -> I
         yield from pool.map(partial(_sharing, work), jobs)
 
 
-def _sharing(work: Callable[[Job], Verdict], job: Job) -> Verdict:
+def _sharing(work: Callable[[Job], Out], job: Job) -> Out:
     """Does a job with the programs that any process has compiled before."""
     use_compile_cache(cache_folder(""))
-    verdict = work(job)
+    outcome = work(job)
     keep_compiled()
-    return verdict
+    return outcome

@@ -19,8 +19,8 @@ from voodoo_jax.tracking import options_from
 # settings are being tuned elsewhere: the tests state their own
 SOLVE = SolveSettings(
     max_steps=30, epsilon=1e-8, ratio=0.6, floor=0.03, body_enlarge=0.4, limb_enlarge=0.2, max_distance=0.2,
-    robust_scale=0.1, overlap="exclusive", near_side=True, refine=0, prior=0.001, prior_radius=0.4, steady=0.0, solver="coupled",
-    damping=1e-4,
+    robust_scale=0.1, overlap="exclusive", near_side=True, refine=0, prior=0.001, prior_radius=0.4, steady=0.0,
+    solver="coupled", damping=1e-4,
 )  # fmt: skip
 
 

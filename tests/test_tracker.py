@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from voodoo_jax.beginning import fresh
 from voodoo_jax.body import joint_centres, scaled
 from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_log import read_log
@@ -130,12 +131,12 @@ def test_a_wrong_track_is_left_for_a_fresh_start_that_explains_more(recording, s
     options = options_from(settings.solve, settings.track, settings.features)
     run, count = Session(body, options, people, scene, settings), len(people)
     assert count >= 12
-    assert run.fresh(0, np.full(count, 1e-4)) is None  # the track is better
-    assert run.fresh(count - 3, np.full(3, 1e-2)) is None  # too few frames to tell
+    assert fresh(run, 0, np.full(count, 1e-4)) is None  # the track is better
+    assert fresh(run, count - 3, np.full(3, 1e-2)) is None  # too few frames to tell
     run.people = [f.only(np.zeros(len(f.points), bool)) for f in people]
-    assert run.fresh(0, np.full(count, 1e-2)) is None  # nothing to start from
+    assert fresh(run, 0, np.full(count, 1e-2)) is None  # nothing to start from
     run.people = people
-    poses = run.fresh(0, np.full(count, 1e-2))
+    poses = fresh(run, 0, np.full(count, 1e-2))
     assert poses is not None
     error = np.linalg.norm(np.asarray(joint_centres(body, poses)) - standing.joints[-1], axis=-1)
     assert error.mean() < 0.03

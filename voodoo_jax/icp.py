@@ -98,10 +98,12 @@ class Pulls(NamedTuple):
 
 
 def _near(body: Body, poses: Poses, predicted: Poses, distance: Float[Array, ""]) -> Float[Array, " limb"]:
-    """How near each limb is to its prediction: 1 there, 1/4 where an end is `distance` away (Geman-McClure)."""
-    top = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4])
-    ends = jnp.stack([jnp.zeros_like(top), top], 1)
-    moved = apply(poses[:, None], ends) - apply(predicted[:, None], ends)
+    """How near each limb is to its prediction: 1 there, 1/4 where one of its ends or its side is `distance` away
+    (Geman-McClure)."""
+    zero, (a, b, *_, length) = jnp.zeros_like(body.sizes[:, 4]), body.sizes.T
+    # the side: somebody who turns on the spot does not stand still
+    seen = jnp.stack([jnp.stack(p, -1) for p in ((zero, zero, zero), (zero, zero, length), (a, b, length / 2))], 1)
+    moved = apply(poses[:, None], seen) - apply(predicted[:, None], seen)
     far = jnp.max(jnp.sum(moved * moved, -1), -1) / distance**2
     return 1.0 / (1.0 + far) ** 2
 

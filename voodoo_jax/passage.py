@@ -1,11 +1,13 @@
 """A passage, the frames from one start of the tracker to the next: tracked there and back in time, and made one."""
 
 import numpy as np
+from jaxtyping import Float
 
+from voodoo_jax.beginning import Beginning, fresh
 from voodoo_jax.bending import wrong_bend
 from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.pose import Poses
-from voodoo_jax.session import Beginning, Session, status_of
+from voodoo_jax.session import Session, status_of
 from voodoo_jax.tracking import Step, cost_of
 from voodoo_jax.tracks import Status
 
@@ -44,8 +46,12 @@ def there_and_back(run: Session, start: Beginning, forward: Rows) -> Rows:
 
 def _doubt(run: Session, trial: float, rows: Rows) -> float:
     """How unlikely a passage is, to compare: by the cost of its trial and its own, and joints bent the wrong way."""
-    bent = np.maximum(wrong_bend(run.body, rows["rotation"]) - FREE_BEND, 0.0)
-    return trial * float(np.mean(rows["cost"])) * float(np.exp(np.mean(bent) / WRONG_WAY))
+    return trial * float(np.mean(rows["cost"])) * float(np.exp(np.mean(_bent(run, rows)) / WRONG_WAY))
+
+
+def _bent(run: Session, rows: Rows) -> Float[np.ndarray, " frame"]:
+    """How far joints are bent the wrong way, mean over the joints, radians."""
+    return np.mean(np.maximum(wrong_bend(run.body, rows["rotation"]) - FREE_BEND, 0.0), 1)
 
 
 def _and_back(run: Session, first: int, forward: Rows) -> Rows:
@@ -54,15 +60,15 @@ def _and_back(run: Session, first: int, forward: Rows) -> Rows:
         return forward
     count = int(good[-1]) + 1
     forth = {name: row[:count] for name, row in forward.items()}
-    poses = run.fresh(first, forth["cost"])
+    poses = fresh(run, first, forth["cost"])
     if poses is None:
         poses = Poses(forth["rotation"][-1], forth["translation"][-1])
     back = rows_of(run, run.backwards(poses, first, first + count), first, count)
-    rotation, translation, taken = combined(_pass(forth), _pass(back), np.asarray(run.body.sizes[:, 4]))
+    rotation, translation, taken = combined(_pass(run, forth), _pass(run, back), np.asarray(run.body.sizes[:, 4]))
     pick = lambda old, new: np.where(taken.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731
     found = {name: pick(forth[name], back[name]) for name in forth} | {"rotation": rotation, "translation": translation}
     return {name: np.concatenate([found[name], row[count:]]) for name, row in forward.items()}
 
 
-def _pass(rows: Rows) -> Pass:
-    return Pass(rows["rotation"], rows["translation"], rows["cost"])
+def _pass(run: Session, rows: Rows) -> Pass:
+    return Pass(rows["rotation"], rows["translation"], rows["cost"] * np.exp(_bent(run, rows) / WRONG_WAY))

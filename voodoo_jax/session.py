@@ -4,42 +4,25 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Int8
 
 from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
-from voodoo_jax.body import Body, scaled
+from voodoo_jax.body import Body
 from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
-from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_start, marker_table
+from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_table
 from voodoo_jax.person import PersonFrame, Scene
-from voodoo_jax.pose import Poses, on_host
+from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Change, Settings, StartSettings
-from voodoo_jax.stances import STANCES, in_stance
-from voodoo_jax.start import Trial, opposite, run_trials, sized, standing_places
+from voodoo_jax.start import Trial, run_trials
 from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, track_chunk
 from voodoo_jax.tracks import Status
 
 FEW_POINTS = 20  # fewer on the body: nothing to track by
-BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
-CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
-LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
-RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
-ALIKE = 2.5  # starts that cost less than so much more than the best may tell the size
-
-
-class Beginning(NamedTuple):
-    """A start that could be."""
-
-    frame: int
-    body: Body  # with its size
-    poses: Poses
-    cost: float  # see tracking.cost_of
-    rival: "Beginning | None" = None  # faces the other way and costs hardly more
 
 
 def first_run(mask: Bool[np.ndarray, " frame"], length: int) -> int:
@@ -112,104 +95,6 @@ class Session:
         for each in made:
             each.result()
 
-    def start(self, at: int, before: Poses | None = None) -> Beginning:
-        """The best trial in frame `at`, or a better one later on, followed back to there.
-
-        By markers alone: in the nearest frame that has enough of them. The first start settles the body's size, too.
-        `before` the last poses before the body was lost: it may still be in them, elsewhere.
-        """
-        if self.by_markers:
-            good = np.flatnonzero(self.table.enough(TO_START))
-            frame = int(good[np.argmin(np.abs(good - at))])
-            return Beginning(at, self.body, marker_start(self.body, self.table.markers, frame), 0.0)
-        found = [self._begin(at, self._sized(at), before)]
-        for frame in self._later(at) if found[0].cost > self.settings.start.sure else ():
-            found.append(self._begin(frame, self._sized(frame)))
-            if found[-1].cost < self.settings.start.sure:
-                break
-        clearest = min(found, key=lambda b: b.cost)
-        best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]
-        posed = self._in_stances(best.frame) if best.cost > self.settings.start.sure else None
-        if posed is not None and posed.cost < LIKELIER * best.cost:
-            best = posed
-        else:
-            # who bends or walks is taller than they look
-            tallest = max((b for b in found if b.cost < ALIKE * best.cost), key=lambda b: float(b.body.scale)).body
-            if float(tallest.scale) > 1.01 * float(best.body.scale):
-                best = self._begin(best.frame, tallest)
-        self.body, self.sized = best.body, True
-        self.bodies[-1] = (self.bodies[-1][0], self.body)
-        if best.frame > at:
-            best = best._replace(poses=self._followed(best, at), rival=best.rival and best.rival._replace(
-                poses=self._followed(best.rival, at)))  # fmt: skip
-        return best._replace(frame=at)
-
-    def _followed(self, start: Beginning, at: int) -> Poses:
-        """The poses in an earlier frame `at`."""
-        return self.backwards(start.poses, at, start.frame + 1).poses[0]
-
-    def fresh(self, first: int, cost: Float[np.ndarray, " frame"]) -> Poses | None:
-        """Poses in the last of some frames, the first of them `first`, from a start of its own shortly before, if that
-        explains more than the track with this `cost` of the frames, and is in no doubt: a wrong track is left so."""
-        count = 3 * self.settings.start.frames
-        skip = max(0, len(cost) - count)
-        at, end = first + skip, first + len(cost)
-        if self.by_markers or end - at < 2 * self.settings.start.frames or not self.can_start(at):
-            return None
-        best = self._begin(at, self.body)
-        here = float(np.mean(cost[skip : skip + self.settings.start.frames]))
-        if not best.cost < min(BETTER * here, self.settings.start.sure):
-            return None
-        return self._through(best.poses, self.people[at:end])[0].poses
-
-    def _in_stances(self, at: int) -> Beginning | None:
-        """The best start from frame `at` with arms raised or sitting; None for a body that can do neither."""
-        found, seen = [], self._sized(at)
-        for stance in STANCES:
-            # where the size is known, so is what the highest point is
-            for size in (1.0,) if self.sized else stance.sizes:
-                body = seen if size == 1.0 else scaled(seen, float(seen.scale) * size)
-                posed = in_stance(body, stance)
-                if posed is not None:
-                    found.append(self._begin(at, body, rest=posed))
-        return min(found, key=lambda b: b.cost, default=None)
-
-    def _sized(self, at: int) -> Body:
-        """The body in the size that it seems to have from frame `at` on, or the one that it is known to have."""
-        s: StartSettings = self.settings.start
-        return self.body if self.sized else sized(self.body, self.people[at : at + s.size_frames], self.scene.floor, s)
-
-    def _begin(self, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> Beginning:
-        """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
-
-        `rest` the body with another rest pose, to begin with that.
-        """
-        s: StartSettings = self.settings.start
-        frames = [f for f in self.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
-        places = standing_places(rest or body, frames[::-1], self.scene.floor, s.headings)
-        if before is not None:
-            there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
-            shift = (there - np.median(last.translation, 0)).astype(np.float32)
-            places.append(Poses(last.rotation, last.translation + shift))
-        trial = on_host(self._trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places)))
-        found = [
-            Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]))
-            for k in opposite(body, trial, RIVAL)
-        ]
-        return found[0]._replace(rival=found[1] if len(found) > 1 else None)
-
-    def _later(self, at: int) -> list[int]:
-        """Frames after `at` to start from: with points on end until there, and before the body changes."""
-        if not self.settings.track.both_ways:
-            return []
-        end = min([len(self.people), *(frame for frame, _ in self.pending)])
-        seconds = np.array([f.time_ns - self.people[at].time_ns for f in self.people[at:end]]) / 1e9
-        empty = np.array([len(f.points) < FEW_POINTS for f in self.people[at:end]], bool)
-        # the first pause that is longer than what a start reaches over
-        pause = first_run(empty, self.settings.track.patience)
-        found = [int(np.searchsorted(seconds, t)) for t in self.settings.start.later]
-        return [at + k for k in dict.fromkeys(found) if 0 < k < pause and not empty[k]]
-
     def can_start(self, at: int) -> bool:
         """Whether the frames from `at` on hold something to start from."""
         reach = self.people[at : at + 3 * self.settings.start.frames]
@@ -239,10 +124,10 @@ class Session:
         joint = t.children.index(t.limbs.index(thing))
         bodies = [pointing(self.body, joint, axis) for axis in directions(self.settings.start.directions)]
         starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(hung_on(b, state.poses, limbs) for b in bodies))
-        trial = self._trials(self.body, self.people[at : at + self.settings.start.frames], starts)
+        trial = self.trials(self.body, self.people[at : at + self.settings.start.frames], starts)
         self.body = bodies[int(np.argmin(np.asarray(trial.cost)))]
 
-    def _trials(self, body: Body, frames: list[PersonFrame], starts: Poses) -> Trial:
+    def trials(self, body: Body, frames: list[PersonFrame], starts: Poses) -> Trial:
         """Tracks some frames from every start pose (leading axis), the last one first."""
         s: StartSettings = self.settings.start
         # backwards in time, so that the trials end where tracking begins
@@ -269,16 +154,16 @@ class Session:
 
     def forwards(self, poses: Poses, first: int, last: int) -> Step:
         """Tracks frames `first` to `last` - 1, beginning with `poses`; their steps."""
-        return self._with_named(self._through(poses, self.people[first:last])[1], first, last - first)
+        return self._with_named(self.through(poses, self.people[first:last])[1], first, last - first)
 
     def backwards(self, poses: Poses, first: int, last: int) -> Step:
         """Tracks frames `first` to `last` - 1, the last one first, beginning with `poses`; steps in order of time."""
         # the same frames as if time ran the other way
         turned = [replace(f, time_ns=-f.time_ns) for f in self.people[first:last][::-1]]
-        steps = self._through(poses, turned)[1]
+        steps = self.through(poses, turned)[1]
         return self._with_named(jax.tree.map(lambda leaf: leaf[::-1], steps), first, len(turned))
 
-    def _through(self, poses: Poses, frames: list[PersonFrame]) -> tuple[State, Step]:
+    def through(self, poses: Poses, frames: list[PersonFrame]) -> tuple[State, Step]:
         """The state after any number of frames, begun at rest in `poses` in the first, and a step for each of them."""
         state, steps, length = at_rest(poses), [], self.settings.track.chunk
         for at in range(0, len(frames), length):

@@ -169,7 +169,7 @@ class TrackSettings:
     """Over longer intervals between frames the pull to the prediction weakens with the square of the time, seconds."""
     still_speed: float = 0.2
     """Limbs that are slower are held where they are (solve.steady), metres per second."""
-    lost_explained: float = 0.6
+    lost_explained: float = 0.8
     """Less than this share of the person's points explained: the frame counts as lost."""
     patience: int = 15
     """After so many lost or empty frames on end the body is looked for anew."""

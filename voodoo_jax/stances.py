@@ -17,14 +17,22 @@ class Stance(NamedTuple):
     sizes: tuple[float, ...]  # the body's scale over the one that its highest point would give
 
 
+def _both(joint: str, degrees: float) -> tuple[tuple[str, str, float], ...]:
+    """Left and right joint turned forwards (negative) or backwards."""
+    return (f"l_{joint}", "y", degrees), (f"r_{joint}", "y", degrees)
+
+
 LEFT, RIGHT = ("l_shoulder", "x", 170.0), ("r_shoulder", "x", -170.0)
 STANCES = (
     # the hand may be what is highest
     Stance((LEFT,), (1.0, 0.87)),
     Stance((RIGHT,), (1.0, 0.87)),
     Stance((LEFT, RIGHT), (1.0, 0.87)),
-    # a seat of 45 cm: a sitting adult's head is at three quarters of the stature
-    Stance((("l_hip", "y", -85.0), ("r_hip", "y", -85.0), ("l_knee", "y", 85.0), ("r_knee", "y", 85.0)), (1.32,)),
+    # a seat of 45 cm: a sitting adult's head is at about 78 % of the stature; hands in the lap
+    Stance(
+        (*_both("hip", -85.0), *_both("knee", 85.0), *_both("shoulder", -25.0), *_both("elbow", -50.0)),
+        (1.24, 1.28, 1.32),
+    ),
 )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Float32
 
 from voodoo_jax.batch import FeatureNames
+from voodoo_jax.beginning import Beginning, begin
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.kernels.plausible import check
@@ -26,7 +27,7 @@ from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, pers
 from voodoo_jax.pose import Poses
 from voodoo_jax.programs import program
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.session import FEW_POINTS, Beginning, Session, by_markers, first_run
+from voodoo_jax.session import FEW_POINTS, Session, by_markers, first_run
 from voodoo_jax.settings import Settings
 from voodoo_jax.start import rest_height
 from voodoo_jax.tracking import State, at_rest, options_from
@@ -159,7 +160,7 @@ def track_person(
                 progress(1)
             continue
         if state is None:
-            start = run.start(at, before)
+            start = begin(run, at, before)
             state = at_rest(start.poses)
             passages.append((start, slice(at, at)))
         after, step, taken = run.chunk(state, at)

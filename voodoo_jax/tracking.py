@@ -115,7 +115,9 @@ def predict(state: State, seconds: Float[Array, ""], damping: Float[Array, ""]) 
 
 def _still(body: Body, state: State, speed: Float[Array, ""]) -> Float[Array, " limb"]:
     """How still each limb stands: 1 at rest, 1/4 at `speed`, metres per second."""
-    square = jnp.sum(state.velocity**2, -1) + body.sizes[:, 4] ** 2 * jnp.sum(state.spin[:, :2] ** 2, -1)
+    x, y, z = state.spin.T
+    a, b, *_, length = body.sizes.T
+    square = jnp.sum(state.velocity**2, -1) + length**2 * (x * x + y * y) + (a * a + b * b) * z * z
     return 1.0 / (1.0 + square / speed**2) ** 2
 
 

@@ -1,0 +1,136 @@
+"""Where and how a passage begins: the best of several starts, tracked as trials. Host side."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from voodoo_jax.body import Body, scaled
+from voodoo_jax.marker_log import TO_START, marker_start
+from voodoo_jax.pose import Poses, on_host
+from voodoo_jax.session import FEW_POINTS, Session, first_run
+from voodoo_jax.settings import StartSettings
+from voodoo_jax.stances import STANCES, in_stance
+from voodoo_jax.start import opposite, sized, standing_places
+
+BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
+CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
+LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
+RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
+ALIKE = 2.5  # starts that cost less than so much more than the best may tell the size
+
+
+class Beginning(NamedTuple):
+    """A start that could be."""
+
+    frame: int
+    body: Body  # with its size
+    poses: Poses
+    cost: float  # see tracking.cost_of
+    rival: "Beginning | None" = None  # faces the other way and costs hardly more
+
+
+def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
+    """The best trial in frame `at`, or a better one later on, followed back to there.
+
+    By markers alone: in the nearest frame that has enough of them. The first start settles the body's size, too.
+    `before` the last poses before the body was lost: it may still be in them, elsewhere.
+    """
+    if run.by_markers:
+        good = np.flatnonzero(run.table.enough(TO_START))
+        frame = int(good[np.argmin(np.abs(good - at))])
+        return Beginning(at, run.body, marker_start(run.body, run.table.markers, frame), 0.0)
+    found = [_trial(run, at, _sized(run, at), before)]
+    for frame in _later(run, at) if found[0].cost > run.settings.start.sure else ():
+        found.append(_trial(run, frame, _sized(run, frame)))
+        if found[-1].cost < run.settings.start.sure:
+            break
+    clearest = min(found, key=lambda b: b.cost)
+    best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]
+    posed = _in_stances(run, best.frame) if best.cost > run.settings.start.sure else None
+    if posed is not None and posed.cost < LIKELIER * best.cost:
+        best = posed
+    else:
+        # who bends or walks is taller than they look
+        tallest = max((b for b in found if b.cost < ALIKE * best.cost), key=lambda b: float(b.body.scale)).body
+        if float(tallest.scale) > 1.01 * float(best.body.scale):
+            best = _trial(run, best.frame, tallest)
+    run.body, run.sized = best.body, True
+    run.bodies[-1] = (run.bodies[-1][0], run.body)
+    if best.frame > at:
+        best = best._replace(poses=_followed(run, best, at), rival=best.rival and best.rival._replace(
+            poses=_followed(run, best.rival, at)))  # fmt: skip
+    return best._replace(frame=at)
+
+
+def _followed(run: Session, start: Beginning, at: int) -> Poses:
+    """The poses in an earlier frame `at`."""
+    return run.backwards(start.poses, at, start.frame + 1).poses[0]
+
+
+def fresh(run: Session, first: int, cost: Float[np.ndarray, " frame"]) -> Poses | None:
+    """Poses in the last of some frames, the first of them `first`, from a start of its own shortly before, if that
+    explains more than the track with this `cost` of the frames, and is in no doubt: a wrong track is left so."""
+    count = 3 * run.settings.start.frames
+    skip = max(0, len(cost) - count)
+    at, end = first + skip, first + len(cost)
+    if run.by_markers or end - at < 2 * run.settings.start.frames or not run.can_start(at):
+        return None
+    best = _trial(run, at, run.body)
+    here = float(np.mean(cost[skip : skip + run.settings.start.frames]))
+    if not best.cost < min(BETTER * here, run.settings.start.sure):
+        return None
+    return run.through(best.poses, run.people[at:end])[0].poses
+
+
+def _in_stances(run: Session, at: int) -> Beginning | None:
+    """The best start from frame `at` with arms raised or sitting; None for a body that can do neither."""
+    found, seen = [], _sized(run, at)
+    for stance in STANCES:
+        # where the size is known, so is what the highest point is
+        for size in (1.0,) if run.sized else stance.sizes:
+            body = seen if size == 1.0 else scaled(seen, float(seen.scale) * size)
+            posed = in_stance(body, stance)
+            if posed is not None:
+                found.append(_trial(run, at, body, rest=posed))
+    return min(found, key=lambda b: b.cost, default=None)
+
+
+def _sized(run: Session, at: int) -> Body:
+    """The body in the size that it seems to have from frame `at` on, or the one that it is known to have."""
+    s: StartSettings = run.settings.start
+    return run.body if run.sized else sized(run.body, run.people[at : at + s.size_frames], run.scene.floor, s)
+
+
+def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> Beginning:
+    """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
+
+    `rest` the body with another rest pose, to begin with that.
+    """
+    s: StartSettings = run.settings.start
+    frames = [f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
+    places = standing_places(rest or body, frames[::-1], run.scene.floor, s.headings)
+    if before is not None:
+        there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
+        shift = (there - np.median(last.translation, 0)).astype(np.float32)
+        places.append(Poses(last.rotation, last.translation + shift))
+    trial = on_host(run.trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places)))
+    found = [
+        Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]))
+        for k in opposite(body, trial, RIVAL)
+    ]
+    return found[0]._replace(rival=found[1] if len(found) > 1 else None)
+
+
+def _later(run: Session, at: int) -> list[int]:
+    """Frames after `at` to start from: with points on end until there, and before the body changes."""
+    if not run.settings.track.both_ways:
+        return []
+    end = min([len(run.people), *(frame for frame, _ in run.pending)])
+    seconds = np.array([f.time_ns - run.people[at].time_ns for f in run.people[at:end]]) / 1e9
+    empty = np.array([len(f.points) < FEW_POINTS for f in run.people[at:end]], bool)
+    # the first pause that is longer than what a start reaches over
+    pause = first_run(empty, run.settings.track.patience)
+    found = [int(np.searchsorted(seconds, t)) for t in run.settings.start.later]
+    return [at + k for k in dict.fromkeys(found) if 0 < k < pause and not empty[k]]
