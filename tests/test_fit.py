@@ -152,7 +152,7 @@ def test_fit_of_the_demo(tmp_path, capsys):
         "--noise",
         "0.005",
     ]
-    assert main([*words, "--frames", "16", "--points", "128", "--iterations", "3", "--rounds", "2"]) == 0
+    assert main([*words, "--frames", "28", "--points", "128", "--iterations", "3", "--rounds", "2"]) == 0
     assert "held out" in capsys.readouterr().out
     assert {p.name for p in tmp_path.iterdir()} == {"wrong.toml", "body.toml", "body.md", "body.png"}
     fitted, text = read_body(tmp_path / "body.toml"), (tmp_path / "body.md").read_text()
