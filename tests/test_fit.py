@@ -9,8 +9,8 @@ import pytest
 from voodoo_jax.body import joint_centres, segment_lengths
 from voodoo_jax.cli import main
 from voodoo_jax.fit_frames import TruthError, held_out, read_truth
-from voodoo_jax.fit_loop import Progress, load_progress, save_progress
 from voodoo_jax.fit_parameters import Changes, changed, height_of, parameters
+from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.simulate import with_proportions
 
@@ -152,7 +152,7 @@ def test_fit_of_the_demo(tmp_path, capsys):
         "--noise",
         "0.005",
     ]
-    assert main([*words, "--frames", "16", "--points", "128", "--iterations", "3", "--rounds", "2"]) == 0
+    assert main([*words, "--frames", "28", "--points", "128", "--iterations", "3", "--rounds", "2"]) == 0
     assert "held out" in capsys.readouterr().out
     assert {p.name for p in tmp_path.iterdir()} == {"wrong.toml", "body.toml", "body.md", "body.png"}
     fitted, text = read_body(tmp_path / "body.toml"), (tmp_path / "body.md").read_text()
@@ -182,3 +182,27 @@ def test_a_loss_of_ones_own():
     found = minimised(search, loss, first, 30, heard.append)
     assert found.done and len(heard) == found.step and found.losses[-1] <= found.losses[0]
     np.testing.assert_allclose(np.exp(found.x), [1.05, 1.0], atol=0.005)
+
+
+def test_a_body_that_nothing_rests_with_gains_nothing():
+    """A step is taken as far as frames come to rest, and the fit goes on."""
+    from voodoo_jax.fit_loop import FitError, Place, Search, _along
+
+    class Slope(Search):
+        """Falls for ever; beyond 1.5 no frame comes to rest."""
+
+        def place(self, x, starts):
+            if x[0] > 1.5:
+                raise FitError("only 0 of 18 frames come to rest")
+            return Place(-float(x[0]), (), (), (), ())
+
+        def gain(self, x, other, here, there):
+            return here.loss - there.loss
+
+    here = Place(0.0, (), (), (), ())
+    for step, wanted in ((1.0, 1.0), (2.0, 0.5), (20.0, 0.2)):
+        share, gain, there = _along(object.__new__(Slope), np.zeros(1), np.array([step]), here, ())
+        if step < 20:
+            assert share == wanted and gain == wanted * step == -there.loss
+        else:
+            assert not gain > 0

@@ -18,7 +18,7 @@ BETTER = 0.9  # a fresh start replaces a track where it costs less than this sha
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
 LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
-ALIKE = 2.5  # starts that cost less than so much more than the best may tell the size
+ALIKE = 3.0  # starts that cost less than so much more than the best may tell the size
 
 
 class Beginning(NamedTuple):

@@ -18,16 +18,14 @@ from voodoo_jax.fit_frames import Truth, chosen_frames, feature_names, fit_frame
 from voodoo_jax.fit_loop import (
     FitError,
     Part,
-    Progress,
+    Place,
     Search,
-    Sums,
     deviations,
-    load_progress,
     run_search,
-    save_progress,
 )  # fmt: skip
 from voodoo_jax.fit_objective import UserLoss
 from voodoo_jax.fit_parameters import parameters
+from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.fit_user import minimised
 from voodoo_jax.person import PersonFrame, Scene
@@ -152,10 +150,11 @@ def fit_tracked(
     if loss is not None:
         progress = minimised(search, loss, progress, options.iterations, step_done)
     else:
+        search.compiled()
         for number in range(1, options.rounds + 1):
             began = progress.x
-            progress, sums = run_search(search, progress, number * options.iterations, step_done)
-            sd = deviations(search, sums)
+            progress, place = run_search(search, progress, number * options.iterations, step_done)
+            sd = deviations(search, progress.x, place)
             moved = float(np.max(np.abs(progress.x - began) / search.sd, initial=0.0))
             if number == options.rounds or moved < MOVED or any(s.scene is None for s in seen):
                 break
@@ -165,7 +164,7 @@ def fit_tracked(
             now = replace(now, parts=tuple(old._replace(frames=new.frames) for old, new in zip(now.parts, parts)))
             search, progress = _but_held_out(now), replace(progress, done=False)
     tell("judging", progress)
-    before, after = whole.sums(np.zeros(size)), now.sums(progress.x)
+    before, after = whole.place(np.zeros(size)), now.place(progress.x)
     first = [next(p for p in search.parts if p.person == k) for k in range(len(search.rows))]
     bodies = tuple(search.body(progress.x, p) for p in first)
     judged = tuple(_judged(search, part, k, progress.x, before, after) for k, part in enumerate(whole.parts))
@@ -269,16 +268,16 @@ def _fingerprint(search: Search, options: FitSettings) -> str:
     ).hexdigest()
 
 
-def _judged(search: Search, part: Part, k: int, x: np.ndarray, before: Sums, after: Sums) -> Judged:
+def _judged(search: Search, part: Part, k: int, x: np.ndarray, before: Place, after: Place) -> Judged:
     """One recording before and after; a frame counts only if it is at rest both times."""
     there = before.at_rest[k] & after.at_rest[k]
-    off = lambda sums: np.where(there, np.sqrt(2 * sums.costs[k]) * search.unit(part), np.nan)  # noqa: E731
+    off = lambda place: np.where(there, np.sqrt(2 * place.costs[k]) * search.unit(part), np.nan)  # noqa: E731
     joints = [np.full(len(there), np.nan)] * 2
     if part.frames.truth is not None and part.frames.known is not None:
         truth, known = part.frames.truth, np.asarray(part.frames.known)
         joints = []
-        for own, sums in ((part.body, before), (search.body(x, part), after)):
-            found = eqx.filter_jit(eqx.filter_vmap(joint_centres, in_axes=(None, 0)))(own, sums.poses[k])
+        for own, place in ((part.body, before), (search.body(x, part), after)):
+            found = eqx.filter_jit(eqx.filter_vmap(joint_centres, in_axes=(None, 0)))(own, place.poses[k])
             gap: Float[np.ndarray, "frame centre"] = np.asarray(jnp.sqrt(jnp.sum((found - truth) ** 2, -1)))
             mean = np.where(known, gap, 0).sum(1) / np.maximum(known.sum(1), 1)
             joints.append(np.where(there & known.any(1), mean, np.nan))

@@ -8,7 +8,8 @@ from tqdm.auto import tqdm
 from voodoo_jax.cli import FitCommand
 from voodoo_jax.fit_body import fit
 from voodoo_jax.fit_frames import TruthError
-from voodoo_jax.fit_loop import FitError, Progress
+from voodoo_jax.fit_loop import FitError
+from voodoo_jax.fit_progress import Progress
 from voodoo_jax.io.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.io.fit_report import verdict, write_report
 from voodoo_jax.io.mcap_log import LogError

@@ -5,8 +5,8 @@ implicit solution. optimistix' Levenberg-Marquardt would solve them twice a step
 where the loss is the user's own function (fit_body).
 """
 
-import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,16 +17,28 @@ import numpy as np
 from jaxtyping import Array, Float64
 
 from voodoo_jax.body import Body
-from voodoo_jax.fit_objective import JOINT_SD, PER_LIMB, POINT_SD, FitFrames, Normals, Objective, normals
+from voodoo_jax.fit_objective import (
+    JOINT_SD,
+    PER_LIMB,
+    POINT_SD,
+    FitFrames,
+    Normals,
+    Objective,
+    Placed,
+    normals,
+    placed,
+)
 from voodoo_jax.fit_parameters import HEIGHT, Parameters, changed, height_of
+from voodoo_jax.fit_progress import Progress
+from voodoo_jax.fit_solution import Rest
 from voodoo_jax.icp import IcpOptions
-from voodoo_jax.io.atomic import replacing
 from voodoo_jax.pose import Poses
 
 GAIN = 1e-3  # a step that gains less of the loss is the last
 FEWEST = 6  # frames of a log that must be at rest
 # a large program on XLA's pool of CPU threads may wait for ever for other threads of that pool (seen with two)
 ALONE = {"xla_cpu_multi_thread_eigen": False}
+QUICK = ALONE | {"xla_backend_optimization_level": 1}  # compiled in two thirds of the time, and no slower
 
 
 class Part(NamedTuple):
@@ -39,40 +51,40 @@ class Part(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Progress:
-    """Where a search stands; all that is needed to go on."""
+class Place:
+    """All recordings solved at one place."""
 
-    x: Float64[np.ndarray, " all"]
-    step: int = 0
-    damping: float = 1e-3
-    losses: tuple[float, ...] = ()
-    done: bool = False
-
-
-@dataclass(frozen=True)
-class Sums:
-    """All recordings at one place: half the squared deviations per frame, and the sums of a Gauss-Newton step."""
-
-    loss: float
-    slope: Float64[np.ndarray, " all"]
-    curve: Float64[np.ndarray, "all all"]  # of the data alone
+    loss: float  # half the squared deviations, priors included
     at_rest: tuple[np.ndarray, ...]  # [frame] of each recording
-    costs: tuple[np.ndarray, ...]  # [frame] of each recording; 0 where not at rest
+    costs: tuple[np.ndarray, ...]  # [frame] of each recording, half the squared deviations; 0 where not at rest
     poses: tuple[Poses, ...]
+    found: tuple[Placed, ...]
+
+
+class Step(NamedTuple):
+    """The sums of a Gauss-Newton step."""
+
+    slope: Float64[np.ndarray, " all"]  # priors included
+    curve: Float64[np.ndarray, "all all"]  # of the data alone
 
 
 class FitError(ValueError):
     """A fit that cannot be made; says why, and what to try."""
 
 
-def _sums_of(
-    body: Body, options: IcpOptions, frames: FitFrames, starts: Poses, x, maps, objective: Objective
-) -> Normals:
+def _placed(body: Body, options: IcpOptions, frames: FitFrames, starts: Poses, x, maps, objective: Objective) -> Placed:
     free = Parameters((), np.zeros(0), maps, True)  # the names are not needed here
-    return normals(body, options, frames, starts, x, free.changes, objective)
+    return placed(body, options, frames, starts, x, free.changes, objective)
 
 
-compiled_sums: Callable[..., Normals] = eqx.filter_jit(_sums_of, compiler_options=ALONE)  # pyright: ignore[reportCallIssue]
+def _normals(body: Body, options: IcpOptions, frames: FitFrames, at: Placed, x, maps, objective: Objective) -> Normals:
+    free = Parameters((), np.zeros(0), maps, True)
+    return normals(body, options, frames, at, x, free.changes, objective)
+
+
+# two programs: most places are only looked at, and they are compiled at the same time
+compiled_placed: Callable[..., Placed] = eqx.filter_jit(_placed, compiler_options=QUICK)  # pyright: ignore[reportCallIssue]
+compiled_normals: Callable[..., Normals] = eqx.filter_jit(_normals, compiler_options=QUICK)  # pyright: ignore[reportCallIssue]
 
 
 @eqx.filter_jit
@@ -106,44 +118,74 @@ class Search:
         off, slope = _height_off(part.body, jnp.asarray(x[self.rows[part.person]], jnp.float32), maps)
         return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
 
-    def sums(self, x: Float64[np.ndarray, " all"], starts: tuple[Poses, ...] = ()) -> Sums:
-        """The loss at x and what a step needs, with the priors in loss and slope; FitError if nothing is at rest."""
-        slope, curve = x / self.sd**2, np.zeros((len(x), len(x)))
-        loss = 0.5 * float(np.sum((x / self.sd) ** 2))
-        rest, costs, poses = [], [], []
+    def _share(self, part: Part, good: np.ndarray) -> float:
+        """What the deviations of a recording's frames count."""
+        # frames that do not come to rest weigh nothing; the others stand in for them, so that losses compare
+        return float(np.asarray(part.frames.weight).sum()) / max(int(good.sum()), 1) * (POINT_SD / self.noise) ** 2
+
+    def _inputs(self, x: Float64[np.ndarray, " all"], part: Part) -> tuple:
         maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
+        return jnp.asarray(x[self.rows[part.person]], jnp.float32), maps, self.objective
+
+    def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Poses, ...] = ()) -> Place:
+        """All frames solved at x, and the loss; FitError if nothing is at rest."""
+        loss = 0.5 * float(np.sum((x / self.sd) ** 2))
+        all_found = []
         for part, start in zip(self.parts, starts or tuple(p.frames.poses for p in self.parts)):
-            rows = self.rows[part.person]
-            at = jnp.asarray(x[rows], jnp.float32)
-            found = compiled_sums(part.body, self.options, part.frames, start, at, maps, self.objective)
+            found = compiled_placed(part.body, self.options, part.frames, start, *self._inputs(x, part))
             good, wanted = np.asarray(found.converged), float(np.asarray(part.frames.weight).sum())
             if good.sum() < FEWEST:
                 raise FitError(
                     f"{part.name}: only {good.sum()} of {wanted:.0f} frames come to rest; more steps may help "
                     "(--fit.steps), or the log is not tracked well: look at it with voodoo-jax replay --picture"
                 )
-            # frames that do not come to rest weigh nothing; the others stand in for them, so that losses compare
-            share = wanted / good.sum() * (POINT_SD / self.noise) ** 2
-            loss += share * float(np.asarray(found.cost, np.float64).sum())
-            slope[rows] += share * np.asarray(found.slope, np.float64).sum(0)
-            curve[np.ix_(rows, rows)] += share * np.asarray(found.curve, np.float64).sum(0)
+            loss += self._share(part, good) * float(np.asarray(found.cost, np.float64).sum())
+            if self.objective == "held":
+                loss += 0.5 * self.height(x, part)[0] ** 2
+            all_found.append(found)
+        rest, costs = zip(*((np.asarray(f.converged), np.asarray(f.cost, np.float64)) for f in all_found))
+        return Place(loss, rest, costs, tuple(f.rest.poses for f in all_found), tuple(all_found))
+
+    def step(self, x: Float64[np.ndarray, " all"], here: Place) -> Step:
+        """What a step from x needs."""
+        slope, curve = x / self.sd**2, np.zeros((len(x), len(x)))
+        for part, found, good in zip(self.parts, here.found, here.at_rest):
+            rows, share = self.rows[part.person], self._share(part, good)
+            sums = compiled_normals(part.body, self.options, part.frames, found, *self._inputs(x, part))
+            slope[rows] += share * np.asarray(sums.slope, np.float64).sum(0)
+            curve[np.ix_(rows, rows)] += share * np.asarray(sums.curve, np.float64).sum(0)
             if self.objective == "held":
                 off, by_x = self.height(x, part)
-                loss += 0.5 * off**2
                 slope[rows] += off * by_x
                 curve[np.ix_(rows, rows)] += np.outer(by_x, by_x)
-            rest.append(good)
-            costs.append(np.asarray(found.cost, np.float64))
-            poses.append(found.poses)
-        return Sums(loss, slope, curve, tuple(rest), tuple(costs), tuple(poses))
+        return Step(slope, curve)
 
-    def gain(self, x: np.ndarray, other: np.ndarray, here: Sums, there: Sums) -> float:
+    def compiled(self) -> None:
+        """Compiles both programs for the first recording at the same time; else each is compiled when it is needed.
+
+        Only compiles: two such programs that ran at the same time have waited for each other for ever.
+        """
+        part = self.parts[0]
+        frames, limbs = part.frames, part.body.limb_count
+        count = frames.weight.shape[0]
+        none = jnp.zeros(count)
+        slope = jnp.zeros((count, 6 * limbs, 6 * limbs))
+        closest = jnp.zeros(frames.points.weight.shape, jnp.int32)
+        rest = Rest(frames.poses, slope, closest, jnp.zeros(count, jnp.int32), none)
+        at = Placed(rest, none, jnp.zeros(count, bool))
+        inputs = self._inputs(np.zeros(len(self.sd)), part)
+        with ThreadPoolExecutor(2) as pool:
+            both = (compiled_placed, frames.poses), (compiled_normals, at)
+            lowered = [f.lower(part.body, self.options, frames, start, *inputs) for f, start in both]  # pyright: ignore
+            for job in [pool.submit(program.compile) for program in lowered]:
+                job.result()
+
+    def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
         """By how much the loss is smaller at `other`, in frames that are at rest at both."""
         out = 0.5 * float(np.sum((x / self.sd) ** 2) - np.sum((other / self.sd) ** 2))
         for k, part in enumerate(self.parts):
             both = here.at_rest[k] & there.at_rest[k]
-            share = float(np.asarray(part.frames.weight).sum()) / max(both.sum(), 1) * (POINT_SD / self.noise) ** 2
-            out += share * float((here.costs[k] - there.costs[k])[both].sum())
+            out += self._share(part, both) * float((here.costs[k] - there.costs[k])[both].sum())
             if self.objective == "held":
                 out += 0.5 * (self.height(x, part)[0] ** 2 - self.height(other, part)[0] ** 2)
         return out
@@ -155,17 +197,18 @@ class Search:
 
 def run_search(
     search: Search, progress: Progress, most: int, say: Callable[[Progress], None] | None = None
-) -> tuple[Progress, Sums]:
+) -> tuple[Progress, Place]:
     """Steps until the loss falls no more, or `most` were taken; `say` hears of each one, and may raise to stop."""
-    sums = search.sums(progress.x)
+    place = search.place(progress.x)
     if not progress.losses:
-        progress = replace(progress, losses=(sums.loss,))
+        progress = replace(progress, losses=(place.loss,))
     while not progress.done and progress.step < most:
         # both sides of a comparison begin with the same poses: a solve that goes on from its own end differs a little
-        starts = sums.poses
-        here = search.sums(progress.x, starts)
-        full = here.curve + np.diag(1 / search.sd**2)
-        step = -np.linalg.solve(full + progress.damping * np.diag(np.diag(full)), here.slope)
+        starts = place.poses
+        here = search.place(progress.x, starts)
+        sums = search.step(progress.x, here)
+        full = sums.curve + np.diag(1 / search.sd**2)
+        step = -np.linalg.solve(full + progress.damping * np.diag(np.diag(full)), sums.slope)
         # at most one and a half usual deviations at once: matches change on the way
         step *= min(1.0, 1.5 / max(float(np.max(np.abs(step) / search.sd)), 1e-9))
         share, gain, there = _along(search, progress.x, step, here, starts)
@@ -174,26 +217,29 @@ def run_search(
             progress = replace(
                 progress, x=progress.x + share * step, damping=max(progress.damping / 5, 1e-3), done=small
             )
-            sums = there
+            place = there
         else:
             progress = replace(progress, damping=max(progress.damping, 1e-2) * 10, done=progress.damping > 1)
-        progress = replace(progress, step=progress.step + 1, losses=(*progress.losses, sums.loss))
+        progress = replace(progress, step=progress.step + 1, losses=(*progress.losses, place.loss))
         if say is not None:
             say(progress)
-    return progress, sums
+    return progress, place
 
 
 def _along(
-    search: Search, x: np.ndarray, step: np.ndarray, here: Sums, starts: tuple[Poses, ...]
-) -> tuple[float, float, Sums]:
-    """Share of the step that gains most, what it gains, and the sums there.
+    search: Search, x: np.ndarray, step: np.ndarray, here: Place, starts: tuple[Poses, ...]
+) -> tuple[float, float, Place]:
+    """Share of the step that gains most, what it gains, and what was found there.
 
     Derivatives know of no point that changes its limb, and these changes are half of the way: twice or four times the
     step often gains more, and where it gains nothing a part of it may.
     """
 
-    def at(share: float) -> tuple[float, float, Sums]:
-        there = search.sums(x + share * step, starts)
+    def at(share: float) -> tuple[float, float, Place]:
+        try:
+            there = search.place(x + share * step, starts)
+        except FitError:  # a body that too few frames come to rest with gains nothing
+            return share, -np.inf, here
         return share, search.gain(x, x + share * step, here, there), there
 
     best = at(1.0)
@@ -205,27 +251,6 @@ def _along(
     return best
 
 
-def save_progress(progress: Progress, path: str | os.PathLike[str], fingerprint: str) -> None:
-    """Writes a state file, complete or not at all."""
-    with replacing(path) as partial, open(partial, "wb") as file:
-        np.savez(
-            file, x=progress.x, step=progress.step, damping=progress.damping, losses=np.array(progress.losses),
-            done=progress.done, fingerprint=np.array(fingerprint),
-        )  # fmt: skip
-
-
-def load_progress(path: str | os.PathLike[str], fingerprint: str) -> Progress | None:
-    """What save_progress wrote; None if there is no file, or one of another fit."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if str(file["fingerprint"]) != fingerprint:
-                return None
-            losses = tuple(float(v) for v in file["losses"])
-            return Progress(file["x"], int(file["step"]), float(file["damping"]), losses, bool(file["done"]))
-    except (OSError, ValueError, KeyError):
-        return None
-
-
-def deviations(search: Search, sums: Sums) -> Float64[np.ndarray, " all"]:
+def deviations(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:
     """Standard deviation of every parameter after the fit, from the Gauss-Newton matrix and the priors."""
-    return np.sqrt(np.diag(np.linalg.inv(sums.curve + np.diag(1 / search.sd**2))))
+    return np.sqrt(np.diag(np.linalg.inv(search.step(x, place).curve + np.diag(1 / search.sd**2))))

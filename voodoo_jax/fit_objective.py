@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, joint_centres
 from voodoo_jax.fit_parameters import Changes, changed, changed_options
-from voodoo_jax.fit_solution import settled, solution
+from voodoo_jax.fit_solution import Rest, carried, resting, settled
 from voodoo_jax.icp import IcpOptions, Problem
 from voodoo_jax.kernels.correspond import Points, match_assigned
 from voodoo_jax.kernels.features import Features, named_points
@@ -49,14 +49,6 @@ class FitFrames(eqx.Module):
     news: Float[Array, "frame limb"]  # what the frame says of a limb that no other frame says, 0..1
 
 
-class FrameTerms(NamedTuple):
-    """One frame's part of the loss."""
-
-    residuals: Float[Array, " residual"]  # in standard deviations
-    converged: Bool[Array, ""]
-    poses: Poses
-
-
 Objective = Literal["held", "truth"]
 UserLoss = Callable[[Body, IcpOptions, FitFrames], Float[Array, ""]]
 
@@ -70,24 +62,21 @@ def frame_problem(body: Body, options: IcpOptions, frame: FitFrames, by: Changes
     return Problem.build(body, frame.points, frame.poses, options, features)
 
 
-def frame_terms(
-    body: Body, options: IcpOptions, frame: FitFrames, by: Changes, start: Poses, objective: Objective
-) -> FrameTerms:
-    """Residuals of one frame (no leading axes) for a body and options before the changes `by`.
+def frame_residuals(
+    body: Body, options: IcpOptions, frame: FitFrames, poses: Poses, objective: Objective
+) -> Float[Array, " residual"]:
+    """Residuals of one frame (no leading axes) in standard deviations.
 
-    **Arguments:** `start` where the solve of the pose begins; `objective` "held": measurements held back; "truth":
-    joint centres.
+    **Arguments:** `objective` "held": measurements held back; "truth": joint centres.
     """
-    body, options = changed(body, by), changed_options(options, by)
-    solved = solution(start, frame_problem(body, options, frame, by), newton=2, tolerance=SETTLED)
     if objective == "truth":
         assert frame.truth is not None and frame.known is not None
-        gap = jnp.where(frame.known[:, None], joint_centres(body, solved.poses) - frame.truth, 0.0) / JOINT_SD
-        return FrameTerms(gap.reshape(-1), solved.converged, solved.poses)
-    parts = [_point_residuals(body, options, frame, solved.poses)]
+        gap = jnp.where(frame.known[:, None], joint_centres(body, poses) - frame.truth, 0.0) / JOINT_SD
+        return gap.reshape(-1)
+    parts = [_point_residuals(body, options, frame, poses)]
     if frame.held_features is not None:
-        parts.append(_ray_residuals(body, frame.held_features, solved.poses))
-    return FrameTerms(jnp.concatenate(parts), solved.converged, solved.poses)
+        parts.append(_ray_residuals(body, frame.held_features, poses))
+    return jnp.concatenate(parts)
 
 
 def _robust(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
@@ -132,40 +121,74 @@ def _ray_residuals(body: Body, features: Features, poses: Poses) -> Float[Array,
     return (_robust(gap, 3 * ROBUST) / RAY_SD).reshape(-1)
 
 
-class Normals(NamedTuple):
-    """Gauss-Newton sums of many frames, and what they came from; `frame`: leading axis."""
+class Placed(NamedTuple):
+    """Many frames at rest; leading axis: frame."""
 
-    cost: Float[Array, " frame"]  # half the squared residuals of a converged frame, else 0
+    rest: Rest
+    cost: Float[Array, " frame"]  # half the squared residuals
+    converged: Bool[Array, " frame"]  # others count nothing
+
+
+class Normals(NamedTuple):
+    """Gauss-Newton sums of many frames; leading axis: frame. Zero where the frame is not at rest."""
+
     slope: Float[Array, "frame free"]
     curve: Float[Array, "frame free free"]
-    converged: Bool[Array, " frame"]
-    poses: Poses  # [frame limb]
+
+
+Say = Callable[[Float[Array, " free"]], Changes]
+
+
+def placed(
+    body: Body,
+    options: IcpOptions,
+    frames: FitFrames,
+    starts: Poses,
+    x: Float[Array, " free"],
+    say: Say,
+    objective: Objective = "held",
+    batch: int = 8,
+) -> Placed:
+    """All frames solved at x from `starts` [frame limb], and what they cost there."""
+    by = say(x)
+    new, changed_to = changed(body, by), changed_options(options, by)
+
+    def one(inputs):
+        frame, start = inputs
+        found = resting(start, frame_problem(new, changed_to, frame, by), newton=2)
+        r = frame_residuals(new, changed_to, frame, found.poses, objective)
+        good = (found.off < SETTLED) & (frame.weight > 0) & jnp.all(jnp.isfinite(r))
+        return Placed(found, jnp.where(good, jnp.sum(r * r) / 2, 0.0), good)
+
+    return jax.lax.map(one, (frames, starts), batch_size=batch)
 
 
 def normals(
     body: Body,
     options: IcpOptions,
     frames: FitFrames,
-    starts: Poses,
+    at: Placed,
     x: Float[Array, " free"],
-    say: Callable[[Float[Array, " free"]], Changes],
+    say: Say,
     objective: Objective = "held",
     batch: int = 8,
 ) -> Normals:
-    """Residuals of all frames at x, their derivative forward (one tangent per parameter), and the sums of a step."""
+    """Derivative of the residuals of all frames that rest `at` x, forward (one tangent per parameter), as sums."""
 
     def one(inputs):
-        frame, start = inputs
+        frame, rest, good = inputs
 
         def residuals(x):
-            terms = frame_terms(body, options, frame, say(x), start, objective)
-            return terms.residuals, terms
+            by = say(x)
+            new, changed_to = changed(body, by), changed_options(options, by)
+            r = frame_residuals(
+                new, changed_to, frame, carried(rest, frame_problem(new, changed_to, frame, by)), objective
+            )
+            return r, r
 
-        by_x, terms = jax.jacfwd(residuals, has_aux=True)(x)
-        r = terms.residuals
-        good = terms.converged & (frame.weight > 0) & jnp.all(jnp.isfinite(r)) & jnp.all(jnp.isfinite(by_x))
-        r, by_x = jnp.where(good, r, 0.0), jnp.where(good, by_x, 0.0)
-        slope, curve = (jnp.matmul(by_x.T, v, precision="highest") for v in (r, by_x))
-        return Normals(jnp.sum(r * r) / 2, slope, curve, good, terms.poses)
+        by_x, r = jax.jacfwd(residuals, has_aux=True)(x)
+        fine = good & jnp.all(jnp.isfinite(by_x))
+        r, by_x = jnp.where(good, r, 0.0), jnp.where(fine, by_x, 0.0)
+        return Normals(*(jnp.matmul(by_x.T, v, precision="highest") for v in (r, by_x)))
 
-    return jax.lax.map(one, (frames, starts), batch_size=batch)
+    return jax.lax.map(one, (frames, at.rest, at.converged), batch_size=batch)

@@ -38,6 +38,16 @@ class Solution(NamedTuple):
     converged: Bool[Array, ""]
 
 
+class Rest(NamedTuple):
+    """Where one frame's poses come to rest."""
+
+    poses: Poses
+    slope: Float[Array, "all all"]  # of the balance there (see balance_slope)
+    limbs: Settled
+    steps: Int[Array, ""]  # ICP steps
+    off: Float[Array, ""]  # see Solution
+
+
 def moved(poses: Poses, twists: Float[Array, "limb 6"]) -> Poses:
     """Poses after a turn (radians) and a shift (metres) of every limb in its own frame."""
     return compose(poses, Poses(quat_exp(twists[:, :3]), twists[:, 3:]))
@@ -197,6 +207,23 @@ def _polished(
     return jax.lax.fori_loop(0, steps + 1, step, (poses, *nothing, jnp.ones((), dtype)))[:3]
 
 
+def resting(start: Poses, problem: Problem, newton: int = 3) -> Rest:
+    """Where the poses of a frame come to rest: ICP steps and `newton` Newton steps. Nothing of it has a derivative."""
+    start, problem = jax.lax.stop_gradient((start, problem))
+    first = solve_frame(start, problem)
+    limbs = settled(first.poses, problem)
+    poses, slope, off = jax.lax.stop_gradient(_polished(first.poses, problem, limbs, newton))
+    return Rest(poses, slope, limbs, first.steps, off)
+
+
+def carried(found: Rest, problem: Problem) -> Poses:
+    """The poses at rest with their derivatives by all that the problem depends on: those of the implicit function."""
+    # zero in value
+    force = balance(found.poses, problem, found.limbs)
+    change = -jnp.linalg.solve(found.slope, (force - jax.lax.stop_gradient(force)).reshape(-1)).reshape(force.shape)
+    return moved(found.poses, change)
+
+
 def solution(start: Poses, problem: Problem, newton: int = 3, tolerance: float = 1e-3) -> Solution:
     """The poses that a step leaves as they are, with exact derivatives in forward and reverse mode.
 
@@ -207,14 +234,8 @@ def solution(start: Poses, problem: Problem, newton: int = 3, tolerance: float =
     **Returns:** see Solution. Derivatives are right only where `converged` is true (pitfall P10), and to the first
     order: second derivatives leave out how the slope of the balance changes.
     """
-    fixed_start, fixed = jax.lax.stop_gradient((start, problem))
-    first = solve_frame(fixed_start, fixed)
-    limbs = settled(first.poses, fixed)
-    poses, slope, off = jax.lax.stop_gradient(_polished(first.poses, fixed, limbs, newton))
-    # zero in value; its derivative is that of the implicit function
-    force = balance(poses, problem, limbs)
-    change = -jnp.linalg.solve(slope, (force - jax.lax.stop_gradient(force)).reshape(-1)).reshape(force.shape)
-    return Solution(moved(poses, change), limbs, first.steps, off, off < tolerance)
+    found = resting(start, problem, newton)
+    return Solution(carried(found, problem), found.limbs, found.steps, found.off, found.off < tolerance)
 
 
 def weakest(poses: Poses, problem: Problem) -> Float[Array, ""]:

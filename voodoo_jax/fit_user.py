@@ -11,9 +11,10 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from voodoo_jax.body import Body
-from voodoo_jax.fit_loop import ALONE, FitError, Progress, Search
+from voodoo_jax.fit_loop import ALONE, FitError, Search
 from voodoo_jax.fit_objective import SETTLED, FitFrames, UserLoss
 from voodoo_jax.fit_parameters import changed, changed_options
+from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Solution, solution
 from voodoo_jax.icp import IcpOptions, Problem
 

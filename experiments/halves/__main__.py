@@ -9,6 +9,7 @@ says how much of that is chance. Writes halves.md.
 
 import json
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -51,6 +52,7 @@ def text_of(choice: Choice) -> str:
 
 def main(
     recordings: tyro.conf.Positional[Path],
+    kinds: tuple[Literal["fusion", "depth"], ...] = ("fusion", "depth"),
     every: int = 1,
     frames: int = 0,
     processes: int = 2,
@@ -60,6 +62,7 @@ def main(
 
     Args:
         recordings: folder with *.mcap and *.truth.npz of at least two people.
+        kinds: with the 2D features, or with depth only.
         every: take every N-th recording.
         frames: cut recordings after so many frames; 0: whole.
         processes: how many work at once.
@@ -79,7 +82,7 @@ def main(
 
     alone = [((name, value),) for name, values in TRIED.items() for value in values]
     sections = []
-    for features in (True, False):
+    for features in (kind == "fusion" for kind in kinds):
         tried: list[Choice] = [(), *alone]
         run([(c, features, f) for c in tried for f in files])
         errors = {(c, f): v.score.error_cm for (c, with_them, f), v in verdicts.items() if with_them == features}

@@ -26,9 +26,9 @@ Solver = Literal["per_limb", "coupled"]
 def options(solver: Solver, points: int) -> IcpOptions:
     """The work's rules as the library's options."""
     solve = SolveSettings(
-        solver=solver, ratio=RATIO, floor=LEAST / points, prior=0.0, epsilon=0.0, max_steps=STEPS, max_distance=REACH,
-        robust_scale=float("inf"), limb_enlarge=REACH, body_enlarge=REACH, overlap="exclusive", near_side=False,
-        refine=0, limits=0.0, collisions=0.0, sampling=1.0, damping=1e-4,
+        solver=solver, ratio=RATIO, floor=LEAST / points, prior=0.0, steady=0.0, epsilon=0.0, max_steps=STEPS,
+        max_distance=REACH, robust_scale=float("inf"), limb_enlarge=REACH, body_enlarge=REACH, overlap="exclusive",
+        near_side=False, refine=0, limits=0.0, collisions=0.0, sampling=1.0, damping=1e-4,
     )  # fmt: skip
     icp = options_from(solve, TrackSettings()).icp
     return eqx.tree_at(lambda o: o.match, icp, replace(icp.match, caps=False))

@@ -1,0 +1,41 @@
+"""Where a search stands, and the file it is saved in."""
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from voodoo_jax.io.atomic import replacing
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a search stands; all that is needed to go on."""
+
+    x: Float64[np.ndarray, " all"]
+    step: int = 0
+    damping: float = 1e-3
+    losses: tuple[float, ...] = ()
+    done: bool = False
+
+
+def save_progress(progress: Progress, path: str | os.PathLike[str], fingerprint: str) -> None:
+    """Writes a state file, complete or not at all."""
+    with replacing(path) as partial, open(partial, "wb") as file:
+        np.savez(
+            file, x=progress.x, step=progress.step, damping=progress.damping, losses=np.array(progress.losses),
+            done=progress.done, fingerprint=np.array(fingerprint),
+        )  # fmt: skip
+
+
+def load_progress(path: str | os.PathLike[str], fingerprint: str) -> Progress | None:
+    """What save_progress wrote; None if there is no file, or one of another fit."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if str(file["fingerprint"]) != fingerprint:
+                return None
+            losses = tuple(float(v) for v in file["losses"])
+            return Progress(file["x"], int(file["step"]), float(file["damping"]), losses, bool(file["done"]))
+    except (OSError, ValueError, KeyError):
+        return None
