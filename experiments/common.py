@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -246,6 +247,15 @@ def line_fit(x: list[float], y: list[float]) -> tuple[float, float, float]:
     slope, intercept = np.polyfit(x, y, 1)
     rest = np.asarray(y) - (slope * np.asarray(x) + intercept)
     return float(slope), float(intercept), 1 - float(np.sum(rest**2) / np.sum((np.asarray(y) - np.mean(y)) ** 2))
+
+
+def settings_with(options: dict[str, Any]) -> Settings:
+    """The default settings with some options, "stage.option", changed."""
+    settings = Settings()
+    for name, value in options.items():
+        stage, option = name.split(".")
+        settings = replace(settings, **{stage: replace(getattr(settings, stage), **{option: value})})
+    return settings
 
 
 def human() -> Body:

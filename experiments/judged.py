@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
-from experiments.common import Log, Score, errors, load_truth, nearest, off, score, scored
+from experiments.common import Log, Score, errors, human, load_truth, nearest, off, score, scored
 from voodoo_jax.body import Body, segment_lengths
 from voodoo_jax.compile_cache import cache_folder, keep_compiled, use_compile_cache
 from voodoo_jax.io.mcap_log import open_log
@@ -66,6 +66,14 @@ def read(path: Path, settings: Settings, frames: int = 0) -> Recorded:
     t = load_truth(path, found[-1].time_ns)
     there = np.ones(len(t.time_ns), bool)
     return Recorded(path.stem, reader.fixed_frame, reader.up, found, t.time_ns, t.names, t.joints, there, dims)
+
+
+@cache
+def told_apart(path: Path, step: int = 1, frames: int = 0) -> tuple[Recorded, Log]:
+    """A recording, every `step`-th of its frames, with the person told apart; the points of the room are not kept."""
+    recorded = read(path, Settings(), frames)
+    recorded = replace(recorded, frames=recorded.frames[::step])
+    return replace(recorded, frames=[]), recorded.log(human(), Settings())
 
 
 @dataclass(frozen=True)

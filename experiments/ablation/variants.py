@@ -1,12 +1,11 @@
 """What is taken away or changed, one thing at a time, and a trial of it. Worker processes import this."""
 
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.common import Log, human, without_features
-from experiments.judged import Recorded, Verdict, judge, read
+from experiments.common import human, settings_with, without_features
+from experiments.judged import Verdict, judge, told_apart
 from voodoo_jax.body import Body
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.settings import Settings
@@ -19,6 +18,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "all pairs count fully (robust_scale inf)": {"solve.robust_scale": float("inf")},
     "prior x 10": {"solve.prior": 10 * Settings().solve.prior},
     "prior / 10": {"solve.prior": Settings().solve.prior / 10},
+    "what stands still is not held (steady 0)": {"solve.steady": 0.0},
     "no velocity (damping 0)": {"track.damping": 0.0},
     "forwards only (both_ways off)": {"track.both_ways": False},
     "prior the same over any interval": {"track.prior_interval": 10.0},
@@ -47,27 +47,14 @@ class Job:
 
 def variant(name: str) -> tuple[Body, Settings]:
     """Body and settings of a variant."""
-    body, settings = human(), Settings()
-    for key, value in VARIANTS[name].items():
-        if key == "body":
-            body = load_body(value)
-            continue
-        stage, option = key.split(".")
-        settings = replace(settings, **{stage: replace(getattr(settings, stage), **{option: value})})
-    return body, settings
+    options = dict(VARIANTS[name])
+    body = options.pop("body", None)
+    return human() if body is None else load_body(body), settings_with(options)
 
 
 def work(job: Job) -> Verdict:
     """Tracks and judges."""
-    recorded, log = _told_apart(job.log, job.step, job.frames)
+    recorded, log = told_apart(job.log, job.step, job.frames)
     body, settings = variant(job.variant)
     people = log.people if settings.read.features else without_features(log.people)
     return judge(recorded, log, log.track(body, settings, people))
-
-
-@cache
-def _told_apart(path: Path, step: int, frames: int) -> tuple[Recorded, Log]:
-    """The recording with the person told apart; the points of the room are not kept."""
-    recorded = read(path, Settings(), frames)
-    recorded = replace(recorded, frames=recorded.frames[::step])
-    return replace(recorded, frames=[]), recorded.log(human(), Settings())

@@ -1,12 +1,10 @@
 """Settings that are tried, and a trial of some of them on a recording. Worker processes import this."""
 
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.common import Log, human, without_features
-from experiments.judged import Recorded, Verdict, judge, read
-from voodoo_jax.settings import Settings
+from experiments.common import human, settings_with, without_features
+from experiments.judged import Verdict, judge, told_apart
 
 Choice = tuple[tuple[str, float], ...]  # stage.option and its value; what is not named is as by default
 # about a factor of two below and above the default
@@ -31,24 +29,8 @@ class Job:
     frames: int = 0
 
 
-def settings_of(choice: Choice) -> Settings:
-    """The default settings with some of them changed."""
-    settings = Settings()
-    for name, value in choice:
-        stage, option = name.split(".")
-        settings = replace(settings, **{stage: replace(getattr(settings, stage), **{option: value})})
-    return settings
-
-
 def work(job: Job) -> Verdict:
     """Tracks and judges."""
-    recorded, log = _told_apart(job.log, job.frames)
+    recorded, log = told_apart(job.log, frames=job.frames)
     people = log.people if job.features else without_features(log.people)
-    return judge(recorded, log, log.track(human(), settings_of(job.choice), people))
-
-
-@cache
-def _told_apart(path: Path, frames: int) -> tuple[Recorded, Log]:
-    recorded = read(path, Settings(), frames)
-    log = recorded.log(human(), Settings())
-    return replace(recorded, frames=[]), log
+    return judge(recorded, log, log.track(human(), settings_with(dict(job.choice)), people))
