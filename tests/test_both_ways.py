@@ -28,12 +28,12 @@ def ends(rotation, translation):
 def test_where_they_agree_the_mean_where_not_the_better():
     a = random_pass(0)
     near = Pass(a.rotation, a.translation + np.float32(0.02), a.cost)
-    rotation, translation, taken = combined(a, near, LENGTHS)
+    rotation, translation, taken, _ = combined(a, near, LENGTHS)
     np.testing.assert_allclose(translation, a.translation + 0.01, atol=1e-6)
     np.testing.assert_allclose(np.abs((rotation * a.rotation).sum(-1)), 1, atol=1e-6)
     assert not taken.any()
     far = Pass(a.rotation, a.translation + np.float32(2 * AGREE), a.cost * 0.5)
-    rotation, translation, taken = combined(a, far, LENGTHS)
+    rotation, translation, taken, _ = combined(a, far, LENGTHS)
     np.testing.assert_array_equal(translation, far.translation)
     assert taken.all()
 
@@ -47,7 +47,7 @@ def test_the_axis_is_turned_halfway_whatever_the_roll(seed):
     roll = Rotation.from_rotvec(np.array([0, 0, 1.0]) * rng.uniform(-3, 3, (24, 1)))
     q = turn * Rotation.from_quat(a.rotation.reshape(-1, 4), scalar_first=True) * roll
     b = Pass(q.as_quat(scalar_first=True).reshape(12, 2, 4).astype(np.float32), a.translation, a.cost)
-    rotation, _, _ = combined(a, b, LENGTHS)
+    rotation, *_ = combined(a, b, LENGTHS)
     z = [Rotation.from_quat(r.reshape(-1, 4).astype(float), scalar_first=True).apply([0, 0, 1.0])
          for r in (a.rotation, b.rotation, rotation)]  # fmt: skip
     middle = (z[0] + z[1]) / np.linalg.norm(z[0] + z[1], axis=1, keepdims=True)
@@ -62,7 +62,7 @@ def test_averaging_halves_independent_noise():
     true = random_pass(1, 60)
     noisy = [Pass(true.rotation, true.translation + rng.normal(0, 0.01, true.translation.shape).astype(np.float32),
                   true.cost) for _ in range(2)]  # fmt: skip
-    _, translation, _ = combined(*noisy, LENGTHS)
+    _, translation, *_ = combined(*noisy, LENGTHS)
     assert np.std(translation - true.translation) == pytest.approx(0.01 / np.sqrt(2), rel=0.1)
 
 
@@ -78,7 +78,7 @@ def test_single_frames_do_not_decide():
 @pytest.mark.parametrize("frames", [0, 1, 2, 3, 6, 8])
 def test_short_recordings(frames):
     a, b = random_pass(0, frames), random_pass(1, frames, cost=0.5)
-    rotation, translation, taken = combined(a, b, LENGTHS)
+    rotation, translation, taken, _ = combined(a, b, LENGTHS)
     assert rotation.shape == (frames, 2, 4) and taken.shape == (frames,) and taken.all()
     np.testing.assert_array_equal(translation, b.translation)
 
@@ -86,6 +86,6 @@ def test_short_recordings(frames):
 def test_a_limb_that_is_nowhere_stays_nowhere():
     a, b = random_pass(0), random_pass(0)
     a.translation[:, 1], a.rotation[:, 1] = np.nan, np.nan
-    rotation, translation, _ = combined(a, b, LENGTHS)
+    rotation, translation, *_ = combined(a, b, LENGTHS)
     assert np.isnan(translation[:, 1]).all() and np.isfinite(translation[:, 0]).all()
     assert np.isnan(rotation[:, 1]).all()

@@ -23,6 +23,15 @@ class Pass(NamedTuple):
     cost: Float[np.ndarray, " frame"]  # square metres, see kernels
 
 
+class Combined(NamedTuple):
+    """One pass made of two."""
+
+    rotation: Float32[np.ndarray, "frame limb 4"]
+    translation: Float32[np.ndarray, "frame limb 3"]
+    backward: Bool[np.ndarray, " frame"]  # where the backward pass was the better one
+    apart: Float32[np.ndarray, "frame limb"]  # metres between the passes' places of a limb's ends, the larger one
+
+
 def backward_is_better(
     forward: Float[np.ndarray, " frame"], backward: Float[np.ndarray, " frame"]
 ) -> Bool[np.ndarray, " frame"]:
@@ -34,15 +43,13 @@ def backward_is_better(
     return mean(backward) < BETTER * mean(forward)
 
 
-def combined(
-    forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"]
-) -> tuple[Float32[np.ndarray, "frame limb 4"], Float32[np.ndarray, "frame limb 3"], Bool[np.ndarray, " frame"]]:
+def combined(forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"]) -> Combined:
     """Poses made of both passes: of each frame the better one, limbs on which they agree moved halfway to the other.
 
     Halfway: the place of the limb's origin, and the direction of its axis; how it is turned about its axis is left as
     it is, for of a round limb nobody knows that.
 
-    **Arguments:** `lengths` of the limbs, metres. **Returns:** rotation, translation, where the backward pass is taken.
+    **Arguments:** `lengths` of the limbs, metres.
     """
     taken = backward_is_better(forward.cost, backward.cost)
     pick = lambda a, b: np.where(taken[:, None, None], a, b)  # noqa: E731
@@ -50,15 +57,15 @@ def combined(
     place, other = pick(backward.translation, forward.translation), pick(forward.translation, backward.translation)
     axis, other_axis = _axis(rotation), _axis(other_rotation)
     reach = lengths[None, :, None]
-    ends = [
-        np.linalg.norm(a - b, axis=-1) for a, b in ((place, other), (place + reach * axis, other + reach * other_axis))
-    ]
-    agree = np.maximum(*ends) < AGREE  # NaN does not agree
+    ends = ((place, other), (place + reach * axis, other + reach * other_axis))
+    apart = np.maximum(*(np.linalg.norm(a - b, axis=-1) for a, b in ends))
+    agree = apart < AGREE  # NaN does not agree
     half = _half_turn(axis, other_axis)
     turned = (Rotation.from_quat(half.reshape(-1, 4)) * _rotations(rotation)).as_quat(scalar_first=True)
     turned = turned.reshape(rotation.shape)
     rotation = np.where(agree[..., None], turned, rotation).astype(np.float32)
-    return rotation, np.where(agree[..., None], (place + other) / 2, place).astype(np.float32), taken
+    translation = np.where(agree[..., None], (place + other) / 2, place).astype(np.float32)
+    return Combined(rotation, translation, taken, apart.astype(np.float32))
 
 
 def _rotations(q: np.ndarray) -> Rotation:

@@ -8,7 +8,7 @@ from voodoo_jax.bending import wrong_bend
 from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.pose import Poses
 from voodoo_jax.session import Session, status_of
-from voodoo_jax.tracking import Step, cost_of
+from voodoo_jax.tracking import State, Step, cost_of
 from voodoo_jax.tracks import Status
 
 Rows = dict[str, np.ndarray]  # arrays of Tracks, and "cost" [frame], square metres; leading axis: frame
@@ -16,7 +16,7 @@ Rows = dict[str, np.ndarray]  # arrays of Tracks, and "cost" [frame], square met
 SEEN = {name: name for name in ("residual", "explained", "steps", "limb_weight")} | {"limb_covariance": "covariance"}
 FREE_BEND = 0.17  # radians beyond a joint's limits that say nothing: people differ
 WRONG_WAY = 0.1  # radians beyond, mean of all joints and frames, that count as much as costs e times higher
-PASSAGE = ("status", "rotation", "translation", "cost", *SEEN)
+PASSAGE = ("status", "rotation", "translation", "cost", "passes_apart", *SEEN)
 
 
 def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
@@ -25,23 +25,25 @@ def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
     status = status_of(step, run.settings.track.lost_explained, run.named[span], run.featured[span])
     rows = {"rotation": step.poses.rotation, "translation": step.poses.translation, "cost": cost_of(step)}
     rows |= {name: getattr(step, field) for name, field in SEEN.items()}
+    rows["passes_apart"] = np.full_like(rows["limb_weight"], np.nan)  # of one pass nobody knows
     return {"status": status} | {name: np.asarray(row)[:count] for name, row in rows.items()}
 
 
-def there_and_back(run: Session, start: Beginning, forward: Rows) -> Rows:
+def there_and_back(run: Session, start: Beginning, forward: Rows) -> tuple[Rows, State | None]:
     """A passage that began with `start` and was tracked forwards, combined with a pass back from its last good frame.
 
-    Where the start might as well face the other way, that is tracked both ways too, and what costs less is kept.
+    Where the start might as well face the other way, that is tracked both ways too, and what costs less is kept; then
+    the state comes with it that this ends in.
     """
     found = _and_back(run, start.frame, forward)
     if start.rival is None:
-        return found
+        return found, None
     count = len(forward["status"])
-    step = run.forwards(start.rival.poses, start.frame, start.frame + count)
+    end, step = run.forwards(start.rival.poses, start.frame, start.frame + count)
     other = _and_back(run, start.frame, rows_of(run, step, start.frame, count))
     # a few frames hardly tell front from back: all of them do
     doubt = [_doubt(run, cost, rows) for cost, rows in ((start.cost, found), (start.rival.cost, other))]
-    return found if doubt[0] <= doubt[1] else other
+    return (found, None) if doubt[0] <= doubt[1] else (other, end)
 
 
 def _doubt(run: Session, trial: float, rows: Rows) -> float:
@@ -64,9 +66,10 @@ def _and_back(run: Session, first: int, forward: Rows) -> Rows:
     if poses is None:
         poses = Poses(forth["rotation"][-1], forth["translation"][-1])
     back = rows_of(run, run.backwards(poses, first, first + count), first, count)
-    rotation, translation, taken = combined(_pass(run, forth), _pass(run, back), np.asarray(run.body.sizes[:, 4]))
-    pick = lambda old, new: np.where(taken.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731
-    found = {name: pick(forth[name], back[name]) for name in forth} | {"rotation": rotation, "translation": translation}
+    both = combined(_pass(run, forth), _pass(run, back), np.asarray(run.body.sizes[:, 4]))
+    pick = lambda old, new: np.where(both.backward.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731
+    found = {name: pick(forth[name], back[name]) for name in forth}
+    found |= {"rotation": both.rotation, "translation": both.translation, "passes_apart": both.apart}
     return {name: np.concatenate([found[name], row[count:]]) for name, row in forward.items()}
 
 

@@ -152,9 +152,10 @@ class Session:
         self.left_out += left_out
         return state, self._with_named(step, at, len(frames)), len(frames)
 
-    def forwards(self, poses: Poses, first: int, last: int) -> Step:
-        """Tracks frames `first` to `last` - 1, beginning with `poses`; their steps."""
-        return self._with_named(self.through(poses, self.people[first:last])[1], first, last - first)
+    def forwards(self, poses: Poses, first: int, last: int) -> tuple[State, Step]:
+        """Tracks frames `first` to `last` - 1, beginning with `poses`; the state after them, and their steps."""
+        state, steps = self.through(poses, self.people[first:last])
+        return state, self._with_named(steps, first, last - first)
 
     def backwards(self, poses: Poses, first: int, last: int) -> Step:
         """Tracks frames `first` to `last` - 1, the last one first, beginning with `poses`; steps in order of time."""

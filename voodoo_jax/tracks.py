@@ -36,6 +36,7 @@ class Tracks:
     steps: Int32[np.ndarray, " frame"]  # ICP steps taken
     points: Int32[np.ndarray, " frame"]  # points given to the tracker
     limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
+    passes_apart: Float32[np.ndarray, "frame limb"] | None = None  # see both_ways.py; metres; NaN: one pass only
     beyond_limits: Float32[np.ndarray, "frame bodyjoint"] | None = None  # of `body.topology.joints`, radians; 0: within
     depth_inside: Float32[np.ndarray, "frame limb"] | None = None  # in another limb, more than in the rest pose; metres
     limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None  # turn (rad), shift (m) in the limb's frame

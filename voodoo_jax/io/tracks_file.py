@@ -16,7 +16,8 @@ from voodoo_jax.tracks import Tracks
 FRAME_ARRAYS = (
     "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",
 )  # fmt: skip
-MORE_ARRAYS = ("beyond_limits", "depth_inside", "limb_covariance", "joint_covariance")  # where they were found
+# where they were found
+MORE_ARRAYS = ("passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance")
 
 
 class TracksFileError(ValueError):

@@ -1,0 +1,103 @@
+"""Passage after passage through a recording: starts, tracks chunk by chunk, and starts anew where the body was lost.
+
+Long passages are cut in spans, each tracked there and back in time before the next one: what is held in memory
+meanwhile does not grow with the length of a recording.
+"""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from jaxtyping import Bool
+
+from voodoo_jax.beginning import Beginning, begin
+from voodoo_jax.body import Body
+from voodoo_jax.passage import PASSAGE, Rows, rows_of, there_and_back
+from voodoo_jax.person import PersonFrame
+from voodoo_jax.pose import Poses
+from voodoo_jax.session import Session, first_run
+from voodoo_jax.tracking import State, at_rest
+from voodoo_jax.tracks import Status
+
+Progress = Callable[[int], None]
+SPAN = 1800  # frames after which a passage is tracked back, even if it goes on
+OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not good before it has settled
+
+
+def blank(body: Body, people: list[PersonFrame]) -> Rows:
+    """Arrays of Tracks, and "cost", before anything is tracked."""
+    count, limbs = len(people), body.limb_count
+    joints, centres = len(body.topology.joints), len(body.topology.centres)
+    return {
+        "rotation": np.full((count, limbs, 4), np.nan, np.float32),
+        "translation": np.full((count, limbs, 3), np.nan, np.float32),
+        "status": np.full(count, Status.NOT_STARTED, np.int8),
+        "residual": np.full(count, np.nan, np.float32),
+        "explained": np.zeros(count, np.float32),
+        "steps": np.zeros(count, np.int32),
+        "points": np.array([len(f.points) for f in people], np.int32),
+        "limb_weight": np.zeros((count, limbs), np.float32),
+        "passes_apart": np.full((count, limbs), np.nan, np.float32),
+        "cost": np.zeros(count),
+        "beyond_limits": np.full((count, joints), np.nan, np.float32),
+        "depth_inside": np.full((count, limbs), np.nan, np.float32),
+        "limb_covariance": np.full((count, limbs, 6, 6), np.nan, np.float32),
+        "joint_covariance": np.full((count, centres, 3, 3), np.nan, np.float32),
+    }
+
+
+def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows, progress: Progress | None) -> None:
+    """Tracks from frame `at` to the end and fills in `out`; `enough` the frames with points enough to look anew."""
+    both_ways = run.settings.track.both_ways and not run.by_markers and not run.settings.changes
+    count, patience = len(run.people), run.settings.track.patience
+    say = progress or (lambda _: None)
+    state: State | None = None
+    start, first = None, 0  # how and where the present span began
+    before: Poses | None = None  # the last ones before the body was gone
+    tried = -1
+    say(at)
+    while at < count:
+        state = run.change(at, state)
+        if state is None and not run.can_start(at):
+            out["status"][at], at = Status.NO_DATA, at + 1
+            say(1)
+            continue
+        if state is None:
+            start, first = begin(run, at, before), at
+            state = at_rest(start.poses)
+        after, step, taken = run.chunk(state, at)
+        rows = rows_of(run, step, at, taken)
+        # gone or lost for long: stop here and look anew
+        gone = first_run(rows["status"] == Status.NO_DATA, patience)
+        lost = first_run(rows["status"] == Status.LOST, patience) if tried < at else taken
+        keep = min(gone, lost + patience if lost < taken else taken, taken)
+        for name, row in rows.items():
+            out[name][at : at + keep] = row[:keep]
+        at, state = at + keep, after
+        say(keep)
+        over = keep < taken or at == count
+        if both_ways and start is not None and (over or at - first >= SPAN):
+            until = at if over else at - OVERLAP
+            state = _turned(run, start, slice(first, until), at, out) or state
+            say(until - first)
+            start, first = Beginning(until, run.body, state.poses, 0.0), until
+        if keep < taken:
+            state = before = None
+            if gone == keep:
+                before = jax.tree.map(lambda leaf, k=gone: leaf[k - 1], step.poses) if gone else None
+                later = np.flatnonzero(enough[at:])
+                skip = int(later[0]) if len(later) else count - at
+                out["status"][at : at + skip] = Status.NO_DATA
+                at += skip
+                say(skip)
+            tried = at + patience
+
+
+def _turned(run: Session, start: Beginning, span: slice, at: int, out: Rows) -> State | None:
+    """Fills in a span, tracked forwards to before frame `at`, with what the pass back makes of it; the state to go on
+    with, where that is another one."""
+    found, end = there_and_back(run, start, {name: out[name][span.start : at] for name in PASSAGE})
+    last = span.stop if end is None else at  # the rival's frames take the place of all
+    for name, row in found.items():
+        out[name][span.start : last] = row[: last - span.start]
+    return end

@@ -1,0 +1,61 @@
+"""What a user should know about a tracked recording: what was left out, not known or not plausible; in sentences."""
+
+import numpy as np
+
+from voodoo_jax.body import Body
+from voodoo_jax.marker_exchange import Exchange
+from voodoo_jax.marker_log import TO_START
+from voodoo_jax.marker_notes import marker_notes
+from voodoo_jax.passage import Rows
+from voodoo_jax.pose import Poses
+from voodoo_jax.session import Session
+from voodoo_jax.tracks import Status
+
+FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
+
+
+def _implausible(body: Body, out: Rows) -> list[str]:
+    """Sentences on joints beyond their limits and limbs in each other, where they are so in many tracked frames."""
+    notes, tracked = [], out["status"] == Status.TRACKED
+    for what, names, found, most in (
+        (f"bent more than {FAR_BEYOND:.0f} degrees beyond their limits", body.topology.joints,
+         np.degrees(out["beyond_limits"]), FAR_BEYOND),
+        (f"more than {100 * DEEP:.0f} cm inside other limbs", body.topology.limbs, out["depth_inside"], DEEP),
+    ):  # fmt: skip
+        with np.errstate(invalid="ignore"):
+            share = (found[tracked] > most).mean(0) if tracked.any() else np.zeros(len(names))
+        often = [f"{names[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(-share) if share[k] > 0.05]
+        if often:
+            notes.append(f"Not plausible, {what} (share of the frames): {', '.join(often)}.")
+    return notes
+
+
+def notes_on(run: Session, out: Rows, exchanges: list[Exchange]) -> tuple[str, ...]:
+    """Notes on a tracked recording, `out` the arrays of its Tracks; `exchanges` of markers were put right before."""
+    notes = _implausible(run.body, out)
+    if run.by_markers:
+        poses, stamps = Poses(out["rotation"], out["translation"]), np.array([f.time_ns for f in run.people], np.int64)
+        tracked = out["status"] == Status.TRACKED
+        if not run.table.enough(TO_START).any():
+            notes.append(f"No frame has {TO_START} markers that features.names knows a point of this body for.")
+        return (*notes, *marker_notes(run.body, run.table, poses, stamps, tracked, exchanges))
+    if not run.scene.floor_seen:
+        notes.append("No floor was seen: its height was taken from the fixed frame or from the lowest points.")
+    if len(out["status"]) and np.all(out["status"] == Status.NOT_STARTED):
+        notes.append("Nothing of the body's height was found: not one frame is tracked.")
+    total = int(out["points"].sum())
+    if run.left_out:
+        share, most = 100 * run.left_out / total, run.settings.person.points
+        notes.append(f"{share:.0f} % of the body's points were thinned out (person.points = {most} per frame).")
+    for name, count in run.unknown.items():
+        notes.append(f"Feature '{name}' was not used ({count} times): features.names gives it no point of this body.")
+    if run.parts is not None and run.parts.unknown:
+        names = ", ".join(sorted(run.parts.unknown))
+        notes.append(f"The body has no limb {names}: points assigned to it count as on the body, on whichever limb.")
+    for _, change in run.pending:
+        notes.append(f"The change at {change.time:g} s comes after the last frame: not made.")
+    if run.settings.changes and run.settings.track.both_ways:
+        notes.append("The body changes on the way, so it was tracked forwards only.")
+    if run.features_left_out:
+        notes.append(f"{run.features_left_out} features were left out: more in a frame than there is room for.")
+    return tuple(notes)
