@@ -12,6 +12,7 @@ from voodoo_jax.session import Session
 from voodoo_jax.tracks import Status
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
+SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named
 
 
 def _implausible(body: Body, out: Rows) -> list[str]:
@@ -30,9 +31,19 @@ def _implausible(body: Body, out: Rows) -> list[str]:
     return notes
 
 
+def _doubtful(body: Body, out: Rows) -> list[str]:
+    """A sentence on joints that can hardly be trusted."""
+    tracked = out["status"] == Status.TRACKED
+    if "joint_confidence" not in out or not tracked.any():
+        return []
+    share = out["joint_confidence"][tracked].mean(0)
+    few = [f"{body.topology.centres[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
+    return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
+
+
 def notes_on(run: Session, out: Rows, exchanges: list[Exchange]) -> tuple[str, ...]:
     """Notes on a tracked recording, `out` the arrays of its Tracks; `exchanges` of markers were put right before."""
-    notes = _implausible(run.body, out)
+    notes = _implausible(run.body, out) + _doubtful(run.body, out)
     if run.by_markers:
         poses, stamps = Poses(out["rotation"], out["translation"]), np.array([f.time_ns for f in run.people], np.int64)
         tracked = out["status"] == Status.TRACKED

@@ -171,6 +171,8 @@ class TrackSettings:
     """Limbs that are slower are held where they are (solve.steady), metres per second."""
     lost_explained: float = 0.8
     """Less than this share of the person's points explained: the frame counts as lost."""
+    lost_confidence: float = 0.4
+    """So small a share of the joints expected within 10 cm: the frame counts as lost."""
     patience: int = 15
     """After so many lost or empty frames on end the body is looked for anew."""
     chunk: int = 128

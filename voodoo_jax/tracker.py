@@ -33,6 +33,7 @@ from voodoo_jax.spill import spilled
 from voodoo_jax.start import rest_height
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status, Tracks
+from voodoo_jax.trust import doubted, joint_confidence
 from voodoo_jax.uncertainty import covariances
 
 FURNITURE_FRAMES = 1800  # furniture is told from the body by so many frames at once
@@ -141,6 +142,9 @@ def track_person(
         for name in ("rotation", "translation", "limb_covariance"):
             out[name][first:end, absent] = np.nan
         _look_at(body, out, joints, first, end, settings.track.chunk)
+    if not run.by_markers:
+        out["joint_confidence"] = joint_confidence(run.body.topology, out, joints)
+        out["status"] = doubted(out["status"], out["joint_confidence"], settings.track.lost_confidence)
     compiling = _compile_clock() - compiled
     seconds = time.perf_counter() - began - compiling
     stamps = np.array([f.time_ns for f in people], np.int64)

@@ -16,7 +16,14 @@ class Status(IntEnum):
     NOT_STARTED = 1  # before the tracker found somebody; poses are NaN
     NO_DATA = 2  # no points on the person in this frame; poses are predicted, or NaN if the person is gone for longer
     FEATURES = 4  # no points, but 2D features or a few 3D ones: poses follow these and are predicted else
-    LOST = 3  # the body does not explain the points; poses are the best guess
+    LOST = 3  # the body does not explain the points, or hardly a joint can be trusted; poses are the best guess
+
+
+def expected_share(confidence: Float32[np.ndarray, "frame joint"]) -> Float32[np.ndarray, " frame"]:
+    """Mean over the joints that there is a confidence of; NaN where there is none."""
+    known = np.isfinite(confidence)
+    total = np.where(known, confidence, 0).sum(1)
+    return np.where(known.any(1), total / np.maximum(known.sum(1), 1), np.nan).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,7 @@ class Tracks:
     depth_inside: Float32[np.ndarray, "frame limb"] | None = None  # in another limb, more than in the rest pose; metres
     limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None  # turn (rad), shift (m) in the limb's frame
     joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None  # of `joints`, square metres; uncertainty.py
+    joint_confidence: Float32[np.ndarray, "frame joint"] | None = None  # of `joints`: within 10 cm? 0..1; see trust.py
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())
@@ -49,6 +57,13 @@ class Tracks:
     def tracked(self) -> Bool[np.ndarray, " frame"]:
         """The tracker's own word that it has the person."""
         return self.status == Status.TRACKED
+
+    @property
+    def confidence(self) -> Float32[np.ndarray, " frame"]:
+        """Share of the joints that is expected to be within 10 cm, 0..1; NaN where nothing tells."""
+        if self.joint_confidence is None:
+            return np.full(len(self.time_ns), np.nan, np.float32)
+        return expected_share(self.joint_confidence)
 
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
         """Positions of one joint centre over time, metres."""

@@ -109,6 +109,7 @@ def changes(body: Body, settings: Settings) -> dict[str, Callable[[Recorded], Re
         "depth only": without_features,
         "every second frame": lambda r: _frames(r, lambda i, _: i % 2 == 0),
         "every third frame": lambda r: _frames(r, lambda i, _: i % 3 == 0),
+        "every fifth frame": lambda r: _frames(r, lambda i, _: i % 5 == 0),
         "every tenth frame missing": lambda r: _frames(r, lambda i, _: i % 10 != 9),
         "half of the points": half_the_points,
         "three times the noise": thrice_the_noise,

@@ -17,7 +17,9 @@ FRAME_ARRAYS = (
     "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",
 )  # fmt: skip
 # where they were found
-MORE_ARRAYS = ("passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance")
+MORE_ARRAYS = (
+    "passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance", "joint_confidence",
+)  # fmt: skip
 
 
 class TracksFileError(ValueError):
@@ -30,7 +32,8 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     Keys: time_ns, joint_names, joints, tracked, body_json (name, stature or what the body's scale is called,
     segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
     body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
-    limb frame), joint_covariance (square metres, fixed frame; see uncertainty.py), fixed_frame, source, seconds, notes,
+    limb frame), joint_covariance (square metres, fixed frame; see uncertainty.py), joint_confidence (0 to 1; see
+    trust.py), passes_apart (metres; see both_ways.py), fixed_frame, source, seconds, notes,
     body_toml; run_key if one is given (see finished.py).
     The file appears under its name only when complete. Raises OSError.
     """

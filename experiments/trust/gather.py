@@ -1,0 +1,59 @@
+"""One recording, tracked: what frames say of themselves, and what is right. Worker processes import this."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.common import errors, human, nearest
+from experiments.judged import Recorded, read
+from experiments.stress.changes import changes
+from voodoo_jax.settings import Settings
+from voodoo_jax.tracks import Status
+from voodoo_jax.trust import CLOSE, clues
+
+ROOT = ("l_hip", "r_hip")
+NEAR = 0.2  # metres: the middle of the hips is right
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording, what is done to it, and whether it is tracked back in time too."""
+
+    change: str
+    both_ways: bool
+    log: Path
+    frames: int = 0
+
+
+class Told(NamedTuple):
+    """Of the frames with points and truth."""
+
+    clues: np.ndarray  # [frame, joint, clue]
+    close: np.ndarray  # [frame, joint] bool
+    root: np.ndarray  # [frame] bool
+    stature: float  # of the person: tells people apart
+
+
+def work(job: Job) -> Told:
+    """Tracks it and compares."""
+    settings = Settings()
+    settings = replace(settings, track=replace(settings.track, both_ways=job.both_ways))
+    recorded = changes(human(), settings)[job.change](_read(job.log, job.frames))
+    log = recorded.log(human(), settings)
+    tracks = log.track(human(), settings)
+    frame, near = nearest(log, tracks)
+    told = near & np.isin(tracks.status[frame], (Status.TRACKED, Status.LOST))
+    centres = tracks.body.topology.centres
+    found = clues(tracks.body.topology, vars(tracks), tracks.joints)[:, [centres.index(n) for n in log.names]]
+    hips, mine = ([names.index(n) for n in ROOT] for names in (log.names, centres))
+    apart = np.linalg.norm(tracks.joints[frame][:, mine].mean(1) - log.joints[:, hips].mean(1), axis=1)
+    close = errors(log, tracks) < CLOSE
+    return Told(found[frame][told], close[told], (apart < NEAR)[told], round(recorded.dims["stature"], 3))
+
+
+@cache
+def _read(log: Path, frames: int) -> Recorded:
+    return read(log, Settings(), frames)

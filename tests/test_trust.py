@@ -1,0 +1,78 @@
+"""How far tracks can be trusted: falls with every sign of trouble, is silent where nothing was measured."""
+
+import numpy as np
+import pytest
+
+from voodoo_jax.io.body_file import human
+from voodoo_jax.tracks import Status, expected_share
+from voodoo_jax.trust import ONE_PASS, THERE_AND_BACK, clues, doubted, joint_confidence, probability
+
+TOPOLOGY = human().topology
+CENTRES, LIMBS = len(TOPOLOGY.centres), len(TOPOLOGY.limbs)
+
+
+def rows(frames: int = 6, scale: float = 1.0) -> dict[str, np.ndarray]:
+    """A good track; larger `scale`: everything is so much worse."""
+    return {
+        "joint_covariance": np.broadcast_to((0.02 * scale) ** 2 * np.eye(3), (frames, CENTRES, 3, 3)),
+        "residual": np.full(frames, 0.015 * scale, np.float32),
+        "explained": np.full(frames, 1 - 0.02 * scale, np.float32),
+        "limb_weight": np.full((frames, LIMBS), 40.0, np.float32),
+        "passes_apart": np.full((frames, LIMBS), 0.02 * scale, np.float32),
+        "status": np.full(frames, Status.TRACKED, np.int8),
+    }
+
+
+def joints(frames: int = 6, step: float = 0.01) -> np.ndarray:
+    moved = step * np.arange(frames)[:, None, None] * np.array([1.0, 0, 0])
+    return np.broadcast_to(moved, (frames, CENTRES, 3)).astype(np.float32)
+
+
+def test_a_good_track_is_trusted_and_a_bad_one_is_not():
+    good, bad = (joint_confidence(TOPOLOGY, rows(scale=s), joints()) for s in (1.0, 8.0))
+    assert good.shape == (6, CENTRES) and good.dtype == np.float32
+    assert good.min() > 0.95 and bad.max() < 0.2
+
+
+@pytest.mark.parametrize("worse", ["joint_covariance", "residual", "explained", "passes_apart", "limb_weight", "moved"])
+def test_every_sign_of_trouble_counts(worse):
+    fine = joint_confidence(TOPOLOGY, rows(), joints())
+    changed, step = rows(), 0.01
+    if worse == "moved":
+        step = 0.1
+    elif worse == "limb_weight":
+        changed[worse] = np.zeros_like(changed[worse])
+    else:
+        changed[worse] = rows(scale=3.0)[worse]
+    assert (joint_confidence(TOPOLOGY, changed, joints(step=step)) < fine).all()
+
+
+def test_one_pass_is_enough_and_nothing_measured_says_nothing():
+    found = rows()
+    found["passes_apart"] = np.full_like(found["passes_apart"], np.nan)
+    once = joint_confidence(TOPOLOGY, found, joints())
+    expected = probability(ONE_PASS, clues(TOPOLOGY, found, joints()))
+    np.testing.assert_allclose(once, expected, rtol=1e-6)
+    assert len(ONE_PASS.slopes) == len(THERE_AND_BACK.slopes) - 1
+    found["status"][2:4] = Status.NO_DATA, Status.FEATURES
+    found["residual"][2] = np.nan
+    some = joint_confidence(TOPOLOGY, found, joints())
+    assert np.isnan(some[2:4]).all() and np.isfinite(some[[0, 1, 4, 5]]).all()
+    assert np.isnan(expected_share(some)[2:4]).all()
+
+
+@pytest.mark.parametrize("frames", [0, 1])
+def test_hardly_any_frames(frames):
+    assert joint_confidence(TOPOLOGY, rows(frames), joints(frames)).shape == (frames, CENTRES)
+
+
+def test_joints_without_a_word_do_not_count():
+    np.testing.assert_allclose(expected_share(np.array([[0.5, np.nan, 1.0]], np.float32)), [0.75])
+
+
+def test_where_hardly_a_joint_is_right_the_body_is_lost():
+    status = np.array([Status.TRACKED, Status.TRACKED, Status.LOST, Status.NO_DATA], np.int8)
+    confidence = np.array([[0.9, 0.8], [0.3, 0.2], [0.9, 0.9], [np.nan, np.nan]], np.float32)
+    expected = [Status.TRACKED, Status.LOST, Status.LOST, Status.NO_DATA]
+    assert doubted(status, confidence, 0.4).tolist() == expected
+    assert doubted(status, confidence, 0.0).tolist() == status.tolist()

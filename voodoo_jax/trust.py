@@ -1,0 +1,85 @@
+"""How far tracks can be trusted: the probability that a joint's centre is within 10 cm of the true one. Host side.
+
+A logistic function of what a frame says of itself, fitted to recordings with known truth, as they are and made harder
+(fewer frames, noise, coarse distances, begun midway), by experiments/trust. There, with the numbers of one half of the
+people, the other half's joints are right as often as is said.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float32, Int8
+
+from voodoo_jax.body import Topology
+from voodoo_jax.tracks import Status, expected_share
+
+CLOSE = 0.10  # metres
+CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
+
+
+class Trust(NamedTuple):
+    """Numbers of the logistic function: of a change of a clue by one, see `clues`."""
+
+    constant: float
+    slopes: tuple[float, ...]
+
+
+# from experiments/trust
+THERE_AND_BACK = Trust(-21.296, (-3.209, -1.925, -0.594, -0.505, 0.172, -0.859))
+ONE_PASS = Trust(-21.296, (-3.209, -1.925, -0.594, -0.505, 0.172))
+
+
+def clues(
+    topology: Topology, rows: Mapping[str, np.ndarray], joints: Float32[np.ndarray, "frame joint 3"]
+) -> Float[np.ndarray, "frame joint clue"]:
+    """What tells of trouble, of each joint centre: logarithms of how far off it may be by its covariance, of the
+    frame's residual and share of unexplained points, of how far it moves between frames and of how far the passes there
+    and back in time are apart (all in metres), and log(1 + weight) of what was measured of its limb.
+
+    **Arguments:** `rows` arrays of Tracks by name. The last clue is NaN where there was one pass only.
+    """
+    limbs = np.array(topology.centre_limbs, int)
+    step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
+    still = np.zeros((1, joints.shape[1]))
+    moved = np.fmax(np.concatenate([still, step]), np.concatenate([step, still]))[: len(joints)]
+    spread = np.sqrt(np.trace(rows["joint_covariance"], axis1=2, axis2=3))
+    log = lambda found, least, most: np.log(np.clip(found, least, most))  # noqa: E731
+    each = lambda row: np.broadcast_to(row[:, None], moved.shape)  # noqa: E731
+    found = (
+        log(spread, 1e-3, 10.0),
+        each(log(rows["residual"], 0.003, 1.0)),
+        each(log(1 - rows["explained"], 0.003, 1.0)),
+        log(moved, 0.003, 1.0),
+        np.log1p(rows["limb_weight"][:, limbs]),
+        log(rows["passes_apart"][:, limbs], 0.005, 1.0),
+    )
+    return np.stack(found, -1)
+
+
+def probability(trust: Trust, found: Float[np.ndarray, "... clue"]) -> Float[np.ndarray, "..."]:
+    """The logistic function of some clues."""
+    with np.errstate(over="ignore"):
+        return 1 / (1 + np.exp(-trust.constant - found[..., : len(trust.slopes)] @ np.array(trust.slopes)))
+
+
+def joint_confidence(
+    topology: Topology, rows: Mapping[str, np.ndarray], joints: Float32[np.ndarray, "frame joint 3"]
+) -> Float32[np.ndarray, "frame joint"]:
+    """Probability that a joint centre is within CLOSE of the true one; NaN in frames without points.
+
+    **Arguments:** `rows` arrays of Tracks by name, `joints` metres.
+    """
+    found = clues(topology, rows, joints)
+    twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
+    told = np.isin(rows["status"], (Status.TRACKED, Status.LOST))
+    return np.where(told[:, None], np.where(np.isfinite(twice), twice, once), np.nan).astype(np.float32)
+
+
+def doubted(
+    status: Int8[np.ndarray, " frame"], confidence: Float32[np.ndarray, "frame joint"], least: float
+) -> Int8[np.ndarray, " frame"]:
+    """Status, LOST where fewer than the share `least` of the joints are expected to be right."""
+    with np.errstate(invalid="ignore"):
+        lost = (status == Status.TRACKED) & (expected_share(confidence) < least)
+    return np.where(lost, Status.LOST, status).astype(np.int8)
