@@ -16,13 +16,14 @@ import tyro
 
 from experiments.common import DEMO, human, load_log, log_files, table, write
 from voodoo_jax.batch import bucket, pad_frames
-from voodoo_jax.body import Body
 from voodoo_jax.fit_solution import solution
 from voodoo_jax.icp import Problem, solve_frame
-from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Settings, SolveSettings
 from voodoo_jax.tracking import options_from
+
+IMPLICIT, UNROLLED = "implicit", "unrolled, checkpointed"
+STEPS = (5, 15, 45)  # of which the memory is told
 
 
 def main(
@@ -44,38 +45,53 @@ def main(
     seen = [log.people[i] for i in at]
     cloud = pad_frames(seen, bucket(points), len(at), None, len(seen[0].origins), points).points
     poses = Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at]))
-    solve = SolveSettings(max_steps=steps, epsilon=0.0)
-    options = options_from(solve, settings.track).icp
+    parts = tracks.body.sizes, tracks.body.weights
 
-    def problem(body: Body, points: Points, pose: Poses) -> Problem:
-        return Problem.build(body, points, pose, options)
-
-    ways: dict[str, Callable[[Body, Points, Poses], Poses]] = {
-        "implicit": lambda b, x, p: solution(p, problem(b, x, p)).poses,
-        "unrolled, checkpointed": lambda b, x, p: solve_frame(p, problem(b, x, p), "checkpointed", steps).poses,
-    }
-    rows = []
-    for name, way in ways.items():
-
-        def loss(parts, way=way):
+    def loss_of(way: str, most: int) -> Callable:
+        # the options are arguments, as everywhere: what is known beforehand the compiler folds, and repeats the match
+        def loss(parts, options):
             body = eqx.tree_at(lambda b: (b.sizes, b.weights), tracks.body, parts)
-            found = jax.lax.map(lambda frame: way(body, *frame), (cloud, poses))
-            return jnp.sum(found.translation**2)
 
-        parts = tracks.body.sizes, tracks.body.weights
-        value, both = _seconds(jax.jit(loss), parts, turns), _seconds(jax.jit(jax.value_and_grad(loss)), parts, turns)
-        rows.append([name, f"{1e3 * value / len(at):.2f}", f"{1e3 * both / len(at):.2f}", f"{both / value:.2f}"])
+            def one(frame):
+                problem = Problem.build(body, *frame, options)
+                if way == IMPLICIT:
+                    return solution(frame[1], problem).poses
+                return solve_frame(frame[1], problem, "checkpointed", most).poses
+
+            return jnp.sum(jax.lax.map(one, (cloud, poses)).translation ** 2)
+
+        return loss
+
+    def asked(most: int) -> tuple:
+        return parts, options_from(SolveSettings(max_steps=most, epsilon=0.0), settings.track).icp
+
+    rows = []
+    for way in (IMPLICIT, UNROLLED):
+        loss, given = loss_of(way, steps), asked(steps)
+        value, both = _seconds(jax.jit(loss), given, turns), _seconds(jax.jit(jax.value_and_grad(loss)), given, turns)
+        rows.append([way, f"{1e3 * value / len(at):.2f}", f"{1e3 * both / len(at):.2f}", f"{both / value:.2f}"])
     head = ["way", "value, ms a frame", "value and gradient, ms a frame", "ratio"]
-    write(out, "gradient_cost", f"{points} points, {steps} steps.\n\n" + table(head, rows))
+    memory = [
+        [way, *(f"{_megabytes(jax.value_and_grad(loss_of(way, most)), asked(most)):.2f}" for most in STEPS)]
+        for way in (IMPLICIT, UNROLLED)
+    ]
+    text = f"{points} points, {steps} steps.\n\n{table(head, rows)}\nMemory of value and gradient, MB:\n\n"
+    write(out, "gradient_cost", text + table(["way", *(f"{most} steps" for most in STEPS)], memory))
 
 
-def _seconds(function: Callable, parts, turns: int) -> float:
+def _megabytes(function: Callable, given: tuple) -> float:
+    """What the compiled program needs beside arguments and results."""
+    found = jax.jit(function).lower(*given).compile().memory_analysis()
+    return found.temp_size_in_bytes / 1e6 if found else float("nan")
+
+
+def _seconds(function: Callable, given: tuple, turns: int) -> float:
     """Median time of a run, after one that compiles."""
-    jax.block_until_ready(function(parts))
+    jax.block_until_ready(function(*given))
     times = []
     for _ in range(turns):
         began = time.perf_counter()
-        jax.block_until_ready(function(parts))
+        jax.block_until_ready(function(*given))
         times.append(time.perf_counter() - began)
     return float(np.median(times))
 
