@@ -31,7 +31,8 @@ def make_tracks(name: str = "human") -> Tracks:
     status = np.zeros(FRAMES, np.int8)
     status[:3], status[40] = Status.NOT_STARTED, Status.LOST
     residual = rng.uniform(0.01, 0.02, FRAMES).astype(np.float32)
-    for array in (rotation, translation, joints, residual):
+    confidence = np.full(joints.shape[:2], 0.9, np.float32)
+    for array in (rotation, translation, joints, residual, confidence):
         array[:3] = np.nan
     return Tracks(
         source="logs/walk ä.mcap", fixed_frame="world", body=body,
@@ -40,7 +41,7 @@ def make_tracks(name: str = "human") -> Tracks:
         explained=rng.uniform(0.8, 1, FRAMES).astype(np.float32), steps=np.full(FRAMES, 6, np.int32),
         points=rng.integers(500, 900, FRAMES).astype(np.int32),
         limb_weight=rng.uniform(0, 50, (FRAMES, body.limb_count)).astype(np.float32), seconds=1.25,
-        notes=("one log only", "no ground"),
+        joint_confidence=confidence, notes=("one log only", "no ground"),
     )  # fmt: skip
 
 
@@ -193,6 +194,7 @@ def test_mcap_quality_metadata_and_attachment(tmp_path):
     quality = [q for _, q in found["/voodoo/quality"]]
     assert len(quality) == FRAMES and quality[0]["residual_m"] is None and not quality[0]["tracked"]
     assert quality[40]["status"] == Status.LOST and quality[5]["tracked"] is True and quality[5]["steps"] == 6
+    assert quality[5]["confidence"] == pytest.approx(0.9) and quality[0]["confidence"] is None
     assert quality[5]["residual_m"] == pytest.approx(float(tracks.residual[5]))
     (record,) = meta
     assert record.name == "voodoo_jax" and set(record.metadata) == {"version", "source", "fixed_frame", "icp.steps"}
@@ -216,10 +218,10 @@ def test_failure_in_the_middle_leaves_nothing(tmp_path, monkeypatch):
     tracks = make_tracks()
     real = mcap_tracks._quality
 
-    def dies(t, frame):
+    def dies(t, frame, confidence):
         if frame == 50:
             raise RuntimeError("out of luck")
-        return real(t, frame)
+        return real(t, frame, confidence)
 
     monkeypatch.setattr(mcap_tracks, "_quality", dies)
     with pytest.raises(RuntimeError, match="out of luck"):

@@ -110,7 +110,8 @@ def show(
                 ax.tick_params(labelleft=False)
             ax.set_xlabel("right, m" if h == 0 else "away from the sensor, m", fontsize=8)
         grid[0, column].set_title(_title(tracks, int(i), start), fontsize=9)
-    figure.supxlabel("circles: joint centres" + ("" if truth is None else "; crosses: truth"), fontsize=8)
+    told = "" if tracks.joint_confidence is None else ", the redder the more doubtful"
+    figure.supxlabel(f"circles: joint centres{told}" + ("" if truth is None else "; crosses: truth"), fontsize=8)
     return figure
 
 
@@ -189,7 +190,10 @@ def _draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[in
         ax.fill(*outline.T, facecolor=colours[limb], alpha=0.45, linewidth=0, zorder=10 + rank)
         ax.fill(*outline.T, facecolor="none", edgecolor=colours[limb], linewidth=1.1, zorder=10 + rank)
     joints = (np.asarray(tracks.joints[i], float) - middle) @ axes3.T
-    ax.plot(joints[:, h], joints[:, v], "o", color="white", markeredgecolor="black", markersize=4, zorder=800)
+    doubt = 1 - (np.ones(len(joints)) if tracks.joint_confidence is None else tracks.joint_confidence[i])
+    pale = 1 - np.where(np.isfinite(doubt), doubt, 0.0)
+    white_to_red = np.stack([np.ones_like(pale), pale, pale], 1)
+    ax.scatter(joints[:, h], joints[:, v], s=16, c=white_to_red, edgecolors="black", linewidths=1.0, zorder=800)
 
 
 def _colours(count: int) -> list:

@@ -53,10 +53,11 @@ def main(
             body = eqx.tree_at(lambda b: (b.sizes, b.weights), tracks.body, parts)
 
             def one(frame):
-                problem = Problem.build(body, *frame, options)
+                seen, start = frame
+                problem = Problem.build(body, seen, start, options)
                 if way == IMPLICIT:
-                    return solution(frame[1], problem).poses
-                return solve_frame(frame[1], problem, "checkpointed", most).poses
+                    return solution(start, problem).poses
+                return solve_frame(start, problem, "checkpointed", most).poses
 
             return jnp.sum(jax.lax.map(one, (cloud, poses)).translation ** 2)
 

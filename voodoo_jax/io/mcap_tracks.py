@@ -44,6 +44,7 @@ QUALITY_SCHEMA = {
     "properties": {
         "residual_m": {"type": ["number", "null"], "description": "root mean square distance of the used points, m"},
         "explained": {"type": ["number", "null"], "description": "share of the person's points that the body explains"},
+        "confidence": {"type": ["number", "null"], "description": "share of the joints expected to be within 10 cm"},
         "steps": {"type": "integer"},
         "tracked": {"type": "boolean"},
         "status": {"type": "integer", "description": ", ".join(f"{s.value} {s.name}" for s in Status)},
@@ -80,11 +81,11 @@ def _write_frames(writer: Writer, tracks: Tracks) -> None:
     channel["quality"] = writer.register_channel("/voodoo/quality", "json", schema)
 
     entities = body_entities(tracks.body)
-    next_scene, shown = None, frozenset()
+    next_scene, shown, confidence = None, frozenset(), tracks.confidence.tolist()
     for i, stamp in enumerate(tracks.time_ns.tolist()):
         seconds, nanos = divmod(stamp, 1_000_000_000)
         time = Timestamp(seconds=seconds, nanos=nanos)
-        messages = {"quality": _quality(tracks, i)}
+        messages = {"quality": _quality(tracks, i, confidence[i])}
         if transforms := _transforms(tracks, i, time):
             messages["tf"] = FrameTransforms(transforms=transforms).SerializeToString()
             limbs = [t for t in transforms if not t.child_frame_id.startswith("voodoo/joint/")]
@@ -126,11 +127,12 @@ def _transforms(tracks: Tracks, frame: int, time: Timestamp) -> list[FrameTransf
     ]
 
 
-def _quality(tracks: Tracks, frame: int) -> bytes:
+def _quality(tracks: Tracks, frame: int, confidence: float) -> bytes:
     number = lambda x: float(x) if math.isfinite(x) else None  # noqa: E731  (JSON has no NaN)
     scalars = {
         "residual_m": number(tracks.residual[frame]),
         "explained": number(tracks.explained[frame]),
+        "confidence": number(confidence),
         "steps": int(tracks.steps[frame]),
         "tracked": bool(tracks.tracked[frame]),
         "status": int(tracks.status[frame]),
