@@ -12,7 +12,7 @@ from experiments.judged import Recorded, read
 from experiments.stress.changes import changes
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracks import Status
-from voodoo_jax.trust import CLOSE, clues
+from voodoo_jax.trust import CLOSE, SIGNS, clues
 
 ROOT = ("l_hip", "r_hip")
 NEAR = 0.2  # metres: the middle of the hips is right
@@ -47,7 +47,8 @@ def work(job: Job) -> Told:
     frame, near = nearest(log, tracks)
     told = near & np.isin(tracks.status[frame], (Status.TRACKED, Status.LOST))
     centres = tracks.body.topology.centres
-    found = clues(tracks.body.topology, vars(tracks), tracks.joints)[:, [centres.index(n) for n in log.names]]
+    signs = {name: getattr(tracks, name) for name in SIGNS}
+    found = clues(tracks.body.topology, signs, tracks.joints)[:, [centres.index(n) for n in log.names]]
     hips, mine = ([names.index(n) for n in ROOT] for names in (log.names, centres))
     apart = np.linalg.norm(tracks.joints[frame][:, mine].mean(1) - log.joints[:, hips].mean(1), axis=1)
     close = errors(log, tracks) < CLOSE
