@@ -48,6 +48,7 @@ def draw(done: dict[str, list[list[Verdict]]]) -> Figure:
     panel.set(xscale="log", xlabel="mean joint error, cm", yticks=place, yticklabels=list(done))
     ticks = [t for t in (0.5, 1, 2, 3, 5, 10, 20, 50, 100) if min(map(min, means)) / 2 < t < 2 * max(map(max, means))]
     panel.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    panel.set_xticks([], minor=True)
     panel.invert_yaxis()
     figure.legend(loc="outside upper center", ncols=2, fontsize=8)
     return figure
