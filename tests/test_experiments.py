@@ -21,7 +21,7 @@ RUNS = {
         ("measurements.md", "measurements.png"),
     ),
     "stress": (dict(frames=40, only="as they are", processes=1), ("stress.md", "stress.png")),
-    "ablation": (dict(frames=40, only="no [vw]*", processes=1), ("ablation.md", "ablation.png")),
+    "ablation": (dict(frames=40, only="prior*", processes=1), ("ablation.md", "ablation.png")),
     "trust": (dict(frames=40, changes=("as they are",), processes=1), ("trust.md", "trust.png")),
 }
 
