@@ -69,6 +69,12 @@ def read(path: Path, settings: Settings, frames: int = 0) -> Recorded:
 
 
 @cache
+def whole(path: Path, frames: int = 0) -> Recorded:
+    """A recording as it is, read once by each process."""
+    return read(path, Settings(), frames)
+
+
+@cache
 def told_apart(path: Path, step: int = 1, frames: int = 0) -> tuple[Recorded, Log]:
     """A recording, every `step`-th of its frames, with the person told apart; the points of the room are not kept."""
     recorded = read(path, Settings(), frames)
@@ -91,6 +97,13 @@ class Verdict:
     seconds: float  # of tracking, without compiling
 
 
+def root_near(log: Log, tracks: Tracks) -> Bool[np.ndarray, " time"]:
+    """At which times of the truth the middle of the hips is right in the nearest frame."""
+    hips, mine = ([names.index(n) for n in ("l_hip", "r_hip")] for names in (log.names, tracks.body.topology.centres))
+    found = tracks.joints[nearest(log, tracks)[0]][:, mine]
+    return np.linalg.norm(found.mean(1) - log.joints[:, hips].mean(1), axis=1) < ROOT_NEAR
+
+
 def judge(recorded: Recorded, log: Log, tracks: Tracks) -> Verdict:
     """Compares tracks with the truth by score.py's rules, and with what they claim."""
     with warnings.catch_warnings():
@@ -101,13 +114,10 @@ def judge(recorded: Recorded, log: Log, tracks: Tracks) -> Verdict:
         claimed = tracks.tracked[frame] & near
         wrong = off(error, log.names)
     # of the whole truth, also while the person is out of view
-    whole = replace(log, stamps=recorded.stamps, joints=recorded.joints)
-    frame, near = nearest(whole, tracks)
-    hips = [recorded.names.index(n) for n in ("l_hip", "r_hip")]
-    mine = [tracks.body.topology.centres.index(n) for n in ("l_hip", "r_hip")]
-    apart = np.linalg.norm(tracks.joints[frame][:, mine].mean(1) - recorded.joints[:, hips].mean(1), axis=1)
+    out_of_view_too = replace(log, stamps=recorded.stamps, joints=recorded.joints)
+    frame, near = nearest(out_of_view_too, tracks)
     said = tracks.tracked[frame] & near
-    honest = float((apart[said] < ROOT_NEAR).mean()) if said.any() else float("nan")
+    honest = float(root_near(out_of_view_too, tracks)[said].mean()) if said.any() else float("nan")
     lengths = segment_lengths(tracks.body)
     segments = [abs(lengths[k] - v) for k, v in recorded.dims.items() if k in lengths]
     return Verdict(

@@ -52,7 +52,7 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
     count, patience = len(run.people), run.settings.track.patience
     say = progress or (lambda _: None)
     state: State | None = None
-    start, first = None, 0  # how and where the present span began
+    start: Beginning | None = None  # of the present span
     before: Poses | None = None  # the last ones before the body was gone
     tried = -1
     say(at)
@@ -63,7 +63,7 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
             say(1)
             continue
         if state is None:
-            start, first = begin(run, at, before), at
+            start = begin(run, at, before)
             state = at_rest(start.poses)
         after, step, taken = run.chunk(state, at)
         rows = rows_of(run, step, at, taken)
@@ -76,11 +76,11 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
         at, state = at + keep, after
         say(keep)
         over = keep < taken or at == count
-        if both_ways and start is not None and (over or at - first >= SPAN):
+        if both_ways and start is not None and (over or at - start.frame >= SPAN):
             until = at if over else at - OVERLAP
-            state = _turned(run, start, slice(first, until), at, out) or state
-            say(until - first)
-            start, first = Beginning(until, run.body, state.poses, 0.0), until
+            state = _turned(run, start, until, at, out) or state
+            say(until - start.frame)
+            start = Beginning(until, run.body, state.poses, 0.0)
         if keep < taken:
             state = before = None
             if gone == keep:
@@ -93,11 +93,12 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
             tried = at + patience
 
 
-def _turned(run: Session, start: Beginning, span: slice, at: int, out: Rows) -> State | None:
-    """Fills in a span, tracked forwards to before frame `at`, with what the pass back makes of it; the state to go on
-    with, where that is another one."""
-    found, end = there_and_back(run, start, {name: out[name][span.start : at] for name in PASSAGE})
-    last = span.stop if end is None else at  # the rival's frames take the place of all
+def _turned(run: Session, start: Beginning, until: int, at: int, out: Rows) -> State | None:
+    """Fills in a span, tracked forwards to before frame `at`, with what the pass back makes of it up to `until`; the
+    state to go on with, where that is another one."""
+    first = start.frame
+    found, end = there_and_back(run, start, {name: out[name][first:at] for name in PASSAGE})
+    last = until if end is None else at  # the rival's frames take the place of all
     for name, row in found.items():
-        out[name][span.start : last] = row[: last - span.start]
+        out[name][first:last] = row[: last - first]
     return end

@@ -190,8 +190,8 @@ def _draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[in
         ax.fill(*outline.T, facecolor=colours[limb], alpha=0.45, linewidth=0, zorder=10 + rank)
         ax.fill(*outline.T, facecolor="none", edgecolor=colours[limb], linewidth=1.1, zorder=10 + rank)
     joints = (np.asarray(tracks.joints[i], float) - middle) @ axes3.T
-    doubt = 1 - (np.ones(len(joints)) if tracks.joint_confidence is None else tracks.joint_confidence[i])
-    pale = 1 - np.where(np.isfinite(doubt), doubt, 0.0)
+    sure = np.ones(len(joints)) if tracks.joint_confidence is None else tracks.joint_confidence[i]
+    pale = np.where(np.isfinite(sure), sure, 1.0)
     white_to_red = np.stack([np.ones_like(pale), pale, pale], 1)
     ax.scatter(joints[:, h], joints[:, v], s=16, c=white_to_red, edgecolors="black", linewidths=1.0, zorder=800)
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Int8
+from scipy.special import expit
 
 from voodoo_jax.body import Topology
 from voodoo_jax.tracks import Status, expected_share
@@ -60,8 +61,7 @@ def clues(
 
 def probability(trust: Trust, found: Float[np.ndarray, "... clue"]) -> Float[np.ndarray, "..."]:
     """The logistic function of some clues."""
-    with np.errstate(over="ignore"):
-        return 1 / (1 + np.exp(-trust.constant - found[..., : len(trust.slopes)] @ np.array(trust.slopes)))
+    return expit(trust.constant + found[..., : len(trust.slopes)] @ np.array(trust.slopes))
 
 
 def joint_confidence(
@@ -81,6 +81,5 @@ def doubted(
     status: Int8[np.ndarray, " frame"], confidence: Float32[np.ndarray, "frame joint"], least: float
 ) -> Int8[np.ndarray, " frame"]:
     """Status, LOST where fewer than the share `least` of the joints are expected to be right."""
-    with np.errstate(invalid="ignore"):
-        lost = (status == Status.TRACKED) & (expected_share(confidence) < least)
+    lost = (status == Status.TRACKED) & (expected_share(confidence) < least)
     return np.where(lost, Status.LOST, status).astype(np.int8)

@@ -1,11 +1,10 @@
 """One trial: a changed recording or a simulated scene, tracked and judged. Worker processes import this."""
 
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 from experiments.common import human
-from experiments.judged import Recorded, Verdict, judge, read
+from experiments.judged import Verdict, judge, whole
 from experiments.stress.changes import changes
 from experiments.stress.scenes import scenes, shoot
 from voodoo_jax.settings import Settings
@@ -26,11 +25,6 @@ def work(job: Job) -> Verdict:
     if job.log is None:
         recorded = shoot(job.row, scenes()[job.row](), job.frames)
     else:
-        recorded = changes(body, settings)[job.row](_read(job.log, job.frames))
+        recorded = changes(body, settings)[job.row](whole(job.log, job.frames))
     log = recorded.log(body, settings)
     return judge(recorded, log, log.track(body, settings))
-
-
-@cache
-def _read(log: Path, frames: int) -> Recorded:
-    return read(log, Settings(), frames)

@@ -11,6 +11,8 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
+from scipy.special import expit
+from scipy.stats import mannwhitneyu
 from tqdm import tqdm
 
 from experiments.bench.replay_speed import machine
@@ -38,7 +40,7 @@ def fitted(clues: np.ndarray, close: np.ndarray, count: int) -> Trust:
 
     def cost(b: np.ndarray) -> tuple[float, np.ndarray]:
         z = rows @ b
-        slope = rows.T @ (1 / (1 + np.exp(-z)) - y) / len(y) + 2 * WEAK * np.r_[0, b[1:]]
+        slope = rows.T @ (expit(z) - y) / len(y) + 2 * WEAK * np.r_[0, b[1:]]
         return float(np.mean(np.logaddexp(0, z) - y * z) + WEAK * b[1:] @ b[1:]), slope
 
     b = minimize(cost, np.zeros(rows.shape[1]), jac=True).x
@@ -63,10 +65,9 @@ def _fit(told: list[Told], count: int) -> Trust:
 
 def rank(said: np.ndarray, right: np.ndarray) -> float:
     """Probability that a right joint is trusted more than a wrong one (area under the ROC curve)."""
-    order = np.argsort(np.argsort(said, kind="stable"), kind="stable") + 1
     good = int(right.sum())
-    wrong = len(right) - good
-    return float((order[right].sum() - good * (good + 1) / 2) / (good * wrong)) if good and wrong else float("nan")
+    pairs = good * (len(right) - good)
+    return float(mannwhitneyu(said[right], said[~right]).statistic) / pairs if pairs else float("nan")
 
 
 def reliability(said: np.ndarray, right: np.ndarray) -> list[tuple[int, float, float]]:
@@ -91,11 +92,16 @@ def section(jobs: list[Job], told: list[Told], count: int) -> tuple[str, list[tu
     """Tables of what is said with the first `count` clues; and what is right by classes of that."""
     said = held_out(told, count)
     shares, right = [s.mean(1) for s in said], [t.root for t in told]
+    parts = {job.change: [k for k, other in enumerate(jobs) if other.change == job.change] for job in jobs}
+    parts["all"] = list(range(len(jobs)))
+
+    def joints_of(part: str) -> tuple[np.ndarray, np.ndarray]:
+        p, y = (np.concatenate([a[k].ravel() for k in parts[part]]) for a in (said, [t.close for t in told]))
+        return p, y
+
     rows = []
-    p, y = np.zeros(0), np.zeros(0, bool)
-    for change in (*dict.fromkeys(job.change for job in jobs), "all"):
-        mine = [k for k, job in enumerate(jobs) if change in (job.change, "all")]
-        p, y = (np.concatenate([a[k].ravel() for k in mine]) for a in (said, [t.close for t in told]))
+    for change, mine in parts.items():
+        p, y = joints_of(change)
         share, root = (np.concatenate([a[k] for k in mine]) for a in (shares, right))
         sure = share >= Settings().track.lost_confidence
         honest = [f"{100 * root.mean():.1f}", f"{100 * root[sure].mean():.1f}", f"{100 * sure.mean():.1f}"]
@@ -103,7 +109,7 @@ def section(jobs: list[Job], told: list[Told], count: int) -> tuple[str, list[tu
         rows.append([change, f"{100 * p.mean():.1f}", f"{100 * y.mean():.1f}", rank_of, *honest])
     head = ["recordings", "said, %", "right, %", "right above wrong", "pelvis within 20 cm, %"]
     head += ["of frames not doubted, %", "frames not doubted, %"]
-    curve = reliability(p, y)
+    curve = reliability(*joints_of("all"))
     classes = [[f"{n}", f"{100 * a:.1f}", f"{100 * b:.1f}"] for n, a, b in curve]
     trust = _fit(told, count)
     numbers = [[c, f"{s:.3f}"] for c, s in zip(("constant", *CLUES), (trust.constant, *trust.slopes))]

@@ -1,21 +1,17 @@
 """One recording, tracked: what frames say of themselves, and what is right. Worker processes import this."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from experiments.common import errors, human, nearest
-from experiments.judged import Recorded, read
+from experiments.judged import root_near, whole
 from experiments.stress.changes import changes
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracks import Status
 from voodoo_jax.trust import CLOSE, SIGNS, clues
-
-ROOT = ("l_hip", "r_hip")
-NEAR = 0.2  # metres: the middle of the hips is right
 
 
 @dataclass(frozen=True)
@@ -41,7 +37,7 @@ def work(job: Job) -> Told:
     """Tracks it and compares."""
     settings = Settings()
     settings = replace(settings, track=replace(settings.track, both_ways=job.both_ways))
-    recorded = changes(human(), settings)[job.change](_read(job.log, job.frames))
+    recorded = changes(human(), settings)[job.change](whole(job.log, job.frames))
     log = recorded.log(human(), settings)
     tracks = log.track(human(), settings)
     frame, near = nearest(log, tracks)
@@ -49,12 +45,5 @@ def work(job: Job) -> Told:
     centres = tracks.body.topology.centres
     signs = {name: getattr(tracks, name) for name in SIGNS}
     found = clues(tracks.body.topology, signs, tracks.joints)[:, [centres.index(n) for n in log.names]]
-    hips, mine = ([names.index(n) for n in ROOT] for names in (log.names, centres))
-    apart = np.linalg.norm(tracks.joints[frame][:, mine].mean(1) - log.joints[:, hips].mean(1), axis=1)
     close = errors(log, tracks) < CLOSE
-    return Told(found[frame][told], close[told], (apart < NEAR)[told], round(recorded.dims["stature"], 3))
-
-
-@cache
-def _read(log: Path, frames: int) -> Recorded:
-    return read(log, Settings(), frames)
+    return Told(found[frame][told], close[told], root_near(log, tracks)[told], round(recorded.dims["stature"], 3))
