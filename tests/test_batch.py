@@ -10,7 +10,7 @@ import pytest
 from helpers import SOLVE, all_finite, seen_points, two_limbs
 
 from voodoo_jax.batch import BUCKETS, bucket, pad_frames
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.settings import TrackSettings
 from voodoo_jax.tracking import at_rest, options_from, track_chunk
 

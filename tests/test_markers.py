@@ -20,7 +20,7 @@ from voodoo_jax.marker_priors import Priors
 from voodoo_jax.marker_sets import PLUG_IN_GAIT, newington_hips, plain_name
 from voodoo_jax.marker_sizes import Fit, Markers, personal
 from voodoo_jax.marker_start import agreed, first_pose, rigid
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Pairs, Recording
 from voodoo_jax.settings import FeatureSettings

@@ -7,19 +7,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.person import (
-    PersonFinder,
-    PersonFrame,
-    Plane,
-    Scene,
-    components,
-    fair_share,
-    find_scene,
-    person_frames,
-    without_furniture,
-    without_strays,
-)  # fmt: skip
+from voodoo_jax.clouds import components, fair_share, without_strays
+from voodoo_jax.furniture import without_furniture
+from voodoo_jax.person import PersonFinder, person_frames
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Frame
+from voodoo_jax.scene import Plane, Scene, find_scene
 from voodoo_jax.settings import PersonSettings
 
 ORIGIN = np.array([[0.0, 0.0, 1.2]], np.float32)

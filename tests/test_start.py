@@ -12,7 +12,8 @@ from voodoo_jax.io.body_file import human, load_body
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.mcap_tracks import limb_mesh
-from voodoo_jax.person import PersonFrame, Plane
+from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.scene import Plane
 from voodoo_jax.settings import Settings, StartSettings
 from voodoo_jax.simulate import Motion, make_motion, placed, simulate, tof_camera
 from voodoo_jax.start import measured_height, place, rest_height, sized, standing_places

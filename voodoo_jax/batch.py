@@ -9,7 +9,7 @@ from voodoo_jax.body import Topology
 from voodoo_jax.kernels.correspond import FREE, ON_BODY, Points
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.marker_sets import PLUG_IN_GAIT, plain_name
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.settings import FeatureSettings, check_pairs
 
 # Point capacities; a program is compiled once for each that occurs.

@@ -19,6 +19,7 @@ CLEARER = 0.5  # a later start is taken where it costs less than this share of t
 LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
 ALIKE = 3.0  # starts that cost less than so much more than the best may tell the size
+NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is
 
 
 class Beginning(NamedTuple):
@@ -28,7 +29,13 @@ class Beginning(NamedTuple):
     body: Body  # with its size
     poses: Poses
     cost: float  # see tracking.cost_of
+    noise: float = 0.0  # of the points that it was tried on, metres
     rival: "Beginning | None" = None  # faces the other way and costs hardly more
+
+    @property
+    def unexplained(self) -> float:
+        """What it costs beyond what noise would, square metres."""
+        return self.cost - self.noise**2
 
 
 def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
@@ -41,14 +48,14 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
         good = np.flatnonzero(run.table.enough(TO_START))
         frame = int(good[np.argmin(np.abs(good - at))])
         return Beginning(at, run.body, marker_start(run.body, run.table.markers, frame), 0.0)
-    found = [_trial(run, at, _sized(run, at), before)]
-    for frame in _later(run, at) if found[0].cost > run.settings.start.sure else ():
+    found, sure = [_trial(run, at, _sized(run, at), before)], run.settings.start.sure
+    for frame in _later(run, at) if found[0].unexplained > sure or found[0].noise > NOISY else ():
         found.append(_trial(run, frame, _sized(run, frame)))
-        if found[-1].cost < run.settings.start.sure:
+        if found[-1].unexplained < sure and found[-1].noise < NOISY:
             break
     clearest = min(found, key=lambda b: b.cost)
     best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]
-    posed = _in_stances(run, best.frame) if best.cost > run.settings.start.sure else None
+    posed = _in_stances(run, best.frame) if best.unexplained > sure else None
     if posed is not None and posed.cost < LIKELIER * best.cost:
         best = posed
     else:
@@ -79,7 +86,7 @@ def fresh(run: Session, first: int, cost: Float[np.ndarray, " frame"]) -> Poses 
         return None
     best = _trial(run, at, run.body)
     here = float(np.mean(cost[skip : skip + run.settings.start.frames]))
-    if not best.cost < min(BETTER * here, run.settings.start.sure):
+    if not best.cost < BETTER * here or best.unexplained > run.settings.start.sure:
         return None
     return run.through(best.poses, run.people[at:end])[0].poses
 
@@ -115,9 +122,10 @@ def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
+    noise = float(np.median([f.noise or run.settings.person.noise for f in frames]))
     trial = on_host(run.trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places)))
     found = [
-        Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]))
+        Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]), noise)
         for k in opposite(body, trial, RIVAL)
     ]
     return found[0]._replace(rival=found[1] if len(found) > 1 else None)

@@ -28,8 +28,9 @@ from voodoo_jax.fit_parameters import parameters
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.fit_user import minimised
-from voodoo_jax.person import PersonFrame, Scene
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Recording
+from voodoo_jax.scene import Scene
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Tracks

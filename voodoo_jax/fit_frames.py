@@ -19,7 +19,7 @@ from voodoo_jax.batch import FEATURE_BUCKETS, V1_NAMES, FeatureNames, bucket, pa
 from voodoo_jax.body import Topology
 from voodoo_jax.fit_objective import FitFrames
 from voodoo_jax.marker_sets import plain_name
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.settings import FeatureSettings

@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from voodoo_jax.beginning import Beginning, begin
 from voodoo_jax.body import Body
 from voodoo_jax.passage import PASSAGE, Rows, rows_of, there_and_back
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.session import Session, first_run
 from voodoo_jax.tracking import State, at_rest

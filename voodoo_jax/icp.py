@@ -135,7 +135,10 @@ def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     total = jnp.maximum(total, 1e-6)
 
     strength = options.ratio * jnp.maximum(limb_weight, options.floor * total)
-    pull, pull_second = pull_to_prediction(poses, problem, limb_weight, total)
+    count = jnp.sum(problem.points.weight > 0).astype(total.dtype)
+    if problem.features is not None:
+        count = count + jnp.sum(problem.features.weight)
+    pull, pull_second = pull_to_prediction(poses, problem, limb_weight, jnp.maximum(count, 1e-6))
     links = (problem.bands, *corrections(body, poses, options.plausible))
     quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
     info = StepInfo(quality, limb_weight)

@@ -13,7 +13,7 @@ from voodoo_jax.body import Body, scaled
 from voodoo_jax.kernels.features import named_points
 from voodoo_jax.marker_exchange import Exchange, sides
 from voodoo_jax.marker_sizes import Markers, fit_markers, personal
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, apply
 from voodoo_jax.recording import Pairs
 

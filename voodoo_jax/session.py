@@ -15,8 +15,9 @@ from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, p
 from voodoo_jax.body import Body
 from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_table
-from voodoo_jax.person import PersonFrame, Scene
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
+from voodoo_jax.scene import Scene
 from voodoo_jax.settings import Change, Settings, StartSettings
 from voodoo_jax.start import Trial, run_trials
 from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, track_chunk

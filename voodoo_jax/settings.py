@@ -62,6 +62,8 @@ class PersonSettings:
     """Things farther than this from where the body was are dropped, metres; grows with the body's size."""
     points: int = 1024
     """Points per frame given to the tracker: a random choice where there are more."""
+    noise: float = 0.03
+    """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,8 @@ class StartSettings:
     later: tuple[float, ...] = (0.5, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0)
     """Where the beginning is in doubt, times after it, in seconds, at which a clearer pose to start from is looked for;
     from there the body is followed back to the beginning (with track.both_ways only)."""
-    sure: float = 0.00045
-    """Mean squared distance, square metres, below which a start is in no doubt."""
+    sure: float = 0.00012
+    """Mean squared distance beyond what noise makes, square metres, below which a start is in no doubt."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +237,7 @@ def preset(name: str) -> Settings:
     inf = float("inf")
     return Settings(
         read=ReadSettings(laser=True),
+        person=PersonSettings(noise=0.0),
         features=FeatureSettings(
             # sec. 7
             weights=("face=30", "left_hand=20", "right_hand=20", "skin=20"), weight=20.0, robust_scale=inf,

@@ -13,6 +13,7 @@ from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.following import Progress, blank, follow
+from voodoo_jax.furniture import without_furniture
 from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
 from voodoo_jax.marker_log import (
@@ -21,12 +22,15 @@ from voodoo_jax.marker_log import (
     sized_by_markers,
     without_gaps,
 )
+from voodoo_jax.noise import weighed
 from voodoo_jax.notes import notes_on
 from voodoo_jax.passage import Rows
-from voodoo_jax.person import PersonFinder, PersonFrame, Scene, find_scene, person_frames, without_furniture
+from voodoo_jax.person import PersonFinder, person_frames
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.programs import program
 from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.scene import Scene, find_scene
 from voodoo_jax.session import FEW_POINTS, Session, by_markers
 from voodoo_jax.settings import Settings
 from voodoo_jax.spill import spilled
@@ -51,7 +55,7 @@ def find_person(
     # a body's scale need not be its height
     height = rest_height(scaled(body, scale) if scale > 0 else body)
     finder = PersonFinder(scene, height, settings.person)
-    found = person_frames(chain(first, stream), finder)
+    found = weighed(person_frames(chain(first, stream), finder), settings.person.noise)
     windows = iter(lambda: list(islice(found, FURNITURE_FRAMES)), [])
     people = spilled(chain.from_iterable(without_furniture(window, scene.floor.normal) for window in windows))
     return scene, people

@@ -31,7 +31,7 @@ from voodoo_jax.body import Body, joint_centres
 from voodoo_jax.demo import joint_errors
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_log import open_log
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracker import find_person, track_person

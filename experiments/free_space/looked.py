@@ -12,7 +12,7 @@ from experiments.common import errors, human, nearest, scored, without_features
 from experiments.judged import read
 from experiments.stress.changes import changes
 from voodoo_jax.body import Body
-from voodoo_jax.person import point_spacing
+from voodoo_jax.clouds import point_spacing
 from voodoo_jax.recording import Frame
 from voodoo_jax.settings import Settings
 

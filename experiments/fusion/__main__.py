@@ -28,7 +28,7 @@ from experiments.common import (
     write,
 )
 from voodoo_jax.io.mcap_log import open_log
-from voodoo_jax.person import PersonFrame
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.picture import _colours, _draw_body
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracks import Tracks

@@ -1,0 +1,54 @@
+"""Takes out furniture that the body touched, once it is known where the body went. Host side, NumPy; looks ahead."""
+
+import numpy as np
+from jaxtyping import Float32
+
+from voodoo_jax.clouds import unique_cells
+from voodoo_jax.person_frame import PersonFrame, assigned
+
+AWAY = 0.55  # metres from the body's axis: not part of it
+BLOCK = 4_000_000  # cells times frames that are compared at once
+
+
+def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -> list[PersonFrame]:
+    """Takes out what stayed in its place while the body came or went: furniture that the body touched.
+
+    A cell counts as furniture where points were seen in most of the frames in which the body's axis was more than half
+    a metre away, and the axis came closer or went farther by 0.4 m meanwhile. Uses all frames. A body that never leaves
+    its place tells nothing, and its frames come back as they are.
+    """
+    seen = [i for i, f in enumerate(frames) if len(f.points) >= 30]
+    if len(seen) < 10:
+        return frames
+    axis = np.full((len(frames), 3), np.nan, np.float32)
+    for i in seen:
+        height = frames[i].points @ up
+        axis[i] = np.median(frames[i].points[height > np.percentile(height, 60)], 0)
+        axis[i] -= (axis[i] @ up) * up
+    cells = [unique_cells(np.floor(frames[i].points / np.float32(0.1)).astype(np.int64))[0] for i in seen]
+    frame_of = np.repeat(np.arange(len(seen)), [len(c) for c in cells])
+    unique, which = unique_cells(np.concatenate(cells))
+    middle = (unique + 0.5).astype(np.float32) * np.float32(0.1)
+    middle -= (middle @ up)[:, None] * up
+    # where it was seen: per occurrence; where it could have been: per cell and frame, in blocks
+    distance = np.linalg.norm(middle[which] - axis[seen][frame_of], axis=1)
+    seen_away = np.bincount(which, distance > AWAY, len(unique))
+    nearest, farthest = np.full(len(unique), np.inf), np.zeros(len(unique))
+    np.minimum.at(nearest, which, distance)
+    np.maximum.at(farthest, which, distance)
+    away = np.zeros(len(unique), int)
+    for block in np.array_split(np.array(seen), max(1, len(seen) * len(unique) // BLOCK)):
+        away += (np.linalg.norm(middle[:, None] - axis[block][None], axis=2) > AWAY).sum(1)
+    share = seen_away / np.maximum(away, 1)
+    furniture = unique[(farthest - nearest > 0.4) & (share > 0.5) & (away >= 8)]
+    if not len(furniture):
+        return frames
+    # the cells around too: noise at the faces
+    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+    blocked = set(map(tuple, (furniture[:, None] + around[None]).reshape(-1, 3).tolist()))
+    out = []
+    for frame in frames:
+        cell = np.floor(frame.points / np.float32(0.1)).astype(np.int64).tolist()
+        keep = np.array([tuple(c) not in blocked for c in cell], bool)
+        out.append(frame.only(keep | assigned(frame)))
+    return out

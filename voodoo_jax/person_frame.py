@@ -1,0 +1,43 @@
+"""The points of one frame that are taken to be on the body. Host side, NumPy."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int, Int32
+
+from voodoo_jax.recording import Frame, Pairs, Rays
+
+
+@dataclass(frozen=True)
+class PersonFrame:
+    """The points of one frame that seem to be on the body."""
+
+    time_ns: int
+    points: Float32[np.ndarray, "point 3"]  # fixed frame, metres
+    sensor: Int[np.ndarray, " point"]
+    origins: Float32[np.ndarray, "sensor 3"]
+    rays: Rays = field(default_factory=Rays)
+    pairs: Pairs = field(default_factory=Pairs)
+    part: Int32[np.ndarray, " point"] | None = None  # as in Frame
+    parts: tuple[str, ...] = ()
+    weight: Float32[np.ndarray, " point"] | None = None
+    noise: float = 0.0  # standard deviation of the points' distances, metres; 0: not known (see noise.py)
+
+    def only(self, keep: np.ndarray) -> "PersonFrame":
+        """The frame with some of its points: a mask or indices."""
+        part = None if self.part is None else self.part[keep]
+        weight = None if self.weight is None else self.weight[keep]
+        return replace(self, points=self.points[keep], sensor=self.sensor[keep], part=part, weight=weight)
+
+
+def whole(frame: Frame) -> PersonFrame:
+    """A frame with all its points."""
+    return PersonFrame(
+        frame.time_ns, frame.points, frame.sensor, frame.origins, frame.rays, frame.pairs, frame.part, frame.parts,
+        frame.weight,
+    )  # fmt: skip
+
+
+def assigned(frame: Frame | PersonFrame) -> Bool[np.ndarray, " point"]:
+    """Which points somebody has already said to be on the body, or on one of its limbs."""
+    return np.zeros(len(frame.points), bool) if frame.part is None else frame.part >= 0

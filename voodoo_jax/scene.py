@@ -1,0 +1,136 @@
+"""Floor and walls of a room, as planes, from a few frames. Host side, NumPy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from voodoo_jax.person_frame import PersonFrame, assigned, whole
+from voodoo_jax.recording import Frame
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Points p with normal . p = offset."""
+
+    normal: Float32[np.ndarray, "3"]  # unit
+    offset: float  # metres
+
+    def height(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, " point"]:
+        """Signed distance of points, metres."""
+        return points @ self.normal - np.float32(self.offset)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The room's planes, found once from the first frames."""
+
+    floor: Plane  # normal upwards
+    walls: tuple[Plane, ...]
+    floor_seen: bool  # False: no floor was visible and the lowest points stand for it
+
+
+def fit_plane(
+    points: Float32[np.ndarray, "point 3"],
+    normals_ok,
+    rng: np.random.Generator,
+    tolerance: float,
+    trials: int = 300,
+) -> tuple[Plane, Bool[np.ndarray, " point"]] | None:
+    """The plane with the most points within `tolerance` metres (random samples of three, then least squares).
+
+    `normals_ok(normals [trial, 3]) -> bool [trial]` says which directions are wanted. None where none was found.
+    """
+    if len(points) < 50:
+        return None
+    sample = points[rng.integers(0, len(points), (trials, 3))]
+    normals = np.cross(sample[:, 1] - sample[:, 0], sample[:, 2] - sample[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    good = length > 1e-3
+    normals = normals[good] / length[good, None]
+    keep = normals_ok(normals)
+    normals, at = normals[keep], sample[good][keep][:, 0]
+    if not len(normals):
+        return None
+    subset = points[rng.permutation(len(points))[:4000]]
+    near = np.abs(subset @ normals.T - np.sum(normals * at, 1)) < tolerance
+    best = int(np.argmax(near.sum(0)))
+    normal, offset = normals[best], float(normals[best] @ at[best])
+    for _ in range(3):
+        inside = np.abs(points @ normal - offset) < tolerance
+        if inside.sum() < 20:
+            return None
+        middle = points[inside].mean(0)
+        _, _, axes = np.linalg.svd(points[inside][:: max(1, int(inside.sum()) // 3000)] - middle, full_matrices=False)
+        normal = axes[2] * np.sign(axes[2] @ normal or 1.0)
+        offset = float(normal @ middle)
+    plane = Plane(normal.astype(np.float32), offset)
+    return plane, np.abs(plane.height(points)) < tolerance
+
+
+def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bool = True) -> Scene:
+    """Floor and walls from a few frames: `up` need be right to 40 degrees only.
+
+    Where no floor is visible it is taken to be z = 0 of a fixed frame whose z points up (`up_is_sure`; robots' base,
+    odometry and map frames are so by convention), or else the height of the lowest points.
+    """
+    rng = np.random.default_rng(0)
+    free = [f.only(~assigned(f)) if assigned(f).any() else f for f in map(whole, frames)]
+    clouds = [f.points for f in free if len(f.points)]
+    points = np.concatenate(clouds) if clouds else np.zeros((0, 3), np.float32)
+    if len(points) > 60_000:
+        points = points[rng.permutation(len(points))[:60_000]]
+    if not len(points):  # the person's own lowest points are as near to the floor as one can know
+        points = np.concatenate([np.zeros((0, 3), np.float32), *(f.points for f in frames)])
+        return Scene(_lowest(points, np.asarray(up, np.float32), up_is_sure), (), False)
+    floor, seen = _find_floor(points, np.asarray(up, np.float32), up_is_sure, rng)
+    walls: list[Plane] = []
+    for frame in free:  # one by one: a person who walks is as wide as a wall over several frames together
+        if len(frame.points) and len(walls) < 6:
+            walls += _find_walls(frame, floor, walls, rng)
+    return Scene(floor, tuple(walls), seen)
+
+
+def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> list[Plane]:
+    """Wide upright planes with nothing behind them."""
+    points = frame.points[rng.permutation(len(frame.points))[:20_000]]
+    points = points[floor.height(points) > 0.1]
+    rest = points
+    for wall in known:
+        rest = rest[np.abs(wall.height(rest)) > 0.05]
+    found: list[Plane] = []
+    for _ in range(4):
+        fit = fit_plane(rest, lambda n: np.abs(n @ floor.normal) < 0.17, rng, 0.04)
+        if fit is None or fit[1].sum() < max(1, 0.08 * len(points)):
+            break
+        plane, inside = fit
+        along = np.cross(floor.normal, plane.normal)
+        wide = np.ptp(np.percentile(rest[inside] @ along, [2, 98]))
+        side = np.sign(plane.height(frame.origins[:1]))[0]
+        behind = (plane.height(points) * side < -0.15).mean()
+        if wide >= 2.0 and behind <= 0.03:
+            found.append(plane)
+        # else a near person, who may have more points than the wall: look on without them
+        rest = rest[~inside]
+    return found
+
+
+def _find_floor(points, up, up_is_sure, rng) -> tuple[Plane, bool]:
+    height = points @ up
+    low = points[height < np.percentile(height, 70)]
+    found = fit_plane(low, lambda n: np.abs(n @ up) > 0.77, rng, 0.03)
+    if found is not None:
+        plane, _ = found
+        if plane.normal @ up < 0:
+            plane = Plane(-plane.normal, -plane.offset)
+        above = plane.height(points)
+        # a floor has next to nothing below it, and a fair share of the picture on it
+        if (np.abs(above) < 0.03).mean() > 0.04 and (above < -0.1).mean() < 0.03:
+            return plane, True
+    return _lowest(points, up, up_is_sure), False
+
+
+def _lowest(points, up, up_is_sure) -> Plane:
+    """What stands for a floor that nobody sees."""
+    lowest = float(np.percentile(points @ up, 0.5)) if len(points) else 0.0
+    return Plane(up, 0.0 if up_is_sure and abs(lowest) < 0.2 else lowest)
