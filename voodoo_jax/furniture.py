@@ -1,13 +1,40 @@
 """Takes out furniture that the body touched, once it is known where the body went. Host side, NumPy; looks ahead."""
 
+from collections.abc import Callable
+
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from voodoo_jax.clouds import unique_cells
 from voodoo_jax.person_frame import PersonFrame, assigned
+from voodoo_jax.scene import Plane
 
 AWAY = 0.55  # metres from the body's axis: not part of it
 BLOCK = 4_000_000  # cells times frames that are compared at once
+
+
+HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was a body that touched the thing
+
+
+def without_things(
+    frames: list[PersonFrame],
+    floor: Plane,
+    apart: Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]],
+) -> list[PersonFrame]:
+    """Takes out things that were seen apart from the body in other frames, before or afterwards.
+
+    **Arguments:** `apart` says which points lie where such a thing was (see PersonFinder.apart). Where that leaves the
+    head out, it was the body that stood there, and the frame comes back as it is.
+    """
+    out = []
+    for frame in frames:
+        keep = ~apart(frame.points) | assigned(frame)
+        if not keep.all() and keep.sum() >= 30:
+            before, after = (np.percentile(floor.height(p), 98) for p in (frame.points, frame.points[keep]))
+            if after >= HEAD * before:
+                frame = frame.only(keep)
+        out.append(frame)
+    return out
 
 
 def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -> list[PersonFrame]:

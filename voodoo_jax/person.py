@@ -3,10 +3,11 @@
 Nothing here knows what the body looks like but its height at rest.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float32
 from scipy.spatial import KDTree
 
 from voodoo_jax.clouds import components, fair_share, point_spacing, unique_cells, without_strays
@@ -16,6 +17,9 @@ from voodoo_jax.scene import Scene
 from voodoo_jax.settings import PersonSettings
 
 STILL = 0.06  # metres from one frame's points to those of the frame before, of things that do not move
+GONE = 0.6  # of its height before: what is lower from one frame to the next is not the body any more
+CELL = 0.08  # metres, of the grid in which the background is kept
+LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
 
 
 class PersonFinder:
@@ -32,6 +36,7 @@ class PersonFinder:
         self.unseen = 0
         self._spacing: dict[int, float] = {}  # of each sensor
         self._background: dict[tuple[int, int, int], float] = {}  # how often seen
+        self._left: Counter[tuple[int, int, int]] = Counter()  # what remained where the body was, since it is gone
 
     def __call__(self, frame: Frame) -> PersonFrame:
         s = self.settings
@@ -54,6 +59,9 @@ class PersonFinder:
         if len(index):
             index = index[~self._known(points[index])]
         chosen = self._choose(points[index], sure)
+        if not len(sure) and self._gone(points[index][chosen]):
+            self._left.update(set(map(tuple, self._cells(points[index][chosen]).tolist())))
+            chosen[:] = False
         self.others = points[index][~chosen]
         self._learn(self.others, np.concatenate([points[index][chosen], sure]))
         # the points of a limb or two do not tell where the others are
@@ -61,10 +69,13 @@ class PersonFinder:
         index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)]))
         if tells:
             self.last, self.unseen = points[index], 0
+            self._left.clear()
         else:
             self.unseen += 1
             if self.unseen > s.forget:
                 self.last = None  # gone: look everywhere again
+                self._background.update((cell, LONG) for cell, times in self._left.items() if times > self.unseen / 3)
+                self._left.clear()
         return whole(frame).only(index)
 
     def _without_strays(self, frame: Frame, index: np.ndarray) -> np.ndarray:
@@ -101,19 +112,28 @@ class PersonFinder:
             most[np.argmax(touched)] = touched.any()
         if self.last is None:
             return most[label] if most.any() else label == self._candidate(points, label, count)
-        near = KDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0] < np.inf
-        touching = np.bincount(label, near)
+        moved = KDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0]
+        touching = np.bincount(label, moved < np.inf)
         taken = touching > np.maximum(5, 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
-        # not the body itself, and not what is small: a foot rests while the other one steps
+        # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
         main = int(np.argmax(touching))
-        doubtful = taken & (count >= 0.1 * len(self.last)) & (np.arange(len(count)) != main)
-        doubtful[[k for k in np.flatnonzero(doubtful) if self._is_head(points[label == k], points[label == main])]] = 0
+        doubtful = taken & (count >= 0.1 * len(self.last))
+        doubtful[main] &= np.bincount(label, moved < STILL)[main] < 0.5 * count[main]
+        for k in np.flatnonzero(doubtful):
+            doubtful[k] = k == main or not self._is_head(points[label == k], points[label == main])
         if len(self.others) and doubtful.any():
             asked = doubtful[label]
             still = KDTree(self.others).query(points[asked], distance_upper_bound=STILL)[0] < np.inf
             taken &= ~doubtful | (np.bincount(label[asked], still, len(count)) < 0.6 * count)
         return (most | taken)[label]
+
+    def _gone(self, taken) -> bool:
+        """Whether what is left was never the body: at once less, and far lower. A chair remains."""
+        if self.last is None or len(taken) < 30 or len(taken) > 0.8 * len(self.last):
+            return False
+        top, before = (np.percentile(self.scene.floor.height(p), 98) for p in (taken, self.last))
+        return bool(top < GONE * before)
 
     def _is_head(self, thing, body) -> bool:
         """Whether a thing is right above a body: a head whose neck is hidden or narrow, not a chair."""
@@ -138,7 +158,7 @@ class PersonFinder:
         return best
 
     def _cells(self, points):
-        return np.floor(points / np.float32(0.08)).astype(np.int64)
+        return np.floor(points / np.float32(CELL)).astype(np.int64)
 
     def _known(self, points) -> Bool[np.ndarray, " point"]:
         """Whether points lie where something else than the body was seen before."""
@@ -147,6 +167,14 @@ class PersonFinder:
         unique, inverse = unique_cells(self._cells(points))
         known = np.array([self._background.get(tuple(c), 0) >= 3 for c in unique.tolist()])
         return known[inverse]
+
+    def apart(self, points: Float32[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
+        """Whether points lie where something was seen apart from the body for some time, up to now."""
+        cells = [cell for cell, times in self._background.items() if times >= LONG]
+        if not cells or not len(points):
+            return np.zeros(len(points), bool)
+        middle = (np.array(cells) + 0.5) * CELL
+        return KDTree(middle).query(points, distance_upper_bound=1.2 * CELL)[0] < np.inf
 
     def _learn(self, others, mine) -> None:
         if self.last is None and not len(mine):

@@ -13,7 +13,7 @@ from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.following import Progress, blank, follow
-from voodoo_jax.furniture import without_furniture
+from voodoo_jax.furniture import without_furniture, without_things
 from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
 from voodoo_jax.marker_log import (
@@ -57,8 +57,12 @@ def find_person(
     finder = PersonFinder(scene, height, settings.person)
     found = weighed(person_frames(chain(first, stream), finder), settings.person.noise)
     windows = iter(lambda: list(islice(found, FURNITURE_FRAMES)), [])
-    people = spilled(chain.from_iterable(without_furniture(window, scene.floor.normal) for window in windows))
-    return scene, people
+    return scene, spilled(chain.from_iterable(_told(window, scene, finder) for window in windows))
+
+
+def _told(window: list[PersonFrame], scene: Scene, finder: PersonFinder) -> list[PersonFrame]:
+    """The frames without what all of them together tell to be furniture."""
+    return without_furniture(without_things(window, scene.floor, finder.apart), scene.floor.normal)
 
 
 _compiling = [0.0]
