@@ -154,6 +154,22 @@ def test_a_weight_of_two_is_the_measurement_given_twice(x64, solver):
     np.testing.assert_allclose(a.rotation, b.rotation, atol=1e-10)
 
 
+@pytest.mark.parametrize("solver", ["coupled", "per_limb"])
+def test_doubtful_measurements_leave_more_to_the_prediction(solver):
+    """A quarter of the weight for four times the variance: as if the prediction weighed four times as much."""
+    body, xyz, _, start = scene()
+    doubt = lambda value: lambda p: eqx.tree_at(lambda p: p.doubt, p, jnp.asarray(value), is_leaf=lambda x: x is None)  # noqa: E731
+    options = icp_options(solver=solver, prior=0.003)
+    firm = eqx.tree_at(lambda o: o.prior, options, options.prior * 4)
+    doubtful = doubt(4.0)(points(xyz, None, 0.25))
+    results = [
+        icp_step(start, Problem.build(body, seen, start, how))[0].translation
+        for seen, how in ((doubtful, options), (points(xyz), firm), (points(xyz), options))
+    ]
+    np.testing.assert_allclose(results[0], results[1], atol=1e-5)
+    assert np.abs(results[1] - results[2]).max() > 1e-3
+
+
 def test_weights_change_numbers_and_no_program():
     """So they cost no time: the same program runs, whatever the weights (2007, sec. 6)."""
     body, xyz, _, start = scene()

@@ -135,7 +135,7 @@ def pad_frames(
     """
     most = capacity if most is None else min(most, capacity)
     xyz = np.zeros((length, capacity, 3), np.float32)
-    weight = np.zeros((length, capacity), np.float32)
+    weight, doubt = np.zeros((length, capacity), np.float32), np.ones(length, np.float32)
     sensor = np.zeros((length, capacity), np.int32)
     origins = np.zeros((length, sensors, 3), np.float32)
     limb = np.full((length, capacity), FREE, np.int32)
@@ -157,9 +157,9 @@ def pad_frames(
         if parts is not None:
             limb[i, :m] = parts.rows(frame)[chosen]
         sensor[i, :m] = frame.sensor[chosen]
-        valid[i] = True
+        valid[i], doubt[i] = True, frame.doubt
         if previous_ns is not None:
             seconds[i] = (frame.time_ns - previous_ns) / 1e9
         previous_ns = frame.time_ns
-    points = Points(*jax.device_put((xyz, weight, sensor, origins, None if parts is None else limb)))
+    points = Points(*jax.device_put((xyz, weight, sensor, origins, None if parts is None else limb, doubt)))
     return Chunk(points, seconds, valid, left_out)

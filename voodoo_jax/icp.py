@@ -135,10 +135,12 @@ def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     total = jnp.maximum(total, 1e-6)
 
     strength = options.ratio * jnp.maximum(limb_weight, options.floor * total)
-    count = jnp.sum(problem.points.weight > 0).astype(total.dtype)
+    # what noise takes from the measurements' weights does not weaken the prediction
+    doubt = problem.points.doubt
+    given = jnp.sum(problem.points.weight) * (1.0 if doubt is None else doubt)
     if problem.features is not None:
-        count = count + jnp.sum(problem.features.weight)
-    pull, pull_second = pull_to_prediction(poses, problem, limb_weight, jnp.maximum(count, 1e-6))
+        given = given + jnp.sum(problem.features.weight)
+    pull, pull_second = pull_to_prediction(poses, problem, limb_weight, jnp.maximum(given, 1e-6))
     links = (problem.bands, *corrections(body, poses, options.plausible))
     quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
     info = StepInfo(quality, limb_weight)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 from scipy.spatial import KDTree
 
 from voodoo_jax.person_frame import PersonFrame
@@ -65,13 +65,14 @@ def weighed(frames: Iterable[PersonFrame], usual: float) -> Iterator[PersonFrame
                 if np.isfinite(found):
                     growth[sensor] = found
             noise[mine] = growth.get(sensor, 0.0) * square
-        yield replace(frame, noise=float(np.median(noise)) if len(noise) else 0.0, weight=_weight(frame, noise, usual))
-
-
-def _weight(
-    frame: PersonFrame, noise: Float32[np.ndarray, " point"], usual: float
-) -> Float[np.ndarray, " point"] | None:
-    if usual <= 0 or not (noise > usual).any():
-        return frame.weight
-    weight = np.minimum(1.0, (usual / np.maximum(noise, 1e-6)) ** 2).astype(np.float32)
-    return weight if frame.weight is None else weight * frame.weight
+        if not len(noise):
+            yield frame
+            continue
+        typical = float(np.median(noise))
+        if usual <= 0 or not (noise > usual).any():
+            yield replace(frame, noise=typical)
+            continue
+        given = np.ones(len(noise), np.float32) if frame.weight is None else frame.weight
+        weight = given * np.minimum(1.0, (usual / np.maximum(noise, 1e-6)) ** 2).astype(np.float32)
+        doubt = float(np.sum(given) / max(float(np.sum(weight)), 1e-9))
+        yield replace(frame, noise=typical, weight=weight, doubt=doubt)

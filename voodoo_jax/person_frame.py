@@ -22,6 +22,9 @@ class PersonFrame:
     parts: tuple[str, ...] = ()
     weight: Float32[np.ndarray, " point"] | None = None
     noise: float = 0.0  # standard deviation of the points' distances, metres; 0: not known (see noise.py)
+    doubt: float = (
+        1.0  # how much less the points weigh because of it: sum of the weights that they would have, over theirs
+    )
 
     def only(self, keep: np.ndarray) -> "PersonFrame":
         """The frame with some of its points: a mask or indices."""

@@ -14,6 +14,7 @@ class Points(eqx.Module):
     sensor: Int[Array, "*frame point"]  # which sensor saw it
     origins: Float[Array, "*frame sensor 3"]  # where the sensors stand, world frame, metres
     limb: Int[Array, "*frame point"] | None = None  # limb the point is known to be on, ON_BODY, FREE; None: all free
+    doubt: Float[Array, "*frame"] | None = None  # variance of the measurements over the usual one; None: 1
 
 
 Components = tuple[Float[Array, " point"], Float[Array, " point"], Float[Array, " point"]]
