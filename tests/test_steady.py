@@ -30,7 +30,7 @@ def test_the_hold_of_a_limb_weakens_with_the_way_it_has_gone(x64, away, share):
     options = icp_options(jnp.float64, prior=0.0, steady=8.0, steady_distance=0.004)
     there = Poses(body.rest.rotation, body.rest.translation + jnp.array([[away, 0, 0], [0, 0, 0]]))
     problem = Problem.build(body, nothing_seen(), body.rest, options)
-    pull, _ = pull_to_prediction(there, problem, jnp.array([10.0, 5.0]), jnp.array(100.0))
+    pull, _ = pull_to_prediction(there, problem, jnp.array([10.0, 5.0]))
     np.testing.assert_allclose(np.asarray(pull)[:, 0, 0], [80 * share, 40.0], rtol=1e-6)
     # and pulls to where prior pairs of that weight do
     middle = jnp.array([0.0, 0, body.sizes[0, 4] / 2])

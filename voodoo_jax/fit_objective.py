@@ -20,6 +20,7 @@ from voodoo_jax.fit_solution import Rest, carried, resting, settled
 from voodoo_jax.icp import IcpOptions, Problem
 from voodoo_jax.kernels.correspond import Points, match_assigned
 from voodoo_jax.kernels.features import Features, named_points
+from voodoo_jax.one_by_one import one_by_one
 from voodoo_jax.pose import Poses, rotate
 
 # Standard deviations of one measurement. Points: a person's surface is 2 cm from cylinders, and that error is
@@ -160,7 +161,7 @@ def placed(
         good = (found.off < SETTLED) & (frame.weight > 0) & jnp.all(jnp.isfinite(r))
         return Placed(found, jnp.where(good, jnp.sum(r * r) / 2, 0.0), good)
 
-    return jax.lax.map(one, (frames, starts), batch_size=batch)
+    return one_by_one(one, (frames, starts), batch)
 
 
 def normals(
@@ -191,4 +192,4 @@ def normals(
         r, by_x = jnp.where(good, r, 0.0), jnp.where(fine, by_x, 0.0)
         return Normals(*(jnp.matmul(by_x.T, v, precision="highest") for v in (r, by_x)))
 
-    return jax.lax.map(one, (frames, at.rest, at.converged), batch_size=batch)
+    return one_by_one(one, (frames, at.rest, at.converged), batch)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Links
-from voodoo_jax.icp import Problem, adjacency, pull_to_prediction, solve_frame
+from voodoo_jax.icp import Problem, adjacency, pull_to_prediction, solve_frame, total_weight
 from voodoo_jax.kernels.bands import link_moments
 from voodoo_jax.kernels.correspond import Match, closest_limbs, match, match_assigned, moments
 from voodoo_jax.kernels.coupled import add_links, pair_normals
@@ -53,14 +53,6 @@ def moved(poses: Poses, twists: Float[Array, "limb 6"]) -> Poses:
     return compose(poses, Poses(quat_exp(twists[:, :3]), twists[:, 3:]))
 
 
-def _total(problem: Problem) -> Float[Array, ""]:
-    """Weight of all measurements of the frame."""
-    total = jnp.sum(problem.points.weight)
-    if problem.features is not None:
-        total = total + jnp.sum(problem.features.weight)
-    return jnp.maximum(total, 1e-6)
-
-
 def settled(poses: Poses, problem: Problem) -> Settled:
     """The limb of each point at these poses; None under rules that give a point to several limbs."""
     options = problem.options.match
@@ -96,7 +88,7 @@ def _own(poses: Poses, problem: Problem, limbs: Settled) -> tuple[Float[Array, "
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)
         force, weight = force + named.rhs, weight + named.weight
-    pull, _ = pull_to_prediction(poses, problem, weight, _total(problem))
+    pull, _ = pull_to_prediction(poses, problem, weight)
     force = force + jax.vmap(pair_normals)(pull, jnp.zeros((body.limb_count, 3, 3), weight.dtype))[1]
     return force, weight
 
@@ -125,7 +117,7 @@ def _force_slope(
 
 
 def _strength(weight: Float[Array, " limb"], problem: Problem) -> Float[Array, " limb"]:
-    return problem.options.ratio * jnp.maximum(weight, problem.options.floor * _total(problem))
+    return problem.options.ratio * jnp.maximum(weight, problem.options.floor * total_weight(problem))
 
 
 def _links(poses: Poses, problem: Problem) -> tuple[Links, ...]:
@@ -176,7 +168,7 @@ def _far(twists: Float[Array, "limb 6"], force: Float[Array, "limb 6"], problem:
 
     Not the step's size: a round limb rolls a long way for nothing, and the near side's choice may keep it rolling.
     """
-    return jnp.sqrt(jnp.sum(jnp.abs(jnp.sum(twists * force, -1))) / _total(problem) + 1e-30)
+    return jnp.sqrt(jnp.sum(jnp.abs(jnp.sum(twists * force, -1))) / total_weight(problem) + 1e-30)
 
 
 def _polished(
@@ -245,4 +237,4 @@ def weakest(poses: Poses, problem: Problem) -> Float[Array, ""]:
     square of its radius (pitfall P11); zero means that derivatives are not to be believed.
     """
     slope, _ = balance_slope(poses, problem, settled(poses, problem))
-    return jnp.linalg.svd(slope, compute_uv=False)[-1] / _total(problem)
+    return jnp.linalg.svd(slope, compute_uv=False)[-1] / total_weight(problem)

@@ -17,6 +17,7 @@ from voodoo_jax.fit_parameters import changed, changed_options
 from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Solution, solution
 from voodoo_jax.icp import IcpOptions, Problem
+from voodoo_jax.one_by_one import one_by_one
 
 
 def solve_frames(body: Body, options: IcpOptions, frames: FitFrames) -> Solution:
@@ -29,7 +30,7 @@ def solve_frames(body: Body, options: IcpOptions, frames: FitFrames) -> Solution
         problem = Problem.build(body, frame.points, frame.poses, options, frame.features)
         return solution(frame.poses, problem, newton=2, tolerance=SETTLED)
 
-    return jax.lax.map(one, frames, batch_size=8)
+    return one_by_one(one, frames, batch=8)
 
 
 def minimised(

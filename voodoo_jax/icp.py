@@ -108,16 +108,26 @@ def _near(body: Body, poses: Poses, predicted: Poses, distance: Float[Array, ""]
 
 
 def pull_to_prediction(
-    poses: Poses, problem: Problem, limb_weight: Float[Array, " limb"], total: Float[Array, ""]
+    poses: Poses, problem: Problem, limb_weight: Float[Array, " limb"]
 ) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
     """Moments of the pairs that pull every limb to its predicted pose (see prior_moments): weakly wherever it is, and
     strongly where it hardly differs, for then it stands still and what differs is noise."""
     body, options = problem.body, problem.options
     middle = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)
     still = options.steady * limb_weight * _near(body, poses, problem.predicted, options.steady_distance)
-    weight = options.prior * total
+    # what noise takes from the measurements' weights does not weaken the prediction
+    doubt = problem.points.doubt
+    weight = options.prior * total_weight(problem, 1.0 if doubt is None else doubt)
     square = weight * options.prior_radius**2 + still * STEADY_RADIUS**2
     return jax.vmap(prior_moments)(middle, poses, problem.predicted, weight + still, square)
+
+
+def total_weight(problem: Problem, doubt: Float[Array, ""] | float = 1.0) -> Float[Array, ""]:
+    """Weight of all measurements of the frame, that of the points times `doubt`."""
+    total = jnp.sum(problem.points.weight) * doubt
+    if problem.features is not None:
+        total = total + jnp.sum(problem.features.weight)
+    return jnp.maximum(total, 1e-6)
 
 
 def pulls_at(poses: Poses, problem: Problem) -> Pulls:
@@ -126,21 +136,14 @@ def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     body, options = problem.body, problem.options
     found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
     measured, second = moments(found)
-    limb_weight, squares, total = measured[:, 0, 0], found.squares(), jnp.sum(problem.points.weight)
+    limb_weight, squares = measured[:, 0, 0], found.squares()
     named = None
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)
         limb_weight, squares = limb_weight + named.weight, squares + named.squares
-        total = total + jnp.sum(problem.features.weight)
-    total = jnp.maximum(total, 1e-6)
 
-    strength = options.ratio * jnp.maximum(limb_weight, options.floor * total)
-    # what noise takes from the measurements' weights does not weaken the prediction
-    doubt = problem.points.doubt
-    given = jnp.sum(problem.points.weight) * (1.0 if doubt is None else doubt)
-    if problem.features is not None:
-        given = given + jnp.sum(problem.features.weight)
-    pull, pull_second = pull_to_prediction(poses, problem, limb_weight, jnp.maximum(given, 1e-6))
+    strength = options.ratio * jnp.maximum(limb_weight, options.floor * total_weight(problem))
+    pull, pull_second = pull_to_prediction(poses, problem, limb_weight)
     links = (problem.bands, *corrections(body, poses, options.plausible))
     quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
     info = StepInfo(quality, limb_weight)

@@ -11,6 +11,7 @@ from voodoo_jax.body import Body, scaled
 from voodoo_jax.clouds import point_spacing
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
+from voodoo_jax.one_by_one import one_by_one
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, compose, on_host, rotate, unrotate
 from voodoo_jax.programs import program
@@ -131,10 +132,7 @@ def run_trials(
     seconds: Float[Array, " frame"],
     features: Features | None = None,
 ) -> Trial:
-    """Tracks the first frames from every start pose (leading axis: trial).
-
-    One after the other on a CPU: in a batch all would take as many steps as the slowest, which is twice the work.
-    """
+    """Tracks the first frames from every start pose (leading axis: trial)."""
 
     def one(start):
         def step(state, inputs):
@@ -144,8 +142,7 @@ def run_trials(
         state, costs = jax.lax.scan(step, at_rest(start), (points, seconds, features))
         return state, jnp.mean(costs)
 
-    several = jax.lax.map if jax.default_backend() == "cpu" else lambda one, starts: jax.vmap(one)(starts)
-    return Trial(*several(one, starts))
+    return Trial(*one_by_one(one, starts))
 
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:
