@@ -20,6 +20,16 @@ if "VOODOO_JAX_COMPILE_CACHE" not in os.environ:
     os.environ["VOODOO_JAX_COMPILE_CACHE"] = tempfile.mkdtemp(prefix="voodoo-tests-")
     atexit.register(shutil.rmtree, os.environ["VOODOO_JAX_COMPILE_CACHE"], ignore_errors=True)
 
+# what this process has let go of (see room_for_programs) need not be compiled again; a folder of its own, for jax does
+# not write at once, and not for child processes
+if not jax.config.jax_compilation_cache_dir:
+    own = tempfile.mkdtemp(prefix="voodoo-tests-own-")
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    jax.config.update("jax_compilation_cache_dir", own)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
+
 
 @pytest.fixture
 def rng(request) -> np.random.Generator:

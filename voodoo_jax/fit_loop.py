@@ -36,9 +36,7 @@ from voodoo_jax.pose import Poses
 
 GAIN = 1e-3  # a step that gains less of the loss is the last
 FEWEST = 6  # frames of a log that must be at rest
-# a large program on XLA's pool of CPU threads may wait for ever for other threads of that pool (seen with two)
-ALONE = {"xla_cpu_multi_thread_eigen": False}
-QUICK = ALONE | {"xla_backend_optimization_level": 1}  # compiled in two thirds of the time, and no slower
+QUICK = {"xla_backend_optimization_level": 1}  # compiled in two thirds of the time, and no slower
 
 
 class Part(NamedTuple):

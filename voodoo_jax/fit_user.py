@@ -11,7 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from voodoo_jax.body import Body
-from voodoo_jax.fit_loop import ALONE, FitError, Search
+from voodoo_jax.fit_loop import QUICK, FitError, Search
 from voodoo_jax.fit_objective import SETTLED, FitFrames, UserLoss
 from voodoo_jax.fit_parameters import changed, changed_options
 from voodoo_jax.fit_progress import Progress
@@ -56,11 +56,11 @@ def minimised(
     state = solver.init(function, z, None, {}, value, aux, frozenset())
     step = eqx.filter_jit(
         lambda z, state: solver.step(function, z, None, {}, state, frozenset()),
-        compiler_options=ALONE,  # pyright: ignore[reportCallIssue]
+        compiler_options=QUICK,  # pyright: ignore[reportCallIssue]
     )
     ended = eqx.filter_jit(lambda z, state: solver.terminate(function, z, None, {}, state, frozenset()))
     if not progress.losses:
-        first = float(jax.jit(function, compiler_options=ALONE)(z, None)[0])
+        first = float(jax.jit(function, compiler_options=QUICK)(z, None)[0])
         if not np.isfinite(first):
             raise FitError(f"the loss is {first} for the body as it is; it must be a finite number")
         progress = replace(progress, losses=(first,))

@@ -49,14 +49,19 @@ def fitted(clues: np.ndarray, close: np.ndarray, count: int) -> Trust:
 
 
 def held_out(told: list[Told], count: int) -> list[np.ndarray]:
-    """[frame, joint] of each recording: what the other half of the people lets one expect."""
+    """[frame, joint] of each recording: what the other half of the people lets one expect; what trust.py says where
+    there was one pass only."""
     people = sorted({t.stature for t in told})
     half = [people.index(t.stature) % 2 for t in told]
     if len(people) < 2:  # the demo: nobody else to learn from
         trust = (THERE_AND_BACK, ONE_PASS)[count < len(CLUES)]
-        return [probability(trust, t.clues) for t in told]
+        return [_whole(probability(trust, t.clues), t) for t in told]
     of = [_fit([t for t, h in zip(told, half) if h != k], count) for k in (0, 1)]
-    return [probability(of[h], t.clues) for t, h in zip(told, half)]
+    return [_whole(probability(of[h], t.clues), t) for t, h in zip(told, half)]
+
+
+def _whole(said: np.ndarray, told: Told) -> np.ndarray:
+    return np.where(np.isfinite(said), said, probability(ONE_PASS, told.clues))
 
 
 def _fit(told: list[Told], count: int) -> Trust:
