@@ -5,8 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from voodoo_jax.following import blank
+from voodoo_jax.io.body_file import human
 from voodoo_jax.noise import FEWEST, range_noise, weighed
+from voodoo_jax.notes import notes_on
 from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.scene import Plane, Scene
+from voodoo_jax.session import Session
+from voodoo_jax.settings import Settings
+from voodoo_jax.tracking import options_from
 
 ORIGIN = np.array([0.3, -0.2, 1.2], np.float32)
 
@@ -88,3 +95,13 @@ def test_noise_grows_on_the_way(rng):
     frames = list(weighed([frame(near), frame(near[:0]), frame(far)], 0.02))
     assert [len(f.points) for f in frames] == [len(near), 0, FEWEST - 1] and frames[1].noise == 0
     assert frames[2].noise == pytest.approx(0.08, rel=0.25)
+
+
+@pytest.mark.parametrize("sigma, said", [(0.02, False), (0.09, True)])
+def test_a_noisy_log_says_so(rng, sigma, said):
+    body, settings = human(), Settings()
+    people = list(weighed([frame(cylinder(rng, 3.0, sigma))] * 3, settings.person.noise))
+    scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), True)
+    run = Session(body, options_from(settings.solve, settings.track), people, scene, settings)
+    notes = notes_on(run, blank(body, people), [])
+    assert any("Distances are noisy" in note for note in notes) == said

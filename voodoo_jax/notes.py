@@ -12,6 +12,7 @@ from voodoo_jax.session import Session
 from voodoo_jax.tracks import Status
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
+NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
 SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named
 
 
@@ -52,6 +53,11 @@ def notes_on(run: Session, out: Rows, exchanges: list[Exchange]) -> tuple[str, .
         return (*notes, *marker_notes(run.body, run.table, poses, stamps, tracked, exchanges))
     if not run.scene.floor_seen:
         notes.append("No floor was seen: its height was taken from the fixed frame or from the lowest points.")
+    noise = [frame.noise for frame in run.people if frame.noise > 0]
+    if noise and np.median(noise) > NOISY:
+        notes.append(
+            f"Distances are noisy: {100 * np.median(noise):.0f} cm (median, where the body is). Joints are less exact."
+        )
     if len(out["status"]) and np.all(out["status"] == Status.NOT_STARTED):
         notes.append("Nothing of the body's height was found: not one frame is tracked.")
     total = int(out["points"].sum())
