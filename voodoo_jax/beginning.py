@@ -19,6 +19,7 @@ CLEARER = 0.5  # a later start is taken where it costs less than this share of t
 LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
 ALIKE = 3.0  # starts that cost less than so much more than the best may tell the size
+USUAL = 0.018  # metres of noise that a start is allowed in any case
 NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is
 
 
@@ -122,7 +123,8 @@ def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
-    noise = float(np.median([f.noise or run.settings.person.noise for f in frames]))
+    # people are no cylinders: a quieter sensor does not come nearer to them
+    noise = max(USUAL, float(np.median([f.noise for f in frames])))
     trial = on_host(run.trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places)))
     found = [
         Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]), noise)
