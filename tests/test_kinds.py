@@ -158,10 +158,9 @@ def test_a_weight_of_two_is_the_measurement_given_twice(x64, solver):
 def test_doubtful_measurements_leave_more_to_the_prediction(solver):
     """A quarter of the weight for four times the variance: as if the prediction weighed four times as much."""
     body, xyz, _, start = scene()
-    doubt = lambda value: lambda p: eqx.tree_at(lambda p: p.doubt, p, jnp.asarray(value), is_leaf=lambda x: x is None)  # noqa: E731
     options = icp_options(solver=solver, prior=0.003)
     firm = eqx.tree_at(lambda o: o.prior, options, options.prior * 4)
-    doubtful = doubt(4.0)(points(xyz, None, 0.25))
+    doubtful = eqx.tree_at(lambda p: p.doubt, points(xyz, None, 0.25), jnp.asarray(4.0), is_leaf=lambda x: x is None)
     results = [
         icp_step(start, Problem.build(body, seen, start, how))[0].translation
         for seen, how in ((doubtful, options), (points(xyz), firm), (points(xyz), options))

@@ -242,25 +242,19 @@ def test_a_person_who_stays_or_walks_alone_is_left_whole():
             np.testing.assert_array_equal(before.points, after.points)
 
 
-def left_and_back(height: float, away: int) -> list[Frame]:
-    """Somebody who touches a thing for 12 frames, is out of view, and comes back a step farther on; the thing stays."""
-    thing, there, back = box(2.45, 0.43, 0.5, height), figure(2.5, 0.0), figure(2.5, -1.2)
-    clouds = [np.concatenate([there, thing])] * 12 + [thing] * away + [np.concatenate([back, thing])] * 8
-    return [frame(points, i) for i, points in enumerate(clouds)]
-
-
 def test_what_remains_where_somebody_was_is_not_the_body():
+    """Somebody touches a thing, is out of view, and comes back a step farther on; the thing stays."""
     finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
-    thing = box(2.45, 0.43, 0.5, 0.6)
-    frames = [finder(f) for f in left_and_back(0.6, 35)]
+    thing, there, back = box(2.45, 0.43, 0.5, 0.6), figure(2.5, 0.0), figure(2.5, -1.2)
+    clouds = [np.concatenate([there, thing])] * 12 + [thing] * 35 + [np.concatenate([back, thing])] * 8
+    frames = [finder(frame(points, i)) for i, points in enumerate(clouds)]
     assert [len(f.points) > 0 for f in frames] == [True] * 12 + [False] * 35 + [True] * 8
-    back = figure(2.5, -1.2)
     assert all(len(f.points) == (back[:, 2] > PersonSettings().floor_margin).sum() for f in frames[-8:])
-    cleaned = without_things(frames, FLOOR, finder.apart)
+    cleaned = without_things(frames, FLOOR, finder.apart())
     on_thing = lambda f: (cKDTree(thing).query(f.points)[0] < 1e-5).sum()  # noqa: E731
     assert on_thing(frames[0]) > 0.9 * len(thing) and sum(map(on_thing, cleaned)) == 0
     # what is so near that it might be the thing goes too
-    assert all(len(f.points) > 0.8 * len(figure(2.5, 0.0)) for f in cleaned[:12])
+    assert all(len(f.points) > 0.8 * len(there) for f in cleaned[:12])
 
 
 def test_somebody_half_hidden_for_a_moment_is_left_whole():
@@ -270,7 +264,7 @@ def test_somebody_half_hidden_for_a_moment_is_left_whole():
     clouds = [body] * 12 + [body[body[:, 2] < 0.7]] * 10 + [body] * 12
     frames = [finder(frame(points, i)) for i, points in enumerate(clouds)]
     whole = len(frames[0].points)
-    assert all(len(f.points) == whole for f in without_things(frames, FLOOR, finder.apart)[-12:])
+    assert all(len(f.points) == whole for f in without_things(frames, FLOOR, finder.apart())[-12:])
 
 
 def test_the_place_of_another_thing_may_be_where_the_body_was():

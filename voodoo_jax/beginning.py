@@ -30,8 +30,12 @@ class Beginning(NamedTuple):
     body: Body  # with its size
     poses: Poses
     cost: float  # see tracking.cost_of
-    noise: float = 0.0  # of the points that it was tried on, metres
+    noise: float = 0.0  # of the points that it was tried on, metres, at least USUAL
     rival: "Beginning | None" = None  # faces the other way and costs hardly more
+
+    def clear(self, sure: float) -> bool:
+        """Whether neither what it costs nor noise leaves a doubt that it is right."""
+        return self.unexplained <= sure and self.noise <= NOISY
 
     @property
     def unexplained(self) -> float:
@@ -50,9 +54,9 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
         frame = int(good[np.argmin(np.abs(good - at))])
         return Beginning(at, run.body, marker_start(run.body, run.table.markers, frame), 0.0)
     found, sure = [_trial(run, at, _sized(run, at), before)], run.settings.start.sure
-    for frame in _later(run, at) if found[0].unexplained > sure or found[0].noise > NOISY else ():
+    for frame in _later(run, at) if not found[0].clear(sure) else ():
         found.append(_trial(run, frame, _sized(run, frame)))
-        if found[-1].unexplained < sure and found[-1].noise < NOISY:
+        if found[-1].clear(sure):
             break
     clearest = min(found, key=lambda b: b.cost)
     best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]

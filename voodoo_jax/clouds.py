@@ -7,6 +7,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 
+def cells_of(points: Float32[np.ndarray, "point 3"], size: float) -> Int[np.ndarray, "point 3"]:
+    """Which cell of a grid each point is in; cells are `size` metres wide."""
+    return np.floor(points / np.float32(size)).astype(np.int64)
+
+
 def unique_cells(cells: Int[np.ndarray, "point 3"]) -> tuple[Int[np.ndarray, "cell 3"], Int[np.ndarray, " point"]]:
     """The cells that occur, in order, and which of them each entry is: np.unique by one number for each cell, which is
     several times as fast as by rows."""
@@ -24,7 +29,7 @@ def unique_cells(cells: Int[np.ndarray, "point 3"]) -> tuple[Int[np.ndarray, "ce
 
 def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.ndarray, " point"]:
     """Labels of connected things: points in touching cells of half of `link` metres belong together."""
-    middle, inverse = unique_cells(np.floor(points / np.float32(link / 2)).astype(np.int64))
+    middle, inverse = unique_cells(cells_of(points, link / 2))
     # the 26 cells around: a distance between half and the whole of `link`
     pairs = KDTree(middle).query_pairs(1.8, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(middle),) * 2)

@@ -5,14 +5,13 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from voodoo_jax.clouds import unique_cells
+from voodoo_jax.clouds import cells_of, unique_cells
 from voodoo_jax.person_frame import PersonFrame, assigned
 from voodoo_jax.scene import Plane
 
 AWAY = 0.55  # metres from the body's axis: not part of it
+CELL = 0.1  # metres, of the grid in which furniture is looked for
 BLOCK = 4_000_000  # cells times frames that are compared at once
-
-
 HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was a body that touched the thing
 
 
@@ -52,10 +51,10 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
         height = frames[i].points @ up
         axis[i] = np.median(frames[i].points[height > np.percentile(height, 60)], 0)
         axis[i] -= (axis[i] @ up) * up
-    cells = [unique_cells(np.floor(frames[i].points / np.float32(0.1)).astype(np.int64))[0] for i in seen]
+    cells = [unique_cells(cells_of(frames[i].points, CELL))[0] for i in seen]
     frame_of = np.repeat(np.arange(len(seen)), [len(c) for c in cells])
     unique, which = unique_cells(np.concatenate(cells))
-    middle = (unique + 0.5).astype(np.float32) * np.float32(0.1)
+    middle = (unique + 0.5).astype(np.float32) * np.float32(CELL)
     middle -= (middle @ up)[:, None] * up
     # where it was seen: per occurrence; where it could have been: per cell and frame, in blocks
     distance = np.linalg.norm(middle[which] - axis[seen][frame_of], axis=1)
@@ -75,7 +74,7 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
     blocked = set(map(tuple, (furniture[:, None] + around[None]).reshape(-1, 3).tolist()))
     out = []
     for frame in frames:
-        cell = np.floor(frame.points / np.float32(0.1)).astype(np.int64).tolist()
+        cell = cells_of(frame.points, CELL).tolist()
         keep = np.array([tuple(c) not in blocked for c in cell], bool)
         out.append(frame.only(keep | assigned(frame)))
     return out

@@ -4,13 +4,13 @@ Nothing here knows what the body looks like but its height at rest.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float32
 from scipy.spatial import KDTree
 
-from voodoo_jax.clouds import components, fair_share, point_spacing, unique_cells, without_strays
+from voodoo_jax.clouds import cells_of, components, fair_share, point_spacing, unique_cells, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Scene
@@ -60,7 +60,7 @@ class PersonFinder:
             index = index[~self._known(points[index])]
         chosen = self._choose(points[index], sure)
         if not len(sure) and self._gone(points[index][chosen]):
-            self._left.update(set(map(tuple, self._cells(points[index][chosen]).tolist())))
+            self._left.update(set(map(tuple, cells_of(points[index][chosen], CELL).tolist())))
             chosen[:] = False
         self.others = points[index][~chosen]
         self._learn(self.others, np.concatenate([points[index][chosen], sure]))
@@ -157,24 +157,19 @@ class PersonFinder:
                 best, size = int(k), likely
         return best
 
-    def _cells(self, points):
-        return np.floor(points / np.float32(CELL)).astype(np.int64)
-
     def _known(self, points) -> Bool[np.ndarray, " point"]:
         """Whether points lie where something else than the body was seen before."""
         if not self._background:
             return np.zeros(len(points), bool)
-        unique, inverse = unique_cells(self._cells(points))
+        unique, inverse = unique_cells(cells_of(points, CELL))
         known = np.array([self._background.get(tuple(c), 0) >= 3 for c in unique.tolist()])
         return known[inverse]
 
-    def apart(self, points: Float32[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
-        """Whether points lie where something was seen apart from the body for some time, up to now."""
+    def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
+        """Says of points whether they lie where something was seen apart from the body for some time, up to now."""
         cells = [cell for cell, times in self._background.items() if times >= LONG]
-        if not cells or not len(points):
-            return np.zeros(len(points), bool)
-        middle = (np.array(cells) + 0.5) * CELL
-        return KDTree(middle).query(points, distance_upper_bound=1.2 * CELL)[0] < np.inf
+        tree = KDTree((np.array(cells).reshape(-1, 3) + 0.5) * CELL)
+        return lambda points: tree.query(points, distance_upper_bound=1.2 * CELL)[0] < np.inf
 
     def _learn(self, others, mine) -> None:
         if self.last is None and not len(mine):
@@ -184,7 +179,7 @@ class PersonFinder:
             return
         else:
             far, times = KDTree(mine).query(others, distance_upper_bound=0.25)[0] == np.inf, 1.0
-        for cell in set(map(tuple, self._cells(others[far]).tolist())):
+        for cell in set(map(tuple, cells_of(others[far], CELL).tolist())):
             self._background[cell] = self._background.get(cell, 0.0) + times
 
 

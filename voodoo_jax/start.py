@@ -1,4 +1,4 @@
-"""Finds size, place and pose at the beginning: trials with different headings, tracked as one batch, the best kept."""
+"""Finds size, place and pose at the beginning: trials with different headings, the best kept."""
 
 import equinox as eqx
 import jax

@@ -62,7 +62,7 @@ def find_person(
 
 def _told(window: list[PersonFrame], scene: Scene, finder: PersonFinder) -> list[PersonFrame]:
     """The frames without what all of them together tell to be furniture."""
-    return without_furniture(without_things(window, scene.floor, finder.apart), scene.floor.normal)
+    return without_furniture(without_things(window, scene.floor, finder.apart()), scene.floor.normal)
 
 
 _compiling = [0.0]

@@ -54,14 +54,11 @@ def held_out(told: list[Told], count: int) -> list[np.ndarray]:
     people = sorted({t.stature for t in told})
     half = [people.index(t.stature) % 2 for t in told]
     if len(people) < 2:  # the demo: nobody else to learn from
-        trust = (THERE_AND_BACK, ONE_PASS)[count < len(CLUES)]
-        return [_whole(probability(trust, t.clues), t) for t in told]
-    of = [_fit([t for t, h in zip(told, half) if h != k], count) for k in (0, 1)]
-    return [_whole(probability(of[h], t.clues), t) for t, h in zip(told, half)]
-
-
-def _whole(said: np.ndarray, told: Told) -> np.ndarray:
-    return np.where(np.isfinite(said), said, probability(ONE_PASS, told.clues))
+        of = [(THERE_AND_BACK, ONE_PASS)[count < len(CLUES)]]
+    else:
+        of = [_fit([t for t, h in zip(told, half) if h != k], count) for k in (0, 1)]
+    said = [probability(of[h], t.clues) for t, h in zip(told, half)]
+    return [np.where(np.isfinite(p), p, probability(ONE_PASS, t.clues)) for p, t in zip(said, told)]
 
 
 def _fit(told: list[Told], count: int) -> Trust:
