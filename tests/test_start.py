@@ -13,11 +13,14 @@ from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.mcap_tracks import limb_mesh
 from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.pose import on_host
 from voodoo_jax.scene import Plane
-from voodoo_jax.settings import Settings, StartSettings
+from voodoo_jax.session import Session
+from voodoo_jax.settings import PersonSettings, Settings, StartSettings
 from voodoo_jax.simulate import Motion, make_motion, placed, simulate, tof_camera
-from voodoo_jax.start import measured_height, place, rest_height, sized, standing_places
-from voodoo_jax.tracker import track
+from voodoo_jax.start import facing, measured_height, place, rest_height, run_trials, sized, standing_places
+from voodoo_jax.tracker import find_person, track
+from voodoo_jax.tracking import options_from
 
 UP = np.array([0, 0, 1], np.float32)
 FLOOR = Plane(UP, 0.0)
@@ -171,3 +174,42 @@ def test_without_a_look_ahead_the_first_frames_settle_the_size(rising):
     _, recording = rising
     settings = replace(Settings(), track=replace(Settings().track, both_ways=False))
     assert float(track(human(), recording, settings).body.scale) < 1.7
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory):
+    """Runs trials on some frames of a person who stands with the back to the camera, padded to `length` frames."""
+    sim = simulate(scaled(human(), 1.8), placed(make_motion(human(), "stand", 0.6, 12.0), 3.6, 0.0, 0.0), tof_camera())
+    recording, settings = read_log(write_simulation(sim, tmp_path_factory.mktemp("back") / "back.mcap")), Settings()
+    body = scaled(human(), 1.8)
+    scene, people = find_person(recording, recording.up, body, settings)
+    options = options_from(settings.solve, settings.track, settings.features)
+
+    def run(count: int, length: int, headings: int):
+        few = replace(settings, start=replace(settings.start, frames=length), person=PersonSettings(points=256))
+        places = standing_places(body, people[:count], scene.floor, headings)
+        starts = jax.tree.map(lambda *leaves: np.stack(leaves), *places)
+        return on_host(Session(body, options, people, scene, few).trials(body, people[:count], starts))
+
+    return run
+
+
+def test_frames_without_points_do_not_count_in_trials(trials):
+    plain, padded = trials(3, 3, 4), trials(3, 6, 4)
+    np.testing.assert_array_equal(plain.cost, padded.cost)
+    np.testing.assert_array_equal(plain.state.poses.translation, padded.state.poses.translation)
+
+
+def test_trials_that_are_given_up_are_not_the_best(trials, monkeypatch):
+    """Who goes on comes out as if all did, the best among them, and one that faces the other way and is as good."""
+    some = trials(5, 5, 12)
+    monkeypatch.setattr("voodoo_jax.start.KEPT", 12)
+    monkeypatch.setattr("voodoo_jax.session.run_trials", run_trials.function)  # a program would be the same one
+    every = trials(5, 5, 12)
+    kept = np.isfinite(some.cost)
+    assert kept.sum() == 4 and np.isfinite(every.cost).all()
+    np.testing.assert_allclose(some.cost[kept], every.cost[kept], rtol=1e-5)
+    assert np.argmin(some.cost) == np.argmin(every.cost)
+    front = facing(human(), every.state.poses.rotation)
+    other = front @ front[np.argmin(every.cost)] < 0
+    assert np.min(some.cost[other]) == pytest.approx(np.min(every.cost[other]), rel=0.03)

@@ -15,6 +15,7 @@ from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.session import Session, first_run
 from voodoo_jax.settings import Settings, TrackSettings
 from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
+from voodoo_jax.start import facing, place
 from voodoo_jax.tracker import find_person, track
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status
@@ -124,19 +125,27 @@ def testfirst_run(mask, length, at):
     assert first_run(np.array([c == "1" for c in mask], bool), length) == at
 
 
-def test_a_wrong_track_is_left_for_a_fresh_start_that_explains_more(recording, standing):
+def test_a_wrong_track_is_left_for_a_fresh_start_that_explains_more(recording, standing, monkeypatch):
     settings, body = Settings(), scaled(human(), float(standing.body.scale))
     scene, people = find_person(recording, recording.up, body, settings)
     people = [replace(f, time_ns=f.time_ns + 10**9 * turn) for turn in range(3) for f in people]
     options = options_from(settings.solve, settings.track, settings.features)
     run, count = Session(body, options, people, scene, settings), len(people)
     assert count >= 12
-    assert fresh(run, 0, np.full(count, 1e-4)) is None  # the track is better
-    assert fresh(run, count - 3, np.full(3, 1e-2)) is None  # too few frames to tell
+    ahead, up = np.eye(3, dtype=np.float32)[::2]
+    towards, away = (np.tile(place(body, 0 * up, up, x).rotation, (count, 1, 1)) for x in (-ahead, ahead))
+    assert fresh(run, 0, np.full(count, 1e-4), towards) is None  # the track is better
+    assert fresh(run, count - 3, np.full(3, 1e-2), towards[:3]) is None  # too few frames to tell
     run.people = [f.only(np.zeros(len(f.points), bool)) for f in people]
-    assert fresh(run, 0, np.full(count, 1e-2)) is None  # nothing to start from
+    assert fresh(run, 0, np.full(count, 1e-2), towards) is None  # nothing to start from
     run.people = people
-    poses = fresh(run, 0, np.full(count, 1e-2))
+    poses = fresh(run, 0, np.full(count, 1e-2), towards)
     assert poses is not None
     error = np.linalg.norm(np.asarray(joint_centres(body, poses)) - standing.joints[-1], axis=-1)
     assert error.mean() < 0.03
+    # where front and back cost the same it is the track that knows
+    monkeypatch.setattr("voodoo_jax.beginning.RIVAL", 1e6)
+    for ways in (towards, away):
+        found = fresh(run, 0, np.full(count, 1e-2), ways)
+        assert found is not None
+        assert np.prod(facing(body, np.stack([np.asarray(found.rotation), ways[0]]))[:, 0]) > 0.5

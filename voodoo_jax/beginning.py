@@ -4,15 +4,16 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from voodoo_jax.body import Body, scaled
 from voodoo_jax.marker_log import TO_START, marker_start
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.session import FEW_POINTS, Session, first_run
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.stances import STANCES, in_stance
-from voodoo_jax.start import opposite, sized, standing_places
+from voodoo_jax.start import facing, opposite, sized, standing_places
 
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
@@ -81,16 +82,23 @@ def _followed(run: Session, start: Beginning, at: int) -> Poses:
     return run.backwards(start.poses, at, start.frame + 1).poses[0]
 
 
-def fresh(run: Session, first: int, cost: Float[np.ndarray, " frame"]) -> Poses | None:
+def fresh(
+    run: Session, first: int, cost: Float[np.ndarray, " frame"], rotation: Float32[np.ndarray, "frame limb 4"]
+) -> Poses | None:
     """Poses in the last of some frames, the first of them `first`, from a start of its own shortly before, if that
-    explains more than the track with this `cost` of the frames, and is in no doubt: a wrong track is left so."""
+    explains more than the track with this `cost` and these `rotation`s, and is in no doubt: a wrong track is left so.
+    """
     count = 3 * run.settings.start.frames
     skip = max(0, len(cost) - count)
     at, end = first + skip, first + len(cost)
     if run.by_markers or end - at < 2 * run.settings.start.frames or not run.can_start(at):
         return None
     best = _trial(run, at, run.body)
-    here = float(np.mean(cost[skip : skip + run.settings.start.frames]))
+    if best.rival is not None:
+        # a few frames hardly tell front from back: the track knows it from all before
+        ways = facing(run.body, np.stack([rotation[skip], best.poses.rotation]))
+        best = best if ways[0] @ ways[1] > 0 else best.rival
+    here = float(np.mean(cost[skip : skip + len(_tried_on(run, at))]))
     if not best.cost < BETTER * here or best.unexplained > run.settings.start.sure:
         return None
     return run.through(best.poses, run.people[at:end])[0].poses
@@ -115,13 +123,20 @@ def _sized(run: Session, at: int) -> Body:
     return run.body if run.sized else sized(run.body, run.people[at : at + s.size_frames], run.scene.floor, s)
 
 
+def _tried_on(run: Session, at: int) -> list[PersonFrame]:
+    """The frames from `at` on by which trials are compared: over a longer time starts that are right are lost, too."""
+    s: StartSettings = run.settings.start
+    frames = [f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
+    return [f for k, f in enumerate(frames) if k < 3 or f.time_ns - frames[0].time_ns <= s.seconds * 1e9]
+
+
 def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> Beginning:
     """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
 
     `rest` the body with another rest pose, to begin with that.
     """
     s: StartSettings = run.settings.start
-    frames = [f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
+    frames = _tried_on(run, at)
     places = standing_places(rest or body, frames[::-1], run.scene.floor, s.headings)
     if before is not None:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
@@ -147,4 +162,5 @@ def _later(run: Session, at: int) -> list[int]:
     # the first pause that is longer than what a start reaches over
     pause = first_run(empty, run.settings.track.patience)
     found = [int(np.searchsorted(seconds, t)) for t in run.settings.start.later]
-    return [at + k for k in dict.fromkeys(found) if 0 < k < pause and not empty[k]]
+    last = len(empty) - run.settings.start.frames  # of fewer frames some leg explains another one's points
+    return [at + k for k in dict.fromkeys(found) if 0 < k < pause and k <= last and not empty[k]]

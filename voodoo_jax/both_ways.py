@@ -38,9 +38,13 @@ def backward_is_better(
     """In which frames the backward pass explains the measurements better, by the mean cost around the frame."""
     if not len(forward):
         return np.zeros(0, bool)
-    width = min(WINDOW, len(forward) - 1 + len(forward) % 2)  # odd, and not longer than the recording
-    mean = lambda c: np.convolve(np.pad(c, width // 2, mode="edge"), np.ones(width) / width, "valid")  # noqa: E731
-    return mean(backward) < BETTER * mean(forward)
+    return smoothed(backward, WINDOW) < BETTER * smoothed(forward, WINDOW)
+
+
+def smoothed(cost: Float[np.ndarray, " frame"], window: int) -> Float[np.ndarray, " frame"]:
+    """Mean over the frames around each; `window` of them, an odd number, or fewer if there are not so many."""
+    width = min(window, len(cost) - 1 + len(cost) % 2)
+    return np.convolve(np.pad(cost, width // 2, mode="edge"), np.ones(width) / width, "valid")
 
 
 def combined(forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"]) -> Combined:

@@ -15,6 +15,7 @@ from voodoo_jax.body import Body
 from voodoo_jax.passage import PASSAGE, Rows, rows_of, there_and_back
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
+from voodoo_jax.second_look import looked_again
 from voodoo_jax.session import Session, first_run
 from voodoo_jax.tracking import State, at_rest
 from voodoo_jax.tracks import Status
@@ -99,6 +100,7 @@ def _turned(run: Session, start: Beginning, until: int, at: int, out: Rows) -> S
     first = start.frame
     found, end = there_and_back(run, start, {name: out[name][first:at] for name in PASSAGE})
     last = until if end is None else at  # the rival's frames take the place of all
+    found = looked_again(run, first, found)
     for name, row in found.items():
         out[name][first:last] = row[: last - first]
     return end

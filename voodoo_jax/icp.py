@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, Links, Topology, bands
 from voodoo_jax.kernels.bands import link_moments, prior_moments
-from voodoo_jax.kernels.correspond import Match, MatchOptions, Points, match, moments
+from voodoo_jax.kernels.correspond import CLOSEST, Match, MatchOptions, Points, match, moments
 from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, pair_normals
 from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
@@ -222,7 +222,7 @@ def solve_frame(
         state = jax.lax.while_loop(unfinished, body, state)
     else:
         # faster on its way back than equinox's loop with checkpoints, or than a checkpoint around the branch
-        again = jax.checkpoint(body)
+        again = jax.checkpoint(body, policy=jax.checkpoint_policies.save_only_these_names(CLOSEST))
         more = lambda state, _: (jax.lax.cond(unfinished(state), again, lambda state: state, state), None)  # noqa: E731
         state = jax.lax.scan(more, state, length=capacity)[0]
     poses, quality, previous, moved, steps = state

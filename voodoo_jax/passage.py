@@ -62,16 +62,17 @@ def _and_back(run: Session, first: int, forward: Rows) -> Rows:
         return forward
     count = int(good[-1]) + 1
     forth = {name: row[:count] for name, row in forward.items()}
-    poses = fresh(run, first, forth["cost"])
+    poses = fresh(run, first, forth["cost"], forth["rotation"])
     if poses is None:
         poses = Poses(forth["rotation"][-1], forth["translation"][-1])
     back = rows_of(run, run.backwards(poses, first, first + count), first, count)
-    both = combined(_pass(run, forth), _pass(run, back), np.asarray(run.body.sizes[:, 4]))
+    both = combined(pass_of(run, forth), pass_of(run, back), np.asarray(run.body.sizes[:, 4]))
     pick = lambda old, new: np.where(both.backward.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731
     found = {name: pick(forth[name], back[name]) for name in forth}
     found |= {"rotation": both.rotation, "translation": both.translation, "passes_apart": both.apart}
     return {name: np.concatenate([found[name], row[count:]]) for name, row in forward.items()}
 
 
-def _pass(run: Session, rows: Rows) -> Pass:
+def pass_of(run: Session, rows: Rows) -> Pass:
+    """Poses of some frames, and what they cost; joints bent the wrong way cost more."""
     return Pass(rows["rotation"], rows["translation"], rows["cost"] * np.exp(_bent(run, rows) / WRONG_WAY))

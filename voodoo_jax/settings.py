@@ -75,7 +75,9 @@ class StartSettings:
     headings: int = 12
     """Directions that are tried, evenly spread."""
     frames: int = 6
-    """Frames over which the trials are compared."""
+    """Frames over which the trials are compared, at most."""
+    seconds: float = 0.4
+    """Time over which the trials are compared, at most; never less than three frames."""
     directions: int = 26
     """Directions that are tried for a held thing that appears."""
     size_frames: int = 12
@@ -171,6 +173,10 @@ class TrackSettings:
     """Over longer intervals between frames the pull to the prediction weakens with the square of the time, seconds."""
     still_speed: float = 0.2
     """Limbs that are slower are held where they are (solve.steady), metres per second."""
+    hidden_rest: float = 0.8
+    """Limbs that no point tells of go with their parents, and back to rest in about so many seconds (0: never)."""
+    hidden_weight: float = 8.0
+    """Weight of the points (1 each if not noisy) at which a limb counts as half hidden."""
     lost_explained: float = 0.8
     """Less than this share of the person's points explained: the frame counts as lost."""
     lost_confidence: float = 0.4
@@ -464,6 +470,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "person.points": (1, 8192),
     "start.headings": (1, 360),
     "start.frames": (1, 1000),
+    "start.seconds": (0.0, 1000.0),
     "start.directions": (1, 1000),
     "start.size_frames": (1, 10_000),
     "features.robust_scale": (1e-4, float("inf")),

@@ -9,15 +9,17 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.body import Body, tree_order, with_rest_from_joints
 from voodoo_jax.pose import on_device, on_host
 
+Turn = tuple[str, str, float]  # joint, axis, degrees
+
 
 class Stance(NamedTuple):
-    """A pose by the turns of joints, in degrees about the body's x (forward) and y (left) axes, against the rest."""
+    """A pose by the turns of joints, about the body's x (forward) and y (left) axes, against the rest."""
 
-    turns: tuple[tuple[str, str, float], ...]  # joint, axis, degrees
+    turns: tuple[Turn, ...]
     sizes: tuple[float, ...]  # the body's scale over the one that its highest point would give
 
 
-def _both(joint: str, degrees: float) -> tuple[tuple[str, str, float], ...]:
+def _both(joint: str, degrees: float) -> tuple[Turn, ...]:
     """Left and right joint turned forwards (negative) or backwards."""
     return (f"l_{joint}", "y", degrees), (f"r_{joint}", "y", degrees)
 
@@ -43,7 +45,7 @@ def in_stance(body: Body, stance: Stance) -> Body | None:
         return None
     turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True)
     for joint, axis, degrees in stance.turns:
-        limbs = _beyond(body, t.joints.index(joint))
+        limbs = beyond(body, t.joints.index(joint))
         quats = turn.as_quat(scalar_first=True)
         moved = Rotation.from_euler(axis, degrees, degrees=True) * Rotation.from_quat(quats[limbs], scalar_first=True)
         quats[limbs] = moved.as_quat(scalar_first=True)
@@ -55,7 +57,7 @@ def in_stance(body: Body, stance: Stance) -> Body | None:
     return on_device(eqx.tree_at(lambda b: b.rest.translation, moved, moved.rest.translation + lower))
 
 
-def _beyond(body: Body, joint: int) -> np.ndarray:
+def beyond(body: Body, joint: int) -> np.ndarray:
     """The limbs that hang on a joint, itself the first."""
     t = body.topology
     out = [t.children[joint]]

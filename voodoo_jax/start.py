@@ -1,10 +1,12 @@
 """Finds size, place and pose at the beginning: trials with different headings, the best kept."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Float32
+from jaxtyping import Array, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, scaled
@@ -13,12 +15,13 @@ from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.one_by_one import one_by_one
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses, compose, on_host, rotate, unrotate
+from voodoo_jax.pose import AnyArray, Poses, compose, on_host, rotate, unrotate
 from voodoo_jax.programs import program
 from voodoo_jax.scene import Plane
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.tracking import State, TrackOptions, at_rest, cost_of, track_frame
 
+FIRST, KEPT = 2, 4  # frames that are tracked from every start, and how many of the starts go on
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
 
@@ -132,23 +135,57 @@ def run_trials(
     seconds: Float[Array, " frame"],
     features: Features | None = None,
 ) -> Trial:
-    """Tracks the first frames from every start pose (leading axis: trial)."""
+    """Tracks the first frames from every start pose (leading axis: trial); frames without points do not count.
 
-    def one(start):
+    The first FIRST frames from all of them, the others from the KEPT best, those that face the other way from the best
+    among them; what the rest would cost nobody knows (infinite).
+    """
+
+    def tracked(state, inputs):
+        state, out = track_frame(body, options, state, *inputs)
+        return state, cost_of(out)
+
+    def through(start: State, span: slice) -> tuple[State, Float[Array, ""]]:
         def step(state, inputs):
-            state, out = track_frame(body, options, state, *inputs)
-            return state, cost_of(out)
+            seen = jnp.any(inputs[0].weight > 0)
+            return jax.lax.cond(seen, lambda: tracked(state, inputs), lambda: (state, jnp.zeros(())))
 
-        state, costs = jax.lax.scan(step, at_rest(start), (points, seconds, features))
-        return state, jnp.mean(costs)
+        some = jax.tree.map(lambda leaf: leaf[span], (points, seconds, features))
+        state, costs = jax.lax.scan(step, start, some)
+        return state, jnp.sum(costs)
 
-    return Trial(*one_by_one(one, starts))
+    count, many = points.weight.shape[0], starts.translation.shape[0]
+    first = FIRST if count > FIRST and many > KEPT else count
+    state, cost = one_by_one(lambda start: through(at_rest(start), slice(0, first)), starts)
+    if first < count:
+        best = _promising(body, state.poses.rotation, cost)
+        kept, more = one_by_one(
+            lambda state: through(state, slice(first, count)), jax.tree.map(lambda x: x[best], state)
+        )
+        state = jax.tree.map(lambda whole, part: whole.at[best].set(part), state, kept)
+        cost = jnp.full_like(cost, jnp.inf).at[best].set(cost[best] + more)
+    seen = jnp.sum(jnp.any(points.weight > 0, 1))
+    return Trial(state, cost / jnp.maximum(seen, 1))
+
+
+def _promising(body: Body, rotation: Float[Array, "trial limb 4"], cost: Float[Array, " trial"]) -> Int[Array, " kept"]:
+    """The trials to go on with: those that cost least, the first half of them evenly from both ways to face."""
+    front = facing(body, rotation)
+    turned = front @ front[jnp.argmin(cost)] < 0
+    better = (cost[None] < cost[:, None]) & (turned[None] == turned[:, None])
+    late = jnp.sum(better, 1) >= KEPT // 2
+    return jnp.argsort(jnp.where(late, cost + 1e6, cost))[:KEPT]
+
+
+def facing(body: Body, rotation: Float[AnyArray, "*frame limb 4"]) -> Float[Any, "*frame 3"]:
+    """Unit vectors to where the body's first limb faces: the rest pose along x."""
+    ahead = unrotate(body.rest.rotation[0], np.array([1.0, 0.0, 0.0], np.float32))
+    return rotate(rotation[..., 0, :], ahead)
 
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:
     """The best trial, and the best of those that face the other way if it costs less than `near` times as much."""
-    cost, turn, rest = (np.asarray(x) for x in (trial.cost, trial.state.poses.rotation, body.rest.rotation))
-    front = rotate(turn[:, 0], unrotate(rest[0], np.array([1.0, 0.0, 0.0], np.float32)))
+    cost, front = np.asarray(trial.cost), np.asarray(facing(body, np.asarray(trial.state.poses.rotation)))
     best = int(np.argmin(cost))
     rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))
     return [best, *rivals[np.argsort(cost[rivals])][:1].tolist()]

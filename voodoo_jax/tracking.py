@@ -8,13 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.body import Body
+from voodoo_jax.body import Body, tree_order
 from voodoo_jax.icp import IcpOptions, Problem, frame_normals, pulls_at, solve_frame
 from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.coupled import twist_covariance
 from voodoo_jax.kernels.features import FeatureOptions, Features
 from voodoo_jax.kernels.plausible import PlausibleOptions
-from voodoo_jax.pose import AnyArray, Poses, compose, inverse, quat_exp, quat_log, quat_multiply, quat_normalize
+from voodoo_jax.pose import (
+    AnyArray,
+    Poses,
+    compose,
+    inverse,
+    quat_conjugate,
+    quat_exp,
+    quat_log,
+    quat_multiply,
+    quat_normalize,
+)
 from voodoo_jax.programs import program
 from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
@@ -29,6 +39,8 @@ class TrackOptions(eqx.Module):
     damping: Float[Array, ""]  # share of the velocity that goes on
     prior_interval: Float[Array, ""]  # seconds; over longer intervals the pull to the prediction weakens
     still_speed: Float[Array, ""]  # metres per second; limbs that are slower are held where they are
+    hidden_rest: Float[Array, ""]  # seconds in which a hidden limb goes most of the way back to its rest pose
+    hidden_weight: Float[Array, ""]  # measured weight at which a limb counts as half hidden
 
 
 class State(NamedTuple):
@@ -37,6 +49,7 @@ class State(NamedTuple):
     poses: Poses
     spin: Float[AnyArray, "limb 3"]  # radians per second, in the limb's frame
     velocity: Float[AnyArray, "limb 3"]  # metres per second, world frame
+    seen: Float[AnyArray, " limb"]  # share of each limb that was not hidden, 0..1
 
 
 class Step(NamedTuple):
@@ -96,21 +109,50 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
         ),
         solver=solve.solver,
     )
-    return TrackOptions(icp, number(track.damping), number(track.prior_interval), number(track.still_speed))
+    rest = track.hidden_rest if track.hidden_rest > 0 else np.inf
+    return TrackOptions(
+        icp,
+        number(track.damping),
+        number(track.prior_interval),
+        number(track.still_speed),
+        number(rest),
+        number(track.hidden_weight),
+    )
 
 
 def at_rest(poses: Poses) -> State:
     """A state without motion."""
     # of NumPy's arrays where the poses are: see pose.AnyArray
-    zero = (np if isinstance(poses.translation, np.ndarray) else jnp).zeros_like(poses.translation)
-    return State(poses, zero, zero)
+    array = np if isinstance(poses.translation, np.ndarray) else jnp
+    zero = array.zeros_like(poses.translation)
+    return State(poses, zero, zero, array.ones_like(poses.translation[..., 0]))
 
 
-def predict(state: State, seconds: Float[Array, ""], damping: Float[Array, ""]) -> Poses:
-    """Poses after `seconds` if a share `damping` of the velocity goes on."""
-    turn = quat_exp(damping * seconds * state.spin)
-    rotation = quat_normalize(quat_multiply(state.poses.rotation, turn))
-    return Poses(rotation, state.poses.translation + damping * seconds * state.velocity)
+def predict(body: Body, options: TrackOptions, state: State, seconds: Float[Array, ""]) -> Poses:
+    """Poses after `seconds`: a share of the velocity goes on; hidden limbs go with their parents, and back to rest."""
+    on = options.damping * seconds
+    rotation = quat_normalize(quat_multiply(state.poses.rotation, quat_exp(on * state.spin)))
+    return _with_hidden(body, options, state, Poses(rotation, state.poses.translation + on * state.velocity), seconds)
+
+
+def _with_hidden(body: Body, options: TrackOptions, state: State, moved: Poses, seconds: Float[Array, ""]) -> Poses:
+    """The poses with limbs that were hidden where their parents take them, from the trunk outwards."""
+    t = body.topology
+    kept = jnp.exp(-jnp.abs(seconds) / options.hidden_rest)
+    parents, children = np.array(t.parents, int), np.array(t.children, int)
+    # of each joint: the child's turn against the parent, none in the rest pose
+    held = compose(state.poses[parents], body.parent_anchor), compose(state.poses[children], body.child_anchor)
+    turn = quat_exp(kept * quat_log(compose(inverse(held[0]), held[1]).rotation))
+    at = compose(body.parent_anchor, Poses(turn, jnp.zeros_like(body.parent_anchor.translation)))
+    at = compose(at, inverse(body.child_anchor))
+    poses = [moved[limb] for limb in range(body.limb_count)]
+    for j in tree_order(t):
+        limb, hidden = t.children[j], 1.0 - state.seen[t.children[j]]
+        taken, own = compose(poses[t.parents[j]], at[j]), poses[t.children[j]]
+        bent = quat_exp(hidden * quat_log(quat_multiply(quat_conjugate(own.rotation), taken.rotation)))
+        place = own.translation + hidden * (taken.translation - own.translation)
+        poses[limb] = Poses(quat_normalize(quat_multiply(own.rotation, bent)), place)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses)
 
 
 def _still(body: Body, state: State, speed: Float[Array, ""]) -> Float[Array, " limb"]:
@@ -130,7 +172,7 @@ def track_frame(
     features: Features | None = None,
 ) -> tuple[State, Step]:
     """Tracks one frame: predict, solve, measure how well it went."""
-    predicted = predict(state, seconds, options.damping)
+    predicted = predict(body, options, state, seconds)
     # a prediction over a longer interval is worth less: its error grows with the square of the time
     late = jnp.maximum(seconds / options.prior_interval, 1.0)
     weaker = jnp.minimum(late**2, 16.0)
@@ -165,7 +207,10 @@ def track_frame(
     velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
     covariance = twist_covariance(frame_normals(poses, pulls, icp.damping)[0])
     step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count, covariance)
-    return State(poses, spin, velocity), step
+    # by how many points there are, however noisy
+    share = (weight * (1.0 if points.doubt is None else points.doubt)) ** 2
+    seen = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
+    return State(poses, spin, velocity, jnp.where(count > 0, seen, state.seen)), step
 
 
 @program

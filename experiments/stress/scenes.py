@@ -15,16 +15,24 @@ from experiments.stress.motions import (
     CROSSED,
     CROUCHED,
     DRAWN,
+    HIGH,
+    IN_THE_AIR,
     KICK_BACK,
     KICKED,
+    KNEES_BENT,
+    LEG_ASIDE,
     PUNCHED,
     RAISED,
     RATE,
     RELAXED,
     SITTING,
+    SPREAD,
     STOOPED,
+    SWORD_DOWN,
+    SWORD_UP,
     Pose,
     posed,
+    running,
     turning,
     with_neck,
 )
@@ -131,6 +139,15 @@ SITS = ((0.7, STOOPED), (0.6, SITTING), (1.2, SITTING), (0.6, STOOPED), (0.7, RE
 KEEPS_SITTING = ((0.0, SITTING), (1.0, SITTING), (0.5, SITTING | RAISED), (1.0, SITTING | RAISED), (0.5, SITTING))
 CROSSES = ((0.8, CROSSED), (1.2, CROSSED), (0.8, RELAXED), (0.4, RELAXED))
 CROUCHES = ((0.9, CROUCHED), (1.0, CROUCHED), (0.9, RELAXED), (0.5, RELAXED))
+SLASHES = ((0.35, SWORD_UP), (0.1, SWORD_UP), (0.2, SWORD_DOWN), (0.25, SWORD_DOWN), (0.4, RELAXED))
+ROUND = {"lean": (0.0, 0.0, 2 * np.pi)}
+DANCES = (
+    (0.4, SPREAD), (0.9, SPREAD | ROUND), (0.3, LEG_ASIDE | ROUND), (0.3, HIGH | ROUND), (0.3, KNEES_BENT | ROUND),
+    (0.3, SPREAD | ROUND), (0.9, SPREAD), (0.4, RELAXED), (0.2, RELAXED),
+)  # fmt: skip
+JUMPS = ((0.35, KNEES_BENT), (0.18, HIGH), (0.2, IN_THE_AIR), (0.2, HIGH), (0.2, KNEES_BENT), (0.4, RELAXED))
+# seconds to get there, metres per second
+DASH = ((0.0, 0.0), (0.5, 0.0), (0.4, 8.0), (0.1, 8.0), (0.4, 0.0), (0.4, 0.0))
 STANDS = ((0.0, RELAXED), (0.7, RELAXED))
 CHAIR = Room(boxes=(Box(3.47, 0.06, (0.46, 0.46, 0.38), 0.2),))
 
@@ -155,6 +172,9 @@ def scenes() -> dict[str, Callable[[], Scene]]:
         stand = make_motion(body, "stand", 0.8, RATE)
         return Scene(body, _facing(sequence(stand, turning(body, 2 * np.pi, 3.0), stand)))
 
+    def dashes(x: float, y: float, yaw: float) -> Callable[[], Scene]:
+        return lambda: Scene(body, placed(running(body, [*DASH]), x, y, yaw), room=Room(wall=9.0, boxes=()))
+
     return {
         "standing, wave, bow": seen(3.0, 1.2, 0.07),
         "enters late from the side": lambda: Scene(body, _comes_in(body), absent=1.0),
@@ -172,4 +192,10 @@ def scenes() -> dict[str, Callable[[], Scene]]:
         "kicks": keys(*KICKS, *KICKS),
         "punches": keys((0.5, DRAWN), *PUNCHES, *PUNCHES, *PUNCHES),
         "crouches": keys(*CROUCHES, ground=True),
+        "slashes": keys(*SLASHES, *SLASHES, ground=True),
+        "dances": keys(*DANCES, ground=True),
+        "jumps": keys(*JUMPS, *JUMPS, ground=True),
+        "dashes away at 8 m/s": dashes(2.8, -0.5, 0.15),
+        "dashes here at 8 m/s": dashes(6.8, 0.6, np.pi + 0.1),
+        "dashes across at 8 m/s": dashes(6.0, -2.1, np.pi / 2),
     }

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.kernels.gate import resolve_overlap
@@ -15,6 +16,8 @@ from voodoo_jax.kernels.points import Components, MatchOptions, Points, componen
 from voodoo_jax.kernels.points import Sampling as Sampling
 from voodoo_jax.kernels.surface import closest_point, near_side
 from voodoo_jax.pose import Poses, unrotate
+
+CLOSEST = "closest limb"  # name of what a step back in a derivative need not look for once more
 
 
 class Match(NamedTuple):
@@ -91,6 +94,7 @@ def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     # taken apart out here: a branch would copy all three components first
     xyz = components(points.xyz)
     limb = once(true, lambda: closest_limb(*still, jax.lax.stop_gradient(xyz), near_body, present, options))
+    limb = checkpoint_name(limb, CLOSEST)
     found = once(true, lambda: match_assigned(sizes, poses, points, limb, options, xyz))
     chosen = jnp.arange(sizes.shape[0])[:, None] == limb
     return found._replace(weight=jnp.where(chosen, found.weight, 0.0))

@@ -1,0 +1,115 @@
+"""Arms that were lost are found again where the passage explains too little."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from voodoo_jax.body import joint_centres, scaled
+from voodoo_jax.io.body_file import human, load_body
+from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.passage import rows_of
+from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.pose import Poses, apply
+from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms
+from voodoo_jax.session import Session
+from voodoo_jax.settings import Settings
+from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
+from voodoo_jax.tracker import find_person
+from voodoo_jax.tracking import options_from
+from voodoo_jax.tracks import Status
+
+BODY = scaled(human(), 1.75)
+
+
+def frames(noise) -> list[PersonFrame]:
+    nothing = np.zeros((0, 3), np.float32)
+    return [PersonFrame(0, nothing, np.zeros(0, np.int32), nothing, noise=float(n)) for n in noise]
+
+
+def rows(cost, status=Status.TRACKED):
+    return {"cost": np.asarray(cost, float), "status": np.full(len(cost), status, np.int8)}
+
+
+def test_what_costs_more_than_noise_and_the_rest_is_in_doubt():
+    people = frames([0.01] * 60)
+    cost = np.full(60, 4e-4)
+    assert in_doubt(people, rows(cost)) == []
+    cost[20:40] = 12e-4
+    ((start, end),) = in_doubt(people, rows(cost))
+    assert 16 <= start <= 22 and 38 <= end <= 44
+    assert in_doubt(people, rows(cost, Status.LOST)) == []
+    # the farther away, the noisier
+    noise = np.linspace(0.01, 0.06, 60)
+    far = frames(noise)
+    assert in_doubt(far, rows(np.maximum(noise, 0.018) ** 2)) == []
+    cost[:] = 4e-4
+    cost[40] = 1e-3  # a single frame
+    assert in_doubt(people, rows(cost)) == []
+    assert in_doubt([], rows([])) == []
+
+
+def test_long_trouble_is_looked_at_in_parts():
+    people = frames([0.01] * 200)
+    cost = np.where(np.arange(200) < 100, 4e-4, 12e-4)
+    found = in_doubt(people, rows(cost))
+    assert len(found) >= 3 and max(end - start for start, end in found) == LONGEST
+    assert [b for _, b in found[:-1]] == [a for a, _ in found[1:]]
+
+
+def test_other_arms_hang_on_the_same_shoulders():
+    t, poses = BODY.topology, placed_poses()
+    found = other_arms(BODY, poses)
+    assert len(found) == 12
+    arms = [t.limbs.index(f"{side}_{limb}") for side in "lr" for limb in ("upper_arm", "forearm", "hand")]
+    parents, children = jnp.array(t.parents), jnp.array(t.children)
+    wrists = []
+    for other in found:
+        first = apply(other[parents], BODY.parent_anchor.translation)
+        second = apply(other[children], BODY.child_anchor.translation)
+        np.testing.assert_allclose(first, second, atol=1e-4)
+        rest = np.setdiff1d(np.arange(len(t.limbs)), arms)
+        np.testing.assert_array_equal(other.rotation[rest], poses.rotation[rest])
+        wrists.append(np.asarray(joint_centres(BODY, other))[[t.centres.index(f"{s}_radiocarpal") for s in "lr"]])
+    heights = np.array(wrists)[..., 2].round(2)
+    assert len(np.unique(heights, axis=0)) >= 9 and heights.max() > 1.8 and heights.min() < 0.9
+    assert all(other_arms(load_body(name), load_body(name).rest) == [] for name in ("dog", "arm"))
+
+
+def placed_poses() -> Poses:
+    sim = simulate(BODY, placed(_motion(BODY, np.arange(1) / 30, {}), 3.2, 0.3, 2.8), tof_camera())
+    return Poses(sim.rotation[0], sim.translation[0])
+
+
+@pytest.fixture(scope="module")
+def raised(tmp_path_factory):
+    """Somebody who holds both arms up, and moves them a little."""
+    time, up = np.arange(30) / 30, np.array([2.8, 0.0, 0.0])
+    wave = 0.15 * np.sin(8 * time)[:, None] * np.array([1.0, 0, 0])
+    moved = _motion(BODY, time, {"l_shoulder": up + wave, "r_shoulder": -up + wave})
+    sim = simulate(BODY, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
+    recording, settings = read_log(write_simulation(sim, tmp_path_factory.mktemp("up") / "up.mcap")), Settings()
+    scene, people = find_person(recording, recording.up, BODY, settings)
+    options = options_from(settings.solve, settings.track, settings.features)
+    return sim, Session(BODY, options, people, scene, settings)
+
+
+def error(sim, found) -> np.ndarray:
+    at = [np.asarray(joint_centres(BODY, Poses(*p))) for p in zip(found["rotation"], found["translation"])]
+    return np.linalg.norm(at - sim.joints, axis=-1).mean(1)
+
+
+def test_a_lost_arm_is_found_again(raised):
+    sim, run = raised
+    truth = Poses(sim.rotation, sim.translation)
+    good = rows_of(run, run.forwards(truth[0], 0, 30)[1], 0, 30)
+    hanging = other_arms(BODY, truth[12])[0]
+    lost = rows_of(run, run.forwards(hanging, 12, 30)[1], 12, 18)
+    wrong = {name: np.concatenate([row[:12], lost[name]]) for name, row in good.items()}
+    assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
+    found = looked_again(run, 0, wrong)
+    assert error(sim, found).max() < 0.06
+    assert found.keys() == wrong.keys() and all(found[name].shape == wrong[name].shape for name in wrong)
+    # what is good stays as it is, to the last digit
+    again = looked_again(run, 0, good)
+    np.testing.assert_array_equal(again["rotation"], good["rotation"])
