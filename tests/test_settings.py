@@ -66,7 +66,7 @@ def test_a_file_changes_only_what_it_names(tmp_path):
         ("max_steps = 3", ["max_steps", "no stage"]),
         ("solve = 3", ["[solve]", "no stage"]),
         ("[solve]\nmax_step = 3", ["[solve]", "'max_step'", "did you mean 'max_steps'?"]),
-        ("[start]\nqqq = 3", ["'qqq'", "scale, headings, frames, directions"]),
+        ("[start]\nqqq = 3", ["'qqq'", "scale, headings, frames, seconds, directions"]),
         ("[solve]\nmax_steps = 2.5", ["solve.max_steps = 2.5", "whole number"]),
         ("[solve]\nmax_steps = true", ["solve.max_steps", "whole number"]),
         ("[solve]\nnear_side = 1", ["solve.near_side = 1", "true or false"]),
