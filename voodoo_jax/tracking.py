@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.body import Body, tree_order
+from voodoo_jax.body import Body, Topology, tree_order
 from voodoo_jax.icp import IcpOptions, Problem, frame_normals, pulls_at, solve_frame
 from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.coupled import twist_covariance
@@ -145,14 +145,24 @@ def _with_hidden(body: Body, options: TrackOptions, state: State, moved: Poses, 
     turn = quat_exp(kept * quat_log(compose(inverse(held[0]), held[1]).rotation))
     at = compose(body.parent_anchor, Poses(turn, jnp.zeros_like(body.parent_anchor.translation)))
     at = compose(at, inverse(body.child_anchor))
-    poses = [moved[limb] for limb in range(body.limb_count)]
-    for j in tree_order(t):
-        limb, hidden = t.children[j], 1.0 - state.seen[t.children[j]]
-        taken, own = compose(poses[t.parents[j]], at[j]), poses[t.children[j]]
+    joint = np.argsort(t.children)  # of each limb but the root
+    hung, hidden, own = at[joint], (1.0 - state.seen[1:])[:, None], moved[1:]
+    poses = moved
+    for _ in range(_depth(t)):  # all limbs at once: those farther out come right one turn later
+        taken = compose(poses[parents[joint]], hung)
         bent = quat_exp(hidden * quat_log(quat_multiply(quat_conjugate(own.rotation), taken.rotation)))
-        place = own.translation + hidden * (taken.translation - own.translation)
-        poses[limb] = Poses(quat_normalize(quat_multiply(own.rotation, bent)), place)
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses)
+        rotation = quat_normalize(quat_multiply(own.rotation, bent))
+        translation = own.translation + hidden * (taken.translation - own.translation)
+        poses = jax.tree.map(lambda root, rest: jnp.concatenate([root[:1], rest]), moved, Poses(rotation, translation))
+    return poses
+
+
+def _depth(topology: Topology) -> int:
+    """How many joints there are at most between a limb and the root."""
+    depth = {0: 0}
+    for j in tree_order(topology):
+        depth[topology.children[j]] = depth[topology.parents[j]] + 1
+    return max(depth.values())
 
 
 def _still(body: Body, state: State, speed: Float[Array, ""]) -> Float[Array, " limb"]:
