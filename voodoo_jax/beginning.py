@@ -124,10 +124,15 @@ def _sized(run: Session, at: int) -> Body:
 
 
 def _tried_on(run: Session, at: int) -> list[PersonFrame]:
-    """The frames from `at` on by which trials are compared: over a longer time starts that are right are lost, too."""
+    """The frames from `at` on by which trials are compared."""
     s: StartSettings = run.settings.start
-    frames = [f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS][: s.frames]
-    return [f for k, f in enumerate(frames) if k < 3 or f.time_ns - frames[0].time_ns <= s.seconds * 1e9]
+    return soon([f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS], s)
+
+
+def soon(frames: list[PersonFrame], s: StartSettings) -> list[PersonFrame]:
+    """As many of the frames, from the first on, as trials are compared by: over a longer time starts that are right
+    are lost, too."""
+    return [f for k, f in enumerate(frames[: s.frames]) if k < 3 or f.time_ns - frames[0].time_ns <= s.seconds * 1e9]
 
 
 def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> Beginning:

@@ -38,12 +38,12 @@ def backward_is_better(
     """In which frames the backward pass explains the measurements better, by the mean cost around the frame."""
     if not len(forward):
         return np.zeros(0, bool)
-    return smoothed(backward, WINDOW) < BETTER * smoothed(forward, WINDOW)
+    return smoothed(backward) < BETTER * smoothed(forward)
 
 
-def smoothed(cost: Float[np.ndarray, " frame"], window: int) -> Float[np.ndarray, " frame"]:
-    """Mean over the frames around each; `window` of them, an odd number, or fewer if there are not so many."""
-    width = min(window, len(cost) - 1 + len(cost) % 2)
+def smoothed(cost: Float[np.ndarray, " frame"]) -> Float[np.ndarray, " frame"]:
+    """Mean over WINDOW frames around each, or fewer if there are not so many."""
+    width = min(WINDOW, len(cost) - 1 + len(cost) % 2)  # odd, and not longer than the recording
     return np.convolve(np.pad(cost, width // 2, mode="edge"), np.ones(width) / width, "valid")
 
 

@@ -7,14 +7,14 @@ trouble, in several poses as one batch, tracked there and back in time, and kept
 import jax
 import numpy as np
 
-from voodoo_jax.beginning import USUAL
+from voodoo_jax.beginning import USUAL, soon
 from voodoo_jax.body import Body
-from voodoo_jax.both_ways import WINDOW, backward_is_better, smoothed
+from voodoo_jax.both_ways import backward_is_better, smoothed
 from voodoo_jax.passage import Rows, pass_of, rows_of
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, compose, inverse, on_host
 from voodoo_jax.session import FEW_POINTS, Session
-from voodoo_jax.stances import Stance, Turn, beyond, in_stance
+from voodoo_jax.stances import Stance, Turn, beyond, both, in_stance
 from voodoo_jax.tracks import Status
 
 WORSE = 1.6  # times what a frame costs where the passage goes well: here it is in doubt
@@ -22,13 +22,14 @@ WELL = 10  # percent of the frames cost less where it goes well
 BETTER = 0.85  # arms started anew are followed where they cost less than this share
 FEWEST, LONGEST = 3, 30  # frames in doubt on end that are worth a look, and that one look is for
 AROUND = 15  # frames before and after them that are tracked anew, too
-# of one arm, against the rest pose in which it hangs: forwards, to the side and bent, up; signs of the left one
-ARM: tuple[tuple[Turn, ...], ...] = (
+# against the rest pose, in which they hang: as there, forwards, to the side and bent, up
+ARMS: tuple[tuple[Turn, ...], ...] = (
     (),
-    (("shoulder", "y", -80.0), ("elbow", "y", -20.0)),
-    (("shoulder", "x", 80.0), ("elbow", "y", -60.0)),
-    (("shoulder", "x", 165.0),),
+    (*both("shoulder", "y", -80.0), *both("elbow", "y", -20.0)),
+    (*both("shoulder", "x", 80.0), *both("elbow", "y", -60.0)),
+    both("shoulder", "x", 165.0),
 )
+SHOULDERS = ("l_shoulder", "r_shoulder")
 
 
 def looked_again(run: Session, first: int, rows: Rows) -> Rows:
@@ -43,7 +44,7 @@ def in_doubt(people: list[PersonFrame], rows: Rows) -> list[tuple[int, int]]:
     tracked = rows["status"] == Status.TRACKED
     if not tracked.any():
         return []
-    cost = smoothed(rows["cost"] / np.maximum([f.noise for f in people], USUAL) ** 2, WINDOW)
+    cost = smoothed(rows["cost"] / np.maximum([f.noise for f in people], USUAL) ** 2)
     bad = np.flatnonzero(tracked & (cost > WORSE * np.percentile(cost[tracked], WELL)))
     runs = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)
     found = [(int(r[k]), int(r[min(k + LONGEST, len(r)) - 1]) + 1) for r in runs for k in range(0, len(r), LONGEST)]
@@ -53,9 +54,8 @@ def in_doubt(people: list[PersonFrame], rows: Rows) -> list[tuple[int, int]]:
 def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
     """The rows with arms that were started anew between two frames, where they cost less."""
     count = len(rows["cost"])
-    at = start + int(np.argmax(smoothed(rows["cost"], WINDOW)[start:end]))
-    frames = run.people[first + at : first + count][: run.settings.start.frames]
-    frames = [f for f in frames if f.time_ns - frames[0].time_ns <= run.settings.start.seconds * 1e9]
+    at = start + int(np.argmax(smoothed(rows["cost"])[start:end]))
+    frames = soon(run.people[first + at : first + count], run.settings.start)
     last = at + len(frames) - 1
     starts = other_arms(run.body, Poses(rows["rotation"][last], rows["translation"][last]))
     if not starts or any(len(f.points) < FEW_POINTS for f in frames):
@@ -79,19 +79,14 @@ def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
 
 def other_arms(body: Body, poses: Poses) -> list[Poses]:
     """The poses with the left arm, the right one or both in other places; nothing for a body without arms."""
-    out = []
-    for turns in ARM:
-        arms = [[(f"{side}_{joint}", axis, by * (sign if axis == "x" else 1)) for joint, axis, by in turns]
-                for side, sign in (("l", 1.0), ("r", -1.0))]  # fmt: skip
-        for sides in ((0,), (1,), (0, 1)):
-            stance = in_stance(body, Stance(tuple(turn for k in sides for turn in arms[k]), (1.0,)))
-            if stance is None or not {"l_shoulder", "r_shoulder"} <= set(body.topology.joints):
-                return []
-            out.append(_with_arms(stance, poses, [("l_shoulder", "r_shoulder")[k] for k in sides]))
-    return out
+    stances = [stance for turns in ARMS if (stance := in_stance(body, Stance(turns, (1.0,)))) is not None]
+    if len(stances) < len(ARMS):
+        return []
+    sides = (SHOULDERS[:1], SHOULDERS[1:], SHOULDERS)
+    return [_with_arms(stance, poses, some) for stance in stances for some in sides]
 
 
-def _with_arms(stance: Body, poses: Poses, shoulders: list[str]) -> Poses:
+def _with_arms(stance: Body, poses: Poses, shoulders: tuple[str, ...]) -> Poses:
     """The poses with what hangs on some joints as the stance holds it against the limb before them."""
     t, rest = stance.topology, on_host(stance.rest)
     rotation, translation = np.array(poses.rotation), np.array(poses.translation)

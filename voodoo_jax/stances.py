@@ -19,12 +19,12 @@ class Stance(NamedTuple):
     sizes: tuple[float, ...]  # the body's scale over the one that its highest point would give
 
 
-def _both(joint: str, degrees: float) -> tuple[Turn, ...]:
-    """Left and right joint turned forwards (negative) or backwards."""
-    return (f"l_{joint}", "y", degrees), (f"r_{joint}", "y", degrees)
+def both(joint: str, axis: str, degrees: float) -> tuple[Turn, ...]:
+    """Left and right joint turned alike: about y forwards (negative) or backwards, about x outwards."""
+    return (f"l_{joint}", axis, degrees), (f"r_{joint}", axis, -degrees if axis == "x" else degrees)
 
 
-LEFT, RIGHT = ("l_shoulder", "x", 170.0), ("r_shoulder", "x", -170.0)
+LEFT, RIGHT = both("shoulder", "x", 170.0)
 STANCES = (
     # the hand may be what is highest
     Stance((LEFT,), (1.0, 0.87)),
@@ -32,7 +32,7 @@ STANCES = (
     Stance((LEFT, RIGHT), (1.0, 0.87)),
     # a seat of 45 cm: a sitting adult's head is at about 78 % of the stature; hands in the lap
     Stance(
-        (*_both("hip", -85.0), *_both("knee", 85.0), *_both("shoulder", -25.0), *_both("elbow", -50.0)),
+        (*both("hip", "y", -85.0), *both("knee", "y", 85.0), *both("shoulder", "y", -25.0), *both("elbow", "y", -50.0)),
         (1.24, 1.28, 1.32),
     ),
 )

@@ -174,7 +174,7 @@ def _promising(body: Body, rotation: Float[Array, "trial limb 4"], cost: Float[A
     turned = front @ front[jnp.argmin(cost)] < 0
     better = (cost[None] < cost[:, None]) & (turned[None] == turned[:, None])
     late = jnp.sum(better, 1) >= KEPT // 2
-    return jnp.argsort(jnp.where(late, cost + 1e6, cost))[:KEPT]
+    return jnp.lexsort((cost, late))[:KEPT]
 
 
 def facing(body: Body, rotation: Float[AnyArray, "*frame limb 4"]) -> Float[Any, "*frame 3"]:

@@ -139,17 +139,17 @@ def _with_hidden(body: Body, options: TrackOptions, state: State, moved: Poses, 
     """The poses with limbs that were hidden where their parents take them, from the trunk outwards."""
     t = body.topology
     kept = jnp.exp(-jnp.abs(seconds) / options.hidden_rest)
-    parents, children = np.array(t.parents, int), np.array(t.children, int)
-    # of each joint: the child's turn against the parent, none in the rest pose
-    held = compose(state.poses[parents], body.parent_anchor), compose(state.poses[children], body.child_anchor)
-    turn = quat_exp(kept * quat_log(compose(inverse(held[0]), held[1]).rotation))
-    at = compose(body.parent_anchor, Poses(turn, jnp.zeros_like(body.parent_anchor.translation)))
-    at = compose(at, inverse(body.child_anchor))
     joint = np.argsort(t.children)  # of each limb but the root
-    hung, hidden, own = at[joint], (1.0 - state.seen[1:])[:, None], moved[1:]
+    parents, children = np.array(t.parents, int)[joint], np.array(t.children, int)[joint]
+    first, second = body.parent_anchor[joint], body.child_anchor[joint]
+    # of each joint: the child's turn against the parent, none in the rest pose
+    held = compose(state.poses[parents], first), compose(state.poses[children], second)
+    turn = quat_exp(kept * quat_log(compose(inverse(held[0]), held[1]).rotation))
+    hung = compose(compose(first, Poses(turn, jnp.zeros_like(first.translation))), inverse(second))
+    hidden, own = (1.0 - state.seen[1:])[:, None], moved[1:]
     poses = moved
     for _ in range(_depth(t)):  # all limbs at once: those farther out come right one turn later
-        taken = compose(poses[parents[joint]], hung)
+        taken = compose(poses[parents], hung)
         bent = quat_exp(hidden * quat_log(quat_multiply(quat_conjugate(own.rotation), taken.rotation)))
         rotation = quat_normalize(quat_multiply(own.rotation, bent))
         translation = own.translation + hidden * (taken.translation - own.translation)
