@@ -8,14 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from voodoo_jax.body import joint_centres, segment_lengths
+from voodoo_jax.body import joint_centres, segment_lengths, with_proportions
 from voodoo_jax.cli import main
 from voodoo_jax.fit_frames import TruthError, held_out, read_truth
 from voodoo_jax.fit_parameters import Changes, changed, height_of, parameters
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.one_by_one import one_by_one
-from voodoo_jax.simulate import with_proportions
 
 BODY = human()
 

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import bands, scaled, segment_lengths
+from voodoo_jax.body import bands, scaled, segment_lengths, with_proportions
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
@@ -33,7 +33,6 @@ from voodoo_jax.simulate import (
     simulate,
     tof_camera,
     truth_tracks,
-    with_proportions,
 )
 
 SMALL = Camera(40, 31, 45.5, 43.1, 19.5, 15.0, (0.0, 0.0, 1.2), 0.07)

@@ -4,6 +4,7 @@ Limb frame: origin in the centre of the bottom ellipse, +z along the cylinder to
 ellipses' axes. Body frame: the frame in which the rest pose is given, z up, x forward, y left, origin on the floor.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -102,6 +103,24 @@ def with_rest_from_joints(body: Body) -> Body:
         at[t.children[j]] = at[t.parents[j]] + ends[0][j] - ends[1][j]
     places = (np if isinstance(turn, np.ndarray) else jnp).stack([at[limb] for limb in range(body.limb_count)])
     return on_device(eqx.tree_at(lambda b: b.rest.translation, body, places))
+
+
+def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.0) -> Body:
+    """The body with the named limbs longer by a factor (what they carry moves along) and all radii by `girth`.
+
+    The rest pose follows from the joints; the root stays. Raises ValueError for an unknown limb.
+    """
+    t = body.topology
+    if unknown := set(lengths) - set(t.limbs):
+        raise ValueError(f"no limb named {sorted(unknown)}; the body has {list(t.limbs)}")
+    factor = np.array([lengths.get(name, 1.0) for name in t.limbs], np.float32)
+    along = np.concatenate([np.ones((len(factor), 2), np.float32), factor[:, None]], 1)
+    at = lambda limbs: along[np.array(limbs, int)]  # noqa: E731
+    size_factor = np.concatenate([np.full((len(factor), 4), girth, np.float32), factor[:, None]], 1)
+    leaves = lambda b: (b.sizes, b.parent_anchor.translation, b.child_anchor.translation, b.centres, b.sites)  # noqa: E731
+    factors = (size_factor, at(t.parents), at(t.children), at(t.centre_limbs), at(t.site_limbs))
+    body = eqx.tree_at(leaves, body, tuple(x * f for x, f in zip(leaves(body), factors)))
+    return with_rest_from_joints(body)
 
 
 def band_mask(axes: Float[Array, "joint 2"]) -> Bool[Array, "joint band"]:

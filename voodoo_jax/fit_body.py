@@ -186,7 +186,11 @@ def _again(seen: Seen, body: Body, settings: Settings) -> Seen:
     from voodoo_jax.tracker import track_person
 
     assert seen.scene is not None
-    settings = replace(settings, start=replace(settings.start, scale=float(body.scale)))
+    settings = replace(
+        settings,
+        start=replace(settings.start, scale=float(body.scale)),
+        track=replace(settings.track, forearms=False),
+    )
     found = track_person(body, seen.scene, seen.people, settings, seen.tracks.source, seen.tracks.fixed_frame)
     return seen._replace(tracks=found)
 
@@ -232,7 +236,8 @@ def search_of(
         frames = fit_frames(
             tracks, people, at, settings.features, names, options.frames, options.points, truth, k, options.markers
         )
-        own = scaled(tracks.body, float(scales[person]))
+        # the proportions, too, are the person's, not the log's
+        own = scaled(seen[persons.index(person)].tracks.body, float(scales[person]))
         parts.append(Part(Path(tracks.source).name, own, frames, person))
     icp = options_from(
         replace(settings.solve, max_steps=options.steps, epsilon=0.0, steady=0.0), settings.track, settings.features

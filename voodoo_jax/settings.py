@@ -187,6 +187,8 @@ class TrackSettings:
     """Frames per compiled run."""
     both_ways: bool = True
     """Track backwards in time too and combine both passes; false: each frame by what came before it only."""
+    forearms: bool = True
+    """In the end give the body that comes with the package forearms as long as its tracks ask for; with both passes."""
 
 
 @dataclass(frozen=True)

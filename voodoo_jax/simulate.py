@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt16
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, joint_centres, tree_order, with_rest_from_joints
+from voodoo_jax.body import Body, joint_centres, tree_order
 from voodoo_jax.pose import Poses, apply, compose, inverse, quat_exp, quat_multiply, unrotate
 from voodoo_jax.tracks import Status, Tracks
 
@@ -57,24 +57,6 @@ def pose_body(body: Body, root: Poses, rotations: Float[np.ndarray, "*frame join
     turns, places = (np.stack([found[i][k] for i in range(len(t.limbs))], -2 - (k == 0)) for k in (0, 1))
     quaternions = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat(scalar_first=True, canonical=True)
     return Poses(jnp.asarray(quaternions.reshape(*turns.shape[:-2], 4), jnp.float32), jnp.asarray(places, jnp.float32))
-
-
-def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.0) -> Body:
-    """The body with the named limbs longer by a factor (what they carry moves along) and all radii by `girth`.
-
-    The rest pose follows from the joints; the root stays. Raises ValueError for an unknown limb.
-    """
-    t = body.topology
-    if unknown := set(lengths) - set(t.limbs):
-        raise ValueError(f"no limb named {sorted(unknown)}; the body has {list(t.limbs)}")
-    factor = np.array([lengths.get(name, 1.0) for name in t.limbs], np.float32)
-    along = np.concatenate([np.ones((len(factor), 2), np.float32), factor[:, None]], 1)
-    at = lambda limbs: along[np.array(limbs, int)]  # noqa: E731
-    size_factor = np.concatenate([np.full((len(factor), 4), girth, np.float32), factor[:, None]], 1)
-    leaves = lambda b: (b.sizes, b.parent_anchor.translation, b.child_anchor.translation, b.centres, b.sites)  # noqa: E731
-    factors = (size_factor, at(t.parents), at(t.children), at(t.centre_limbs), at(t.site_limbs))
-    body = eqx.tree_at(leaves, body, tuple(x * f for x, f in zip(leaves(body), factors)))
-    return with_rest_from_joints(body)
 
 
 def make_motion(body: Body, name: str, seconds: float = 3.0, rate: float = 30.0) -> Motion:

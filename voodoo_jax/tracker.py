@@ -13,6 +13,7 @@ from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.following import Progress, blank, follow
+from voodoo_jax.forearms import with_forearms
 from voodoo_jax.furniture import without_furniture, without_things
 from voodoo_jax.kernels.plausible import check
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
@@ -142,6 +143,9 @@ def track_person(
         run.prepare()
     out = blank(body, people)
     follow(run, at, enough, out, progress)
+    if settings.track.forearms and settings.track.both_ways and not run.by_markers and not changes:
+        run.body = with_forearms(run.body, run.people, run.names, out)
+        run.bodies = [(0, run.body)]
     del out["cost"]
     out["residual"][out["status"] == Status.NO_DATA] = np.nan
     joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from voodoo_jax.body import Body, scaled
+from voodoo_jax.body import Body, scaled, with_proportions
 from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.simulate import (
@@ -22,7 +22,6 @@ from voodoo_jax.simulate import (
     sequence,
     simulate,
     tof_camera,
-    with_proportions,
 )
 
 STATURE = 1.74  # metres

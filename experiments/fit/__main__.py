@@ -15,7 +15,7 @@ import tyro
 from tqdm import tqdm
 
 from experiments.common import DEMO, human, load_log, log_files, table, without_features, write
-from voodoo_jax.body import Body, scaled, segment_lengths
+from voodoo_jax.body import Body, scaled, segment_lengths, with_proportions
 from voodoo_jax.fit_body import Fit, Seen, fit, fit_tracked
 from voodoo_jax.fit_frames import Truth
 from voodoo_jax.fit_loop import FitError
@@ -30,7 +30,6 @@ from voodoo_jax.simulate import (
     placed,
     sequence,
     simulate,
-    with_proportions,
 )
 
 NOTE = """

@@ -1,0 +1,118 @@
+"""Forearms as long as the wrists of a recording say."""
+
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from voodoo_jax.batch import FeatureNames
+from voodoo_jax.body import scaled, segment_lengths, with_proportions
+from voodoo_jax.forearms import BY_NAMES, BY_POINTS, FARTHEST, FEW, HAND, Stretch, lengthened, stretch, with_forearms
+from voodoo_jax.io.body_file import human, load_body
+from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.recording import Rays
+from voodoo_jax.settings import FeatureSettings, Settings
+from voodoo_jax.tracks import Status
+
+BODY = scaled(human(), 1.8)
+NAMES = FeatureNames(BODY.topology, FeatureSettings())
+COUNT = 40
+
+
+def rows(body=BODY, off: float = 0.0) -> dict[str, np.ndarray]:
+    """The rest pose, hands moved along the forearms by `off` metres: the forearms hang straight down."""
+    place = np.array(body.rest.translation)
+    for hand in (body.topology.limbs.index(f"{side}_hand") for side in "lr" if f"{side}_hand" in body.topology.limbs):
+        place[hand, 2] -= off
+    return {
+        "rotation": np.tile(np.array(body.rest.rotation), (COUNT, 1, 1)),
+        "translation": np.tile(place, (COUNT, 1, 1)),
+        "status": np.full(COUNT, Status.TRACKED, np.int8),
+        "limb_weight": np.ones((COUNT, body.limb_count), np.float32),
+    }
+
+
+def people(*named: str) -> list[PersonFrame]:
+    """Frames in which a detector names these points."""
+    flat = np.zeros((len(named), 3), np.float32)
+    rays = Rays(named, flat, flat + 1) if named else Rays()
+    none = np.zeros((0, 3), np.float32)
+    return [PersonFrame(k, none, np.zeros(0, int), none, rays) for k in range(COUNT)]
+
+
+@pytest.mark.parametrize("off", [-0.01, 0.0, 0.02])
+def test_the_gap_is_how_far_the_hand_is_off(off):
+    found = stretch(BODY, people(), NAMES, rows(off=off))
+    assert found is not None and found.named == 0.0 and found.count == 2 * COUNT
+    assert found.gap == pytest.approx(off / 1.8, abs=1e-6)
+
+
+def test_what_does_not_count():
+    """Hands that nothing was seen of, lost frames, detections that may be the face, other limbs' detections."""
+    seen = rows(off=0.02)
+    seen["translation"][:10, BODY.topology.limbs.index("l_hand")] += 1.0
+    seen["limb_weight"][:10, BODY.topology.limbs.index("l_hand")] = 0.0
+    seen["translation"][30:] += np.linspace(0, 1, BODY.limb_count)[:, None]
+    seen["status"][30:] = Status.LOST
+    found = stretch(BODY, people("left_hand", "skin", "face"), NAMES, seen)
+    assert found is not None and found.gap == pytest.approx(0.02 / 1.8, abs=1e-6)
+    assert found.count == 50 and found.named == pytest.approx(20 / 50)
+    seen["status"][:] = Status.LOST
+    assert stretch(BODY, people(), NAMES, seen) is None
+    assert with_forearms(BODY, people(), NAMES, seen) is BODY
+
+
+def test_detections_stretch_more():
+    usual, many = HAND * BY_POINTS, 10**6
+    assert lengthened(Stretch(usual, 0.0, many)) == pytest.approx(0.0, abs=1e-6)
+    one = 0.005  # of the stature
+    assert lengthened(Stretch((HAND + one) * BY_POINTS, 0.0, many)) == pytest.approx(one, rel=1e-3)
+    assert lengthened(Stretch((HAND + one) * (BY_POINTS + BY_NAMES), 1.0, many)) == pytest.approx(one, rel=1e-3)
+    assert lengthened(Stretch((HAND + one) * BY_POINTS, 0.0, FEW)) == pytest.approx(one / 2, rel=1e-3)
+    assert lengthened(Stretch(0.1, 0.0, many)) == pytest.approx(FARTHEST, rel=1e-3)
+    assert lengthened(Stretch(-0.1, 1.0, many)) == pytest.approx(-FARTHEST, rel=1e-3)
+
+
+def test_only_forearms_change():
+    seen = rows(off=0.0023)
+    longer = lengthened(stretch(BODY, people(), NAMES, seen) or Stretch(0, 0, 0))
+    assert longer > 0.005
+    found = segment_lengths(with_forearms(BODY, people(), NAMES, seen))
+    usual = segment_lengths(BODY)
+    top, bottom = (float(BODY.sizes[BODY.topology.limbs.index("l_forearm"), 4]), usual["forearm"])
+    # the joints are not quite at the limb's ends
+    assert found["forearm"] - usual["forearm"] == pytest.approx(1.8 * longer * bottom / top, rel=0.02)
+    assert {k: v for k, v in found.items() if k != "forearm"} == pytest.approx(
+        {k: v for k, v in usual.items() if k != "forearm"}, rel=1e-5
+    )
+
+
+@pytest.mark.parametrize("other", [with_proportions(BODY, {"l_thigh": 1.05}), load_body("human10"), load_body("dog")],
+                         ids=["fitted", "human10", "dog"])  # fmt: skip
+def test_other_bodies_stay(other):
+    assert with_forearms(other, people(), FeatureNames(other.topology, FeatureSettings()), rows(other, 0.02)) is other
+
+
+def test_tracks_say_what_they_found():
+    """The demo with and without: poses are the same, wrists and forearms are not; one pass leaves the body alone."""
+    from voodoo_jax.io.mcap_log import open_log
+    from voodoo_jax.tracker import find_person, track_person
+
+    source = open_log(str(files("voodoo_jax") / "data" / "demo.mcap"))
+    frames = [frame for frame, _ in zip(source.frames(), range(40))]
+    settings = Settings()
+    scene, found = find_person(frames, source.up, human(), settings)
+    lengths = {}
+    for name, changes in (("on", {}), ("off", {"forearms": False}), ("one pass", {"both_ways": False})):
+        how = replace(settings, track=replace(settings.track, **changes))
+        tracks = track_person(human(), scene, found, how, "demo", "base")
+        lengths[name] = segment_lengths(tracks.body)["forearm"], tracks
+    usual = segment_lengths(scaled(human(), float(lengths["off"][1].body.scale)))["forearm"]
+    assert lengths["off"][0] == pytest.approx(usual, rel=1e-4) == lengths["one pass"][0]
+    assert abs(lengths["on"][0] - usual) > 0.001
+    on, off = lengths["on"][1], lengths["off"][1]
+    np.testing.assert_array_equal(on.rotation, off.rotation)
+    wrist = on.body.topology.centres.index("l_radiocarpal")
+    moved = np.linalg.norm(on.joints - off.joints, axis=2).max(0)
+    assert moved[wrist] > 0.001 and moved[on.body.topology.centres.index("l_elbow")] < 1e-3

@@ -1,0 +1,93 @@
+"""Forearms as long as a recording shows them, once it is tracked. Host side.
+
+Of a limb that is longer than the body's, the one that hangs on it is measured farther out: the bands between them are
+stretched along it, but less than the limb is too short, because the measurements give way too. How much less was
+measured on people of known lengths, see experiments/forearms. Of all limbs only forearms are told well enough by this:
+hands are seen, and named by detectors, and nothing hangs on them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from voodoo_jax.batch import FeatureNames
+from voodoo_jax.body import Body, scaled, with_proportions
+from voodoo_jax.io.body_file import human
+from voodoo_jax.passage import Rows
+from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.pose import Poses, apply, unrotate
+from voodoo_jax.tracks import Status
+
+# A wrist's bands are stretched by this share of what the forearm is too short by (as far as people differ): told by
+# points alone, and so much more where a detector names the hand in every frame.
+BY_POINTS, BY_NAMES = 0.075, 0.13
+HAND = 0.0077  # of the stature: people's hands reach so much farther than the body's
+FARTHEST = 0.016  # of the stature: forearms of people differ by less (two standard deviations)
+FEW = 30  # frames of one arm with which it counts half
+
+
+class Stretch(NamedTuple):
+    """What the wrists of a recording tell."""
+
+    gap: float  # of the wrists' bands along the forearms, median, share of the body's scale
+    named: float  # share of the frames in which a detector names the hand
+    count: int  # frames of one arm in which the hand is seen
+
+
+def with_forearms(body: Body, people: list[PersonFrame], names: FeatureNames, rows: Rows) -> Body:
+    """The body with the forearms that its tracks ask for; the same one where it is not the body that comes with the
+    package in its usual proportions, which alone this was measured for.
+
+    **Arguments:** as for `stretch`.
+    """
+    found = stretch(body, people, names, rows) if _is_usual(body) else None
+    if found is None:
+        return body
+    longer = lengthened(found) * float(body.scale) / float(body.sizes[body.topology.limbs.index("l_forearm"), 4])
+    return with_proportions(body, dict.fromkeys(("l_forearm", "r_forearm"), 1.0 + longer))
+
+
+def lengthened(found: Stretch) -> float:
+    """How much longer a forearm is than the body's, share of the body's scale."""
+    longer = found.gap / (BY_POINTS + BY_NAMES * found.named) - HAND
+    return float(np.clip(longer, -FARTHEST, FARTHEST)) * found.count / (found.count + FEW)
+
+
+def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, rows: Rows) -> Stretch | None:
+    """What the wrists tell in frames where the body is tracked and the hand is seen; None without any.
+
+    **Arguments:** `people` and `rows` frames, and what was tracked in them (arrays of Tracks); `names` of features.
+    """
+    t = body.topology
+    tracked = np.flatnonzero(rows["status"] == Status.TRACKED)
+    gaps, named = [], []
+    for side in "lr":
+        joint, hand = t.joints.index(f"{side}_wrist"), t.limbs.index(f"{side}_hand")
+        frames = tracked[rows["limb_weight"][tracked, hand] > 0]
+        gaps.append(_gap(body, Poses(rows["rotation"][frames], rows["translation"][frames]), joint))
+        named += [_is_named(body, hand, people[frame], names) for frame in frames]
+    gap = np.concatenate(gaps)
+    return Stretch(float(np.median(gap)), float(np.mean(named)), len(gap)) if len(gap) else None
+
+
+def _gap(body: Body, poses: Poses, joint: int) -> Float[np.ndarray, " frame"]:
+    """How far the child of a joint is off along the joint's parent, share of the body's scale."""
+    parent, child = body.topology.parents[joint], body.topology.children[joint]
+    ends = [apply(poses[:, limb], np.asarray(anchor.translation[joint])) for limb, anchor in (
+        (parent, body.parent_anchor), (child, body.child_anchor))]  # fmt: skip
+    return np.asarray(unrotate(poses.rotation[:, parent], ends[1] - ends[0]))[:, 2] / float(body.scale)
+
+
+def _is_named(body: Body, limb: int, person: PersonFrame, names: FeatureNames) -> bool:
+    """Whether a feature of the frame is surely on the limb."""
+    limbs = (*body.topology.site_limbs, *body.topology.centre_limbs)  # as in kernels.features.named_points
+    points = (names.look_up(name) for name in (*person.rays.names, *person.pairs.names))
+    return any(some is not None and all(limbs[point] == limb for point in some) for some in points)
+
+
+def _is_usual(body: Body) -> bool:
+    usual = human()
+    return body.topology == usual.topology and np.allclose(
+        body.sizes, scaled(usual, float(body.scale)).sizes, rtol=1e-4, atol=0
+    )
