@@ -15,6 +15,7 @@ from voodoo_jax.settings import (
     Settings,
     SettingsError,
     check_settings,
+    online,
     preset,
     read_settings,
     settings_text,
@@ -45,6 +46,8 @@ class Replay:
     body: Annotated[str, arg(help=BODY_HELP)] = ""
     preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    online: bool = False
+    """No look into the future, as on a robot: one pass in time, and no furniture told by later frames."""
     smooth: float = 0.0
     """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
     picture: bool = False
@@ -129,6 +132,9 @@ def run_replay(command: Replay) -> int:
     if not command.logs:
         print("voodoo-jax replay: name at least one log", file=sys.stderr)
         return 2
+    if command.online and command.smooth:
+        print("voodoo-jax replay: --smooth averages over later frames too; leave it out with --online", file=sys.stderr)
+        return 2
     from voodoo_jax.compile_cache import cache_folder, use_compile_cache
     from voodoo_jax.io.body_file import BodyFileError, load_body
     from voodoo_jax.replay import replay
@@ -137,8 +143,9 @@ def run_replay(command: Replay) -> int:
         print(f"voodoo-jax replay: {problem}; it goes on without", file=sys.stderr)
     try:
         body = load_body(body_name(command))
+        settings = online(command.settings) if command.online else command.settings
         outcomes = replay(
-            command.logs, command.out, body, command.settings, smooth_seconds=command.smooth, picture=command.picture,
+            command.logs, command.out, body, settings, smooth_seconds=command.smooth, picture=command.picture,
             again=command.again, workers=command.workers, engine=command.engine, shard=command.shard,
             compile_cache=command.compile_cache,
         )  # fmt: skip

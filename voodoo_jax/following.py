@@ -51,6 +51,8 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
     """Tracks from frame `at` to the end and fills in `out`; `enough` the frames with points enough to look anew."""
     both_ways = run.settings.track.both_ways and not run.by_markers and not run.settings.changes
     count, patience = len(run.people), run.settings.track.patience
+    # that the body is gone is known only then, if nothing later is looked at
+    wait = 0 if run.settings.track.both_ways else patience
     say = progress or (lambda _: None)
     state: State | None = None
     start: Beginning | None = None  # of the present span
@@ -71,7 +73,8 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
         # gone or lost for long: stop here and look anew
         gone = first_run(rows["status"] == Status.NO_DATA, patience)
         lost = first_run(rows["status"] == Status.LOST, patience) if tried < at else taken
-        keep = min(gone, lost + patience if lost < taken else taken, taken)
+        known = gone + wait if gone < taken else taken
+        keep = min(known, lost + patience if lost < taken else taken, taken)
         for name, row in rows.items():
             out[name][at : at + keep] = row[:keep]
         at, state = at + keep, after
@@ -84,7 +87,7 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
             start = Beginning(until, run.body, state.poses, 0.0)
         if keep < taken:
             state = before = None
-            if gone == keep:
+            if known == keep:
                 before = jax.tree.map(lambda leaf, k=gone: leaf[k - 1], step.poses) if gone else None
                 later = np.flatnonzero(enough[at:])
                 skip = int(later[0]) if len(later) else count - at

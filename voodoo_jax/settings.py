@@ -62,6 +62,8 @@ class PersonSettings:
     """Things farther than this from where the body was are dropped, metres; grows with the body's size."""
     points: int = 1024
     """Points per frame given to the tracker: a random choice where there are more."""
+    ahead: bool = True
+    """Tell furniture that the body touches by all frames, later ones too; false: by those before each frame only."""
     noise: float = 0.03
     """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
 
@@ -267,6 +269,14 @@ def preset(name: str) -> Settings:
 
 
 PRESETS = ("default", "knoop2007")
+
+
+def online(settings: Settings) -> Settings:
+    """The settings without a look into the future: every frame is tracked by what came before it, but for the half
+    second after each start, over which starts and the person's size are compared."""
+    return replace(
+        settings, person=replace(settings.person, ahead=False), track=replace(settings.track, both_ways=False)
+    )
 
 
 class SettingsError(ValueError):

@@ -57,6 +57,8 @@ def find_person(
     height = rest_height(scaled(body, scale) if scale > 0 else body)
     finder = PersonFinder(scene, height, settings.person)
     found = weighed(person_frames(chain(first, stream), finder), settings.person.noise)
+    if not settings.person.ahead:
+        return scene, spilled(found)
     windows = iter(lambda: list(islice(found, FURNITURE_FRAMES)), [])
     return scene, spilled(chain.from_iterable(_told(window, scene, finder) for window in windows))
 
@@ -155,7 +157,7 @@ def track_person(
             out[name][first:end, absent] = np.nan
         _look_at(body, out, joints, first, end, settings.track.chunk)
     if not run.by_markers:
-        out["joint_confidence"] = joint_confidence(run.body.topology, out, joints)
+        out["joint_confidence"] = joint_confidence(run.body.topology, out, joints, settings.track.both_ways)
         out["status"] = doubted(out["status"], out["joint_confidence"], settings.track.lost_confidence)
     compiling = _compile_clock() - compiled
     seconds = time.perf_counter() - began - compiling

@@ -33,18 +33,24 @@ ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
 
 
 def clues(
-    topology: Topology, rows: Mapping[str, np.ndarray], joints: Float32[np.ndarray, "frame joint 3"]
+    topology: Topology,
+    rows: Mapping[str, np.ndarray],
+    joints: Float32[np.ndarray, "frame joint 3"],
+    ahead: bool = True,
 ) -> Float[np.ndarray, "frame joint clue"]:
     """What tells of trouble, of each joint centre: logarithms of how far off it may be by its covariance, of the
     frame's residual and share of unexplained points, of how far it moves between frames and of how far the passes there
     and back in time are apart (all in metres), and log(1 + weight) of what was measured of its limb.
 
-    **Arguments:** `rows` the SIGNS by name. The last clue is NaN where there was one pass only.
+    **Arguments:** `rows` the SIGNS by name; `ahead` whether the frame after each may be looked at, too.
+
+    The last clue is NaN where there was one pass only.
     """
     limbs = np.array(topology.centre_limbs, int)
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
     still = np.zeros((1, joints.shape[1]))
-    moved = np.fmax(np.concatenate([still, step]), np.concatenate([step, still]))[: len(joints)]
+    before, after = np.concatenate([still, step]), np.concatenate([step, still])
+    moved = (np.fmax(before, after) if ahead else before)[: len(joints)]
     spread = np.sqrt(np.trace(rows["joint_covariance"], axis1=2, axis2=3))
     log = lambda found, least, most: np.log(np.clip(found, least, most))  # noqa: E731
     each = lambda row: np.broadcast_to(row[:, None], moved.shape)  # noqa: E731
@@ -65,13 +71,16 @@ def probability(trust: Trust, found: Float[np.ndarray, "... clue"]) -> Float[np.
 
 
 def joint_confidence(
-    topology: Topology, rows: Mapping[str, np.ndarray], joints: Float32[np.ndarray, "frame joint 3"]
+    topology: Topology,
+    rows: Mapping[str, np.ndarray],
+    joints: Float32[np.ndarray, "frame joint 3"],
+    ahead: bool = True,
 ) -> Float32[np.ndarray, "frame joint"]:
     """Probability that a joint centre is within CLOSE of the true one; NaN in frames without points.
 
-    **Arguments:** `rows` arrays of Tracks by name, `joints` metres.
+    **Arguments:** `rows` arrays of Tracks by name, `joints` metres, `ahead` as for `clues`.
     """
-    found = clues(topology, rows, joints)
+    found = clues(topology, rows, joints, ahead)
     twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
     told = np.isin(rows["status"], (Status.TRACKED, Status.LOST))
     return np.where(told[:, None], np.where(np.isfinite(twice), twice, once), np.nan).astype(np.float32)

@@ -1,0 +1,81 @@
+"""No look into the future: what comes later changes nothing in the frames before."""
+
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from voodoo_jax.cli import main
+from voodoo_jax.io.body_file import human
+from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.scene import Scene
+from voodoo_jax.settings import Settings, online
+from voodoo_jax.tracker import find_person, track_person
+from voodoo_jax.tracks import Status, Tracks
+
+SETTINGS = online(Settings())
+CUT = 60
+
+
+@pytest.fixture(scope="module")
+def demo() -> tuple[Scene, list[PersonFrame], list[PersonFrame]]:
+    """Floor and walls, the person in the demo's frames, and in the first of them alone."""
+    source = open_log(str(files("voodoo_jax") / "data" / "demo.mcap"))
+    frames = [frame for frame, _ in zip(source.frames(), range(90))]
+    scene, people = find_person(frames, source.up, human(), SETTINGS)
+    again, first = find_person(frames[:CUT], source.up, human(), SETTINGS)
+    assert again.floor.normal.tolist() == scene.floor.normal.tolist()
+    return scene, people, first
+
+
+def tracks_of(scene: Scene, people: list[PersonFrame]) -> Tracks:
+    return track_person(human(), scene, people, SETTINGS, "demo", "base")
+
+
+def same(whole: Tracks, cut: Tracks) -> None:
+    count = len(cut.time_ns)
+    assert np.array_equal(whole.status[:count], cut.status)
+    for name in ("joints", "rotation", "translation", "joint_confidence", "joint_covariance"):
+        np.testing.assert_allclose(getattr(whole, name)[:count], getattr(cut, name), rtol=1e-4, atol=1e-5, err_msg=name)
+
+
+def test_the_person_is_told_by_what_came_before(demo):
+    _, people, first = demo
+    assert len(first) == CUT
+    for whole, cut in zip(people, first):
+        np.testing.assert_array_equal(whole.points, cut.points)
+        assert whole.noise == cut.noise
+
+
+def test_later_frames_change_nothing(demo):
+    scene, people, first = demo
+    whole = tracks_of(scene, people)
+    assert whole.tracked.all()
+    same(whole, tracks_of(scene, first))
+
+
+def test_who_goes_and_comes_back(demo):
+    """How long the body stays away is not known in the frames in which it goes; it is found when it comes back."""
+    scene, people, _ = demo
+    none = np.zeros(0, int)
+    gone = [f.only(none) if 30 <= k < 62 else f for k, f in enumerate(people)]
+    whole = tracks_of(scene, gone)
+    assert (whole.status[30:62] == Status.NO_DATA).all() and whole.tracked[:30].all() and whole.tracked[62:].all()
+    patience = SETTINGS.track.patience
+    known = np.isfinite(whole.joints).all((1, 2))
+    assert known[: 30 + patience].all() and not known[30 + patience : 62].any()
+    for cut in (35, 30 + patience + 3, CUT):
+        same(whole, tracks_of(scene, gone[:cut]))
+
+
+def test_the_command(tmp_path, capsys):
+    log = str(files("voodoo_jax") / "data" / "demo.mcap")
+    assert main(["replay", log, "--out", str(tmp_path), "--online", "--smooth", "0.1"]) == 2
+    assert "--online" in capsys.readouterr().err
+    assert SETTINGS == replace(
+        Settings(),
+        person=replace(Settings().person, ahead=False),
+        track=replace(Settings().track, both_ways=False),
+    )
