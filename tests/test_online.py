@@ -70,6 +70,31 @@ def test_who_goes_and_comes_back(demo):
         same(whole, tracks_of(scene, gone[:cut]))
 
 
+def test_a_start_in_doubt_is_made_good(demo):
+    """A cupboard beside the person, taken for a part of them: once it is told apart, size and pose are found anew."""
+    scene, people, _ = demo
+    middle = np.median(people[0].points, 0)
+    grid = np.stack(np.meshgrid(np.linspace(-0.35, 0.35, 18), np.linspace(0.05, 1.3, 30)), -1).reshape(-1, 2)
+    front = np.stack([0 * grid[:, 0], grid[:, 0] + 0.5, grid[:, 1]], 1) + [middle[0], middle[1], 0.0]
+    count = len(front)
+    beside = [
+        replace(
+            f,
+            points=np.concatenate([f.points, front.astype(np.float32)]),
+            sensor=np.concatenate([f.sensor, np.zeros(count, f.sensor.dtype)]),
+            weight=None if f.weight is None else np.concatenate([f.weight, np.ones(count, np.float32)]),
+        )
+        if k < 40
+        else f
+        for k, f in enumerate(people)
+    ]
+    usual, found = tracks_of(scene, people), tracks_of(scene, beside)
+    assert float(found.body.scale) == pytest.approx(float(usual.body.scale), rel=0.02)
+    apart = np.linalg.norm(found.joints - usual.joints, axis=2)
+    assert apart[10:40].mean() > 0.1 and apart[62:].max() < 0.06
+    assert found.tracked[62:].all()
+
+
 def test_the_command(tmp_path, capsys):
     log = str(files("voodoo_jax") / "data" / "demo.mcap")
     assert main(["replay", log, "--out", str(tmp_path), "--online", "--smooth", "0.1"]) == 2

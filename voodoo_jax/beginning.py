@@ -77,6 +77,20 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
     return best._replace(frame=at)
 
 
+def clearer(run: Session, at: int) -> Beginning | None:
+    """A start in frame `at` that leaves no doubt, in the size that the body has there, if there is one; it settles the
+    size anew. For who began in doubt and may not look ahead."""
+    if run.by_markers or not run.can_start(at):
+        return None
+    s = run.settings.start
+    found = _trial(run, at, sized(run.body, run.people[at : at + s.size_frames], run.scene.floor, s))
+    if not found.clear(s.sure):
+        return None
+    run.body = found.body
+    run.bodies.append((at, run.body))
+    return found
+
+
 def _followed(run: Session, start: Beginning, at: int) -> Poses:
     """The poses in an earlier frame `at`."""
     return run.backwards(start.poses, at, start.frame + 1).poses[0]

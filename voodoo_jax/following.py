@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool
 
-from voodoo_jax.beginning import Beginning, begin
+from voodoo_jax.beginning import Beginning, begin, clearer
 from voodoo_jax.body import Body
 from voodoo_jax.passage import PASSAGE, Rows, rows_of, there_and_back
 from voodoo_jax.person_frame import PersonFrame
@@ -22,6 +22,7 @@ from voodoo_jax.tracks import Status
 
 Progress = Callable[[int], None]
 SPAN = 1800  # frames after which a passage is tracked back, even if it goes on
+DOUBT = 15  # frames after which a start that is in doubt is compared with another one, if nothing later is looked at
 OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not good before it has settled
 
 
@@ -57,7 +58,7 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
     state: State | None = None
     start: Beginning | None = None  # of the present span
     before: Poses | None = None  # the last ones before the body was gone
-    tried = -1
+    tried, doubt = -1, False
     say(at)
     while at < count:
         state = run.change(at, state)
@@ -68,7 +69,8 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
         if state is None:
             start = begin(run, at, before)
             state = at_rest(start.poses)
-        after, step, taken = run.chunk(state, at)
+            doubt = not run.settings.track.both_ways and not start.clear(run.settings.start.sure)
+        after, step, taken = run.chunk(state, at, DOUBT if doubt else SPAN)
         rows = rows_of(run, step, at, taken)
         # gone or lost for long: stop here and look anew
         gone = first_run(rows["status"] == Status.NO_DATA, patience)
@@ -85,6 +87,8 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
             state = _turned(run, start, until, at, out) or state
             say(until - start.frame)
             start = Beginning(until, run.body, state.poses, 0.0)
+        if doubt and keep == taken and at < count and (found := clearer(run, at)) is not None:
+            state, doubt = at_rest(found.poses), False
         if keep < taken:
             state = before = None
             if known == keep:

@@ -144,9 +144,10 @@ class Session:
         seconds = jax.device_put(np.minimum(np.abs(chunk.seconds), np.asarray(self.options.prior_interval)))
         return run_trials(body, self.options, starts, chunk.points, seconds, features)
 
-    def chunk(self, state: State, at: int) -> tuple[State, Step, int]:
-        """Tracks up to one chunk of frames from `at`, not past the next change of the body; the number tracked."""
-        end = min([at + self.settings.track.chunk, *(frame for frame, _ in self.pending)])
+    def chunk(self, state: State, at: int, most: int) -> tuple[State, Step, int]:
+        """Tracks up to one chunk of frames from `at`, at most so many, not past the next change of the body; the number
+        tracked."""
+        end = min([at + min(most, self.settings.track.chunk), *(frame for frame, _ in self.pending)])
         frames = self.people[at:end]
         previous = self.people[at - 1].time_ns if at else None
         state, step, left_out = self._tracked(state, frames, previous)
