@@ -92,7 +92,7 @@ def test_a_start_in_doubt_is_made_good(demo):
     assert float(found.body.scale) == pytest.approx(float(usual.body.scale), rel=0.02)
     apart = np.linalg.norm(found.joints - usual.joints, axis=2)
     assert apart[10:40].mean() > 0.1 and apart[62:].max() < 0.06
-    assert found.tracked[62:].all()
+    assert found.tracked[62:].all() and (found.status[:30] == Status.LOST).all()
 
 
 def test_the_command(tmp_path, capsys):

@@ -22,6 +22,7 @@ from voodoo_jax.tracks import Status
 
 Progress = Callable[[int], None]
 SPAN = 1800  # frames after which a passage is tracked back, even if it goes on
+WRONG = 4  # times what a start that is sure may leave unexplained: it is in doubt
 DOUBT = 15  # frames after which a start that is in doubt is compared with another one, if nothing later is looked at
 OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not good before it has settled
 
@@ -69,7 +70,7 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
         if state is None:
             start = begin(run, at, before)
             state = at_rest(start.poses)
-            doubt = not run.settings.track.both_ways and not start.clear(run.settings.start.sure)
+            doubt = not run.settings.track.both_ways and start.unexplained > WRONG * run.settings.start.sure
         after, step, taken = run.chunk(state, at, DOUBT if doubt else SPAN)
         rows = rows_of(run, step, at, taken)
         # gone or lost for long: stop here and look anew
@@ -77,6 +78,8 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
         lost = first_run(rows["status"] == Status.LOST, patience) if tried < at else taken
         known = gone + wait if gone < taken else taken
         keep = min(known, lost + patience if lost < taken else taken, taken)
+        if doubt:
+            rows["status"] = np.where(rows["status"] == Status.TRACKED, Status.LOST, rows["status"]).astype(np.int8)
         for name, row in rows.items():
             out[name][at : at + keep] = row[:keep]
         at, state = at + keep, after
