@@ -93,6 +93,7 @@ class _Worker:
     def __init__(self, threads: int, waiting: SimpleQueue, events: SimpleQueue):
         self.threads, self.waiting, self.events = threads, waiting, events
         self.stopped = False
+        self.lock = threading.Lock()  # else a process might be started after it was said to stop
         self.process = self._start()
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
@@ -109,9 +110,12 @@ class _Worker:
     def _run(self) -> None:
         while not self.stopped and (item := self.waiting.get()) is not None:
             number, job = item
-            if self.process.poll() is not None:
-                self._close()
-                self.process = self._start()
+            with self.lock:
+                if self.stopped:
+                    break
+                if self.process.poll() is not None:
+                    self._close()
+                    self.process = self._start()
             outcome = self._ask(number, job)
             if not self.stopped:
                 self.events.put((number, outcome))
@@ -140,8 +144,9 @@ class _Worker:
     def stop(self, at_once: bool) -> None:
         """Ends the process: whatever it does, or after its last job."""
         if at_once:
-            self.stopped = True
-            self.process.kill()
+            with self.lock:
+                self.stopped = True
+                self.process.kill()
         self.thread.join()
         self._close()
 

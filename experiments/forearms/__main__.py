@@ -16,7 +16,7 @@ import tyro
 from scipy.optimize import least_squares
 from tqdm import tqdm
 
-from experiments.common import human, load_log, log_files, table, without_features, write
+from experiments.common import DEMO, human, load_log, log_files, table, without_features, write
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import segment_lengths
 from voodoo_jax.forearms import BY_NAMES, BY_POINTS, HAND, Stretch, lengthened, stretch
@@ -41,12 +41,12 @@ def fitted(gap: np.ndarray, named: np.ndarray, true: np.ndarray, person: np.ndar
 
 
 def main(
-    recordings: tyro.conf.Positional[Path], every: int = 1, frames: int = 0, out: Path = Path(__file__).parent
+    recordings: tyro.conf.Positional[Path] = DEMO, every: int = 1, frames: int = 0, out: Path = Path(__file__).parent
 ) -> None:
     """What wrists tell of the forearms' lengths.
 
     Args:
-        recordings: folder with *.mcap and *.truth.npz.
+        recordings: folder with *.mcap and *.truth.npz; none: the demo recording.
         every: take every N-th recording.
         frames: cut recordings after so many frames; 0: whole.
         out: folder for forearms.md and forearms.png.
@@ -62,7 +62,8 @@ def main(
             dims = json.loads(str(file["dims"]))
         for kind, people in (("features", log.people), ("depth alone", without_features(log.people))):
             tracks = log.track(body, usual, people)
-            seen = stretch(tracks.body, people, names, vars(tracks))
+            rows = {name: getattr(tracks, name) for name in ("status", "rotation", "translation", "limb_weight")}
+            seen = stretch(tracks.body, people, names, rows)
             if seen is None:
                 raise SystemExit(f"{path}: no hand was seen in it, there is nothing to measure")
             found.append(seen)
@@ -83,14 +84,14 @@ def main(
         others[~rest] = asked(gap, named, constants)[~rest]
     off = 100 * scale[:, None] * (np.stack([0 * now, now, others], 1) - true[:, None])
     cell = lambda x: f"{x:+.2f}" if np.isfinite(x) else "-"  # noqa: E731
-    rows = [[*label, f"{1000 * s.gap:.2f}", f"{s.named:.2f}", *map(cell, row)]
+    lines = [[*label, f"{1000 * s.gap:.2f}", f"{s.named:.2f}", *map(cell, row)]
             for label, s, row in zip(labels, found, off)]  # fmt: skip
     for kind in ("features", "depth alone"):
         mean = np.abs(off[[k == kind for _, k in labels]]).mean(0)
-        rows.append([f"**mean size, {kind}**", "", "", "", *(f"{x:.2f}" if np.isfinite(x) else "-" for x in mean)])
+        lines.append([f"**mean size, {kind}**", "", "", "", *(f"{x:.2f}" if np.isfinite(x) else "-" for x in mean)])
     head = ["recording", "measured by", "gap, ‰ of the stature", "hand named in",
             "usual forearm, cm off", "as tracked now, cm off", "constants of the other people, cm off"]  # fmt: skip
-    text = table(head, rows, left=2)
+    text = table(head, lines, left=2)
     if len(people) > 2:
         best = " / ".join(f"{x:.4f}" for x in fitted(gap, named, true, person))
         text += f"\nConstants that fit all best (BY_POINTS / BY_NAMES / HAND): {best}; used: {NOW}.\n"
