@@ -39,6 +39,8 @@ def with_forearms(body: Body, people: list[PersonFrame], names: FeatureNames, ro
     """The body with the forearms that its tracks ask for; the same one where it is not the body that comes with the
     package in its usual proportions, which alone this was measured for.
 
+    The poses stay as they are: forearms begin at the elbows as before, and reach farther.
+
     **Arguments:** as for `stretch`.
     """
     found = stretch(body, people, names, rows) if _is_usual(body) else None

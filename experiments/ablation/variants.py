@@ -22,6 +22,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "no velocity (damping 0)": {"track.damping": 0.0},
     "forwards only (both_ways off)": {"track.both_ways": False},
     "prior the same over any interval": {"track.prior_interval": 10.0},
+    "hidden limbs left alone (hidden_rest 0)": {"track.hidden_rest": 0.0},
+    "usual forearms (forearms off)": {"track.forearms": False},
     "no features": {"read.features": False},
     "joint limits 0.1": {"solve.limits": 0.1},
     "collisions 0.3": {"solve.collisions": 0.3},
@@ -30,8 +32,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "no later start": {"start.later": ()},
     "256 points": {"person.points": 256},
     "at most 6 steps": {"solve.max_steps": 6},
-    "exact closest points (refine 4)": {"solve.refine": 4},
     "epsilon 1e-5": {"solve.epsilon": 1e-5},
+    "exact closest points (refine 4)": {"solve.refine": 4},
 }
 
 
