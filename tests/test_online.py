@@ -6,6 +6,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+import voodoo_jax as vj
 from voodoo_jax.cli import main
 from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_log import open_log
@@ -99,8 +100,12 @@ def test_the_command(tmp_path, capsys):
     log = str(files("voodoo_jax") / "data" / "demo.mcap")
     assert main(["replay", log, "--out", str(tmp_path), "--online", "--smooth", "0.1"]) == 2
     assert "--online" in capsys.readouterr().err
-    assert SETTINGS == replace(
-        Settings(),
-        person=replace(Settings().person, ahead=False),
-        track=replace(Settings().track, both_ways=False),
+    assert (
+        SETTINGS
+        == vj.online(Settings())
+        == replace(
+            Settings(),
+            person=replace(Settings().person, ahead=False),
+            track=replace(Settings().track, both_ways=False),
+        )
     )

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from voodoo_jax.replay import replay
     from voodoo_jax.settings import Change as Change
     from voodoo_jax.settings import Settings as Settings
+    from voodoo_jax.settings import online as online
     from voodoo_jax.settings import preset as preset
     from voodoo_jax.smoothing import smooth as smooth
     from voodoo_jax.tracker import track as track
@@ -55,6 +56,7 @@ _PUBLIC = {
     "human": ("io.body_file", "human"),
     "joint_centres": ("body", "joint_centres"),
     "load_body": ("io.body_file", "load_body"),
+    "online": ("settings", "online"),
     "preset": ("settings", "preset"),
     "read_body": ("io.body_file", "read_body"),
     "read_log": ("io.mcap_log", "read_log"),
