@@ -1,5 +1,6 @@
 """What the experiments share: recordings with their truth, tracking them, scores and grades, files."""
 
+import json
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -102,6 +103,12 @@ def load_truth(path: Path, last_ns: int | None = None) -> Truth:
 def without_features(people: list[PersonFrame]) -> list[PersonFrame]:
     """The frames as `--read.no-features` gives them."""
     return [replace(f, rays=Rays(), pairs=Pairs()) for f in people]
+
+
+def load_dims(path: Path) -> dict[str, float]:
+    """Stature and segment lengths in the truth of a recording, metres."""
+    with np.load(path.with_suffix(".truth.npz"), allow_pickle=False) as truth:
+        return json.loads(str(truth["dims"]))
 
 
 @dataclass(frozen=True)

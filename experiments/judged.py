@@ -1,6 +1,5 @@
 """Tracks of hard recordings, judged: how far off, and whether the tracker says so. Trials in two processes."""
 
-import json
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -13,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
-from experiments.common import Log, Score, errors, human, load_truth, nearest, off, score, scored
+from experiments.common import Log, Score, errors, human, load_dims, load_truth, nearest, off, score, scored
 from voodoo_jax.body import Body, segment_lengths
 from voodoo_jax.compile_cache import cache_folder, keep_compiled, use_compile_cache
 from voodoo_jax.io.mcap_log import open_log
@@ -61,8 +60,7 @@ def read(path: Path, settings: Settings, frames: int = 0) -> Recorded:
     reader = open_log(path, settings.read)
     found = list(reader.frames())
     found = found[: frames or None]
-    with np.load(path.with_suffix(".truth.npz"), allow_pickle=False) as file:
-        dims = json.loads(str(file["dims"]))
+    dims = load_dims(path)
     t = load_truth(path, found[-1].time_ns)
     there = np.ones(len(t.time_ns), bool)
     return Recorded(path.stem, reader.fixed_frame, reader.up, found, t.time_ns, t.names, t.joints, there, dims)

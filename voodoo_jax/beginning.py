@@ -82,9 +82,8 @@ def clearer(run: Session, at: int) -> Beginning | None:
     size anew. For who began in doubt and may not look ahead."""
     if run.by_markers or not run.can_start(at):
         return None
-    s = run.settings.start
-    found = _trial(run, at, sized(run.body, run.people[at : at + s.size_frames], run.scene.floor, s))
-    if not found.clear(s.sure):
+    found = _trial(run, at, _measured(run, at))
+    if not found.clear(run.settings.start.sure):
         return None
     run.body = found.body
     run.bodies.append((at, run.body))
@@ -132,9 +131,14 @@ def _in_stances(run: Session, at: int) -> Beginning | None:
 
 
 def _sized(run: Session, at: int) -> Body:
-    """The body in the size that it seems to have from frame `at` on, or the one that it is known to have."""
+    """The body in the size that it is known to have, or else in the one that it seems to have from frame `at` on."""
+    return run.body if run.sized else _measured(run, at)
+
+
+def _measured(run: Session, at: int) -> Body:
+    """The body in the size that it seems to have from frame `at` on."""
     s: StartSettings = run.settings.start
-    return run.body if run.sized else sized(run.body, run.people[at : at + s.size_frames], run.scene.floor, s)
+    return sized(run.body, run.people[at : at + s.size_frames], run.scene.floor, s)
 
 
 def _tried_on(run: Session, at: int) -> list[PersonFrame]:

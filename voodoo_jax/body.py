@@ -110,6 +110,7 @@ def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.
 
     The rest pose follows from the joints; the root stays. Raises ValueError for an unknown limb.
     """
+    body = on_host(body)
     t = body.topology
     if unknown := set(lengths) - set(t.limbs):
         raise ValueError(f"no limb named {sorted(unknown)}; the body has {list(t.limbs)}")

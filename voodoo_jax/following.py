@@ -51,10 +51,10 @@ def blank(body: Body, people: list[PersonFrame]) -> Rows:
 
 def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows, progress: Progress | None) -> None:
     """Tracks from frame `at` to the end and fills in `out`; `enough` the frames with points enough to look anew."""
-    both_ways = run.settings.track.both_ways and not run.by_markers and not run.settings.changes
+    ahead = run.settings.track.both_ways  # whether later frames may be looked at
+    both_ways = ahead and not run.by_markers and not run.settings.changes
     count, patience = len(run.people), run.settings.track.patience
-    # that the body is gone is known only then, if nothing later is looked at
-    wait = 0 if run.settings.track.both_ways else patience
+    wait = 0 if ahead else patience  # frames until it is known that the body is gone
     say = progress or (lambda _: None)
     state: State | None = None
     start: Beginning | None = None  # of the present span
@@ -70,7 +70,7 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
         if state is None:
             start = begin(run, at, before)
             state = at_rest(start.poses)
-            doubt = not run.settings.track.both_ways and start.unexplained > WRONG * run.settings.start.sure
+            doubt = not ahead and start.unexplained > WRONG * run.settings.start.sure
         after, step, taken = run.chunk(state, at, DOUBT if doubt else SPAN)
         rows = rows_of(run, step, at, taken)
         # gone or lost for long: stop here and look anew

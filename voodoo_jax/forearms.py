@@ -6,7 +6,7 @@ measured on people of known lengths, see experiments/forearms. Of all limbs only
 hands are seen, and named by detectors, and nothing hangs on them.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +16,7 @@ from voodoo_jax.body import Body, scaled, with_proportions
 from voodoo_jax.io.body_file import human
 from voodoo_jax.passage import Rows
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses, apply, unrotate
+from voodoo_jax.pose import Poses, apply, on_host, unrotate
 from voodoo_jax.tracks import Status
 
 # A wrist's bands are stretched by this share of what the forearm is too short by (as far as people differ): told by
@@ -25,6 +25,8 @@ BY_POINTS, BY_NAMES = 0.075, 0.13
 HAND = 0.0077  # of the stature: people's hands reach so much farther than the body's
 FARTHEST = 0.016  # of the stature: forearms of people differ by less (two standard deviations)
 FEW = 30  # frames of one arm with which it counts half
+
+Some = TypeVar("Some", float, np.ndarray)
 
 
 class Stretch(NamedTuple):
@@ -52,8 +54,13 @@ def with_forearms(body: Body, people: list[PersonFrame], names: FeatureNames, ro
 
 def lengthened(found: Stretch) -> float:
     """How much longer a forearm is than the body's, share of the body's scale."""
-    longer = found.gap / (BY_POINTS + BY_NAMES * found.named) - HAND
+    longer = asked(found.gap, found.named)
     return float(np.clip(longer, -FARTHEST, FARTHEST)) * found.count / (found.count + FEW)
+
+
+def asked(gap: Some, named: Some, by_points: float = BY_POINTS, by_names: float = BY_NAMES, hand: float = HAND) -> Some:
+    """How much longer a forearm is than the body's by its wrist's gap, share of the body's scale; of one or of many."""
+    return gap / (by_points + by_names * named) - hand
 
 
 def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, rows: Rows) -> Stretch | None:
@@ -61,14 +68,17 @@ def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, rows: Ro
 
     **Arguments:** `people` and `rows` frames, and what was tracked in them (arrays of Tracks); `names` of features.
     """
-    t = body.topology
+    body, t = on_host(body), body.topology
+    limbs = (*t.site_limbs, *t.centre_limbs)  # as in kernels.features.named_points
     tracked = np.flatnonzero(rows["status"] == Status.TRACKED)
     gaps, named = [], []
     for side in "lr":
         joint, hand = t.joints.index(f"{side}_wrist"), t.limbs.index(f"{side}_hand")
         frames = tracked[rows["limb_weight"][tracked, hand] > 0]
         gaps.append(_gap(body, Poses(rows["rotation"][frames], rows["translation"][frames]), joint))
-        named += [_is_named(body, hand, people[frame], names) for frame in frames]
+        # surely on the hand, that is
+        on_hand = lambda name, hand=hand: {limbs[point] for point in names.look_up(name) or ()} == {hand}  # noqa: E731
+        named += [any(map(on_hand, (*people[k].rays.names, *people[k].pairs.names))) for k in frames]
     gap = np.concatenate(gaps)
     return Stretch(float(np.median(gap)), float(np.mean(named)), len(gap)) if len(gap) else None
 
@@ -76,16 +86,9 @@ def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, rows: Ro
 def _gap(body: Body, poses: Poses, joint: int) -> Float[np.ndarray, " frame"]:
     """How far the child of a joint is off along the joint's parent, share of the body's scale."""
     parent, child = body.topology.parents[joint], body.topology.children[joint]
-    ends = [apply(poses[:, limb], np.asarray(anchor.translation[joint])) for limb, anchor in (
+    ends = [apply(poses[:, limb], anchor.translation[joint]) for limb, anchor in (
         (parent, body.parent_anchor), (child, body.child_anchor))]  # fmt: skip
-    return np.asarray(unrotate(poses.rotation[:, parent], ends[1] - ends[0]))[:, 2] / float(body.scale)
-
-
-def _is_named(body: Body, limb: int, person: PersonFrame, names: FeatureNames) -> bool:
-    """Whether a feature of the frame is surely on the limb."""
-    limbs = (*body.topology.site_limbs, *body.topology.centre_limbs)  # as in kernels.features.named_points
-    points = (names.look_up(name) for name in (*person.rays.names, *person.pairs.names))
-    return any(some is not None and all(limbs[point] == limb for point in some) for some in points)
+    return unrotate(poses.rotation[:, parent], ends[1] - ends[0])[:, 2] / float(body.scale)
 
 
 def _is_usual(body: Body) -> bool:

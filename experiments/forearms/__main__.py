@@ -6,7 +6,6 @@ them), and for every person to the others alone: that column is what a stranger 
 forearms.png.
 """
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,19 +15,13 @@ import tyro
 from scipy.optimize import least_squares
 from tqdm import tqdm
 
-from experiments.common import DEMO, human, load_log, log_files, table, without_features, write
+from experiments.common import DEMO, human, load_dims, load_log, log_files, table, without_features, write
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import segment_lengths
-from voodoo_jax.forearms import BY_NAMES, BY_POINTS, HAND, Stretch, lengthened, stretch
+from voodoo_jax.forearms import BY_NAMES, BY_POINTS, HAND, Stretch, asked, lengthened, stretch
 from voodoo_jax.settings import Settings
 
 NOW = (BY_POINTS, BY_NAMES, HAND)
-
-
-def asked(gap: np.ndarray, named: np.ndarray, constants: np.ndarray) -> np.ndarray:
-    """How much longer forearms are than the body's, share of the stature, by other constants than now."""
-    by_points, by_names, hand = constants
-    return gap / (by_points + by_names * named) - hand
 
 
 def fitted(gap: np.ndarray, named: np.ndarray, true: np.ndarray, person: np.ndarray) -> np.ndarray:
@@ -36,7 +29,7 @@ def fitted(gap: np.ndarray, named: np.ndarray, true: np.ndarray, person: np.ndar
     share = np.sqrt(1 / np.bincount(person)[person])
     start, scale = np.array(NOW), 100.0
     # by logarithms: a share that is stretched is never negative
-    found = least_squares(lambda x: scale * share * (asked(gap, named, start * np.exp(x)) - true), np.zeros(3))
+    found = least_squares(lambda x: scale * share * (asked(gap, named, *start * np.exp(x)) - true), np.zeros(3))
     return start * np.exp(found.x)
 
 
@@ -58,8 +51,7 @@ def main(
     labels, scale, true, stature = [], [], [], []
     for path in tqdm(log_files(recordings)[::every], "recordings", leave=False, disable=None):
         log = load_log(path, body, settings, frames)
-        with np.load(path.with_suffix(".truth.npz"), allow_pickle=False) as file:
-            dims = json.loads(str(file["dims"]))
+        dims = load_dims(path)
         for kind, people in (("features", log.people), ("depth alone", without_features(log.people))):
             tracks = log.track(body, usual, people)
             rows = {name: getattr(tracks, name) for name in ("status", "rotation", "translation", "limb_weight")}
@@ -73,15 +65,15 @@ def main(
             stature.append(round(dims["stature"], 3))
     gap, named = (np.array([getattr(s, name) for s in found]) for name in ("gap", "named"))
     scale, true = np.array(scale), np.array(true)
-    people = sorted(set(stature))
-    person = np.array([people.index(s) for s in stature])
+    persons = sorted(set(stature))
+    person = np.array([persons.index(s) for s in stature])
     # of every recording: error with the usual forearm, with the constants of now, with those of the other people
     now = np.array([lengthened(s) for s in found])
     others = np.full(len(found), np.nan)
-    for one in range(len(people) if len(people) > 2 else 0):
+    for one in range(len(persons) if len(persons) > 2 else 0):
         rest = person != one
         constants = fitted(gap[rest], named[rest], true[rest], np.unique(person[rest], return_inverse=True)[1])
-        others[~rest] = asked(gap, named, constants)[~rest]
+        others[~rest] = asked(gap, named, *constants)[~rest]
     off = 100 * scale[:, None] * (np.stack([0 * now, now, others], 1) - true[:, None])
     cell = lambda x: f"{x:+.2f}" if np.isfinite(x) else "-"  # noqa: E731
     lines = [[*label, f"{1000 * s.gap:.2f}", f"{s.named:.2f}", *map(cell, row)]
@@ -92,7 +84,7 @@ def main(
     head = ["recording", "measured by", "gap, ‰ of the stature", "hand named in",
             "usual forearm, cm off", "as tracked now, cm off", "constants of the other people, cm off"]  # fmt: skip
     text = table(head, lines, left=2)
-    if len(people) > 2:
+    if len(persons) > 2:
         best = " / ".join(f"{x:.4f}" for x in fitted(gap, named, true, person))
         text += f"\nConstants that fit all best (BY_POINTS / BY_NAMES / HAND): {best}; used: {NOW}.\n"
     figure, axes = plt.subplots(figsize=(6, 4.5), layout="constrained")

@@ -7,7 +7,6 @@ The defaults themselves were chosen on all recordings: what a half's own choice 
 says how much of that is chance. Writes halves.md.
 """
 
-import json
 from pathlib import Path
 from typing import Literal
 
@@ -16,7 +15,7 @@ import tyro
 from tqdm import tqdm
 
 from experiments.bench.replay_speed import machine
-from experiments.common import log_files, machine_line, table, write
+from experiments.common import load_dims, log_files, machine_line, table, write
 from experiments.halves.trial import TRIED, Choice, Job, work
 from experiments.judged import HEAD, Verdict, cells, trials
 
@@ -27,8 +26,7 @@ def halves(files: list[Path]) -> tuple[list[Path], list[Path]]:
     """The recordings of every other person, and those of the others; people in the order of their statures."""
     stature = {}
     for file in files:
-        with np.load(file.with_suffix(".truth.npz"), allow_pickle=False) as truth:
-            stature[file] = round(json.loads(str(truth["dims"]))["stature"], 3)
+        stature[file] = round(load_dims(file)["stature"], 3)
     people = sorted(set(stature.values()))
     first, second = ([f for f in files if people.index(stature[f]) % 2 == k] for k in (0, 1))
     return first, second
