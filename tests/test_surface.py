@@ -183,7 +183,7 @@ def test_near_side(rng, name):
     towards = rng.normal(size=(len(points), 2)) * 2
     before = call(size, points, 0)
     after = jax.jit(near_side)(jnp.asarray(size, jnp.float32), *jnp.asarray(points[:, :2].T, jnp.float32), before,
-                      *jnp.asarray(towards.T, jnp.float32))  # fmt: skip
+                      [*jnp.asarray(towards.T, jnp.float32), jnp.full(len(points), size[4] / 2)])  # fmt: skip
     s = np.asarray(before.z, np.float64) / size[4]
     axes = np.stack([size[0] + s * (size[2] - size[0]), size[1] + s * (size[3] - size[1])], -1)
     # where the ellipse is a unit circle, lines of sight stay lines
@@ -210,7 +210,7 @@ def test_near_side_without_a_side():
     def total(xy, towards):
         x, y = xy.T
         before = closest_point(size, x, y, jnp.full_like(x, 0.1))
-        after = near_side(size, x, y, before, towards[:, 0], towards[:, 1])
+        after = near_side(size, x, y, before, [*towards.T, jnp.zeros_like(x)])
         return jnp.sum(after.x + after.y), (before, after)
 
     xy = jnp.array([[-0.02, 0.01], [0.0, 0.0], [-0.01, 0.05], [-0.0, -0.2]])
@@ -220,3 +220,19 @@ def test_near_side_without_a_side():
     assert isinstance(after, SurfacePoint)
     for a, b in zip(after, before):
         np.testing.assert_array_equal(a[:2], b[:2])
+
+
+@pytest.mark.parametrize(("above", "seen"), [(0.5, True), (0.02, False)])
+def test_near_side_leaves_a_cap_that_is_seen(above: float, seen: bool):
+    """Points of the end face behind the axis are where they seem to be, if the sensor looks onto that face."""
+    size = jnp.array([0.1, 0.08, 0.06, 0.05, 0.3])
+    x, y = jnp.array([-0.04, -0.02, 0.03, -0.09]), jnp.array([0.01, -0.03, 0.0, 0.0])
+    z = jnp.array([0.301, 0.299, 0.301, 0.301])
+    before = closest_point(size, x, y, z)
+    ones = jnp.ones_like(x)
+    after = near_side(size, x, y, before, [1.0 * ones, 0.0 * ones, (0.3 + above if seen else 0.3 - above) * ones])
+    still = np.asarray(after.x == before.x)
+    # the third is before the axis, the last one beside the rim
+    np.testing.assert_array_equal(still, [seen, seen, True, False])
+    upside_down = near_side(size, x, y, before, [1.0 * ones, 0.0 * ones, -1.0 * ones])
+    np.testing.assert_array_equal(np.asarray(upside_down.x == before.x), [False, False, True, False])

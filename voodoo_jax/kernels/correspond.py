@@ -43,10 +43,10 @@ class Match(NamedTuple):
         return jnp.sum(self.weight * self.distance**2)
 
 
-def _sensor_directions(poses: Poses, points: Points) -> tuple[Float[Array, "limb sensor"], Float[Array, "limb sensor"]]:
-    """x and y of every sensor in every limb's frame, metres."""
+def _sensors(poses: Poses, points: Points) -> list[Float[Array, "limb sensor"]]:
+    """x, y and z of every sensor in every limb's frame, metres."""
     local = unrotate(poses.rotation[:, None], points.origins[None] - poses.translation[:, None])
-    return local[..., 0], local[..., 1]
+    return [local[..., k] for k in range(3)]
 
 
 def match(
@@ -67,19 +67,18 @@ def match(
     if options.overlap == "exclusive":
         return _match_closest(sizes, poses, points, near_body, present, options)
     x, y, z = components(points.xyz)
-    to_x, to_y = _sensor_directions(poses, points)
 
-    def one_limb(limb, here, size, pose, towards_x, towards_y):
+    def one_limb(limb, here, size, pose, sensors):
         px, py, pz = into_limb(pose.rotation, pose.translation, x, y, z)
         surface = closest_point(size, px, py, pz, options.refine, options.caps)
         signed = surface.distance
         if options.near_side:
-            surface = near_side(size, px, py, surface, towards_x[points.sensor], towards_y[points.sensor])
+            surface = near_side(size, px, py, surface, [part[points.sensor] for part in sensors])
         box = here & may_belong(limb, size, px, py, pz, points, options)
         return (surface.x, surface.y, surface.z), (px, py, pz), signed, box
 
     limbs = jnp.arange(sizes.shape[0])
-    model, data, signed, box = jax.vmap(one_limb)(limbs, present, sizes, poses, to_x, to_y)
+    model, data, signed, box = jax.vmap(one_limb)(limbs, present, sizes, poses, _sensors(poses, points))
     chosen = resolve_overlap(options.overlap, box & near_body[None, :], signed, adjacent)
     if options.sampling is not None:
         chosen = sampled(chosen, options.sampling)
@@ -118,7 +117,7 @@ def match_assigned(
     row = order == jnp.minimum(limb, sizes.shape[0] - 1)
     rows = jnp.concatenate([poses.rotation, poses.translation, sizes], -1)
     if options.near_side:
-        rows = jnp.concatenate([rows, *_sensor_directions(poses, points)], -1)
+        rows = jnp.concatenate([rows, *_sensors(poses, points)], -1)
     # each point's row of the table by one product: much faster than a gather
     mine = jnp.matmul(rows.T, row.astype(x.dtype), precision="highest")
     # split, not indexed: the derivative is one concatenation then, instead of a sum of padded arrays
@@ -129,8 +128,8 @@ def match_assigned(
     if options.near_side:
         sensors = points.origins.shape[-2]
         one = jax.nn.one_hot(points.sensor, sensors, axis=0, dtype=x.dtype)
-        towards = [jnp.sum(jnp.stack(mine[k : k + sensors]) * one, 0) for k in (12, 12 + sensors)]
-        surface = near_side(size, px, py, surface, *towards)
+        seen_from = [jnp.sum(jnp.stack(mine[12 + k * sensors :][:sensors]) * one, 0) for k in range(3)]
+        surface = near_side(size, px, py, surface, seen_from)
     chosen = (limb < sizes.shape[0])[None]
     return _weigh(chosen, (surface.x, surface.y, surface.z), (px, py, pz), points.weight[None], options)
 

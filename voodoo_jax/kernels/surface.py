@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 # A radius or length of zero is legal (cones, discs, needles); below this it counts as this, metres.
 TINY = 1e-6
+FLAT, EDGE = 0.999, 1e-6  # of the squared radius, of the length: where closest points are on a cap, not on its rim
 # a0, b0, a1, b1, length in metres, of one limb or point by point; and the rims' factors, see rim_factors
 Rims = Float[Array, "4"] | Sequence[Float[Array, "*point"]]
 Size = Float[Array, "5"] | Float[Array, "5 point"] | Sequence[Float[Array, "*point"]]
@@ -167,25 +168,27 @@ def near_side(
     x: Float[Array, " point"],
     y: Float[Array, " point"],
     surface: SurfacePoint,
-    towards_x: Float[Array, " point"],
-    towards_y: Float[Array, " point"],
+    sensor: Sequence[Float[Array, " point"]],
 ) -> SurfacePoint:
     """Moves correspondences from the side that the sensor cannot see to the side that it sees.
 
     A measured point was on the surface that faces its sensor. Where the point lies behind the limb's axis, the
     closest point would be on the far side and pull the limb away from the sensor; instead the point keeps its lateral
-    offset and takes the near surface there. `towards_x, towards_y`: direction from limb to sensor, limb frame.
+    offset and takes the near surface there. Not on an end cap that the sensor sees, which has no far side. `sensor`:
+    x, y, z of each point's sensor in the limb frame, metres.
     """
     a0, b0, a1, b1, length = (jnp.maximum(size[i], TINY) for i in range(5))
     s = surface.z / length
     a, b = a0 + s * (a1 - a0), b0 + s * (b1 - b0)
-    u, v = towards_x / a, towards_y / b  # scaled so that the ellipse is the unit circle: lines stay lines
+    u, v = sensor[0] / a, sensor[1] / b  # scaled so that the ellipse is the unit circle: lines stay lines
     n2 = u * u + v * v
     seen_from_end = n2 < 1e-8  # the sensor looks along the limb: no near side
     n = jnp.sqrt(jnp.where(seen_from_end, 1.0, n2))
     u, v = u / n, v / n
     depth, lateral = x / a * u + y / b * v, y / b * u - x / a * v
-    behind = (depth < 0) & ~seen_from_end
+    within = (surface.x / a) ** 2 + (surface.y / b) ** 2 < FLAT
+    on_cap = within & jnp.where(sensor[2] < 0, s < EDGE, (s > 1 - EDGE) & (sensor[2] > length))
+    behind = (depth < 0) & ~seen_from_end & ~on_cap
     lateral = jnp.clip(lateral, -1.0, 1.0)
     rest = 1.0 - lateral * lateral
     front = jnp.where(rest > 1e-12, jnp.sqrt(jnp.where(rest > 1e-12, rest, 1.0)), 0.0)
