@@ -8,13 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import joint_centres, segment_lengths, with_proportions
 from voodoo_jax.cli import main
 from voodoo_jax.fit_frames import TruthError, held_out, read_truth
 from voodoo_jax.fit_parameters import Changes, changed, height_of, parameters
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
+from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.one_by_one import one_by_one
+from voodoo_jax.settings import Settings
 
 BODY = human()
 
@@ -137,6 +140,19 @@ def test_changes_add_up():
     np.testing.assert_allclose(by.lengths[jnp.array(rows)], [0.1, 0.2])
 
 
+def test_settings_that_were_found():
+    """Factors of the solve's options and of features, named or not, go into settings; the body's stay out."""
+    before = Settings()
+    found = {"solve.ratio": np.log(2.0), "features.face.weight": np.log(0.5), "bands.neck.weight": 1.0}
+    after = tuned_settings(before, found | {"features.marker.weight": np.log(3.0)})
+    assert after.solve == replace(before.solve, ratio=after.solve.ratio)
+    assert after.solve.ratio == pytest.approx(2 * before.solve.ratio)
+    table = FeatureNames(BODY.topology, after.features)
+    assert table.weights["face"] == 5.0 and table.weights["marker"] == pytest.approx(3 * before.features.weight)
+    assert table.weights["left_hand"] == 7.0
+    assert tuned_settings(before, {"lengths.thigh": 0.1}) == before
+
+
 def test_fit_of_the_demo(tmp_path, capsys):
     """The whole way, cut short: a trunk that is 15 % too thin comes a third of the way to the truth.
 
@@ -174,7 +190,6 @@ def test_a_loss_of_ones_own():
     """BFGS finds the thigh that a function asks for; priors pull a little; it goes on from where it stopped."""
     from voodoo_jax.fit_loop import Part, Search
     from voodoo_jax.fit_user import minimised
-    from voodoo_jax.settings import Settings
     from voodoo_jax.tracking import options_from
 
     chosen = parameters(BODY, ["lengths.thigh", "lengths.shank"])

@@ -88,8 +88,9 @@ class FitCommand:
 
     Tracks the logs, then changes the body until measurements that the poses were not solved on lie on it. Writes the
     body file, and beside it a report (.md, .png) that says what changed, how sure that is, and whether it helps in
-    frames that were held out. Use it with `voodoo-jax replay LOG --body FILE`: the size is found anew, the proportions
-    are kept. Ctrl-C stops it; the same command goes on from there.
+    frames that were held out; weights of measurements and options of the solve, if they were fitted, go into a settings
+    file (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: the size is found anew, the
+    proportions are kept. Ctrl-C stops it; the same command goes on from there.
     """
 
     logs: Positional[tuple[Path, ...]] = ()

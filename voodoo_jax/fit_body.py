@@ -36,7 +36,7 @@ from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Tracks
 
 SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
-MOVED = 0.2  # usual deviations: a round that changes nothing by more is the last
+MOVED = 0.2  # deviations of what was found: a round that changes nothing by more is the last
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def fit_tracked(
     whole = now = search_of(seen, settings, options, truths or judge, chosen)
     if not truths:
         whole = now = replace(whole, objective="held")
-    search = _but_held_out(now)
+    search = _fitted(now, options)
     size = len(search.sd)
     mark = _fingerprint(search, options)
     progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(size))
@@ -156,14 +156,14 @@ def fit_tracked(
             began = progress.x
             progress, place = run_search(search, progress, number * options.iterations, step_done)
             sd = deviations(search, progress.x, place)
-            moved = float(np.max(np.abs(progress.x - began) / search.sd, initial=0.0))
+            moved = float(np.max(np.abs(progress.x - began) / sd, initial=0.0))
             if number == options.rounds or moved < MOVED or any(s.scene is None for s in seen):
                 break
             tell("tracking again", progress)
             again = [_again(one, search.body(progress.x, part), settings) for one, part in zip(seen, search.parts)]
             parts = search_of(again, settings, options, truths or judge, chosen).parts
             now = replace(now, parts=tuple(old._replace(frames=new.frames) for old, new in zip(now.parts, parts)))
-            search, progress = _but_held_out(now), replace(progress, done=False)
+            search, progress = _fitted(now, options), replace(progress, done=False)
     tell("judging", progress)
     before, after = whole.place(np.zeros(size)), now.place(progress.x)
     first = [next(p for p in search.parts if p.person == k) for k in range(len(search.rows))]
@@ -175,10 +175,12 @@ def fit_tracked(
     )  # fmt: skip
 
 
-def _but_held_out(search: Search) -> Search:
-    """The search without the frames that nothing is fitted to."""
+def _fitted(search: Search, options: FitSettings) -> Search:
+    """The search without the frames that nothing is fitted to, and with stiffer bands unless they are free."""
     parts = (p._replace(frames=with_weight(p.frames, ~held_out(len(p.frames.weight)))) for p in search.parts)
-    return replace(search, parts=tuple(parts))
+    soft = any(n.startswith(("bands.", "solve.")) for n in search.free.names)
+    ratio = search.options.ratio * (1.0 if soft else options.stiffness)
+    return replace(search, parts=tuple(parts), options=eqx.tree_at(lambda o: o.ratio, search.options, ratio))
 
 
 def _again(seen: Seen, body: Body, settings: Settings) -> Seen:

@@ -10,10 +10,12 @@ from voodoo_jax.fit_body import fit
 from voodoo_jax.fit_frames import TruthError
 from voodoo_jax.fit_loop import FitError
 from voodoo_jax.fit_progress import Progress
+from voodoo_jax.fit_tuned import tuned_settings
+from voodoo_jax.io.atomic import replacing
 from voodoo_jax.io.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.io.fit_report import verdict, write_report
 from voodoo_jax.io.mcap_log import LogError
-from voodoo_jax.settings import Settings
+from voodoo_jax.settings import Settings, settings_text
 
 
 def outputs(out: Path, persons: int) -> list[Path]:
@@ -25,7 +27,8 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
     """0 if the body was written, 1 if the fit failed, 2 if it could not begin, 130 if it was interrupted."""
     bodies = outputs(command.out, 1 if command.fit.persons == "one" else len(command.logs))
     report, state = command.out.with_suffix(".md"), command.out.with_name(f".{command.out.name}.fit-state.npz")
-    there = [p for p in (*bodies, report, report.with_suffix(".png")) if p.exists()]
+    config = command.out.with_suffix(".config.toml")
+    there = [p for p in (*bodies, report, report.with_suffix(".png"), config) if p.exists()]
     if command.out.suffix != ".toml":
         print(f"voodoo-jax fit: --out '{command.out}': name a body file, with the ending .toml", file=sys.stderr)
         return 2
@@ -54,7 +57,13 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
     for fitted, path in zip(found.bodies, bodies):
         write_body(fitted, path)
     text, drawn = write_report(found, report)
+    files = [*bodies, text, drawn]
+    new = tuned_settings(settings, dict(zip(found.names, found.x.tolist())))
+    if new != settings:
+        with replacing(config) as partial:
+            partial.write_text(settings_text(new), encoding="utf-8")
+        files.append(config)
     state.unlink(missing_ok=True)
     print(verdict(found.judged))
-    print(f"written: {', '.join(str(p) for p in (*bodies, text, drawn))}")
+    print(f"written: {', '.join(map(str, files))}")
     return 0

@@ -32,5 +32,8 @@ class FitSettings:
     and the priors less."""
     looseness: float = 1.0
     """Widens all priors by this factor."""
+    stiffness: float = 20.0
+    """How many times stiffer than in tracking the bands are while sizes are fitted: soft ones give way to a wrong
+    length, so that the points hardly tell. 1 where bands or solve.ratio are free, and for the report's judgement."""
     markers: bool = False
     """Named 3D points of the logs judge the fit and hold no pose; otherwise half of them do."""
