@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from voodoo_jax import cells
 from voodoo_jax.cells import Counted, cells_of, components, touching, unique_cells, within
@@ -39,7 +39,7 @@ def test_touching_cells_differ_by_one_at_most(rng, way):
 def test_within_a_distance_as_a_search_tree_says(rng, way, distance, few, monkeypatch):
     monkeypatch.setattr(cells, "FEW", few)
     points, others = cloud(rng, 800), cloud(rng, 300, 1.5)
-    expected = cKDTree(others).query(points)[0] < distance
+    expected = KDTree(others).query(points)[0] < distance
     np.testing.assert_array_equal(within(points, others, distance), expected)
 
 
