@@ -7,7 +7,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.clouds import components, fair_share, without_strays
+from voodoo_jax.cells import components
+from voodoo_jax.clouds import fair_share, without_strays
 from voodoo_jax.furniture import without_furniture, without_things
 from voodoo_jax.person import PersonFinder, person_frames
 from voodoo_jax.person_frame import PersonFrame

@@ -202,9 +202,10 @@ def test_frames_without_points_do_not_count_in_trials(trials):
 
 def test_trials_that_are_given_up_are_not_the_best(trials, monkeypatch):
     """Who goes on comes out as if all did, the best among them, and one that faces the other way and is as good."""
+    monkeypatch.setattr("voodoo_jax.session.run_trials", run_trials.function)  # a program would be the same one
+    monkeypatch.setattr("voodoo_jax.start.STEPS", Settings().solve.max_steps)  # as without others to give up
     some = trials(5, 5, 12)
     monkeypatch.setattr("voodoo_jax.start.KEPT", 12)
-    monkeypatch.setattr("voodoo_jax.session.run_trials", run_trials.function)  # a program would be the same one
     every = trials(5, 5, 12)
     kept = np.isfinite(some.cost)
     assert kept.sum() == 4 and np.isfinite(every.cost).all()

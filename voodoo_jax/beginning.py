@@ -106,12 +106,15 @@ def fresh(
     at, end = first + skip, first + len(cost)
     if run.by_markers or end - at < 2 * run.settings.start.frames or not run.can_start(at):
         return None
+    tried = _tried_on(run, at)
+    here = float(np.mean(cost[skip : skip + len(tried)]))
+    if here - _noise(tried) ** 2 <= run.settings.start.sure:  # it is in no doubt itself
+        return None
     best = _trial(run, at, run.body)
     if best.rival is not None:
         # a few frames hardly tell front from back: the track knows it from all before
         ways = facing(run.body, np.stack([rotation[skip], best.poses.rotation]))
         best = best if ways[0] @ ways[1] > 0 else best.rival
-    here = float(np.mean(cost[skip : skip + len(_tried_on(run, at))]))
     if not best.cost < BETTER * here or best.unexplained > run.settings.start.sure:
         return None
     return run.through(best.poses, run.people[at:end])[0].poses
@@ -153,6 +156,12 @@ def soon(frames: list[PersonFrame], s: StartSettings) -> list[PersonFrame]:
     return [f for k, f in enumerate(frames[: s.frames]) if k < 3 or f.time_ns - frames[0].time_ns <= s.seconds * 1e9]
 
 
+def _noise(frames: list[PersonFrame]) -> float:
+    """What noise a start from these frames is allowed, metres."""
+    # people are no cylinders: a quieter sensor does not come nearer to them
+    return max(USUAL, float(np.median([f.noise for f in frames])))
+
+
 def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> Beginning:
     """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
 
@@ -165,8 +174,7 @@ def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
-    # people are no cylinders: a quieter sensor does not come nearer to them
-    noise = max(USUAL, float(np.median([f.noise for f in frames])))
+    noise = _noise(frames)
     trial = on_host(run.trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places)))
     found = [
         Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]), noise)

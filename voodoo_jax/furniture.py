@@ -5,11 +5,12 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from voodoo_jax.clouds import cells_of, unique_cells
+from voodoo_jax.cells import cells_of, touching, unique_cells
 from voodoo_jax.person_frame import PersonFrame, assigned
 from voodoo_jax.scene import Plane
 
 AWAY = 0.55  # metres from the body's axis: not part of it
+MOVED = 0.4  # metres by which the body must come nearer to a thing or go farther from it, to be told from it
 CELL = 0.1  # metres, of the grid in which furniture is looked for
 BLOCK = 4_000_000  # cells times frames that are compared at once
 HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was a body that touched the thing
@@ -40,7 +41,7 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
     """Takes out what stayed in its place while the body came or went: furniture that the body touched.
 
     A cell counts as furniture where points were seen in most of the frames in which the body's axis was more than half
-    a metre away, and the axis came closer or went farther by 0.4 m meanwhile. Uses all frames. A body that never leaves
+    a metre away, and the axis came closer or went farther by MOVED meanwhile. Uses all frames. A body that never leaves
     its place tells nothing, and its frames come back as they are.
     """
     seen = [i for i, f in enumerate(frames) if len(f.points) >= 30]
@@ -51,6 +52,8 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
         height = frames[i].points @ up
         axis[i] = np.median(frames[i].points[height > np.percentile(height, 60)], 0)
         axis[i] -= (axis[i] @ up) * up
+    if np.linalg.norm(np.ptp(axis[seen], 0)) <= MOVED:  # then no cell's distance changes by more
+        return frames
     cells = [unique_cells(cells_of(frames[i].points, CELL))[0] for i in seen]
     frame_of = np.repeat(np.arange(len(seen)), [len(c) for c in cells])
     unique, which = unique_cells(np.concatenate(cells))
@@ -66,15 +69,8 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
     for block in np.array_split(np.array(seen), max(1, len(seen) * len(unique) // BLOCK)):
         away += (np.linalg.norm(middle[:, None] - axis[block][None], axis=2) > AWAY).sum(1)
     share = seen_away / np.maximum(away, 1)
-    furniture = unique[(farthest - nearest > 0.4) & (share > 0.5) & (away >= 8)]
+    furniture = unique[(farthest - nearest > MOVED) & (share > 0.5) & (away >= 8)]
     if not len(furniture):
         return frames
     # the cells around too: noise at the faces
-    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
-    blocked = set(map(tuple, (furniture[:, None] + around[None]).reshape(-1, 3).tolist()))
-    out = []
-    for frame in frames:
-        cell = cells_of(frame.points, CELL).tolist()
-        keep = np.array([tuple(c) not in blocked for c in cell], bool)
-        out.append(frame.only(keep | assigned(frame)))
-    return out
+    return [f.only(~touching(cells_of(f.points, CELL), furniture) | assigned(f)) for f in frames]

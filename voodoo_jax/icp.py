@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, Links, Topology, bands
 from voodoo_jax.kernels.bands import link_moments, prior_moments
-from voodoo_jax.kernels.correspond import CLOSEST, Match, MatchOptions, Points, match, moments
+from voodoo_jax.kernels.correspond import CLOSEST, Match, MatchOptions, Points, match, sums
 from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, pair_normals
 from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
@@ -87,6 +87,7 @@ class Pulls(NamedTuple):
 
     info: StepInfo
     found: Match
+    squares: Float[Array, ""]  # weighted sum of squared distances of the points, square metres
     measured: Float[Array, "limb 4 4"]  # sums over points of kernels.procrustes
     second: Float[Array, "limb 3 3"]
     named: FeatureSums | None
@@ -135,9 +136,9 @@ def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     origin, and float32 keeps its digits wherever the person stands (pitfall P28)."""
     body, options = problem.body, problem.options
     found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
-    measured, second = moments(found)
-    limb_weight, squares = measured[:, 0, 0], found.squares()
-    named = None
+    measured, second, squares = sums(found)
+    limb_weight, squares = measured[:, 0, 0], jnp.sum(squares)
+    named, of_points = None, squares
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)
         limb_weight, squares = limb_weight + named.weight, squares + named.squares
@@ -147,7 +148,7 @@ def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     links = (problem.bands, *corrections(body, poses, options.plausible))
     quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
     info = StepInfo(quality, limb_weight)
-    return Pulls(info, found, measured, second, named, pull, pull_second, links, strength)
+    return Pulls(info, found, of_points, measured, second, named, pull, pull_second, links, strength)
 
 
 def frame_normals(

@@ -55,11 +55,11 @@ def weighed(frames: Iterable[PersonFrame], usual: float) -> Iterator[PersonFrame
     growth: dict[int, float] = {}  # of each sensor: noise over the square of the distance, 1/metres
     for number, frame in enumerate(frames):
         noise = np.zeros(len(frame.points), np.float32)
-        for sensor in np.unique(frame.sensor).tolist():
+        for sensor in np.flatnonzero(np.bincount(frame.sensor)).tolist():
             mine = frame.sensor == sensor
             points, origin = frame.points[mine], frame.origins[sensor]
             # of all together: by its own distance, a point that errs towards the sensor would weigh more
-            square = float(np.median(np.sum((points - origin) ** 2, 1)))
+            square = float(np.median(np.sum((points - origin).T ** 2, 0)))
             if sensor not in growth or number % EVERY == 0:
                 found = range_noise(points, origin) / max(square, 1e-6)
                 if np.isfinite(found):

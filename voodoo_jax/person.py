@@ -3,20 +3,21 @@
 Nothing here knows what the body looks like but its height at rest.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float32
 from scipy.spatial import KDTree
 
-from voodoo_jax.clouds import cells_of, components, fair_share, point_spacing, unique_cells, without_strays
+from voodoo_jax.cells import Counted, cells_of, components, touching, within
+from voodoo_jax.clouds import fair_share, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Scene
 from voodoo_jax.settings import PersonSettings
 
 STILL = 0.06  # metres from one frame's points to those of the frame before, of things that do not move
+APART = 0.6  # of a thing's points: so many where something was apart from the body make it that
 GONE = 0.6  # of its height before: what is lower from one frame to the next is not the body any more
 CELL = 0.08  # metres, of the grid in which the background is kept
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
@@ -34,39 +35,44 @@ class PersonFinder:
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = 0
+        across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
+        self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
+        self._offsets = np.array([scene.floor.offset, 0, 0, *(w.offset for w in scene.walls)], np.float32)
         self._spacing: dict[int, float] = {}  # of each sensor
-        self._background: dict[tuple[int, int, int], float] = {}  # how often seen
-        self._left: Counter[tuple[int, int, int]] = Counter()  # what remained where the body was, since it is gone
+        self._background = Counted(CELL)
+        self._left = Counted(CELL)  # what remained where the body was, since it is gone
 
     def __call__(self, frame: Frame) -> PersonFrame:
         s = self.settings
-        points, floor = frame.points, self.scene.floor
+        points = frame.points
         known = assigned(frame)
         sure = points[known]
         if self.last is not None and len(sure):
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
-        keep = (floor.height(points) > s.floor_margin) & ~known
-        for wall in self.scene.walls:
-            keep &= np.abs(wall.height(points)) > 0.06
-        index = np.flatnonzero(keep)
+        height, x, y, *walls = self._places(points)
+        keep = (height > s.floor_margin) & ~known
+        for wall in walls:
+            keep &= np.abs(wall) > 0.06
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here
-            away = points[index] - np.median(self.last, 0)
-            away -= np.outer(away @ floor.normal, floor.normal)
-            index = index[np.linalg.norm(away, axis=1) < s.reach * self.body_height / 1.75]
+            middle = self._places(np.median(self.last, 0)[None])
+            keep &= (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < (s.reach * self.body_height / 1.75) ** 2
+        index = np.flatnonzero(keep)
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
-        if len(index):
-            index = index[~self._known(points[index])]
-        chosen = self._choose(points[index], sure)
-        if not len(sure) and self._gone(points[index][chosen]):
-            self._left.update(set(map(tuple, cells_of(points[index][chosen], CELL).tolist())))
-            chosen[:] = False
-        self.others = points[index][~chosen]
-        self._learn(self.others, np.concatenate([points[index][chosen], sure]))
+        # not where something else than the body was seen before
+        index = index[self._background.at(points[index]) < 3]
+        found = points[index]
+        chosen = self._choose(found, sure)
+        body = found[chosen]
+        if not len(sure) and self._gone(body):
+            self._left.add(cells_of(body, CELL), 1.0)
+            chosen[:], body = False, body[:0]
+        self.others = found[~chosen]
+        self._learn(self.others, np.concatenate([body, sure]))
         # the points of a limb or two do not tell where the others are
-        tells = chosen.sum() >= 30 or self._of_body(frame).sum() >= 30
-        index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)]))
+        tells = len(body) >= 30 or self._of_body(frame).sum() >= 30
+        index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)])) if len(sure) else index[chosen]
         if tells:
             self.last, self.unseen = points[index], 0
             self._left.clear()
@@ -74,14 +80,18 @@ class PersonFinder:
             self.unseen += 1
             if self.unseen > s.forget:
                 self.last = None  # gone: look everywhere again
-                self._background.update((cell, LONG) for cell, times in self._left.items() if times > self.unseen / 3)
+                self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         return whole(frame).only(index)
+
+    def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "axis point"]:
+        """Height above the floor, level coordinates, and distances from the walls; metres."""
+        return self._axes @ points.T - self._offsets[:, None]
 
     def _without_strays(self, frame: Frame, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
         kept = []
-        for sensor in np.unique(frame.sensor[index]).tolist():
+        for sensor in np.flatnonzero(np.bincount(frame.sensor[index])).tolist():
             mine = index[frame.sensor[index] == sensor]
             points, origin = frame.points[mine], frame.origins[sensor]
             spacing = self._spacing.get(sensor) or (point_spacing(points, origin) if len(points) > 4 else 0.0)
@@ -112,20 +122,23 @@ class PersonFinder:
             most[np.argmax(touched)] = touched.any()
         if self.last is None:
             return most[label] if most.any() else label == self._candidate(points, label, count)
-        moved = KDTree(self.last).query(points, distance_upper_bound=self.settings.move)[0]
-        touching = np.bincount(label, moved < np.inf)
-        taken = touching > np.maximum(5, 0.3 * count)
+        near = np.bincount(label, within(points, self.last, self.settings.move))
+        taken = near > np.maximum(5, 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
-        main = int(np.argmax(touching))
-        doubtful = taken & (count >= 0.1 * len(self.last))
-        doubtful[main] &= np.bincount(label, moved < STILL)[main] < 0.5 * count[main]
+        main, doubtful = int(np.argmax(near)), taken & (count >= 0.1 * len(self.last))
+        if not doubtful.any() or not len(self.others):
+            return (most | taken)[label]
+        beside = touching(cells_of(points, STILL), cells_of(self.others, STILL))
+        doubtful &= np.bincount(label, beside) >= APART * count
         for k in np.flatnonzero(doubtful):
-            doubtful[k] = k == main or not self._is_head(points[label == k], points[label == main])
-        if len(self.others) and doubtful.any():
-            asked = doubtful[label]
-            still = KDTree(self.others).query(points[asked], distance_upper_bound=STILL)[0] < np.inf
-            taken &= ~doubtful | (np.bincount(label[asked], still, len(count)) < 0.6 * count)
+            mine = points[label == k]
+            doubtful[k] = (
+                within(mine, self.last, STILL).sum() < 0.5 * len(mine)
+                if k == main
+                else not self._is_head(mine, points[label == main])
+            ) and within(mine, self.others, STILL).sum() >= APART * len(mine)
+        taken &= ~doubtful
         return (most | taken)[label]
 
     def _gone(self, taken) -> bool:
@@ -157,19 +170,19 @@ class PersonFinder:
                 best, size = int(k), likely
         return best
 
-    def _known(self, points) -> Bool[np.ndarray, " point"]:
-        """Whether points lie where something else than the body was seen before."""
-        if not self._background:
-            return np.zeros(len(points), bool)
-        unique, inverse = unique_cells(cells_of(points, CELL))
-        known = np.array([self._background.get(tuple(c), 0) >= 3 for c in unique.tolist()])
-        return known[inverse]
-
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
         """Says of points whether they lie where something was seen apart from the body for some time, up to now."""
-        cells = [cell for cell, times in self._background.items() if times >= LONG]
-        tree = KDTree((np.array(cells).reshape(-1, 3) + 0.5) * CELL)
-        return lambda points: tree.query(points, distance_upper_bound=1.2 * CELL)[0] < np.inf
+        cells = self._background.cells(LONG)
+        if not len(cells):
+            return lambda points: np.zeros(len(points), bool)
+        tree = KDTree((cells + 0.5) * CELL)
+
+        def told(points):
+            found = touching(cells_of(points, CELL), cells)  # the others are too far off
+            found[found] = tree.query(points[found], distance_upper_bound=1.2 * CELL)[0] < np.inf
+            return found
+
+        return told
 
     def _learn(self, others, mine) -> None:
         if self.last is None and not len(mine):
@@ -178,9 +191,8 @@ class PersonFinder:
         elif self.last is None or not len(others) or not len(mine):
             return
         else:
-            far, times = KDTree(mine).query(others, distance_upper_bound=0.25)[0] == np.inf, 1.0
-        for cell in set(map(tuple, cells_of(others[far], CELL).tolist())):
-            self._background[cell] = self._background.get(cell, 0.0) + times
+            far, times = ~within(others, mine, 0.25), 1.0
+        self._background.add(cells_of(others[far], CELL), times)
 
 
 def person_frames(frames: Iterable[Frame], finder: PersonFinder) -> Iterator[PersonFrame]:

@@ -22,6 +22,7 @@ from voodoo_jax.settings import StartSettings
 from voodoo_jax.tracking import State, TrackOptions, at_rest, cost_of, track_frame
 
 FIRST, KEPT = 2, 4  # frames that are tracked from every start, and how many of the starts go on
+STEPS = 15  # most steps of a frame that is tracked from every start
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
 
@@ -141,29 +142,35 @@ def run_trials(
     among them; what the rest would cost nobody knows (infinite).
     """
 
-    def tracked(state, inputs):
+    count, many = points.weight.shape[0], starts.translation.shape[0]
+    pruned = FIRST if count > FIRST and many > KEPT else 0
+
+    def tracked(options, state, inputs):
         state, out = track_frame(body, options, state, *inputs)
         return state, cost_of(out)
 
-    def through(start: State, span: slice) -> tuple[State, Float[Array, ""]]:
-        def step(state, inputs):
-            seen = jnp.any(inputs[0].weight > 0)
-            return jax.lax.cond(seen, lambda: tracked(state, inputs), lambda: (state, jnp.zeros(())))
-
-        some = jax.tree.map(lambda leaf: leaf[span], (points, seconds, features))
-        state, costs = jax.lax.scan(step, start, some)
-        return state, jnp.sum(costs)
-
-    count, many = points.weight.shape[0], starts.translation.shape[0]
-    first = FIRST if count > FIRST and many > KEPT else count
-    state, cost = one_by_one(lambda start: through(at_rest(start), slice(0, first)), starts)
-    if first < count:
-        best = _promising(body, state.poses.rotation, cost)
-        kept, more = one_by_one(
-            lambda state: through(state, slice(first, count)), jax.tree.map(lambda x: x[best], state)
+    def through(tried, inputs):
+        """One frame in all trials that are left: a program that has the tracker in it once compiles soonest."""
+        states, cost, alive = tried
+        number, *inputs = inputs
+        # where a start is wrong, a frame takes all steps and is none the better
+        few = jnp.where(number < pruned, jnp.minimum(options.icp.max_steps, STEPS), options.icp.max_steps)
+        quick = eqx.tree_at(lambda o: o.icp.max_steps, options, few)
+        seen = jnp.any(inputs[0].weight > 0)
+        one = lambda trial: jax.lax.cond(  # noqa: E731
+            trial[1] & seen, lambda: tracked(quick, trial[0], inputs), lambda: (trial[0], jnp.zeros(()))
         )
-        state = jax.tree.map(lambda whole, part: whole.at[best].set(part), state, kept)
-        cost = jnp.full_like(cost, jnp.inf).at[best].set(cost[best] + more)
+        states, more = one_by_one(one, (states, alive))
+        cost = cost + more
+        if pruned:
+            best = jnp.zeros_like(alive).at[_promising(body, states.poses.rotation, cost)].set(True)
+            alive = jnp.where(number + 1 == pruned, best, alive)
+        return (states, cost, alive), None
+
+    begun = jax.vmap(at_rest)(starts), jnp.zeros(many), jnp.ones(many, bool)
+    inputs = jnp.arange(count), points, seconds, features
+    (state, cost, alive), _ = jax.lax.scan(through, begun, inputs)
+    cost = jnp.where(alive, cost, jnp.inf)
     seen = jnp.sum(jnp.any(points.weight > 0, 1))
     return Trial(state, cost / jnp.maximum(seen, 1))
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from voodoo_jax.body import Body, Topology, tree_order
 from voodoo_jax.icp import IcpOptions, Problem, frame_normals, pulls_at, solve_frame
 from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
-from voodoo_jax.kernels.coupled import twist_covariance
+from voodoo_jax.kernels.coupled import tree_covariance, twist_covariance
 from voodoo_jax.kernels.features import FeatureOptions, Features
 from voodoo_jax.kernels.plausible import PlausibleOptions
 from voodoo_jax.pose import (
@@ -62,7 +62,8 @@ class Step(NamedTuple):
     limb_weight: Float[Array, " limb"]
     steps: Int[Array, ""]
     points: Int[Array, ""]
-    covariance: Float[Array, "limb 6 6"]  # of each limb's twist, for unit variance per unit of weight (kernels.coupled)
+    # of each limb's twist, for unit variance per unit of weight (kernels.coupled); see track_frame
+    covariance: Float[Array, "limb *limb6 6"]
 
 
 def cost_of(step: Step) -> Float[AnyArray, "*frame"]:
@@ -181,7 +182,8 @@ def track_frame(
     seconds: Float[Array, ""],
     features: Features | None = None,
 ) -> tuple[State, Step]:
-    """Tracks one frame: predict, solve, measure how well it went."""
+    """Tracks one frame: predict, solve, measure how well it went. In place of the covariance the Step has the normal
+    matrix, for many frames are inverted together in less time."""
     predicted = predict(body, options, state, seconds)
     # a prediction over a longer interval is worth less: its error grows with the square of the time
     late = jnp.maximum(seconds / options.prior_interval, 1.0)
@@ -203,8 +205,8 @@ def track_frame(
     # how sure a frame is of itself, whatever holds who stands still
     pulls = pulls_at(poses, eqx.tree_at(lambda p: p.options.steady, problem, jnp.zeros_like(icp.steady)))
     found, named = pulls.found, pulls.named
-    weight = jnp.sum(found.weight, -1)
-    quality = found.squares() / jnp.maximum(jnp.sum(weight), 1e-6)
+    weight = pulls.measured[:, 0, 0]
+    quality = pulls.squares / jnp.maximum(jnp.sum(weight), 1e-6)
     explained = jnp.sum(found.close(0.1)) / jnp.maximum(count, 1)
 
     off = jnp.zeros(())
@@ -215,8 +217,8 @@ def track_frame(
     moving = (seconds > 0) & good
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
-    covariance = twist_covariance(frame_normals(poses, pulls, icp.damping)[0])
-    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count, covariance)
+    normals = frame_normals(poses, pulls, icp.damping)[0]
+    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count, normals)
     # by how many points there are, however noisy
     share = (weight * (1.0 if points.doubt is None else points.doubt)) ** 2
     seen = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
@@ -251,4 +253,12 @@ def track_chunk(
 
     first = jax.tree.map(lambda x: x[0], (points, seconds, features))
     shape = eqx.filter_eval_shape(lambda: track_frame(body, options, state, *first))[1]
-    return jax.lax.scan(one, state, (points, seconds, valid, features))
+    state, steps = jax.lax.scan(one, state, (points, seconds, valid, features))
+    normals = jnp.where(
+        valid[:, None, None], steps.covariance, jnp.eye(6 * body.limb_count, dtype=steps.covariance.dtype)
+    )
+    if options.icp.plausible.collisions is None:
+        covariance = jax.vmap(lambda full: tree_covariance(body.topology, full))(normals)
+    else:  # any limb may push any other one
+        covariance = jax.lax.map(twist_covariance, normals)
+    return state, steps._replace(covariance=covariance)

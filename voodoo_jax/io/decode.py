@@ -3,6 +3,7 @@
 import re
 import struct
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from google.protobuf.message import DecodeError as ProtobufError
@@ -107,7 +108,11 @@ class Decoder:
         """The decoded content. Raises one of DECODE_ERRORS if the message or its schema is broken."""
         key = (schema.name, schema.data)
         if key not in self._made:
-            self._made[key] = _ros(schema) if channel.message_encoding == "cdr" else _protobuf(schema)
+            self._made[key] = (
+                _ros(schema.name, schema.encoding, schema.data)
+                if channel.message_encoding == "cdr"
+                else _protobuf(schema)
+            )
         return self._made[key](data)
 
 
@@ -123,9 +128,10 @@ def _full(name: str) -> str:
     return name if "/msg/" in name or "/" not in name else name.replace("/", "/msg/", 1)
 
 
-def _ros(schema: Schema) -> Callable[[bytes], Any]:
-    store, name, text = get_typestore(Stores.EMPTY), _full(schema.name), schema.data.decode()
-    if schema.encoding == "ros2msg":
+@lru_cache(64)  # logs of one robot have the same few, and each takes 10 ms
+def _ros(schema_name: str, encoding: str, definition: bytes) -> Callable[[bytes], Any]:
+    store, name, text = get_typestore(Stores.EMPTY), _full(schema_name), definition.decode()
+    if encoding == "ros2msg":
         store.register(get_types_from_msg(text, name))
     else:
         types = {}

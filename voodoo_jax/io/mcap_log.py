@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int32
+from jaxtyping import Bool, Float, Float32, Int32
 
 from voodoo_jax.io import camera
 from voodoo_jax.io.cameras import calibration_of
@@ -76,6 +76,7 @@ class LogReader:
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
+        self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
     def __len__(self) -> int:
         """Number of frames planned; fewer come out if messages turn out to be broken or have no transform."""
@@ -165,7 +166,7 @@ class LogReader:
         weights = np.array([said.weight(name) for name in self.sensors], np.float32)
         return Frame(
             time_ns=time_ns,
-            points=np.concatenate([np.zeros((0, 3)), *(m.points for _, m in parts)]).astype(np.float32).reshape(-1, 3),
+            points=np.concatenate([np.zeros((0, 3), np.float32), *(m.points.astype(np.float32) for _, m in parts)]),
             sensor=sensor,
             origins=origins.astype(np.float32),
             rays=self._whole.rays.get(i, Rays()),
@@ -190,11 +191,11 @@ class LogReader:
             if content.raw is None:
                 raise ValueError(f"encoding changed to {content.encoding}")
             k = stride(*content.shape, s.max_points)
-            z = content.raw[::k, ::k].astype(np.float64) * content.unit
-            keep = np.isfinite(z) & (z > 0)
-            z = z[keep]
-            rays = self._pixel_rays(topic, content, k)[keep]
-            points = np.column_stack([rays * z[:, None], z])
+            z = content.raw[::k, ::k].ravel().astype(np.float32) * np.float32(content.unit)
+            rays, square = self._directions(topic, content, k, rotation)
+            with np.errstate(invalid="ignore", over="ignore"):
+                keep = np.flatnonzero(self._in_range(square * (z * z)) & (z > 0))
+            points = (rays[:, keep] * z[keep] + translation[:, None].astype(np.float32)).T
         else:
             points = content.points(s.max_points)
             if field := self._plan_parts.field(topic):
@@ -202,20 +203,35 @@ class LogReader:
                     labels = content.field(field, s.max_points)
                 else:
                     self._counted[topic, f"without the field '{field}', so that all points are free"] += 1
-        with np.errstate(invalid="ignore", over="ignore"):
-            square = np.einsum("ni,ni->n", points, points)
-            # NaN fails every comparison; a range of exactly 0 is a driver's word for nothing seen.
-            keep = (square >= s.min_range**2) & (square <= s.max_range**2) & (square > 0)
-            points, labels = points[keep], None if labels is None else labels[keep]
+            with np.errstate(invalid="ignore", over="ignore"):
+                keep = self._in_range(np.einsum("ni,ni->n", points, points))
+            if content.pose is not None:
+                translation = rotation @ content.pose[1] + translation
+                rotation = rotation @ content.pose[0]
+            points, labels = points[keep] @ rotation.T + translation, None if labels is None else labels[keep]
         part = self._plan_parts.numbers(topic, labels, len(points))
-        if isinstance(content, Cloud) and content.pose is not None:
-            translation = rotation @ content.pose[1] + translation
-            rotation = rotation @ content.pose[0]
         if np.abs(translation).max() > 1e4:
             note = f"Coordinates in '{self.fixed_frame}' exceed 10 km, inexact in float32: set another fixed_frame."
             if note not in self._notes:
                 self._notes.append(note)
-        return _Measured(points @ rotation.T + translation, translation, part)
+        return _Measured(points, translation, part)
+
+    def _in_range(self, square: Float[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:
+        """Which squared distances from the sensor count."""
+        # NaN fails every comparison; a range of exactly 0 is a driver's word for nothing seen
+        return (square >= self._settings.min_range**2) & (square <= self._settings.max_range**2) & (square > 0)
+
+    def _directions(
+        self, topic: str, image: Image, k: int, rotation: Float[np.ndarray, "3 3"]
+    ) -> tuple[Float32[np.ndarray, "3 pixel"], Float32[np.ndarray, " pixel"]]:
+        """Of each pixel the way to a depth of 1 m, in the fixed frame's directions, and its squared length."""
+        key = topic, image.shape, k
+        if key not in self._turned or not np.array_equal(self._turned[key][0], rotation):
+            xy = self._pixel_rays(topic, image, k).reshape(-1, 2)
+            rays = np.column_stack([xy, np.ones(len(xy))])
+            square = np.einsum("ni,ni->n", rays, rays)
+            self._turned[key] = rotation, (rotation @ rays.T).astype(np.float32), square.astype(np.float32)
+        return self._turned[key][1:]
 
     def _pixel_rays(self, topic: str, image: Image, k: int) -> np.ndarray:
         key = (topic, image.shape, k)

@@ -80,13 +80,13 @@ def _write_frames(writer: Writer, tracks: Tracks) -> None:
     schema = writer.register_schema("voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode())
     channel["quality"] = writer.register_channel("/voodoo/quality", "json", schema)
 
-    entities = body_entities(tracks.body)
+    entities, named = body_entities(tracks.body), _named(tracks)
     next_scene, shown, confidence = None, frozenset(), tracks.confidence.tolist()
     for i, stamp in enumerate(tracks.time_ns.tolist()):
         seconds, nanos = divmod(stamp, 1_000_000_000)
         time = Timestamp(seconds=seconds, nanos=nanos)
         messages = {"quality": _quality(tracks, i, confidence[i])}
-        if transforms := _transforms(tracks, i, time):
+        if transforms := _transforms(tracks, i, time, named):
             messages["tf"] = FrameTransforms(transforms=transforms).SerializeToString()
             limbs = [t for t in transforms if not t.child_frame_id.startswith("voodoo/joint/")]
             poses = [Pose(position=t.translation, orientation=t.rotation) for t in limbs]
@@ -106,25 +106,27 @@ def _write_frames(writer: Writer, tracks: Tracks) -> None:
             writer.add_message(channel[name], log_time=stamp, data=data, publish_time=stamp, sequence=i)
 
 
-def _transforms(tracks: Tracks, frame: int, time: Timestamp) -> list[FrameTransform]:
-    """Where the limbs and the joint centres are in one frame; those that are NaN are left out."""
+def _named(tracks: Tracks) -> list[FrameTransform]:
+    """A transform for each limb and joint centre, yet without time and place."""
     names = [f"voodoo/{name}" for name in tracks.body.topology.limbs]
     names += [f"voodoo/joint/{name}" for name in tracks.body.topology.centres]
-    turns = np.tile(np.array([1.0, 0, 0, 0]), (len(names), 1))
+    return [FrameTransform(parent_frame_id=tracks.fixed_frame, child_frame_id=name) for name in names]
+
+
+def _transforms(tracks: Tracks, frame: int, time: Timestamp, named: list[FrameTransform]) -> list[FrameTransform]:
+    """Where the limbs and the joint centres are in one frame, written into `named`: to make them anew takes several
+    times as long. Those that are NaN are left out."""
+    turns = np.tile(np.array([1.0, 0, 0, 0]), (len(named), 1))
     turns[: tracks.body.limb_count] = tracks.rotation[frame]
     places = np.concatenate([tracks.translation[frame], tracks.joints[frame]]).astype(float)
     there = np.all(np.isfinite(np.concatenate([turns, places], 1)), axis=1).tolist()
-    return [
-        FrameTransform(
-            timestamp=time,
-            parent_frame_id=tracks.fixed_frame,
-            child_frame_id=name,
-            translation=Vector3(x=p[0], y=p[1], z=p[2]),
-            rotation=Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]),
-        )
-        for name, p, q, use in zip(names, places.tolist(), turns.tolist(), there)
-        if use
-    ]
+    for transform, p, q, use in zip(named, places.tolist(), turns.tolist(), there):
+        if use:
+            transform.timestamp.CopyFrom(time)
+            at, turn = transform.translation, transform.rotation
+            at.x, at.y, at.z = p
+            turn.w, turn.x, turn.y, turn.z = q
+    return [transform for transform, use in zip(named, there) if use]
 
 
 def _quality(tracks: Tracks, frame: int, confidence: float) -> bytes:

@@ -35,13 +35,6 @@ class Match(NamedTuple):
         """Which points have a pair shorter than `distance`, metres."""
         return jnp.any((self.weight > 0) & (self.distance < distance), 0)
 
-    def squares(self) -> Float[Array, ""]:
-        """Weighted sum of squared distances, square metres."""
-        if self.distance.ndim == 1:
-            # as a product: the compiler for the CPU adds a plain sum up number by number
-            return jnp.sum(jnp.matmul(self.weight, self.distance**2, precision="highest"))
-        return jnp.sum(self.weight * self.distance**2)
-
 
 def _sensors(poses: Poses, points: Points) -> list[Float[Array, "limb sensor"]]:
     """x, y and z of every sensor in every limb's frame, metres."""
@@ -143,20 +136,30 @@ def _weigh(chosen, model, data, weight, options) -> Match:
     return Match(jnp.where(keep, robust * weight, 0.0), jnp.sqrt(d2 + 1e-12), model, data)
 
 
+class Sums(NamedTuple):
+    """Sums over the pairs of every limb, in its frame; c model, p data points, w weights."""
+
+    moments: Float[Array, "limb 4 4"]  # w [1, c] [1, p]^T
+    second: Float[Array, "limb 3 3"]  # w c c^T, for the coupled solver
+    squares: Float[Array, " limb"]  # w distance^2, square metres
+
+
+def sums(found: Match) -> Sums:
+    """All sums in one: as one product of matrices where all limbs have the same pairs."""
+    c, p = found.model, found.data
+    first = [found.distance**2, jnp.ones_like(p[0]), *p, *(k for x in c for k in (x, *(x * y for y in p)))]
+    rows = jnp.stack([*first, *(c[i] * c[j] for i, j in SYMMETRIC)])
+    if rows.ndim > 2:
+        table = jnp.sum(found.weight * rows, -1).T
+    else:  # full float32 everywhere (pitfall P27)
+        table = jax.lax.dot_general(found.weight, rows, (((1,), (1,)), ((), ())), precision="highest")
+    second = table[:, [17 + SYMMETRIC.index((min(i, j), max(i, j))) for i in range(3) for j in range(3)]]
+    return Sums(table[:, 1:17].reshape(-1, 4, 4), second.reshape(-1, 3, 3), table[:, 0])
+
+
+SYMMETRIC = [(i, j) for i in range(3) for j in range(i, 3)]
+
+
 def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
-    """Sums over points for every limb, limb frame: of w [1, c] [1, p]^T, and of w c c^T (for the coupled solver)."""
-    one = jnp.ones_like(found.data[0])
-    model = jnp.stack(found.model)
-    c, p = jnp.stack([one, *found.model]), jnp.stack([one, *found.data])
-    return _weighted_sums(found.weight, c, p), _weighted_sums(found.weight, model, model)
-
-
-def _weighted_sums(weight, left, right):
-    """Sums over points of w left right^T for every limb [limb, left, right]: one product of matrices where all limbs
-    have the same pairs. Full float32 everywhere (pitfall P27)."""
-    outer = left[:, None] * right[None]
-    if outer.ndim > 3:
-        return jnp.sum(weight * outer, -1).transpose(2, 0, 1)
-    table = outer.reshape(-1, outer.shape[-1])
-    sums = jax.lax.dot_general(weight, table, (((1,), (1,)), ((), ())), precision="highest")
-    return sums.reshape(-1, *outer.shape[:2])
+    """The first two of the sums."""
+    return sums(found)[:2]

@@ -4,13 +4,17 @@ The solve per limb hands a correction down the chain one limb per step; here the
 linear system, so that a limb pulls the whole chain at once. Same correspondences, same bands, same weights.
 """
 
+from functools import reduce
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
-from voodoo_jax.body import Links
-from voodoo_jax.pose import Poses, matrix, quat_exp, rotate
+from voodoo_jax.body import Links, Topology, tree_order
+from voodoo_jax.pose import Poses, matrix, quat_exp
 
 
 def _cross(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
@@ -18,6 +22,11 @@ def _cross(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack(r, -1) for r in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
+
+
+def _product(a: Float[Array, "*b row k"], b: Float[Array, "*b k column"]) -> Float[Array, "*b row column"]:
+    """Product of small matrices, term by term: sums over an axis are calls of a library, slow for so few numbers."""
+    return reduce(jnp.add, (a[..., :, k, None] * b[..., None, k, :] for k in range(b.shape[-2])))
 
 
 def pair_normals(
@@ -36,32 +45,53 @@ def pair_normals(
     return h, jnp.concatenate([torque, p - c])
 
 
+class Linked(NamedTuple):
+    """What linked pairs add to the normal equations, for each link a block on both limbs and one between them."""
+
+    first: Float[Array, "link 6 6"]
+    second: Float[Array, "link 6 6"]
+    between: Float[Array, "link 6 6"]  # row: twist of the first limb; column: of the second
+    first_rhs: Float[Array, "link 6"]
+    second_rhs: Float[Array, "link 6"]
+
+
+def _slopes(points: Float[Array, "link pair 3"]) -> Float[Array, "link pair 3 7"]:
+    """How points move with their limb's twist, in the limb's frame, and the points themselves."""
+    eye = jnp.broadcast_to(jnp.eye(3, dtype=points.dtype), (*points.shape[:-1], 3, 3))
+    return jnp.concatenate([-_cross(points), eye, points[..., None]], -1)
+
+
+def linked(links: Links, poses: Poses, strength: Float[Array, " limb"]) -> Linked:
+    """Normal equations of linked pairs. Of bands everything but what the poses decide is the same in all steps of a
+    frame: the compiler takes it out of the loop, and a step turns only one frame into the other."""
+    one, two = links.first, links.second
+    a, b, w = _slopes(links.first_points), _slopes(links.second_points), links.weights[..., None, None]
+    own = [jnp.sum(_product(jnp.swapaxes(w * x, -1, -2), x), 1) for x in (a, b)]
+    # of each entry of the turn from the second limb's frame to the first's: link, row, column, 7, 7
+    table = jnp.sum((w * a)[..., :, None, :, None] * b[..., None, :, None, :], 1)
+
+    r, place = matrix(poses.rotation), poses.translation
+    back = jnp.swapaxes(r[one], -1, -2)
+    turn = _product(back, r[two])
+    apart = _product(back, (place[two] - place[one])[..., None])  # of the limbs' origins, in the first one's frame
+    other = _product(jnp.swapaxes(turn, -1, -2), apart)  # in the second one's
+    terms = [table[:, i, j] * turn[:, i, j, None, None] for i in range(3) for j in range(3)]
+    mixed = reduce(jnp.add, terms)
+    s = ((strength[one] + strength[two]) / 2)[:, None]
+    shift = lambda h, v: _product(h[:, :6, 3:6], v)[..., 0]  # noqa: E731
+    g1 = mixed[:, :6, 6] + shift(own[0], apart) - own[0][:, :6, 6]
+    g2 = mixed[:, 6, :6] - shift(own[1], other) - own[1][:, :6, 6]
+    block = lambda h: s[..., None] * h[:, :6, :6]  # noqa: E731
+    return Linked(block(own[0]), block(own[1]), -block(mixed), s * g1, s * g2)
+
+
 def add_links(links: Links, poses: Poses, strength, h, g):
     """Adds linked pairs to the normal matrix [limb, limb, 6, 6] and right-hand side [limb, 6]."""
-    one, two = links.first, links.second
-    r = matrix(poses.rotation)
-
-    def arm(limbs, points):
-        """World place of points and its derivative by the limb's twist."""
-        rot = r[limbs][:, None]
-        place = rotate(poses.rotation[limbs][:, None], points) + poses.translation[limbs][:, None]
-        turn = -jnp.sum(rot[..., :, :, None] * _cross(points)[..., None, :, :], -2)
-        return place, jnp.concatenate([turn, jnp.broadcast_to(rot, turn.shape)], -1)
-
-    x1, j1 = arm(one, links.first_points)
-    x2, j2 = arm(two, links.second_points)
-    w = links.weights * ((strength[one] + strength[two]) / 2)[:, None]
-    gap = x2 - x1
-
-    def outer(a, b):
-        return jnp.einsum("jb,jbki,jbkl->jil", w, a, b, precision="highest")
-
-    def along(a, v):
-        return jnp.einsum("jb,jbki,jbk->ji", w, a, v, precision="highest")
-
-    h = h.at[one, one].add(outer(j1, j1)).at[two, two].add(outer(j2, j2))
-    h = h.at[one, two].add(-outer(j1, j2)).at[two, one].add(-outer(j2, j1))
-    return h, g.at[one].add(along(j1, gap)).at[two].add(-along(j2, gap))
+    one, two, found = links.first, links.second, linked(links, poses, strength)
+    rows, columns = jnp.concatenate([one, two, one, two]), jnp.concatenate([one, two, two, one])
+    blocks = jnp.concatenate([found.first, found.second, found.between, jnp.swapaxes(found.between, 1, 2)])
+    h = h.at[rows, columns].add(blocks)
+    return h, g.at[rows[: 2 * len(one)]].add(jnp.concatenate([found.first_rhs, found.second_rhs]))
 
 
 def coupled_normals(
@@ -112,6 +142,44 @@ def twist_covariance(full: Float[Array, "limb6 limb6"]) -> Float[Array, "limb 6 
 
     # limb by limb: for more columns at once LAPACK wakes threads, which takes a hundred times as long as the solve
     return jax.lax.map(block, jnp.eye(6 * count, dtype=full.dtype).reshape(-1, count, 6).transpose(1, 0, 2))
+
+
+def tree_covariance(topology: Topology, full: Float[Array, "limb6 limb6"]) -> Float[Array, "limb 6 6"]:
+    """As twist_covariance, where nothing but joints links limbs: from the outermost limbs inwards and back, no call of
+    LAPACK; for many frames at once."""
+    count, joints = full.shape[0] // 6, np.array(tree_order(topology), int)
+    parents, children = (jnp.array(np.array(limbs, int)[joints]) for limbs in (topology.parents, topology.children))
+    blocks = full.reshape(count, 6, count, 6)
+    limbs = jnp.arange(count)
+
+    def inwards(own, joint):
+        parent, child, between = joint
+        inverse = _inverse(own[child])
+        gain = _product(inverse, between)
+        return own.at[parent].add(-_product(between.T, gain)), (inverse, gain)
+
+    between = blocks[children, :, parents]
+    own, (inverse, gain) = jax.lax.scan(inwards, blocks[limbs, :, limbs], (parents, children, between), reverse=True)
+
+    def outwards(found, joint):
+        parent, child, inverse, gain = joint
+        return found.at[child].set(inverse + _product(_product(gain, found[parent]), gain.T)), None
+
+    found = jnp.zeros_like(own).at[0].set(_inverse(own[0]))
+    return jax.lax.scan(outwards, found, (parents, children, inverse, gain))[0]
+
+
+def _inverse(a: Float[Array, "row row"]) -> Float[Array, "row row"]:
+    """Inverse of a symmetric positive definite matrix: all its rows swept, one after the other."""
+
+    def sweep(k, a):
+        here = jnp.arange(a.shape[0]) == k
+        row = a[k] / a[k, k]
+        swept = a - a[:, k, None] * row
+        swept = jnp.where(here[:, None], row, jnp.where(here, row[:, None], swept))
+        return jnp.where(here[:, None] & here, -1 / a[k, k], swept)
+
+    return -jax.lax.fori_loop(0, a.shape[0], sweep, a)
 
 
 def point_covariance(twist: Float[Array, "6 6"], pose: Poses, point: Float[Array, "3"]) -> Float[Array, "3 3"]:

@@ -1,0 +1,180 @@
+"""A grid of cells in space: which of them are taken, touch each other, hang together. Host side, NumPy.
+
+Where all cells fit into a box of moderate size, a cell is looked up in an array of the whole box; else by sorting.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+MODERATE = 1_000_000  # cells of a box: to fill a larger array takes longer than to sort the cells that are taken
+FEW = 50_000  # pairs of points that are compared one by one in less time than a search tree is made
+AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)  # a cell and the 26 around it
+LATER = AROUND[14:]  # those of them that come later in order: each pair once
+
+Cells = Int[np.ndarray, "cell 3"]
+
+
+class Box(NamedTuple):
+    """A box of cells that are numbered through."""
+
+    low: Int[np.ndarray, "3"]
+    span: tuple[int, int, int]
+
+    @classmethod
+    def around(cls, cells: Cells, margin: int) -> "Box":
+        """The box that holds some cells, and so many more on every side."""
+        low, high = cells.min(0), cells.max(0)
+        x, y, z = (high - low + (2 * margin + 1)).tolist()
+        return cls(low - margin, (x, y, z))
+
+    @property
+    def size(self) -> int:
+        return self.span[0] * self.span[1] * self.span[2]
+
+    @property
+    def steps(self) -> Int[np.ndarray, "3"]:
+        """From a cell's number to that of the next one along each axis."""
+        return np.array([self.span[1] * self.span[2], self.span[2], 1])
+
+    def numbers(self, cells: Cells) -> Int[np.ndarray, " cell"]:
+        x, y, z = cells.T - self.low[:, None]
+        return (x * self.span[1] + y) * self.span[2] + z
+
+    def inner(self, cells: Cells) -> Int[np.ndarray, "inner 3"]:
+        """Those of the cells that are in the box, and not at its sides."""
+        x, y, z = cells.T - self.low[:, None]
+        a, b, c = self.span
+        return cells[(x > 0) & (x < a - 1) & (y > 0) & (y < b - 1) & (z > 0) & (z < c - 1)]
+
+
+def cells_of(points: Float32[np.ndarray, "point 3"], size: float) -> Int[np.ndarray, "point 3"]:
+    """Which cell of a grid each point is in; cells are `size` metres wide."""
+    # by coordinate in memory: several times as fast to go through
+    return np.floor(np.ascontiguousarray(points.T) / np.float32(size)).astype(np.int64).T
+
+
+def unique_cells(cells: Cells) -> tuple[Int[np.ndarray, "unique 3"], Int[np.ndarray, " cell"]]:
+    """The cells that occur, in order, and which of them each entry is."""
+    if not len(cells):
+        return cells, np.zeros(0, np.int64)
+    box = Box.around(cells, 0)
+    if box.size > 2**62:
+        unique, inverse = np.unique(cells, axis=0, return_inverse=True)
+        return unique, inverse.ravel()
+    number = box.numbers(cells)
+    if box.size > MODERATE:
+        found, inverse = np.unique(number, return_inverse=True)
+    else:
+        taken = np.zeros(box.size, bool)
+        taken[number] = True
+        found = np.flatnonzero(taken)
+        place = np.empty(len(taken), np.int64)  # of each cell among those found
+        place[found] = np.arange(len(found))
+        inverse = place[number]
+    return np.stack(np.unravel_index(found, box.span)).T + box.low, inverse
+
+
+def touching(cells: Cells, others: Int[np.ndarray, "other 3"]) -> Bool[np.ndarray, " cell"]:
+    """Which cells are among the others, or next to one of them, across a corner too."""
+    if not len(cells) or not len(others):
+        return np.zeros(len(cells), bool)
+    box = Box.around(cells, 2)
+    near, number = box.numbers(box.inner(others)), box.numbers(cells)
+    if box.size > MODERATE:
+        return np.isin(number, np.unique(near)[:, None] + AROUND @ box.steps)
+    taken, marked = np.zeros((2, box.size), bool)
+    taken[near] = True
+    marked[np.flatnonzero(taken)[:, None] + AROUND @ box.steps] = True
+    return marked[number]
+
+
+def within(
+    points: Float32[np.ndarray, "point 3"], others: Float32[np.ndarray, "other 3"], distance: float
+) -> Bool[np.ndarray, " point"]:
+    """Which points have one of the others nearer than `distance` metres."""
+    # most are settled by cells: next to each other in small ones, or not even in large ones
+    near = touching(cells_of(points, distance / 3.47), cells_of(others, distance / 3.47))
+    open_ = np.flatnonzero(~near)
+    mine, theirs = cells_of(points[open_], distance), cells_of(others, distance)
+    beside = touching(mine, theirs)
+    open_ = open_[beside]
+    if len(open_):
+        close = others[touching(theirs, mine[beside])]
+        if len(open_) * len(close) < FEW:
+            near[open_] = cdist(points[open_], close).min(1) < distance
+        else:
+            near[open_] = KDTree(close).query(points[open_], distance_upper_bound=distance)[0] < np.inf
+    return near
+
+
+def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.ndarray, " point"]:
+    """Labels of connected things: points in touching cells of half of `link` metres belong together."""
+    # the 26 cells around: a distance between half and the whole of `link`
+    cells, inverse = unique_cells(cells_of(points, link / 2))
+    box = Box.around(cells, 1)
+    number = box.numbers(cells)  # in order
+    wanted = number[:, None] + LATER @ box.steps
+    if box.size > MODERATE:
+        place = np.minimum(np.searchsorted(number, wanted), len(number) - 1)
+        there = number[place] == wanted
+    else:
+        table = np.full(box.size, -1, np.int32)
+        table[number] = np.arange(len(number))
+        place = table[wanted]
+        there = place >= 0
+    ends = np.concatenate([[0], np.cumsum(there.sum(1))])
+    graph = csr_array((np.ones(ends[-1]), place[there], ends), shape=(len(number),) * 2)
+    return connected_components(graph, directed=False)[1][inverse]
+
+
+class Counted:
+    """How often something was seen in each cell of an endless grid."""
+
+    def __init__(self, size: float):
+        self.size = size  # of a cell, metres
+        self._code = np.zeros(0, np.int64)  # of the cells that were ever seen, in order
+        self._times = np.zeros(0)
+
+    def __len__(self) -> int:
+        return len(self._code)
+
+    def add(self, cells: Cells, times: float | Float32[np.ndarray, " cell"]) -> None:
+        """Each cell that occurs was seen so many times more."""
+        code, first = np.unique(_codes(cells), return_index=True)
+        times = np.broadcast_to(times, len(cells))[first]
+        at = np.searchsorted(self._code, code)
+        known = at < len(self._code)
+        known[known] = self._code[at[known]] == code[known]
+        self._times[at[known]] += times[known]
+        self._code = np.insert(self._code, at[~known], code[~known])
+        self._times = np.insert(self._times, at[~known], times[~known])
+
+    def at(self, points: Float32[np.ndarray, "point 3"]) -> np.ndarray:
+        """How often something was seen in the cell of each point."""
+        if not len(self):
+            return np.zeros(len(points))
+        code = _codes(cells_of(points, self.size))
+        at = np.minimum(np.searchsorted(self._code, code), len(self) - 1)
+        return np.where(self._code[at] == code, self._times[at], 0.0)
+
+    def cells(self, least: float) -> Cells:
+        """The cells in which something was seen so often."""
+        code = self._code[self._times >= least]
+        return np.stack([code >> 42, code >> 21 & MASK, code & MASK], 1) - HALF
+
+    def clear(self) -> None:
+        self._code, self._times = self._code[:0], self._times[:0]
+
+
+HALF, MASK = 1 << 20, (1 << 21) - 1  # three coordinates in one number; beyond a million cells they repeat
+
+
+def _codes(cells: Cells) -> Int[np.ndarray, " cell"]:
+    x, y, z = (cells + HALF & MASK).T
+    return x << 42 | y << 21 | z
