@@ -1,23 +1,22 @@
 """From points to weighted correspondences of all limbs, and to their moments (Knoop 2007, sec. 5.2)."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.kernels.gate import resolve_overlap
 from voodoo_jax.kernels.nearest import closest_limb, in_reach, into_limb, may_belong, once, sampled
 from voodoo_jax.kernels.nearest import closest_limbs as closest_limbs
+from voodoo_jax.kernels.nearest import cuts as cuts
 from voodoo_jax.kernels.points import FREE as FREE
 from voodoo_jax.kernels.points import ON_BODY as ON_BODY
 from voodoo_jax.kernels.points import Components, MatchOptions, Points, components
 from voodoo_jax.kernels.points import Sampling as Sampling
-from voodoo_jax.kernels.surface import closest_point, near_side
+from voodoo_jax.kernels.surface import closest_point, near_side, uncut
 from voodoo_jax.pose import Poses, unrotate
-
-CLOSEST = "closest limb"  # name of what a step back in a derivative need not look for once more
 
 
 class Match(NamedTuple):
@@ -30,6 +29,7 @@ class Match(NamedTuple):
     distance: Float[Array, "*limb point"]  # between the pair's points, metres
     model: tuple[Float[Array, "*limb point"], Float[Array, "*limb point"], Float[Array, "*limb point"]]
     data: tuple[Float[Array, "*limb point"], Float[Array, "*limb point"], Float[Array, "*limb point"]]
+    limb: Int[Array, " point"] | None = None  # of each point, the number of limbs for none; None: there may be several
 
     def close(self, distance: float) -> Bool[Array, " point"]:
         """Which points have a pair shorter than `distance`, metres."""
@@ -94,10 +94,9 @@ def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     # taken apart out here: a branch would copy all three components first
     xyz = components(points.xyz)
     limb = once(true, lambda: closest_limb(*still, jax.lax.stop_gradient(xyz), near_body, present, options))
-    limb = checkpoint_name(limb, CLOSEST)
     found = once(true, lambda: match_assigned(sizes, poses, points, limb, options, xyz))
     chosen = jnp.arange(sizes.shape[0])[:, None] == limb
-    return found._replace(weight=jnp.where(chosen, found.weight, 0.0))
+    return found._replace(weight=jnp.where(chosen, found.weight, 0.0), limb=limb)
 
 
 def match_assigned(
@@ -107,10 +106,11 @@ def match_assigned(
     limb: Int[Array, " point"],
     options: MatchOptions,
     xyz: Components | None = None,
+    cut: Callable = uncut,
 ) -> Match:
     """Pairs of points whose limbs are settled (see closest_limbs); of the limb axis of the weights 1 is left.
 
-    `xyz`: the points by component, where they are at hand.
+    `xyz`: the points by component, where they are at hand; `cut` see kernels.nearest.cuts.
     """
     x, y, z = components(points.xyz) if xyz is None else xyz
     order = jnp.arange(sizes.shape[0])[:, None]
@@ -122,22 +122,22 @@ def match_assigned(
     # each point's row of the table by one product: much faster than a gather
     mine = jnp.matmul(rows.T, row.astype(x.dtype), precision="highest")
     # split, not indexed: the derivative is one concatenation then, instead of a sum of padded arrays
-    mine = [part[0] for part in jax.lax.split(mine, (1,) * rows.shape[1])]
-    px, py, pz = into_limb(mine[:4], mine[4:7], x, y, z)
+    mine = cut(*(part[0] for part in jax.lax.split(mine, (1,) * rows.shape[1])))
+    px, py, pz = cut(*into_limb(mine[:4], mine[4:7], x, y, z))
     size = mine[7:12]
-    surface = closest_point(size, px, py, pz, options.refine, options.caps)
+    surface = closest_point(size, px, py, pz, options.refine, options.caps, cut=cut)
     if options.near_side:
         sensors = points.origins.shape[-2]
         one = jax.nn.one_hot(points.sensor, sensors, axis=0, dtype=x.dtype)
         towards = [jnp.sum(jnp.stack(mine[k : k + sensors]) * one, 0) for k in (12, 12 + sensors)]
-        surface = near_side(size, px, py, surface, *towards)
+        surface = near_side(size, px, py, surface, *towards, cut=cut)
     chosen = (limb < sizes.shape[0])[None]
-    return _weigh(chosen, (surface.x, surface.y, surface.z), (px, py, pz), points.weight[None], options)
+    return _weigh(chosen, (surface.x, surface.y, surface.z), (px, py, pz), points.weight[None], options, cut)
 
 
-def _weigh(chosen, model, data, weight, options) -> Match:
+def _weigh(chosen, model, data, weight, options, cut=uncut) -> Match:
     """Maximum distance and robust weight (Geman-McClure) of the chosen pairs."""
-    d2 = sum((p - c) ** 2 for p, c in zip(data, model))
+    (d2,) = cut(sum((p - c) ** 2 for p, c in zip(data, model)))
     # a ratio, so that an infinite scale gives exactly one
     robust = (1 / (1 + d2 / options.robust_scale**2)) ** 2
     keep = chosen & (d2 <= options.max_distance**2)
@@ -150,6 +150,21 @@ def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 
     model = jnp.stack(found.model)
     c, p = jnp.stack([one, *found.model]), jnp.stack([one, *found.data])
     return _weighted_sums(found.weight, c, p), _weighted_sums(found.weight, model, model)
+
+
+def settled_moments(
+    found: Match, limb: Int[Array, " point"], count: int, cut: Callable
+) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
+    """The same sums of settled pairs (see match_assigned), in a form that is faster to differentiate: column by column,
+    and with weights that differ from point to point only."""
+    (w,), c, p = cut(found.weight[0]), found.model, found.data
+    of_limb = (jnp.arange(count)[:, None] == limb).astype(w.dtype)
+    left = [w, *(w * k for k in c)]
+    columns = [k * m for k in left for m in (jnp.ones_like(w), *p)] + [k * m for k in left[1:] for m in c]
+    (table,) = cut(jnp.stack(columns))
+    sums = jax.lax.dot_general(of_limb, table, (((1,), (1,)), ((), ())), precision="highest")
+    first, second = jax.lax.split(sums, (16, 9), 1)
+    return first.reshape(-1, 4, 4), second.reshape(-1, 3, 3)
 
 
 def _weighted_sums(weight, left, right):
