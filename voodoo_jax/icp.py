@@ -19,7 +19,6 @@ from voodoo_jax.kernels.correspond import (
     Match,
     MatchOptions,
     Points,
-    cuts,
     match,
     match_assigned,
     moments,
@@ -157,9 +156,8 @@ def pulls_at(poses: Poses, problem: Problem, kept: Kept | None = None) -> Pulls:
         found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
         measured, second = moments(found)
     else:
-        cut = cuts(options.match.robust_scale > 0)
-        found = match_assigned(body.sizes, poses, problem.points, kept.limbs, options.match, cut=cut)
-        measured, second = settled_moments(found, kept.limbs, body.limb_count, cut)
+        found = match_assigned(body.sizes, poses, problem.points, kept.limbs, options.match)
+        measured, second = settled_moments(found, kept.limbs, body.limb_count, options.match)
     if kept is not None:
         measured, second = _known((kept.measured, kept.second), (measured, second))
     limb_weight, squares = measured[:, 0, 0], found.squares()
@@ -243,9 +241,9 @@ def solve_frame(
     too: points then change limbs to and fro, and going on takes more than twice the steps and finds nothing better. Not
     where pairs that nobody measured may make it rise; with epsilon 0 all max_steps are taken.
 
-    `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed: every step
-    keeps the poses that it began with, and is done once more on the way back (pitfall P9). `capacity` bounds its steps
-    at compile time.
+    `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed too: every step
+    keeps the poses that it began with and what it found (Kept), and the rest of it is done once more on the way back
+    (pitfall P9). `capacity` bounds its steps at compile time.
     """
 
     options = problem.options

@@ -1,6 +1,5 @@
 """From points to weighted correspondences of all limbs, and to their moments (Knoop 2007, sec. 5.2)."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -8,9 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.kernels.gate import resolve_overlap
-from voodoo_jax.kernels.nearest import closest_limb, in_reach, into_limb, may_belong, once, sampled
+from voodoo_jax.kernels.nearest import closest_limb, cuts, in_reach, into_limb, may_belong, once, sampled
 from voodoo_jax.kernels.nearest import closest_limbs as closest_limbs
-from voodoo_jax.kernels.nearest import cuts as cuts
 from voodoo_jax.kernels.points import FREE as FREE
 from voodoo_jax.kernels.points import ON_BODY as ON_BODY
 from voodoo_jax.kernels.points import Components, MatchOptions, Points, components
@@ -106,12 +104,12 @@ def match_assigned(
     limb: Int[Array, " point"],
     options: MatchOptions,
     xyz: Components | None = None,
-    cut: Callable = uncut,
 ) -> Match:
     """Pairs of points whose limbs are settled (see closest_limbs); of the limb axis of the weights 1 is left.
 
-    `xyz`: the points by component, where they are at hand; `cut` see kernels.nearest.cuts.
+    `xyz`: the points by component, where they are at hand.
     """
+    cut = cuts(options.robust_scale > 0)
     x, y, z = components(points.xyz) if xyz is None else xyz
     order = jnp.arange(sizes.shape[0])[:, None]
     # points of no limb take the last one's row, with weight zero
@@ -141,7 +139,8 @@ def _weigh(chosen, model, data, weight, options, cut=uncut) -> Match:
     # a ratio, so that an infinite scale gives exactly one
     robust = (1 / (1 + d2 / options.robust_scale**2)) ** 2
     keep = chosen & (d2 <= options.max_distance**2)
-    return Match(jnp.where(keep, robust * weight, 0.0), jnp.sqrt(d2 + 1e-12), model, data)
+    (weight,) = cut(jnp.where(keep, robust * weight, 0.0))
+    return Match(weight, jnp.sqrt(d2 + 1e-12), model, data)
 
 
 def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
@@ -153,15 +152,15 @@ def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 
 
 
 def settled_moments(
-    found: Match, limb: Int[Array, " point"], count: int, cut: Callable
+    found: Match, limb: Int[Array, " point"], count: int, options: MatchOptions
 ) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
     """The same sums of settled pairs (see match_assigned), in a form that is faster to differentiate: column by column,
     and with weights that differ from point to point only."""
-    (w,), c, p = cut(found.weight[0]), found.model, found.data
+    w, c, p = found.weight[0], found.model, found.data
     of_limb = (jnp.arange(count)[:, None] == limb).astype(w.dtype)
     left = [w, *(w * k for k in c)]
     columns = [k * m for k in left for m in (jnp.ones_like(w), *p)] + [k * m for k in left[1:] for m in c]
-    (table,) = cut(jnp.stack(columns))
+    (table,) = cuts(options.robust_scale > 0)(jnp.stack(columns))
     sums = jax.lax.dot_general(of_limb, table, (((1,), (1,)), ((), ())), precision="highest")
     first, second = jax.lax.split(sums, (16, 9), 1)
     return first.reshape(-1, 4, 4), second.reshape(-1, 3, 3)
