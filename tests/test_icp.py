@@ -134,7 +134,7 @@ def test_gradients(x64, solver):
         sizes, weights, xyz = parts
         changed = eqx.tree_at(lambda b: (b.sizes, b.weights), body, (sizes, weights))
         frame = Points(xyz, points.weight, points.sensor, points.origins)
-        return solve_frame(start, Problem.build(changed, frame, start, options), kind=kind, capacity=4), frame, changed
+        return solve_frame(start, Problem.build(changed, frame, start, options), kind=kind, capacity=5), frame, changed
 
     def loss(parts, kind="checkpointed"):
         found, frame, changed = run(parts, kind)

@@ -18,6 +18,7 @@ from voodoo_jax.kernels.bands import link_moments
 from voodoo_jax.kernels.correspond import Match, closest_limbs, match, match_assigned, moments
 from voodoo_jax.kernels.coupled import add_links, pair_normals
 from voodoo_jax.kernels.features import feature_sums
+from voodoo_jax.kernels.nearest import once
 from voodoo_jax.kernels.plausible import corrections
 from voodoo_jax.pose import Poses, compose, quat_exp, quat_normalize
 
@@ -82,9 +83,8 @@ def _own(poses: Poses, problem: Problem, limbs: Settled) -> tuple[Float[Array, "
         measured, second = moments(found)
         force, weight = jax.vmap(pair_normals)(measured, second)[1], measured[:, 0, 0]
     else:
-        force, weight = _forces_of_points(
-            match_assigned(body.sizes, poses, problem.points, limbs, options.match), limbs, body.limb_count
-        )
+        pairs = lambda: match_assigned(body.sizes, poses, problem.points, limbs, options.match)  # noqa: E731
+        force, weight = _forces_of_points(once(options.match.robust_scale > 0, pairs), limbs, body.limb_count)
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)
         force, weight = force + named.rhs, weight + named.weight

@@ -1,9 +1,12 @@
 """What a derivative costs: python -m experiments.bench.gradient_cost
 
 Time of value and gradient, by all sizes and band weights of the body, over the time of the value alone: with the
-implicit solution, and with unrolled checkpointed steps. Frames of the demo recording, one after the other.
+implicit solution, and with unrolled steps that keep for the way back what the library keeps of them (their poses, limbs
+of points, sums, the solver's factor), the poses alone, or all that autodiff asks for. Frames of the demo recording, one
+after the other, all in turns.
 """
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,17 +20,18 @@ import tyro
 from experiments.common import DEMO, human, load_log, log_files, table, write
 from voodoo_jax.batch import bucket, pad_frames
 from voodoo_jax.fit_solution import solution
-from voodoo_jax.icp import Problem, solve_frame
+from voodoo_jax.icp import Problem, icp_step, solve_frame
 from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Settings, SolveSettings
 from voodoo_jax.tracking import options_from
 
-IMPLICIT, UNROLLED = "implicit", "unrolled, checkpointed"
+IMPLICIT, KEPT, POSES, ALL = "implicit", "unrolled, checkpointed", "unrolled, poses alone kept", "unrolled, all kept"
+WAYS = IMPLICIT, KEPT, POSES, ALL
 STEPS = (5, 15, 45)  # of which the memory is told
 
 
 def main(
-    points: int = 1000, frames: int = 8, steps: int = 15, turns: int = 7, out: Path = Path(__file__).parent
+    points: int = 1000, frames: int = 8, steps: int = 15, turns: int = 15, out: Path = Path(__file__).parent
 ) -> None:
     """Milliseconds a frame, and ratios.
 
@@ -57,7 +61,12 @@ def main(
                 problem = Problem.build(body, seen, start, options)
                 if way == IMPLICIT:
                     return solution(start, problem).poses
-                return solve_frame(start, problem, "checkpointed", most).poses
+                if way == KEPT:
+                    return solve_frame(start, problem, "checkpointed", most).poses
+                step = lambda poses, _: (icp_step(poses, problem)[0], None)  # noqa: E731
+                if way == POSES:
+                    step = jax.checkpoint(step, prevent_cse=False)
+                return jax.lax.scan(step, start, length=most)[0]
 
             return jnp.sum(jax.lax.map(one, (cloud, poses)).translation ** 2)
 
@@ -66,35 +75,42 @@ def main(
     def asked(most: int) -> tuple:
         return parts, options_from(SolveSettings(max_steps=most, epsilon=0.0), settings.track).icp
 
-    rows = []
-    for way in (IMPLICIT, UNROLLED):
-        loss, given = loss_of(way, steps), asked(steps)
-        value, both = _seconds(jax.jit(loss), given, turns), _seconds(jax.jit(jax.value_and_grad(loss)), given, turns)
-        rows.append([way, f"{1e3 * value / len(at):.2f}", f"{1e3 * both / len(at):.2f}", f"{both / value:.2f}"])
-    head = ["way", "value, ms a frame", "value and gradient, ms a frame", "ratio"]
-    memory = [
-        [way, *(f"{_megabytes(jax.value_and_grad(loss_of(way, most)), asked(most)):.2f}" for most in STEPS)]
-        for way in (IMPLICIT, UNROLLED)
+    def compiled(way: str, most: int, change: Callable):
+        return jax.jit(change(loss_of(way, most))).lower(*asked(most)).compile()
+
+    values = {way: compiled(way, steps, lambda loss: loss) for way in WAYS}
+    both = {(way, most): compiled(way, most, jax.value_and_grad) for way in WAYS for most in {*STEPS, steps}}
+    given, load = asked(steps), os.getloadavg()[0]
+    programs = [run for way in WAYS for run in (values[way], both[way, steps])]
+    seconds = _seconds([lambda run=run: run(*given) for run in programs], turns)
+    rows = [
+        [way, f"{1e3 * value / len(at):.2f}", f"{1e3 * all_ / len(at):.2f}", f"{all_ / value:.2f}"]
+        for way, value, all_ in zip(WAYS, seconds[::2], seconds[1::2])
     ]
-    text = f"{points} points, {steps} steps.\n\n{table(head, rows)}\nMemory of value and gradient, MB:\n\n"
+    head = ["way", "value, ms a frame", "value and gradient, ms a frame", "ratio"]
+    memory = [[way, *(f"{_megabytes(both[way, most]):.2f}" for most in STEPS)] for way in WAYS]
+    text = (
+        f"{points} points, {steps} steps, medians of {turns} turns; load average {load:.1f} before them.\n\n"
+        f"{table(head, rows)}\nMemory of value and gradient, MB:\n\n"
+    )
     write(out, "gradient_cost", text + table(["way", *(f"{most} steps" for most in STEPS)], memory))
 
 
-def _megabytes(function: Callable, given: tuple) -> float:
+def _megabytes(program: jax.stages.Compiled) -> float:
     """What the compiled program needs beside arguments and results."""
-    found = jax.jit(function).lower(*given).compile().memory_analysis()
+    found = program.memory_analysis()
     return found.temp_size_in_bytes / 1e6 if found else float("nan")
 
 
-def _seconds(function: Callable, given: tuple, turns: int) -> float:
-    """Median time of a run, after one that compiles."""
-    jax.block_until_ready(function(*given))
-    times = []
-    for _ in range(turns):
-        began = time.perf_counter()
-        jax.block_until_ready(function(*given))
-        times.append(time.perf_counter() - began)
-    return float(np.median(times))
+def _seconds(programs: list[Callable], turns: int) -> list[float]:
+    """Median time of each program's runs, after a first one; they run in turns, so that other work slows all alike."""
+    times = [[] for _ in programs]
+    for _ in range(turns + 1):
+        for run, found in zip(programs, times):
+            began = time.perf_counter()
+            jax.block_until_ready(run())
+            found.append(time.perf_counter() - began)
+    return [float(np.median(found[1:])) for found in times]
 
 
 if __name__ == "__main__":

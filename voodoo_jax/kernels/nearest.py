@@ -1,5 +1,6 @@
 """Which limb each point belongs to: gates, and the distances to all limbs (Knoop 2007, sec. 5.2)."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +23,24 @@ def once(true: Bool[Array, ""], compute: Callable[[], Any]) -> Any:
     """
     shapes = jax.eval_shape(compute)
     return jax.lax.cond(true, compute, lambda: jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes))
+
+
+@jax.custom_jvp
+def _cut(true, *numbers):
+    return numbers
+
+
+@_cut.defjvp
+def _cut_jvp(primals, tangents):
+    true, tangents = primals[0], tangents[1:]
+    nothing = lambda *t: tuple(jnp.zeros_like(x) for x in t)  # noqa: E731
+    return _cut(*primals), jax.lax.cond(true, lambda *t: t, nothing, *tangents)
+
+
+def cuts(true: Bool[Array, ""]) -> Callable[..., Any]:
+    """The identity of some arrays, whose derivative is computed once, as with `once`: put where much hangs on few
+    numbers, or on the way back the compiler repeats all that lies behind them for everything that they depend on."""
+    return functools.partial(_cut, true)
 
 
 def into_limb(rotation, translation, x, y, z):

@@ -3,8 +3,8 @@
 The side is the ruled surface (a(s) cos t, b(s) sin t, s L) with a, b linear in s from 0 (bottom) to 1 (top).
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -76,7 +76,12 @@ def rim_factors(size: Size) -> tuple[Float[Array, "*point"], ...]:
     return tuple(1 / jnp.square(jnp.maximum(size[i], TINY)) for i in range(4))
 
 
-def _closest(size, rims, x, y, z, refine, caps):
+def uncut(*numbers: Array) -> Any:
+    """No cut, see kernels.nearest.cuts."""
+    return numbers
+
+
+def _closest(size, rims, x, y, z, refine, caps, cut=uncut):
     """Closest points, their squared distances, and which points are inside."""
     a0, b0, a1, b1, length = (jnp.maximum(size[i], TINY) for i in range(5))
     centre = x * x + y * y < 1e-14  # no direction: take +x, with a gradient of zero
@@ -88,8 +93,9 @@ def _closest(size, rims, x, y, z, refine, caps):
     # there as multiples of the point's own: two inverse roots and one division are all that is slow
     k0 = lax.rsqrt(u * rims[0] + v * rims[1])
     k1 = lax.rsqrt(u * rims[2] + v * rims[3])
+    k0, k1 = cut(k0, k1)
     slope = k1 - k0
-    s = (rho2 * ((1 - k0) * slope) + z * length) / (rho2 * (slope * slope) + length * length)
+    (s,) = cut((rho2 * ((1 - k0) * slope) + z * length) / (rho2 * (slope * slope) + length * length))
     s = jnp.clip(s, 0.0, 1.0)
     k = k0 + s * slope
     cx, cy = k * dx, k * dy
@@ -127,6 +133,7 @@ def closest_point(
     refine: int = 0,
     caps: bool = True,
     rims: Rims | None = None,
+    cut: Callable = uncut,
 ) -> SurfacePoint:
     """Closest points on the frustum's surface, end caps included.
 
@@ -136,15 +143,16 @@ def closest_point(
     exact for round limbs; for the built-in human, within 10 cm of a limb, the distance is off by 0.2 mm on average,
     1.5 mm at 95 %, 17 mm at worst (deep inside the pelvis). 8 iterations: to 0.2 mm for a
     human's limbs, 1 mm for short tapering ones (tests/test_surface.py); `caps` false: the side alone, an open tube that
-    has no inside; `rims` rim_factors of the size, where they are known already.
+    has no inside; `rims` rim_factors of the size, where they are known already; `cut` see kernels.nearest.cuts.
 
     **Returns:** closest points and signed distances. At the axis, where several points are closest, one of them.
     """
     rims = rim_factors(size) if rims is None else rims
-    found, d2, inside = _closest(size, rims, x, y, z, refine, caps)
+    found, d2, inside = _closest(size, rims, x, y, z, refine, caps, cut)
     zero = d2 < 1e-16
     distance = jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, d2)))
-    return SurfacePoint(*found, jnp.where(inside, -distance, distance))
+    x, y, z = cut(*found)
+    return SurfacePoint(x, y, z, jnp.where(inside, -distance, distance))
 
 
 def signed_square(
@@ -169,6 +177,7 @@ def near_side(
     y: Float[Array, " point"],
     surface: SurfacePoint,
     sensor: Sequence[Float[Array, " point"]],
+    cut: Callable = uncut,
 ) -> SurfacePoint:
     """Moves correspondences from the side that the sensor cannot see to the side that it sees.
 
@@ -179,8 +188,8 @@ def near_side(
     """
     a0, b0, a1, b1, length = (jnp.maximum(size[i], TINY) for i in range(5))
     s = surface.z / length
-    a, b = a0 + s * (a1 - a0), b0 + s * (b1 - b0)
-    u, v = sensor[0] / a, sensor[1] / b  # scaled so that the ellipse is the unit circle: lines stay lines
+    a, b = cut(a0 + s * (a1 - a0), b0 + s * (b1 - b0))
+    u, v = cut(sensor[0] / a, sensor[1] / b)  # scaled so that the ellipse is the unit circle: lines stay lines
     n2 = u * u + v * v
     seen_from_end = n2 < 1e-8  # the sensor looks along the limb: no near side
     n = jnp.sqrt(jnp.where(seen_from_end, 1.0, n2))
@@ -189,8 +198,10 @@ def near_side(
     within = (surface.x / a) ** 2 + (surface.y / b) ** 2 < FLAT
     on_cap = within & jnp.where(sensor[2] < 0, s < EDGE, (s > 1 - EDGE) & (sensor[2] > length))
     behind = (depth < 0) & ~seen_from_end & ~on_cap
+    (lateral,) = cut(lateral)
     lateral = jnp.clip(lateral, -1.0, 1.0)
     rest = 1.0 - lateral * lateral
     front = jnp.where(rest > 1e-12, jnp.sqrt(jnp.where(rest > 1e-12, rest, 1.0)), 0.0)
     cx, cy = a * (front * u - lateral * v), b * (front * v + lateral * u)
-    return surface._replace(x=jnp.where(behind, cx, surface.x), y=jnp.where(behind, cy, surface.y))
+    x, y = cut(jnp.where(behind, cx, surface.x), jnp.where(behind, cy, surface.y))
+    return surface._replace(x=x, y=y)
