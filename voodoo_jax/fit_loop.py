@@ -34,7 +34,7 @@ from voodoo_jax.fit_solution import Rest
 from voodoo_jax.icp import IcpOptions
 from voodoo_jax.pose import Poses
 
-GAIN = 1e-3  # a step that gains less of the loss is the last
+GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
 FEWEST = 6  # frames of a log that must be at rest
 QUICK = {"xla_backend_optimization_level": 1}  # compiled in two thirds of the time, and no slower
 
@@ -211,7 +211,7 @@ def run_search(
         step *= min(1.0, 1.5 / max(float(np.max(np.abs(step) / search.sd)), 1e-9))
         share, gain, there = _along(search, progress.x, step, here, starts)
         if gain > 0:
-            small = bool(gain < GAIN * here.loss)
+            small = bool(gain < GAIN * here.loss + LEAST)
             progress = replace(
                 progress, x=progress.x + share * step, damping=max(progress.damping / 5, 1e-3), done=small
             )

@@ -23,7 +23,7 @@ class FitSettings:
     steps: int = 10
     """ICP steps before the Newton steps, in each frame and each step of the fit."""
     iterations: int = 12
-    """Most steps of a round; it ends by itself before, where the loss falls by less than 0.1 %."""
+    """Most steps of a round; it ends by itself before, where the loss hardly falls any more."""
     rounds: int = 1
     """After each round but the last the logs are tracked anew with the body found so far: wrong sizes make wrong poses,
     which no step from there leaves. Say 3 where the body is far off, by a tenth and more; else it gains nothing."""

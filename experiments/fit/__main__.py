@@ -40,7 +40,7 @@ Seconds include compiling in the first row, on two cores that others used too: n
 """
 SIMULATED = """
 Free: these four lengths (left and right alike); four rounds, noise 0.0005, looseness 10; 48 frames of 512 points.
-Knees, elbows and wrists bend one after the other, 3 m from the camera (1.8 cm of noise there), the whole person in view.
+Knees, elbows and wrists bend one after the other, 3 m from the camera (1.8 cm of noise there), all of them in view.
 """
 SURFACE = 0.0005  # metres: the simulated person is made of the tracker's own limbs
 LIMBS = ("upper_arm", "forearm", "thigh", "shank")
