@@ -40,7 +40,7 @@ Seconds include compiling in the first row, on two cores that others used too: n
 """
 SIMULATED = """
 Free: these four lengths (left and right alike); four rounds, noise 0.0005, looseness 10; 48 frames of 512 points.
-Knees, elbows and wrists bend one after the other, 3 m from the camera (1.8 cm of noise there), all of them in view.
+Knees and elbows bend one after the other, 3 m from the camera (1.8 cm of noise there), all of them in view.
 """
 SURFACE = 0.0005  # metres: the simulated person is made of the tracker's own limbs
 LIMBS = ("upper_arm", "forearm", "thigh", "shank")
@@ -126,10 +126,10 @@ def recording_of(sim: Simulation) -> Recording:
 
 
 def exercise(body: Body) -> Motion:
-    """What shows lengths: every knee, elbow and wrist bends; 7 s, in front of the camera, all of the person in view."""
-    arms = {"l_elbow": bend(1.4), "r_elbow": bend(1.4), "l_wrist": bend(0.8), "r_wrist": bend(0.8)}
+    """What shows lengths: every knee and elbow bends; 7 s, in front of the camera, all of the person in view."""
+    arms = {"l_elbow": bend(1.4), "r_elbow": bend(1.4)}
     left, right = (RELAXED | arms | {f"{s}_hip": bend(1.1), f"{s}_knee": bend(-1.4)} for s in "lr")
-    curled = SPREAD | {"l_elbow": bend(1.5), "r_elbow": bend(1.5), "l_wrist": bend(-0.8), "r_wrist": bend(-0.8)}
+    curled = SPREAD | {"l_elbow": bend(1.5), "r_elbow": bend(1.5)}
     keys = [(0.4, RELAXED), (0.7, left), (0.6, RELAXED), (0.7, right), (0.6, RELAXED), (0.7, SPREAD), (0.7, curled)]
     down = posed(body, [(0.1, RELAXED), (0.7, KNEES_BENT), (0.7, RELAXED)], ground=True)
     return placed(sequence(posed(body, [*keys, (0.7, RELAXED)]), down), 2.95, 0.0, np.pi + 0.3)
