@@ -34,7 +34,8 @@ WORDS = {  # what people say -> patterns of names
     "joint centres": ("anchors.*",),
     "anchors": ("anchors.*",),
     "bands": ("bands.*",),
-    "measurement weights": ("features.*.weight", "solve.ratio", "solve.prior"),
+    # not solve.prior: a fit's frames are predicted where they were tracked, so it would grow without end
+    "measurement weights": ("features.*.weight", "solve.ratio"),
 }
 SETTINGS = ("ratio", "floor", "prior", "robust_scale")  # of SolveSettings
 
