@@ -2,8 +2,8 @@
 python -m experiments.fit.weights RECORDINGS
 
 Fitted to the truth's joint centres, every person with a body of its own, bands and weights in common (`free`); then
-both halves are tracked with what was found. Priors are narrow: a fit judges frames that were tracked well, and what a track
-needs where it is wrong they do not show. Writes weights.md.
+both halves are tracked with what was found. Priors are narrow: a fit judges frames that were tracked well, and what a
+track needs where it is wrong they do not show. Writes weights.md.
 """
 
 from dataclasses import replace
