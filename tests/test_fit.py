@@ -142,15 +142,26 @@ def test_changes_add_up():
 
 def test_settings_that_were_found():
     """Factors of the solve's options and of features, named or not, go into settings; the body's stay out."""
-    before = Settings()
-    found = {"solve.ratio": np.log(2.0), "features.face.weight": np.log(0.5), "bands.neck.weight": 1.0}
-    after = tuned_settings(before, found | {"features.marker.weight": np.log(3.0)})
-    assert after.solve == replace(before.solve, ratio=after.solve.ratio)
-    assert after.solve.ratio == pytest.approx(2 * before.solve.ratio)
-    table = FeatureNames(BODY.topology, after.features)
-    assert table.weights["face"] == 5.0 and table.weights["marker"] == pytest.approx(3 * before.features.weight)
+    before, features = Settings(), ("face", "marker", "l_wrist", "r_wrist")
+    words = ["solve.ratio", "features.*.weight", "bands.neck.weight", "lengths.thigh"]
+    free = parameters(BODY, words, features)
+
+    def after(**found):
+        x = [found.get(name.removesuffix(".weight").rpartition(".")[2], 0.0) for name in free.names]
+        return tuned_settings(before, BODY.topology, free.changes(jnp.array(x)), features)
+
+    new = after(ratio=np.log(2.0), face=np.log(0.5), marker=np.log(3.0), wrist=np.log(4.0), neck=1.0, thigh=0.1)
+    assert new.solve == replace(before.solve, ratio=new.solve.ratio)
+    assert new.solve.ratio == pytest.approx(2 * before.solve.ratio)
+    table = FeatureNames(BODY.topology, new.features)
+    assert table.weights["face"] == pytest.approx(5.0)
+    assert table.weights["marker"] == pytest.approx(3 * before.features.weight)
     assert table.weights["left_hand"] == 7.0
-    assert tuned_settings(before, {"lengths.thigh": 0.1}) == before
+    # one parameter for both sides, whatever standard the log's names are of
+    for name in ("l_wrist", "r_wrist", "l_radiocarpal"):
+        found = table.find(name)
+        assert found and found[1] == pytest.approx(4 * before.features.weight)
+    assert after(neck=1.0, thigh=0.1) == before
 
 
 def test_fit_of_the_demo(tmp_path, capsys):

@@ -43,9 +43,8 @@ class FeatureNames:
             known = tuple(points[target] for target in targets.split("|") if target in points)
             if known:
                 self.rows[name] = known
-        self.weights = {
-            name: float(value) for name, value in check_pairs("features.weights", settings.weights, True).items()
-        }
+        weights = check_pairs("features.weights", settings.weights, numbers=True)
+        self.weights = {self.plain(name): float(value) for name, value in weights.items()}
         self.weight = settings.weight
 
     def choices(self, names: set[str]) -> int:
@@ -54,16 +53,17 @@ class FeatureNames:
 
     def look_up(self, name: str) -> tuple[int, ...] | None:
         """Rows of kernels.features.named_points that a name may stand for; None: the body has no such name."""
-        return self.rows.get(self._plain(name))
+        return self.rows.get(self.plain(name))
 
-    def _plain(self, name: str) -> str:
+    def plain(self, name: str) -> str:
+        """The name under which a feature is looked up, whatever standard and prefix the log has it from."""
         name = V1_NAMES.get(name, name)
         return name if name in self.rows else plain_name(name)
 
     def find(self, name: str) -> tuple[tuple[int, ...], float] | None:
         """Rows of kernels.features.named_points, of which the feature is one, and weight; None for a name that the
         body does not have."""
-        name = self._plain(name)
+        name = self.plain(name)
         if name not in self.rows:
             return None
         return self.rows[name], self.weights.get(name, self.weight)

@@ -27,6 +27,7 @@ from voodoo_jax.fit_objective import UserLoss
 from voodoo_jax.fit_parameters import parameters
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_settings import FitSettings
+from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.fit_user import minimised
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Recording
@@ -67,6 +68,7 @@ class Fit:
     finished: bool  # stopped by itself
     judged: tuple[Judged, ...]
     settings: FitSettings
+    tuned: Settings  # the settings with what was found of the solve's options and of the features' weights
 
     @property
     def report(self) -> str:
@@ -169,9 +171,10 @@ def fit_tracked(
     first = [next(p for p in search.parts if p.person == k) for k in range(len(search.rows))]
     bodies = tuple(search.body(progress.x, p) for p in first)
     judged = tuple(_judged(search, part, k, progress.x, before, after) for k, part in enumerate(whole.parts))
+    tuned = tuned_settings(settings, bodies[0].topology, search.changes(progress.x, first[0]), search.features)
     return Fit(
         bodies[0], bodies, tuple(p.body for p in first), _all_names(search, len(first)), progress.x, sd, search.sd,
-        progress.losses, progress.done, judged, options,
+        progress.losses, progress.done, judged, options, tuned,
     )  # fmt: skip
 
 
@@ -255,7 +258,7 @@ def search_of(
     for row in rows:
         sd[row] = free.sd * options.looseness
     objective = "truth" if truths else "held"
-    return Search(free, tuple(parts), icp, objective, tuple(rows), sd, noise=options.noise)
+    return Search(free, tuple(parts), icp, objective, tuple(rows), sd, options.noise, names)
 
 
 def _all_names(search: Search, persons: int) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from voodoo_jax.fit_body import fit
 from voodoo_jax.fit_frames import TruthError
 from voodoo_jax.fit_loop import FitError
 from voodoo_jax.fit_progress import Progress
-from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.io.atomic import replacing
 from voodoo_jax.io.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.io.fit_report import verdict, write_report
@@ -58,10 +57,9 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         write_body(fitted, path)
     text, drawn = write_report(found, report)
     files = [*bodies, text, drawn]
-    new = tuned_settings(settings, dict(zip(found.names, found.x.tolist())))
-    if new != settings:
+    if found.tuned != settings:
         with replacing(config) as partial:
-            partial.write_text(settings_text(new), encoding="utf-8")
+            partial.write_text(settings_text(found.tuned), encoding="utf-8")
         files.append(config)
     state.unlink(missing_ok=True)
     print(verdict(found.judged))

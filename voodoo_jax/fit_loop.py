@@ -28,7 +28,7 @@ from voodoo_jax.fit_objective import (
     normals,
     placed,
 )
-from voodoo_jax.fit_parameters import HEIGHT, Parameters, changed, height_of
+from voodoo_jax.fit_parameters import HEIGHT, Changes, Parameters, changed, height_of
 from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Rest
 from voodoo_jax.icp import IcpOptions
@@ -103,6 +103,7 @@ class Search:
     rows: tuple[np.ndarray, ...]
     sd: Float64[np.ndarray, " all"]
     noise: float = POINT_SD  # standard deviation of a point, metres
+    features: tuple[str, ...] = ()  # names of the measured features
 
     def unit(self, part: Part) -> float:
         """Root mean square distance, metres, where a frame's squared deviations add up to one."""
@@ -188,9 +189,13 @@ class Search:
                 out += 0.5 * (self.height(x, part)[0] ** 2 - self.height(other, part)[0] ** 2)
         return out
 
+    def changes(self, x: Float64[np.ndarray, " all"], part: Part) -> Changes:
+        """What x says of a recording's person."""
+        return self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32))
+
     def body(self, x: Float64[np.ndarray, " all"], part: Part) -> Body:
         """A recording's body at x."""
-        return changed(part.body, self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32)))
+        return changed(part.body, self.changes(x, part))
 
 
 def run_search(

@@ -34,6 +34,6 @@ class FitSettings:
     """Widens all priors by this factor."""
     stiffness: float = 20.0
     """How many times stiffer than in tracking the bands are while sizes are fitted: soft ones give way to a wrong
-    length, so that the points hardly tell. 1 where bands or solve.ratio are free, and for the report's judgement."""
+    length, so that the points hardly tell. 1 where bands or solve are free, and for the report's judgement."""
     markers: bool = False
     """Named 3D points of the logs judge the fit and hold no pose; otherwise half of them do."""

@@ -1,30 +1,27 @@
 """The settings after a fit: what was found of the solve's options and of the features' weights."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from voodoo_jax.settings import FeatureSettings, Settings, check_pairs
+from voodoo_jax.batch import FeatureNames
+from voodoo_jax.body import Topology
+from voodoo_jax.fit_parameters import SETTINGS, Changes
+from voodoo_jax.settings import Settings
 
 
-def tuned_settings(settings: Settings, found: Mapping[str, float]) -> Settings:
-    """The settings changed by what a fit found.
+def tuned_settings(settings: Settings, topology: Topology, by: Changes, features: tuple[str, ...]) -> Settings:
+    """The settings changed by what a fit found; what it left alone stays as it was.
 
-    **Arguments:** `found` parameters by name (see fit_parameters), logarithms of factors; those of the body and its
-    bands are passed over: they are in the body file.
+    **Arguments:** `by` what was found (see fit_parameters); `features` names that its `features` are of.
     """
-    solve, features = settings.solve, settings.features
-    for name, value in found.items():
-        stage, _, key = name.partition(".")
-        if stage == "solve":
-            solve = replace(solve, **{key: getattr(solve, key) * float(np.exp(value))})
-        elif stage == "features":
-            features = _reweighted(features, key.removesuffix(".weight"), float(np.exp(value)))
-    return replace(settings, solve=solve, features=features)
-
-
-def _reweighted(features: FeatureSettings, name: str, factor: float) -> FeatureSettings:
-    weights = {k: float(v) for k, v in check_pairs("features.weights", features.weights, numbers=True).items()}
-    weights[name] = weights.get(name, features.weight) * factor
-    return replace(features, weights=tuple(f"{k}={v:.4g}" for k, v in weights.items()))
+    factors = dict(zip(SETTINGS, np.exp(np.asarray(by.settings, np.float64)).tolist()))
+    solve = {k: getattr(settings.solve, k) * f for k, f in factors.items() if f != 1}
+    changed = [(n, f) for n, f in zip(features, np.exp(np.asarray(by.features, np.float64)).tolist()) if f != 1]
+    table, weights = FeatureNames(topology, settings.features), settings.features.weights
+    if changed:
+        of = table.weights | {table.plain(n): table.weights.get(table.plain(n), table.weight) * f for n, f in changed}
+        weights = tuple(f"{name}={value:.4g}" for name, value in of.items())
+    return replace(
+        settings, solve=replace(settings.solve, **solve), features=replace(settings.features, weights=weights)
+    )

@@ -4,8 +4,7 @@ A step is a pure function `(poses, problem) -> poses`: correspondences for all l
 absolute orientation per limb, all limbs in one vmapped solve.
 """
 
-import functools
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,8 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, Links, Topology, bands
 from voodoo_jax.kernels.bands import link_moments, prior_moments
-from voodoo_jax.kernels.correspond import Match, MatchOptions, Points, match, match_assigned, settled_sums, sums
-from voodoo_jax.kernels.coupled import coupled_factor, coupled_normals, coupled_product, coupled_step, pair_normals
+from voodoo_jax.kernels.correspond import Match, MatchOptions, Points, match, sums
+from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, pair_normals
 from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
 from voodoo_jax.kernels.procrustes import align
@@ -66,15 +65,6 @@ class StepInfo(NamedTuple):
 
     quality: Float[Array, ""]  # weighted mean of squared pair distances, square metres
     limb_weight: Float[Array, " limb"]  # measured weight
-
-
-class Kept(NamedTuple):
-    """What a step found, for its derivative: that need not look for it once more."""
-
-    limbs: Int[Array, " point"] | None  # of each point, the number of limbs for none; None: a point may have several
-    measured: Float[Array, "limb 4 4"]
-    second: Float[Array, "limb 3 3"]
-    factor: Float[Array, "limb6 limb6"] | None  # of the coupled solver
 
 
 class FrameResult(NamedTuple):
@@ -141,18 +131,12 @@ def total_weight(problem: Problem, doubt: Float[Array, ""] | float = 1.0) -> Flo
     return jnp.maximum(total, 1e-6)
 
 
-def pulls_at(poses: Poses, problem: Problem, kept: Kept | None = None) -> Pulls:
+def pulls_at(poses: Poses, problem: Problem) -> Pulls:
     """Measurements, bands and prediction as sums, set up in each limb's frame: a solve is for a small motion near the
     origin, and float32 keeps its digits wherever the person stands (pitfall P28)."""
     body, options = problem.body, problem.options
-    if kept is None or kept.limbs is None:
-        found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
-        measured, second, squares = sums(found)
-    else:
-        found = match_assigned(body.sizes, poses, problem.points, kept.limbs, options.match)
-        measured, second, squares = settled_sums(found, kept.limbs, body.limb_count, options.match)
-    if kept is not None:
-        measured, second = _known((kept.measured, kept.second), (measured, second))
+    found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
+    measured, second, squares = sums(found)
     limb_weight, squares = measured[:, 0, 0], jnp.sum(squares)
     named, of_points = None, squares
     if problem.features is not None:
@@ -167,58 +151,30 @@ def pulls_at(poses: Poses, problem: Problem, kept: Kept | None = None) -> Pulls:
     return Pulls(info, found, of_points, measured, second, named, pull, pull_second, links, strength)
 
 
-@jax.custom_jvp
-def _known(value: Any, computed: Any) -> Any:
-    """`value`, with the derivative of `computed`, which is the same number and need not be computed then."""
-    return value
-
-
-@_known.defjvp
-def _known_jvp(primals, tangents):
-    return _known(*primals), tangents[1]
-
-
-def _own_normals(pulls: Pulls) -> tuple[Float[Array, "limb 6 6"], Float[Array, "limb 6"]]:
-    """Normal matrix and right-hand side of each limb's own pairs."""
-    normals, rhs = jax.vmap(pair_normals)(pulls.measured + pulls.prior, pulls.second + pulls.prior_second)
-    if pulls.named is not None:
-        # the features' own normals: their moments hold motion along a line of sight too
-        normals, rhs = normals + pulls.named.normals, rhs + pulls.named.rhs
-    return normals, rhs
-
-
 def frame_normals(
     poses: Poses, pulls: Pulls, damping: Float[Array, ""]
 ) -> tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]:
     """Normal matrix and right-hand side of all limbs' twists in a frame (see kernels.coupled)."""
-    return coupled_normals(pulls.links, poses, *_own_normals(pulls), pulls.strength, damping)
+    normals, rhs = jax.vmap(pair_normals)(pulls.measured + pulls.prior, pulls.second + pulls.prior_second)
+    if pulls.named is not None:
+        # the features' own normals: their moments hold motion along a line of sight too
+        normals, rhs = normals + pulls.named.normals, rhs + pulls.named.rhs
+    return coupled_normals(pulls.links, poses, normals, rhs, pulls.strength, damping)
 
 
 def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     """One ICP step: new poses of all limbs, and what was seen on entry."""
-    return _step(poses, problem)[:2]
-
-
-def _step(poses: Poses, problem: Problem, kept: Kept | None = None) -> tuple[Poses, StepInfo, Kept]:
-    """A step, and what it found; `kept`: what it found when it was done before."""
     poses = Poses(quat_normalize(poses.rotation), poses.translation)
-    pulls = pulls_at(poses, problem, kept)
-    factor = None if kept is None else kept.factor
+    pulls = pulls_at(poses, problem)
     if problem.options.solver == "coupled":
-        normals, rhs = _own_normals(pulls)
-        damping = problem.options.damping
-        full, rhs = coupled_normals(pulls.links, poses, normals, rhs, pulls.strength, damping)
-        factor = coupled_factor(full) if factor is None else factor
-        product = functools.partial(coupled_product, pulls.links, poses, normals, pulls.strength, damping)
-        motion = coupled_step(factor, rhs, product)
+        motion = coupled_step(*frame_normals(poses, pulls, problem.options.damping))
     else:
         held = sum(link_moments(some, poses, pulls.strength) for some in pulls.links)
         features = 0.0 if pulls.named is None else pulls.named.moments
         solved = jax.vmap(align)(pulls.measured + features + held + pulls.prior)
         motion = solved.rotation, solved.translation
     moved = compose(poses, Poses(*motion))
-    poses = Poses(quat_normalize(moved.rotation), moved.translation)
-    return poses, pulls.info, Kept(pulls.found.limb, pulls.measured, pulls.second, factor)
+    return Poses(quat_normalize(moved.rotation), moved.translation), pulls.info
 
 
 def solve_frame(
@@ -235,8 +191,8 @@ def solve_frame(
     where pairs that nobody measured may make it rise; with epsilon 0 all max_steps are taken.
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed too: every step
-    keeps the poses that it began with and what it found (Kept), and the rest of it is done once more on the way back
-    (pitfall P9). `capacity` bounds its steps at compile time.
+    keeps the poses that it began with, and is done once more on the way back (pitfall P9). `capacity` bounds its steps
+    at compile time.
     """
 
     options = problem.options
@@ -255,46 +211,22 @@ def solve_frame(
         rest = (step >= 2) & at_rest(previous, quality, moved)
         return (step < options.max_steps) & ~rest
 
-    def body(state, problem=problem):
+    def body(state):
         before, quality, _, _, step = state
-        poses, info, kept = _step(before, problem)
+        poses, info = icp_step(before, problem)
         moved = jnp.max(jnp.sum((poses.translation - before.translation) ** 2, -1))
-        return (poses, info.quality, quality, moved, step + 1), kept
+        return poses, info.quality, quality, moved, step + 1
 
     huge = jnp.array(jnp.inf, start.translation.dtype)
     state = (start, huge, huge, huge, jnp.array(0, jnp.int32))
     if kind == "lax":
-        state = jax.lax.while_loop(unfinished, lambda state: body(state)[0], state)
+        state = jax.lax.while_loop(unfinished, body, state)
     else:
-        state = _checkpointed(state, problem, unfinished, body, capacity)
+        # around the branch, not in it: one step then keeps nothing but the state that it began with
+        step = lambda state, _: (jax.lax.cond(unfinished(state), body, lambda state: state, state), None)  # noqa: E731
+        state = jax.lax.scan(jax.checkpoint(step, prevent_cse=False), state, length=capacity)[0]
     poses, quality, previous, moved, steps = state
     return FrameResult(poses, steps, at_rest(previous, quality, moved))
-
-
-def _checkpointed(state, problem, unfinished, body, capacity):
-    """All steps; and their derivatives, each at the poses and with the findings that it had on the way."""
-    # nothing of the way there has a derivative: what is kept of a step is in Kept, and nothing else
-    still_state, still = jax.lax.stop_gradient((state, problem))
-    shapes = jax.eval_shape(lambda: body(still_state, still)[1])
-    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-
-    def there(state, _):
-        more = unfinished(state)
-        after, kept = jax.lax.cond(more, lambda s: body(s, still), lambda s: (s, nothing), state)
-        return after, (more, state[0], kept)
-
-    end, trail = jax.lax.scan(there, still_state, length=capacity)
-
-    # outside: or the loop would keep a copy of the frame for every step; inside: or the branch would keep all numbers
-    # of the step
-    @functools.partial(jax.checkpoint, prevent_cse=False)
-    def again(poses, seen):
-        taken, before, kept = seen
-        step = jax.checkpoint(lambda poses: _step(poses, problem, kept)[0], prevent_cse=False)
-        return jax.lax.cond(taken, step, lambda poses: poses, _known(before, poses)), None
-
-    poses, _ = jax.lax.scan(again, state[0], trail)
-    return _known(end[0], poses), *end[1:]
 
 
 def _iterate(poses: Poses, problem: Problem) -> Poses:

@@ -146,7 +146,7 @@ def run_trials(
     pruned = FIRST if count > FIRST and many > KEPT else 0
 
     def tracked(options, state, inputs):
-        state, out = track_frame(body, options, state, *inputs)
+        state, out, _ = track_frame(body, options, state, *inputs)
         return state, cost_of(out)
 
     def through(tried, inputs):

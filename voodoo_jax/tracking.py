@@ -62,8 +62,8 @@ class Step(NamedTuple):
     limb_weight: Float[Array, " limb"]
     steps: Int[Array, ""]
     points: Int[Array, ""]
-    # of each limb's twist, for unit variance per unit of weight (kernels.coupled); see track_frame
-    covariance: Float[Array, "limb *limb6 6"]
+    # of each limb's twist, for unit variance per unit of weight (kernels.coupled): track_chunk fills it in
+    covariance: Float[Array, "limb 6 6"] | None = None
 
 
 def cost_of(step: Step) -> Float[AnyArray, "*frame"]:
@@ -181,9 +181,9 @@ def track_frame(
     points: Points,
     seconds: Float[Array, ""],
     features: Features | None = None,
-) -> tuple[State, Step]:
-    """Tracks one frame: predict, solve, measure how well it went. In place of the covariance the Step has the normal
-    matrix, for many frames are inverted together in less time."""
+) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
+    """Tracks one frame: predict, solve, measure how well it went; and the normal matrix of the limbs' twists there
+    (kernels.coupled), for many frames are inverted together in less time."""
     predicted = predict(body, options, state, seconds)
     # a prediction over a longer interval is worth less: its error grows with the square of the time
     late = jnp.maximum(seconds / options.prior_interval, 1.0)
@@ -218,11 +218,11 @@ def track_frame(
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
     normals = frame_normals(poses, pulls, icp.damping)[0]
-    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count, normals)
+    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count)
     # by how many points there are, however noisy
     share = (weight * (1.0 if points.doubt is None else points.doubt)) ** 2
     seen = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
-    return State(poses, spin, velocity, jnp.where(count > 0, seen, state.seen)), step
+    return State(poses, spin, velocity, jnp.where(count > 0, seen, state.seen)), step, normals
 
 
 @program
@@ -244,19 +244,15 @@ def track_chunk(
 
     def one(state, inputs):
         points, seconds, valid, features = inputs
-        new, step = jax.lax.cond(
-            valid,
-            lambda: track_frame(body, options, state, points, seconds, features),
-            lambda: (state, jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)),
-        )
-        return new, step
+        nothing = lambda: (state, *jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes))  # noqa: E731
+        tracked = lambda: track_frame(body, options, state, points, seconds, features)  # noqa: E731
+        state, *out = jax.lax.cond(valid, tracked, nothing)
+        return state, out
 
     first = jax.tree.map(lambda x: x[0], (points, seconds, features))
-    shape = eqx.filter_eval_shape(lambda: track_frame(body, options, state, *first))[1]
-    state, steps = jax.lax.scan(one, state, (points, seconds, valid, features))
-    normals = jnp.where(
-        valid[:, None, None], steps.covariance, jnp.eye(6 * body.limb_count, dtype=steps.covariance.dtype)
-    )
+    shapes = eqx.filter_eval_shape(lambda: track_frame(body, options, state, *first))[1:]
+    state, (steps, normals) = jax.lax.scan(one, state, (points, seconds, valid, features))
+    normals = jnp.where(valid[:, None, None], normals, jnp.eye(normals.shape[-1], dtype=normals.dtype))
     if options.icp.plausible.collisions is None:
         covariance = jax.vmap(lambda full: tree_covariance(body.topology, full))(normals)
     else:  # any limb may push any other one

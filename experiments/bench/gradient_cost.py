@@ -1,9 +1,8 @@
 """What a derivative costs: python -m experiments.bench.gradient_cost
 
 Time of value and gradient, by all sizes and band weights of the body, over the time of the value alone: with the
-implicit solution, and with unrolled steps that keep for the way back what the library keeps of them (their poses, limbs
-of points, sums, the solver's factor), the poses alone, or all that autodiff asks for. Frames of the demo recording, one
-after the other, all in turns.
+implicit solution, and with unrolled steps that keep for the way back their poses alone, as the library does, or all
+that autodiff asks for. Frames of the demo recording, one after the other, all in turns.
 """
 
 import os
@@ -25,8 +24,7 @@ from voodoo_jax.pose import Poses
 from voodoo_jax.settings import Settings, SolveSettings
 from voodoo_jax.tracking import options_from
 
-IMPLICIT, KEPT, POSES, ALL = "implicit", "unrolled, checkpointed", "unrolled, poses alone kept", "unrolled, all kept"
-WAYS = IMPLICIT, KEPT, POSES, ALL
+WAYS = IMPLICIT, CHECKPOINTED, _ = "implicit", "unrolled, checkpointed", "unrolled, all kept"
 STEPS = (5, 15, 45)  # of which the memory is told
 
 
@@ -61,11 +59,9 @@ def main(
                 problem = Problem.build(body, seen, start, options)
                 if way == IMPLICIT:
                     return solution(start, problem).poses
-                if way == KEPT:
+                if way == CHECKPOINTED:
                     return solve_frame(start, problem, "checkpointed", most).poses
                 step = lambda poses, _: (icp_step(poses, problem)[0], None)  # noqa: E731
-                if way == POSES:
-                    step = jax.checkpoint(step, prevent_cse=False)
                 return jax.lax.scan(step, start, length=most)[0]
 
             return jnp.sum(jax.lax.map(one, (cloud, poses)).translation ** 2)

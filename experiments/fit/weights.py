@@ -9,7 +9,7 @@ track needs where it is wrong they do not show. Writes weights.md.
 from dataclasses import replace
 from pathlib import Path
 
-import jax.numpy as jnp
+import equinox as eqx
 import numpy as np
 import tyro
 from tqdm import tqdm
@@ -19,20 +19,13 @@ from experiments.halves.__main__ import halves
 from voodoo_jax.body import Body
 from voodoo_jax.fit_body import Fit, Seen, fit_tracked
 from voodoo_jax.fit_frames import Truth
-from voodoo_jax.fit_parameters import changed, parameters
 from voodoo_jax.fit_settings import FitSettings
-from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.settings import Settings
 
 
-def tuned(body: Body, found: Fit) -> tuple[Body, Settings]:
-    """The body with the bands, and the settings with the weights that a fit found."""
-    by_name = dict(zip(found.names, found.x.tolist()))
-    bands = [name for name in found.names if name.startswith("bands.")]
-    if bands:
-        free = parameters(body, bands, (), found.settings.mirrored)
-        body = changed(body, free.changes(jnp.asarray([by_name[n] for n in free.names], jnp.float32)))
-    return body, tuned_settings(Settings(), by_name)
+def tuned(body: Body, found: Fit) -> Body:
+    """The body with the bands that a fit found."""
+    return eqx.tree_at(lambda b: (b.weights, b.axes), body, (found.body.weights, found.body.axes))
 
 
 def tracked(logs: list[Log], body: Body, settings: Settings) -> list[Score]:
@@ -72,9 +65,9 @@ def main(
         truths = [Truth(log.stamps, log.names, log.joints) for log in own[k]]
         found = fit_tracked(seen, Settings(), replace(fit_options, free=free), truths)
         numbers.append(dict(zip(found.names, np.exp(found.x))))
-        new, settings = tuned(body, found)
+        new = tuned(body, found)
         rows += [
-            [f"tuned on {'AB'[k]}, half {'AB'[half]}", *mean_row(tracked(own[half], new, settings))]
+            [f"tuned on {'AB'[k]}, half {'AB'[half]}", *mean_row(tracked(own[half], new, found.tuned))]
             for half in (k, 1 - k)
         ]
         tqdm.write("\n".join(" ".join(row) for row in rows[-2:]))

@@ -27,7 +27,6 @@ class Match(NamedTuple):
     distance: Float[Array, "*limb point"]  # between the pair's points, metres
     model: tuple[Float[Array, "*limb point"], Float[Array, "*limb point"], Float[Array, "*limb point"]]
     data: tuple[Float[Array, "*limb point"], Float[Array, "*limb point"], Float[Array, "*limb point"]]
-    limb: Int[Array, " point"] | None = None  # of each point, the number of limbs for none; None: there may be several
 
     def close(self, distance: float) -> Bool[Array, " point"]:
         """Which points have a pair shorter than `distance`, metres."""
@@ -86,7 +85,7 @@ def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     limb = once(true, lambda: closest_limb(*still, jax.lax.stop_gradient(xyz), near_body, present, options))
     found = once(true, lambda: match_assigned(sizes, poses, points, limb, options, xyz))
     chosen = jnp.arange(sizes.shape[0])[:, None] == limb
-    return found._replace(weight=jnp.where(chosen, found.weight, 0.0), limb=limb)
+    return found._replace(weight=jnp.where(chosen, found.weight, 0.0))
 
 
 def match_assigned(
@@ -162,17 +161,3 @@ SYMMETRIC = [(i, j) for i in range(3) for j in range(i, 3)]
 def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
     """The first two of the sums."""
     return sums(found)[:2]
-
-
-def settled_sums(found: Match, limb: Int[Array, " point"], count: int, options: MatchOptions) -> Sums:
-    """The same sums of settled pairs (see match_assigned), in a form that is faster to differentiate: column by column,
-    and with weights that differ from point to point only."""
-    w, c, p = found.weight[0], found.model, found.data
-    of_limb = (jnp.arange(count)[:, None] == limb).astype(w.dtype)
-    left = [w, *(w * k for k in c)]
-    columns = [k * m for k in left for m in (jnp.ones_like(w), *p)] + [k * m for k in left[1:] for m in c]
-    (table,) = cuts(options.robust_scale > 0)(jnp.stack(columns))
-    found_sums = jax.lax.dot_general(of_limb, table, (((1,), (1,)), ((), ())), precision="highest")
-    first, second = jax.lax.split(found_sums, (16, 9), 1)
-    squares = jnp.matmul(of_limb, w * found.distance**2, precision="highest")
-    return Sums(first.reshape(-1, 4, 4), second.reshape(-1, 3, 3), squares)

@@ -4,7 +4,6 @@ The solve per limb hands a correction down the chain one limb per step; here the
 linear system, so that a limb pulls the whole chain at once. Same correspondences, same bands, same weights.
 """
 
-from collections.abc import Callable
 from functools import reduce
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
 from voodoo_jax.body import Links, Topology, tree_order
-from voodoo_jax.pose import Poses, matrix, quat_exp, rotate, unrotate
+from voodoo_jax.pose import Poses, matrix, quat_exp
 
 
 def _cross(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
@@ -119,59 +118,19 @@ def coupled_normals(
     return full + jnp.diag(jnp.repeat(damping * own + 1e-9, 6)), g
 
 
-def coupled_product(
-    links: tuple[Links, ...],
-    poses: Poses,
-    normals: Float[Array, "limb 6 6"],
-    strength: Float[Array, " limb"],
-    damping: Float[Array, ""],
-    twist: Float[Array, "limb 6"],
-) -> Float[Array, "limb 6"]:
-    """The normal matrix of coupled_normals times a twist of every limb, without the matrix."""
-    product = jnp.sum(normals * twist[:, None], -1)
-    diagonal = jnp.trace(normals, axis1=1, axis2=2)
-    for some in links:
-        one, two = some.first, some.second
-        w = some.weights * ((strength[one] + strength[two]) / 2)[:, None]
-
-        def speed(limbs, points, twist=twist):
-            turn, shift = jnp.split(twist[limbs][:, None], 2, -1)
-            return rotate(poses.rotation[limbs][:, None], shift + jnp.cross(turn, points))
-
-        def force(limbs, points, pull):
-            own = unrotate(poses.rotation[limbs][:, None], pull)
-            return jnp.sum(jnp.concatenate([jnp.cross(points, own), own], -1), 1)
-
-        pull = w[..., None] * (speed(one, some.first_points) - speed(two, some.second_points))
-        product = product.at[one].add(force(one, some.first_points, pull))
-        product = product.at[two].add(-force(two, some.second_points, pull))
-        # of a link's own block: a shift counts once, a turn with the square of its arm
-        for limbs, points in ((one, some.first_points), (two, some.second_points)):
-            diagonal = diagonal.at[limbs].add(jnp.sum(w * (3 + 2 * jnp.sum(points * points, -1)), -1))
-    return product + (damping * diagonal / 6 + 1e-9)[:, None] * twist
-
-
-def coupled_factor(full: Float[Array, "limb6 limb6"]) -> Float[Array, "limb6 limb6"]:
-    """Lower triangle of the normal matrix's factors, without a derivative of its own: see coupled_step."""
-    return cho_factor(jax.lax.stop_gradient(full), lower=True)[0]
-
-
 def coupled_step(
-    factor: Float[Array, "limb6 limb6"],
-    rhs: Float[Array, "limb 6"],
-    product: Callable[[Float[Array, "limb 6"]], Float[Array, "limb 6"]],
+    full: Float[Array, "limb6 limb6"], rhs: Float[Array, "limb 6"]
 ) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
     """Motions of all limbs, each in its own frame: unit quaternions and shifts (metres).
 
-    **Arguments:** `factor, rhs` see coupled_factor and coupled_normals; `product` the normal matrix times a twist
-    (coupled_product): the derivative of the solution is one more solve with the same factor, and that of the factors is
-    not needed.
+    **Arguments:** see coupled_normals.
     """
-
-    def solve(_, b):
-        return cho_solve((factor, True), b.reshape(-1)).reshape(b.shape)
-
-    twist = jax.lax.custom_linear_solve(product, rhs, solve, symmetric=True)
+    factor = cho_factor(jax.lax.stop_gradient(full), lower=True)
+    # so that the derivative is one more solve with the same factor, and that of the factor is not needed
+    twist = jax.lax.custom_linear_solve(
+        lambda x: full @ x, rhs.reshape(-1), lambda _, b: cho_solve(factor, b), symmetric=True
+    )
+    twist = twist.reshape(rhs.shape)
     # a first step from far away may ask for more than the linearisation is good for
     turn = twist[:, :3]
     angle = jnp.sqrt(jnp.sum(turn * turn, -1, keepdims=True) + 1e-12)
