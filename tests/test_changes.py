@@ -41,7 +41,8 @@ def test_an_absent_limb_pulls_at_nothing_and_takes_all_that_hangs_on_it():
     gone = [n for n, here in zip(body.topology.limbs, body.present.tolist()) if not here]
     assert gone == ["r_upper_arm", "r_forearm", "r_hand"]
     weights = dict(zip(body.topology.joints, np.asarray(bands(body).weights.sum(1))))
-    assert weights["r_shoulder"] == weights["r_elbow"] == weights["r_wrist"] == 0 and weights["l_shoulder"] == 1
+    assert weights["r_shoulder"] == weights["r_elbow"] == weights["r_wrist"] == 0
+    assert weights["l_shoulder"] == body.weights[body.topology.joints.index("l_shoulder")] > 0
     with pytest.raises(ValueError, match="root"):
         with_limbs(body, ["pelvis"], False)
     with pytest.raises(ValueError, match="'r_hand' hangs on 'r_forearm', which is not there"):
@@ -176,7 +177,8 @@ def test_without_the_stick_being_added_its_points_are_left_over(stick_log):
     sim, present, path = stick_log
     tracks = track(human(), read_log(path), Settings(start=StartSettings(scale=1.7)))
     with_it, without = present[:, -1], ~present[:, -1]
-    assert tracks.explained[with_it].mean() < tracks.explained[without].mean() - 0.02
+    # shoulders that give way let the arm take some of them
+    assert tracks.explained[with_it].mean() < tracks.explained[without].mean() - 0.01
 
 
 def test_a_change_keeps_the_pose_of_the_rest(stick_log):

@@ -26,7 +26,7 @@ def bent(body, **turns):
 def test_the_rest_pose_is_plausible():
     for name in ("human", "human10", "arm", "dog"):
         body = load_body(name)
-        found = check(body, body.rest)
+        found = eqx.filter_jit(check)(body, body.rest)
         assert float(found.beyond.max()) == 0 and float(found.depth.max()) == 0
 
 
@@ -51,7 +51,7 @@ def test_swing_and_twist_give_the_rotation_back(seed):
 )  # fmt: skip
 def test_how_far_a_joint_is_beyond_its_limits(joint, turn, beyond):
     body = human()
-    found = np.degrees(check(body, bent(body, **{joint: turn})).beyond)
+    found = np.degrees(eqx.filter_jit(check)(body, bent(body, **{joint: turn})).beyond)
     others = np.delete(found, body.topology.joints.index(joint))
     assert abs(found[body.topology.joints.index(joint)] - beyond) < 0.1 and others.max() < 0.01
 
@@ -89,7 +89,9 @@ def test_overlap_of_round_limbs_side_by_side(seed):
         transform[:3, :3] = scipy_rotation(poses.rotation[limb]).as_matrix()
         transform[:3, 3] = np.asarray(poses.translation[limb])
         meshes.append(frustum_mesh(np.asarray(body.sizes[limb]), around=128, along=60).apply_transform(transform))
-    signed = trimesh.proximity.signed_distance(meshes[0], meshes[1].vertices)
+    # the deepest vertex is among those near the first one's axis (z)
+    near = np.argsort(np.linalg.norm(meshes[1].vertices[:, :2], axis=1))[:300]
+    signed = trimesh.proximity.signed_distance(meshes[0], meshes[1].vertices[near])
     assert abs(found - signed.max()) < 0.002  # trimesh: positive inside
 
 

@@ -33,10 +33,10 @@ from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Rest
 from voodoo_jax.icp import IcpOptions
 from voodoo_jax.pose import Poses
+from voodoo_jax.programs import QUICK
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
 FEWEST = 6  # frames of a log that must be at rest
-QUICK = {"xla_backend_optimization_level": 1}  # compiled in two thirds of the time, and no slower
 
 
 class Part(NamedTuple):

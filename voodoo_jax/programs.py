@@ -27,6 +27,8 @@ R = TypeVar("R")
 Run = Callable[[list[Any]], list[Any]]  # leaves that are arrays -> leaves of what the function returns
 Made = tuple[Run, Any]  # an executable, and the structure of what it returns
 LIBRARIES = ("jax", "jaxlib", "equinox", "optimistix")  # whose code is traced too
+# compiled in two thirds of the time, and no slower
+QUICK = {"xla_backend_optimization_level": 1}
 # what else a trace depends on
 CONTEXT = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans",
            "jax_debug_infs", "jax_disable_jit", "jax_default_device", "jax_num_cpu_devices")  # fmt: skip
@@ -115,7 +117,7 @@ class Program(Generic[P, R]):
         if (loaded := _loaded(content, arrays, form)) is not None:
             return loaded, form, content
         with jax_cache_aside():
-            compiled = lowered.compile()
+            compiled = lowered.compile(QUICK if jax.default_backend() == "cpu" else None)
         with suppress(Exception):  # not every device can
             keep(content, serialize(compiled)[0])
         return compiled, form, content
@@ -179,4 +181,4 @@ def _surroundings() -> tuple[str, ...]:
     libraries = [f"{name} {version(name)}" for name in LIBRARIES]
     device = jax.devices()[0]
     flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
-    return (*libraries, device.platform, device.device_kind, str(len(jax.devices())), *flags)
+    return (*libraries, device.platform, device.device_kind, str(len(jax.devices())), *flags, repr(QUICK))

@@ -103,7 +103,7 @@ class FeatureSettings:
     )
     """Feature in the log = feature point or joint centre of the body; names of the body need no entry. Several points
     with | between: the feature is the nearest of them."""
-    weights: tuple[str, ...] = ("face=10", "left_hand=7", "right_hand=7", "skin=3")
+    weights: tuple[str, ...] = ("face=4", "left_hand=5.5", "right_hand=5.5", "skin=3")
     """Feature in the log = weight; a point of a depth camera weighs 1. The papers: face 30, hand 20."""
     weight: float = 20.0
     """Weight of other features."""
