@@ -28,7 +28,7 @@ Run = Callable[[list[Any]], list[Any]]  # leaves that are arrays -> leaves of wh
 Made = tuple[Run, Any]  # an executable, and the structure of what it returns
 LIBRARIES = ("jax", "jaxlib", "equinox", "optimistix")  # whose code is traced too
 # compiled in two thirds of the time, and no slower
-QUICK = {"xla_backend_optimization_level": 1}
+QUICK: dict[str, str | bool] = {"xla_backend_optimization_level": "1"}
 # what else a trace depends on
 CONTEXT = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans",
            "jax_debug_infs", "jax_disable_jit", "jax_default_device", "jax_num_cpu_devices")  # fmt: skip
