@@ -1,5 +1,6 @@
 """The body changes while it is tracked: a stick is picked up and put down, sizes change, limbs come and go."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -41,8 +42,7 @@ def test_an_absent_limb_pulls_at_nothing_and_takes_all_that_hangs_on_it():
     gone = [n for n, here in zip(body.topology.limbs, body.present.tolist()) if not here]
     assert gone == ["r_upper_arm", "r_forearm", "r_hand"]
     weights = dict(zip(body.topology.joints, np.asarray(bands(body).weights.sum(1))))
-    assert weights["r_shoulder"] == weights["r_elbow"] == weights["r_wrist"] == 0
-    assert weights["l_shoulder"] == body.weights[body.topology.joints.index("l_shoulder")] > 0
+    assert weights["r_shoulder"] == weights["r_elbow"] == weights["r_wrist"] == 0 and weights["l_elbow"] == 1
     with pytest.raises(ValueError, match="root"):
         with_limbs(body, ["pelvis"], False)
     with pytest.raises(ValueError, match="'r_hand' hangs on 'r_forearm', which is not there"):
@@ -175,10 +175,11 @@ def test_a_stick_is_picked_up_tracked_and_put_down(stick_log, known):
 
 def test_without_the_stick_being_added_its_points_are_left_over(stick_log):
     sim, present, path = stick_log
-    tracks = track(human(), read_log(path), Settings(start=StartSettings(scale=1.7)))
+    # joints that all weigh one: a shoulder that gives way lets the arm take some of the stick's points
+    body = eqx.tree_at(lambda b: b.weights, human(), replace_fn=jnp.ones_like)
+    tracks = track(body, read_log(path), Settings(start=StartSettings(scale=1.7)))
     with_it, without = present[:, -1], ~present[:, -1]
-    # shoulders that give way let the arm take some of them
-    assert tracks.explained[with_it].mean() < tracks.explained[without].mean() - 0.01
+    assert tracks.explained[with_it].mean() < tracks.explained[without].mean() - 0.02
 
 
 def test_a_change_keeps_the_pose_of_the_rest(stick_log):

@@ -17,7 +17,7 @@ from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.one_by_one import one_by_one
-from voodoo_jax.settings import Settings
+from voodoo_jax.settings import FeatureSettings, Settings
 
 BODY = human()
 
@@ -142,7 +142,8 @@ def test_changes_add_up():
 
 def test_settings_that_were_found():
     """Factors of the solve's options and of features, named or not, go into settings; the body's stay out."""
-    before, features = Settings(), ("face", "marker", "l_wrist", "r_wrist")
+    before = Settings(features=FeatureSettings(weights=("face=10", "left_hand=7")))
+    features = ("face", "marker", "l_wrist", "r_wrist")
     words = ["solve.ratio", "features.*.weight", "bands.neck.weight", "lengths.thigh"]
     free = parameters(BODY, words, features)
 
@@ -153,10 +154,10 @@ def test_settings_that_were_found():
     new = after(ratio=np.log(2.0), face=np.log(0.5), marker=np.log(3.0), wrist=np.log(4.0), neck=1.0, thigh=0.1)
     assert new.solve == replace(before.solve, ratio=new.solve.ratio)
     assert new.solve.ratio == pytest.approx(2 * before.solve.ratio)
-    table, usual = (FeatureNames(BODY.topology, s.features) for s in (new, before))
-    assert table.weights["face"] == pytest.approx(usual.weights["face"] / 2)
+    table = FeatureNames(BODY.topology, new.features)
+    assert table.weights["face"] == pytest.approx(5.0)
     assert table.weights["marker"] == pytest.approx(3 * before.features.weight)
-    assert table.weights["left_hand"] == usual.weights["left_hand"]
+    assert table.weights["left_hand"] == 7.0
     # one parameter for both sides, whatever standard the log's names are of
     for name in ("l_wrist", "r_wrist", "l_radiocarpal"):
         found = table.find(name)

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.batch import FEATURE_BUCKETS, V1_NAMES, FeatureNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Topology
 from voodoo_jax.fit_objective import FitFrames
-from voodoo_jax.marker_sets import plain_name
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Pairs, Rays
@@ -129,7 +128,7 @@ def fit_frames(
     choices = table.choices({name for f in people for name in (*f.rays.names, *f.pairs.names)})
     numbered = FeatureNames(tracks.body.topology, features)
     for row, name in enumerate(names, 1):
-        numbered.weights |= {name: float(row), V1_NAMES.get(name, name): float(row), plain_name(name): float(row)}
+        numbered.weights[numbered.plain(name)] = float(row)
     rows = pad_features([_unweighted(f) for f in solve], count, room, numbered, choices)
     known = None if truth is None else _truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
     poses = _padded(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)

@@ -9,6 +9,7 @@ one whose bands are 15 % off.
 import json
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import equinox as eqx
@@ -30,6 +31,7 @@ from voodoo_jax.simulate import (
     NO_NOISE,
     TOF_NOISE,
     Motion,
+    Noise,
     Room,
     Simulation,
     placed,
@@ -139,27 +141,37 @@ def exercise(body: Body) -> Motion:
     return placed(sequence(posed(body, [*keys, (0.7, RELAXED)]), down), 2.95, 0.0, np.pi + 0.3)
 
 
+@cache
+def exercised(noise: Noise, frames: int) -> tuple[Simulation, Recording]:
+    """Somebody of 1.75 m, seen by a camera with such noise; the first `frames` frames (0: all) as a recording."""
+    body = scaled(human(), 1.75)
+    sim = simulate(body, exercise(body), noise=noise, room=Room(wall=6.0, boxes=()))
+    recording = recording_of(sim)
+    return sim, replace(recording, frames=recording.frames[: frames or None])
+
+
+def of_size(scale: float) -> Settings:
+    """Settings for a body of known size."""
+    settings = Settings()
+    return replace(settings, start=replace(settings.start, scale=scale))
+
+
 def simulated(frames: int, options: FitSettings) -> str:
     """Table of the recovery of limbs that are 15 % off."""
     rows = []
-    body = scaled(human(), 1.75)
-    motion = exercise(body)
+    body = exercised(NO_NOISE, frames)[0].body
     wrong = {"thigh": 1.15, "shank": 0.85, "upper_arm": 0.85, "forearm": 1.15}
     start = with_proportions(body, {f"{s}_{k}": v for k, v in wrong.items() for s in "lr"})
     truth = segment_lengths(body)
     for word, noise in (("none", NO_NOISE), ("time of flight", TOF_NOISE)):
-        recording = recording_of(simulate(body, motion, noise=noise, room=Room(wall=6.0, boxes=())))
-        if frames:
-            recording = replace(recording, frames=recording.frames[:frames])
-        settings = Settings()
         # the stature is known: with such limbs the height would not give it
-        settings = replace(settings, start=replace(settings.start, scale=float(start.scale)))
+        settings = of_size(float(start.scale))
         # cylinders are seen, only lengths are wrong, and by much: little noise, wide priors, logs tracked again
         own = replace(
             options, free=tuple(f"lengths.*{k}" for k in LIMBS), looseness=10.0, rounds=max(4, options.rounds)
         )
         own = replace(own, frames=48, points=512, noise=SURFACE)
-        found = fit(start, [recording], settings, own)
+        found = fit(start, [exercised(noise, frames)[1]], settings, own)
         before, after = off(found.starts[0], truth), off(found.body, truth)
         rows.append([word, *(f"{before[k]:+.1f} to {after[k]:+.2f}" for k in LIMBS), f"{len(found.losses) - 1}"])
         tqdm.write(" | ".join(rows[-1]))
@@ -169,15 +181,12 @@ def simulated(frames: int, options: FitSettings) -> str:
 def of_bands(frames: int, options: FitSettings) -> str:
     """Table of bands that are 15 % off: how well the log is tracked with them, with the true ones, and with those that
     were fitted to its points alone."""
-    body, rows = scaled(human(), 1.75), []
+    body, rows = exercised(NO_NOISE, frames)[0].body, []
     off_by = np.array([1.15 if k % 2 else 0.85 for k in range(len(body.topology.joints))])
     wrong = eqx.tree_at(lambda b: b.weights, body, jnp.asarray(body.weights * off_by))
-    settings = replace(Settings(), start=replace(Settings().start, scale=float(body.scale)))
+    settings = of_size(float(body.scale))
     for word, noise in (("none", NO_NOISE), ("time of flight", TOF_NOISE)):
-        sim = simulate(body, exercise(body), noise=noise, room=Room(wall=6.0, boxes=()))
-        recording = recording_of(sim)
-        if frames:
-            recording = replace(recording, frames=recording.frames[:frames])
+        sim, recording = exercised(noise, frames)
         found = fit(wrong, [recording], settings, replace(options, free=("bands.*.weight",), frames=48, points=512))
         errors = []
         for each in (body, wrong, found.body):
