@@ -89,7 +89,7 @@ class Pulls(NamedTuple):
     found: Match
     squares: Float[Array, ""]  # weighted sum of squared distances of the points, square metres
     measured: Float[Array, "limb 4 4"]  # sums over points of kernels.procrustes
-    second: Float[Array, "limb 3 3"]
+    second: Float[Array, "limb 3 3"] | None  # None: not asked for
     named: FeatureSums | None
     prior: Float[Array, "limb 4 4"]
     prior_second: Float[Array, "limb 3 3"]
@@ -131,12 +131,12 @@ def total_weight(problem: Problem, doubt: Float[Array, ""] | float = 1.0) -> Flo
     return jnp.maximum(total, 1e-6)
 
 
-def pulls_at(poses: Poses, problem: Problem) -> Pulls:
+def pulls_at(poses: Poses, problem: Problem, with_second: bool = True) -> Pulls:
     """Measurements, bands and prediction as sums, set up in each limb's frame: a solve is for a small motion near the
-    origin, and float32 keeps its digits wherever the person stands (pitfall P28)."""
+    origin, and float32 keeps its digits wherever the person stands (pitfall P28). `with_second`: second moments, too."""
     body, options = problem.body, problem.options
     found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
-    measured, second, squares = sums(found)
+    measured, second, squares = sums(found, with_second)
     limb_weight, squares = measured[:, 0, 0], jnp.sum(squares)
     named, of_points = None, squares
     if problem.features is not None:
@@ -155,6 +155,7 @@ def frame_normals(
     poses: Poses, pulls: Pulls, damping: Float[Array, ""]
 ) -> tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]:
     """Normal matrix and right-hand side of all limbs' twists in a frame (see kernels.coupled)."""
+    assert pulls.second is not None  # see pulls_at
     normals, rhs = jax.vmap(pair_normals)(pulls.measured + pulls.prior, pulls.second + pulls.prior_second)
     if pulls.named is not None:
         # the features' own normals: their moments hold motion along a line of sight too
@@ -165,8 +166,9 @@ def frame_normals(
 def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     """One ICP step: new poses of all limbs, and what was seen on entry."""
     poses = Poses(quat_normalize(poses.rotation), poses.translation)
-    pulls = pulls_at(poses, problem)
-    if problem.options.solver == "coupled":
+    coupled = problem.options.solver == "coupled"
+    pulls = pulls_at(poses, problem, with_second=coupled)
+    if coupled:
         motion = coupled_step(*frame_normals(poses, pulls, problem.options.damping))
     else:
         held = sum(link_moments(some, poses, pulls.strength) for some in pulls.links)

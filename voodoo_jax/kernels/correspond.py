@@ -138,21 +138,25 @@ class Sums(NamedTuple):
     """Sums over the pairs of every limb, in its frame; c model, p data points, w weights."""
 
     moments: Float[Array, "limb 4 4"]  # w [1, c] [1, p]^T
-    second: Float[Array, "limb 3 3"]  # w c c^T, for the coupled solver
+    second: Float[Array, "limb 3 3"] | None  # w c c^T, for the coupled solver
     squares: Float[Array, " limb"]  # w distance^2, square metres
 
 
-def sums(found: Match) -> Sums:
-    """All sums in one: as one product of matrices where all limbs have the same pairs."""
+def sums(found: Match, second: bool = True) -> Sums:
+    """All sums in one: as one product of matrices where all limbs have the same pairs. The second moments only where
+    they are asked for: the compiler cannot leave out a part of a product."""
     c, p = found.model, found.data
     first = [found.distance**2, jnp.ones_like(p[0]), *p, *(k for x in c for k in (x, *(x * y for y in p)))]
-    rows = jnp.stack([*first, *(c[i] * c[j] for i, j in SYMMETRIC)])
+    rows = jnp.stack([*first, *(c[i] * c[j] for i, j in SYMMETRIC if second)])
     if rows.ndim > 2:
         table = jnp.sum(found.weight * rows, -1).T
     else:  # full float32 everywhere (pitfall P27)
         table = jax.lax.dot_general(found.weight, rows, (((1,), (1,)), ((), ())), precision="highest")
-    second = table[:, [17 + SYMMETRIC.index((min(i, j), max(i, j))) for i in range(3) for j in range(3)]]
-    return Sums(table[:, 1:17].reshape(-1, 4, 4), second.reshape(-1, 3, 3), table[:, 0])
+    of_first = table[:, 1:17].reshape(-1, 4, 4)
+    if not second:
+        return Sums(of_first, None, table[:, 0])
+    of_second = table[:, [17 + SYMMETRIC.index((min(i, j), max(i, j))) for i in range(3) for j in range(3)]]
+    return Sums(of_first, of_second.reshape(-1, 3, 3), table[:, 0])
 
 
 SYMMETRIC = [(i, j) for i in range(3) for j in range(i, 3)]
@@ -160,4 +164,6 @@ SYMMETRIC = [(i, j) for i in range(3) for j in range(i, 3)]
 
 def moments(found: Match) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
     """The first two of the sums."""
-    return sums(found)[:2]
+    first, second, _ = sums(found)
+    assert second is not None
+    return first, second
