@@ -133,7 +133,9 @@ def total_weight(problem: Problem, doubt: Float[Array, ""] | float = 1.0) -> Flo
 
 def pulls_at(poses: Poses, problem: Problem, with_second: bool = True) -> Pulls:
     """Measurements, bands and prediction as sums, set up in each limb's frame: a solve is for a small motion near the
-    origin, and float32 keeps its digits wherever the person stands (pitfall P28). `with_second`: second moments, too."""
+    origin, and float32 keeps its digits wherever the person stands (pitfall P28).
+
+    `with_second`: second moments too, which only the coupled solver needs."""
     body, options = problem.body, problem.options
     found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
     measured, second, squares = sums(found, with_second)
