@@ -139,7 +139,7 @@ def pulls_at(poses: Poses, problem: Problem, with_second: bool = True) -> Pulls:
     body, options = problem.body, problem.options
     found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
     measured, second, squares = sums(found, with_second)
-    limb_weight, squares = measured[:, 0, 0], jnp.sum(squares)
+    limb_weight = measured[:, 0, 0]
     named, of_points = None, squares
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)

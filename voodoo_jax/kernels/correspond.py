@@ -139,24 +139,27 @@ class Sums(NamedTuple):
 
     moments: Float[Array, "limb 4 4"]  # w [1, c] [1, p]^T
     second: Float[Array, "limb 3 3"] | None  # w c c^T, for the coupled solver
-    squares: Float[Array, " limb"]  # w distance^2, square metres
+    squares: Float[Array, ""]  # w distance^2 of all limbs, square metres
 
 
 def sums(found: Match, second: bool = True) -> Sums:
-    """All sums in one: as one product of matrices where all limbs have the same pairs. The second moments only where
-    they are asked for: the compiler cannot leave out a part of a product."""
+    """Moments as one product of matrices where all limbs have the same pairs. The second ones only where they are asked
+    for, and the squares on their own: the compiler cannot leave out a part of a product that nobody needs."""
     c, p = found.model, found.data
-    first = [found.distance**2, jnp.ones_like(p[0]), *p, *(k for x in c for k in (x, *(x * y for y in p)))]
+    first = [jnp.ones_like(p[0]), *p, *(k for x in c for k in (x, *(x * y for y in p)))]
     rows = jnp.stack([*first, *(c[i] * c[j] for i, j in SYMMETRIC if second)])
     if rows.ndim > 2:
         table = jnp.sum(found.weight * rows, -1).T
+        squares = jnp.sum(found.weight * found.distance**2)
     else:  # full float32 everywhere (pitfall P27)
         table = jax.lax.dot_general(found.weight, rows, (((1,), (1,)), ((), ())), precision="highest")
-    of_first = table[:, 1:17].reshape(-1, 4, 4)
+        # as a product: the compiler for the CPU adds a plain sum up number by number
+        squares = jnp.sum(jnp.matmul(found.weight, found.distance**2, precision="highest"))
+    of_first = table[:, :16].reshape(-1, 4, 4)
     if not second:
-        return Sums(of_first, None, table[:, 0])
-    of_second = table[:, [17 + SYMMETRIC.index((min(i, j), max(i, j))) for i in range(3) for j in range(3)]]
-    return Sums(of_first, of_second.reshape(-1, 3, 3), table[:, 0])
+        return Sums(of_first, None, squares)
+    of_second = table[:, [16 + SYMMETRIC.index((min(i, j), max(i, j))) for i in range(3) for j in range(3)]]
+    return Sums(of_first, of_second.reshape(-1, 3, 3), squares)
 
 
 SYMMETRIC = [(i, j) for i in range(3) for j in range(i, 3)]

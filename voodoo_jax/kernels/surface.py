@@ -81,11 +81,13 @@ def uncut(*numbers: Array) -> Any:
     return numbers
 
 
-def _closest(size, rims, x, y, z, refine, caps, cut=uncut):
-    """Closest points, their squared distances, and which points are inside."""
+def _closest(size, rims, x, y, z, refine, caps, cut=uncut, alone=False):
+    """Closest points, their squared distances, and which points are inside. `alone`: distances alone are wanted, and
+    their values, not their derivatives."""
     a0, b0, a1, b1, length = (jnp.maximum(size[i], TINY) for i in range(5))
     centre = x * x + y * y < 1e-14  # no direction: take +x, with a gradient of zero
-    dx, dy = jnp.where(centre, 1e-7, x), jnp.where(centre, 0.0, y)
+    # an addition costs a fifth less than a choice, but gives no direction
+    dx, dy = (x + 1e-10, y) if alone else (jnp.where(centre, 1e-7, x), jnp.where(centre, 0.0, y))
     u, v = dx * dx, dy * dy
     rho2 = u + v
 
@@ -167,7 +169,7 @@ def signed_square(
     """Squared distances to the surface, negative inside: in the same order as the distances, and without their roots.
     See closest_point."""
     rims = rim_factors(size) if rims is None else rims
-    _, d2, inside = _closest(size, rims, x, y, z, refine, caps)
+    _, d2, inside = _closest(size, rims, x, y, z, refine, caps, alone=True)
     return jnp.where(inside, -d2, d2)
 
 
