@@ -54,6 +54,14 @@ class Body(eqx.Module):
         return len(self.topology.limbs)
 
 
+class LinkTables(NamedTuple):
+    """Of linked pairs all that normal equations need and the poses do not decide; points as (turn, shift, place)."""
+
+    first: Float[Array, "link 7 7"]  # sum of w a^T a, a how the first limb's points move with its twist
+    second: Float[Array, "link 7 7"]
+    between: Float[Array, "link 3 3 7 7"]  # for each entry of the turn from the second limb's frame to the first's
+
+
 class Links(NamedTuple):
     """Artificial point pairs between limbs: a point of one limb and a point of another that ought to be one place."""
 
@@ -62,6 +70,7 @@ class Links(NamedTuple):
     first_points: Float[Array, "link pair 3"]  # in the first limb's frame
     second_points: Float[Array, "link pair 3"]  # in the second limb's frame
     weights: Float[Array, "link pair"]  # 0: unused
+    tables: LinkTables | None = None  # see kernels.coupled.link_tables; None: made where they are needed
 
 
 def scaled(body: Body, scale: Float[AnyArray, ""] | float) -> Body:

@@ -95,7 +95,7 @@ def _own(poses: Poses, problem: Problem, limbs: Settled) -> tuple[Float[Array, "
 
 def _force(link: Links, pair: Poses, strength: Float[Array, "2"], solver: str) -> Float[Array, "2 6"]:
     """Torque and force of one link on its two limbs."""
-    one = Links(jnp.array([0]), jnp.array([1]), *(x[None] for x in link[2:]))
+    one = jax.tree.map(lambda x: x[None], link._replace(first=jnp.array(0), second=jnp.array(1)))
     if solver == "coupled":
         # the normal matrix is not used: the compiler drops it
         unused = jnp.zeros((2, 2, 6, 6), strength.dtype)

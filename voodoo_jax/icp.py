@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from voodoo_jax.body import Body, Links, Topology, bands
 from voodoo_jax.kernels.bands import link_moments, prior_moments
 from voodoo_jax.kernels.correspond import Match, MatchOptions, Points, match, sums
-from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, pair_normals
+from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, link_tables, pair_normals
 from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
 from voodoo_jax.kernels.procrustes import align
@@ -57,7 +57,10 @@ class Problem(eqx.Module):
     def build(
         cls, body: Body, points: Points, predicted: Poses, options: IcpOptions, features: Features | None = None
     ) -> "Problem":
-        return cls(body, bands(body), points, features, predicted, options)
+        links = bands(body)
+        if options.solver == "coupled":  # before the loop, out of which no compiler takes what gradients repeat
+            links = links._replace(tables=link_tables(links))
+        return cls(body, links, points, features, predicted, options)
 
 
 class StepInfo(NamedTuple):
@@ -195,8 +198,8 @@ def solve_frame(
     where pairs that nobody measured may make it rise; with epsilon 0 all max_steps are taken.
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed too: every step
-    keeps the poses that it began with, and is done once more on the way back (pitfall P9). `capacity` bounds its steps
-    at compile time.
+    keeps little more than the poses that it began with, and is done once more on the way back (pitfall P9). `capacity`
+    bounds its steps at compile time.
     """
 
     options = problem.options
@@ -226,9 +229,12 @@ def solve_frame(
     if kind == "lax":
         state = jax.lax.while_loop(unfinished, body, state)
     else:
-        # around the branch, not in it: one step then keeps nothing but the state that it began with
+        # around the branch, not in it: one step keeps no more than the state that it began with and the two results
+        # that take most of its time and little memory: which limb each point belongs to, and the solve's factor
+        keep = jax.checkpoint_policies.save_only_these_names("limb", "factor")
         step = lambda state, _: (jax.lax.cond(unfinished(state), body, lambda state: state, state), None)  # noqa: E731
-        state = jax.lax.scan(jax.checkpoint(step, prevent_cse=False), state, length=capacity)[0]
+        once_more = jax.checkpoint(step, prevent_cse=False, policy=keep)
+        state = jax.lax.scan(once_more, state, length=capacity)[0]
     poses, quality, previous, moved, steps = state
     return FrameResult(poses, steps, at_rest(previous, quality, moved))
 

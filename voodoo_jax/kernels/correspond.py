@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.kernels.gate import resolve_overlap
@@ -83,6 +84,7 @@ def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     # taken apart out here: a branch would copy all three components first
     xyz = components(points.xyz)
     limb = once(true, lambda: closest_limb(*still, jax.lax.stop_gradient(xyz), near_body, present, options))
+    limb = checkpoint_name(limb, "limb")
     found = once(true, lambda: match_assigned(sizes, poses, points, limb, options, xyz))
     chosen = jnp.arange(sizes.shape[0])[:, None] == limb
     return found._replace(weight=jnp.where(chosen, found.weight, 0.0))

@@ -10,10 +10,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
-from voodoo_jax.body import Links, Topology, tree_order
+from voodoo_jax.body import Links, LinkTables, Topology, tree_order
 from voodoo_jax.pose import Poses, matrix, quat_exp
 
 
@@ -61,14 +62,17 @@ def _slopes(points: Float[Array, "link pair 3"]) -> Float[Array, "link pair 3 7"
     return jnp.concatenate([-_cross(points), eye, points[..., None]], -1)
 
 
-def linked(links: Links, poses: Poses, strength: Float[Array, " limb"]) -> Linked:
-    """Normal equations of linked pairs. Of bands everything but what the poses decide is the same in all steps of a
-    frame: the compiler takes it out of the loop, and a step turns only one frame into the other."""
-    one, two = links.first, links.second
+def link_tables(links: Links) -> LinkTables:
+    """What all steps of a frame have in common: a step turns only one frame into the other."""
     a, b, w = _slopes(links.first_points), _slopes(links.second_points), links.weights[..., None, None]
     own = [jnp.sum(_product(jnp.swapaxes(w * x, -1, -2), x), 1) for x in (a, b)]
-    # of each entry of the turn from the second limb's frame to the first's: link, row, column, 7, 7
-    table = jnp.sum((w * a)[..., :, None, :, None] * b[..., None, :, None, :], 1)
+    return LinkTables(*own, jnp.sum((w * a)[..., :, None, :, None] * b[..., None, :, None, :], 1))
+
+
+def linked(links: Links, poses: Poses, strength: Float[Array, " limb"]) -> Linked:
+    """Normal equations of linked pairs."""
+    one, two = links.first, links.second
+    *own, table = link_tables(links) if links.tables is None else links.tables
 
     r, place = matrix(poses.rotation), poses.translation
     back = jnp.swapaxes(r[one], -1, -2)
@@ -125,12 +129,12 @@ def coupled_step(
 
     **Arguments:** see coupled_normals.
     """
-    factor = cho_factor(jax.lax.stop_gradient(full), lower=True)
+    factor = checkpoint_name(cho_factor(jax.lax.stop_gradient(full), lower=True)[0], "factor"), True
     # so that the derivative is one more solve with the same factor, and that of the factor is not needed
     twist = jax.lax.custom_linear_solve(
         lambda x: full @ x, rhs.reshape(-1), lambda _, b: cho_solve(factor, b), symmetric=True
     )
-    twist = twist.reshape(rhs.shape)
+    twist = checkpoint_name(twist.reshape(rhs.shape), "factor")
     # a first step from far away may ask for more than the linearisation is good for
     turn = twist[:, :3]
     angle = jnp.sqrt(jnp.sum(turn * turn, -1, keepdims=True) + 1e-12)
