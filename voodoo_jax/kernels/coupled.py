@@ -65,8 +65,8 @@ def _slopes(points: Float[Array, "link pair 3"]) -> Float[Array, "link pair 3 7"
 def link_tables(links: Links) -> LinkTables:
     """What all steps of a frame have in common: a step turns only one frame into the other."""
     a, b, w = _slopes(links.first_points), _slopes(links.second_points), links.weights[..., None, None]
-    own = [jnp.sum(_product(jnp.swapaxes(w * x, -1, -2), x), 1) for x in (a, b)]
-    return LinkTables(*own, jnp.sum((w * a)[..., :, None, :, None] * b[..., None, :, None, :], 1))
+    first, second = (jnp.sum(_product(jnp.swapaxes(w * x, -1, -2), x), 1) for x in (a, b))
+    return LinkTables(first, second, jnp.sum((w * a)[..., :, None, :, None] * b[..., None, :, None, :], 1))
 
 
 def linked(links: Links, poses: Poses, strength: Float[Array, " limb"]) -> Linked:
