@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,16 +13,19 @@ from voodoo_jax.kernels.points import FREE, MatchOptions, Points, Sampling, comp
 from voodoo_jax.kernels.surface import rim_factors, signed_square
 from voodoo_jax.pose import Poses
 
+T = TypeVar("T")
 
-def once(true: Bool[Array, ""], compute: Callable[[], Any]) -> Any:
+
+def once(true: Bool[Array, ""], compute: Callable[[], T], nothing: T | None = None) -> T:
     """What `compute` gives, computed once; `true` is a condition that the compiler cannot know to be so.
 
     The compiler for the CPU repeats a whole match for each sum that uses it (half of a step's time, and not linear in
     the points), but it does not look through a branch. A condition that differs over a mapped axis is no branch: use
-    one that all have in common.
+    one that all have in common. `nothing`: zeros of the same shapes; where they are given it is traced once, too.
     """
-    shapes = jax.eval_shape(compute)
-    return jax.lax.cond(true, compute, lambda: jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes))
+    if nothing is None:
+        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(compute))
+    return jax.lax.cond(true, compute, lambda: nothing)
 
 
 @jax.custom_jvp
@@ -94,23 +97,24 @@ def _limb_rows(sizes: Float[Array, "limb 5"], poses: Poses) -> Float[Array, "lim
     return jnp.concatenate([turn, poses.translation, sizes, jnp.stack(rim_factors(sizes.T), -1)], -1)
 
 
+@jax.jit  # traced once, not limb by limb
+def _signed_if_near(limb, here, row, xyz, points, options):
+    """Signed squared distances of all points to one limb, where they are in its box."""
+    dx, dy, dz = (k - row[9 + i] for i, k in enumerate(xyz))
+    px, py, pz = (row[i] * dx + row[i + 3] * dy + row[i + 6] * dz for i in range(3))
+    size = row[12:17]
+    signed = signed_square(size, px, py, pz, options.refine, options.caps, row[17:21])
+    return jnp.where(here & may_belong(limb, size, px, py, pz, points, options), signed, jnp.inf)
+
+
 def closest_limb(sizes, poses, points, xyz, near_body, present, options) -> Int[Array, " point"]:
     """The closest limb of those in whose box a point is; the number of limbs where there is none."""
-    x, y, z = xyz
-    limbs = sizes.shape[0]
-
-    def one_limb(limb, here, row):
-        dx, dy, dz = x - row[9], y - row[10], z - row[11]
-        px, py, pz = (row[i] * dx + row[i + 3] * dy + row[i + 6] * dz for i in range(3))
-        size = row[12:17]
-        signed = signed_square(size, px, py, pz, options.refine, options.caps, row[17:21])
-        return jnp.where(here & may_belong(limb, size, px, py, pz, points, options), signed, jnp.inf)
-
-    rows = once(options.robust_scale > 0, lambda: _limb_rows(sizes, poses))
+    limbs, true = sizes.shape[0], options.robust_scale > 0
+    rows = once(true, lambda: _limb_rows(sizes, poses), jnp.zeros((limbs, 21), sizes.dtype))
     # one limb after the other, the first of equals: one pass over the points, nothing of [limb, point] is written
-    nearest, winner = jnp.full_like(x, jnp.inf), jnp.full_like(near_body, limbs, jnp.int32)
+    nearest, winner = jnp.full_like(xyz[0], jnp.inf), jnp.full_like(near_body, limbs, jnp.int32)
     for limb in range(limbs):
-        signed = one_limb(limb, present[limb], rows[limb])
+        signed = _signed_if_near(limb, present[limb], rows[limb], xyz, points, options)
         closer = signed < nearest
         nearest, winner = jnp.where(closer, signed, nearest), jnp.where(closer, limb, winner)
     winner = jnp.where(near_body, winner, limbs)
