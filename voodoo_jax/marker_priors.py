@@ -10,7 +10,7 @@ SCALE, ACROSS, ALONG = 0.5, 0.1, 0.05  # usual deviations (logarithms) of the sc
 MIRRORED = 0.02  # between left and right limbs
 JOINT = 0.005  # metres: a joint's place on its limb
 GIRDLE = 0.03  # metres: a joint that rides on a girdle of its own, as the shoulder does
-HIP = 0.007  # metres: a hip's place by the regression
+HIP = 0.004  # metres: a hip's place by the regression
 SPINES = (("l_asis",), ("r_asis",), ("l_psis", "mid_psis"), ("r_psis", "mid_psis"))
 
 
@@ -47,6 +47,18 @@ class Priors:
         self.markers = slice(1 + 3 * (n + len(joints)), chain.unknowns)
         self.chain, self.stature = chain, float(body.scale)
         self.spines = [2 * len(joints) + s for s in spines if s is not None]
+        down = [[f"{side}_{name}" for name in ("hip", "knee", "ankle")] for side in "lr"]
+        # places of hips on the pelvis, of both ends of thighs and of both ends of shanks
+        legs = [[joints.index(j) for j in leg] for leg in down if set(leg) <= set(joints)]
+        self.legs = np.array([[h, n + h, k, n + k, a] for n in [len(joints)] for h, k, a in legs], int)
+
+    def _leg(self, places: np.ndarray, stature: float) -> float:
+        """From the front of the pelvis to the ankles of somebody who stands, metres."""
+        if not len(self.legs):
+            return 0.52 * stature
+        hip, above, knee, below, ankle = places[self.legs.T]
+        down = places[self.spines[:2], 2] - hip[:, 2]
+        return float(np.mean(down + np.linalg.norm(above - knee, axis=1) + np.linalg.norm(below - ankle, axis=1)))
 
     def at(self, x: np.ndarray) -> np.ndarray:
         """Deviations, each in units of its usual size."""
@@ -54,7 +66,7 @@ class Priors:
         if len(self.hips) < 2:
             return out
         places = self.chain.sized(x)
-        hips = newington_hips(places[self.spines], 0.52 * self.stature * float(np.exp(x[0])))
+        hips = newington_hips(places[self.spines], self._leg(places, self.stature * float(np.exp(x[0]))))
         return np.concatenate([out, ((places[self.hips] - hips) / HIP).ravel()])
 
     def shifts(self, x: np.ndarray) -> np.ndarray:
@@ -66,7 +78,7 @@ class Priors:
         if len(self.hips) < 2:
             return self.straight
         here, rows = self.at(x)[-6:], np.zeros((6, len(x)))
-        spines = self.chain.sized_by(x)[[*self.spines, *self.hips]].any((0, 1))
+        spines = self.chain.sized_by(x)[[*self.spines, *self.hips, *self.legs.ravel()]].any((0, 1))
         for k in np.flatnonzero(spines):
             rows[:, k] = (self.at(x + 1e-6 * np.eye(1, len(x), int(k))[0])[-6:] - here) / 1e-6
         return np.concatenate([self.straight, rows])

@@ -39,10 +39,15 @@ PLUG_IN_GAIT: dict[str, str] = _MIDDLE | {
 }
 
 # Metres by which a marker may lie off its site, along its limb's axes (one standard deviation). Bony landmarks are felt
-# for. Markers of thigh and shank are put into the plane of the limb's two joints and the axis of the lower one, at any
-# height; on the arm they may be anywhere.
+# for, and at the end of a limb their height is surest. Markers of thigh and shank are put into the plane of the limb's
+# two joints and the axis of the lower one, at any height; on the arm they may be anywhere.
 LANDMARK = (0.015, 0.015, 0.015)
 _PLACED = {
+    "lateral_malleolus": (0.015, 0.015, 0.006),
+    "femoral_lateral_epicondyle": (0.015, 0.015, 0.008),
+    "humeral_lateral_epicondyle": (0.015, 0.015, 0.01),
+    "wrist_thumb_side": (0.015, 0.015, 0.01),
+    "wrist_little_side": (0.015, 0.015, 0.01),
     "lateral_thigh": (0.012, 0.03, 0.08),
     "lateral_shank": (0.015, 0.03, 0.08),
     "lateral_upper_arm": (0.04, 0.02, 0.06),
