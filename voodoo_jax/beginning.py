@@ -113,7 +113,7 @@ def fresh(
     best = _trial(run, at, run.body)
     if best.rival is not None:
         # a few frames hardly tell front from back: the track knows it from all before
-        ways = facing(run.body, np.stack([rotation[skip], best.poses.rotation]))
+        ways = facing(on_host(run.body), np.stack([rotation[skip], best.poses.rotation]))
         best = best if ways[0] @ ways[1] > 0 else best.rival
     if not best.cost < BETTER * here or best.unexplained > run.settings.start.sure:
         return None

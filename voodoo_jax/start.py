@@ -192,7 +192,7 @@ def facing(body: Body, rotation: Float[AnyArray, "*frame limb 4"]) -> Float[Any,
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:
     """The best trial, and the best of those that face the other way if it costs less than `near` times as much."""
-    cost, front = np.asarray(trial.cost), np.asarray(facing(body, np.asarray(trial.state.poses.rotation)))
+    cost, front = np.asarray(trial.cost), facing(on_host(body), np.asarray(trial.state.poses.rotation))
     best = int(np.argmin(cost))
     rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))
     return [best, *rivals[np.argsort(cost[rivals])][:1].tolist()]
