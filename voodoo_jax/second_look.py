@@ -66,15 +66,21 @@ def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
         return rows
     poses = trial.state.poses[best]
     low, high = max(0, start - AROUND), min(count, end + AROUND)
-    back = rows_of(run, run.backwards(poses, first + low, first + at + 1), first + low, at + 1 - low)
-    forth = rows_of(run, run.forwards(poses, first + at, first + high)[1], first + at, high - at)
-    other = {name: np.concatenate([row[:-1], forth[name]]) for name, row in back.items()}
+    other = tracked_anew(run, first, poses, low, at, high)
     mine = {name: row[low:high] for name, row in rows.items()}
     taken = backward_is_better(pass_of(run, mine).cost, pass_of(run, other).cost)
     found = {name: np.array(row) for name, row in rows.items()}
     for name, row in found.items():
         row[low:high][taken] = other[name][taken]
     return found
+
+
+def tracked_anew(run: Session, first: int, poses: Poses, low: int, at: int, high: int) -> Rows:
+    """Rows of frames `low` to `high` - 1 of a passage that begins in frame `first`, tracked both ways from `poses` in
+    frame `at`."""
+    back = rows_of(run, run.backwards(poses, first + low, first + at + 1), first + low, at + 1 - low)
+    forth = rows_of(run, run.forwards(poses, first + at, first + high)[1], first + at, high - at)
+    return {name: np.concatenate([row[:-1], forth[name]]) for name, row in back.items()}
 
 
 def other_arms(body: Body, poses: Poses) -> list[Poses]:

@@ -86,7 +86,7 @@ def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
     near = lambda: closest_limb(*still, jax.lax.stop_gradient(xyz), near_body, present, options)  # noqa: E731
     limb = checkpoint_name(once(true, near, jnp.zeros_like(near_body, jnp.int32)), "limb")
     zero = jnp.zeros_like(xyz[0])
-    nothing = Match(zero[None], zero, (zero,) * 3, (zero,) * 3)
+    nothing = Match(zero[None], zero, (zero, zero, zero), (zero, zero, zero))
     found = once(true, lambda: match_assigned(sizes, poses, points, limb, options, xyz), nothing)
     chosen = jnp.arange(sizes.shape[0])[:, None] == limb
     return found._replace(weight=jnp.where(chosen, found.weight, 0.0))

@@ -1,0 +1,87 @@
+"""Legs that took each other's points are exchanged again; legs that are crossed stay so."""
+
+import numpy as np
+import pytest
+
+from voodoo_jax.body import joint_centres, scaled
+from voodoo_jax.crossed_legs import crossed, exchanged, uncrossed
+from voodoo_jax.io.body_file import human, load_body
+from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.passage import rows_of
+from voodoo_jax.pose import Poses, on_host
+from voodoo_jax.session import Session
+from voodoo_jax.settings import Settings
+from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
+from voodoo_jax.tracker import find_person
+from voodoo_jax.tracking import options_from
+
+BODY, COUNT = scaled(human(), 1.75), 30
+
+
+def seen(folder, turns):
+    """A simulation of somebody with some joints turned, and the session that tracks it."""
+    moved = _motion(BODY, np.arange(COUNT) / 30, turns)
+    sim = simulate(BODY, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
+    recording, settings = read_log(write_simulation(sim, folder / "log.mcap")), Settings()
+    scene, people = find_person(recording, recording.up, BODY, settings)
+    return sim, Session(BODY, options_from(settings.solve, settings.track, settings.features), people, scene, settings)
+
+
+def tracked(run, poses):
+    return rows_of(run, run.forwards(poses, 0, COUNT)[1], 0, COUNT)
+
+
+def error(sim, found) -> np.ndarray:
+    at = [np.asarray(joint_centres(BODY, Poses(*p))) for p in zip(found["rotation"], found["translation"])]
+    return np.linalg.norm(at - sim.joints, axis=-1).mean(1)
+
+
+@pytest.fixture(scope="module")
+def steps(tmp_path_factory):
+    """Somebody who stands with feet apart and sways a little."""
+    sway = 0.1 * np.sin(6 * np.arange(COUNT) / 30)[:, None] * np.array([0.0, 1.0, 0.0])
+    apart = np.array([0.12, 0.0, 0.0])
+    return seen(tmp_path_factory.mktemp("steps"), {"l_hip": sway + apart, "r_hip": -sway - apart})
+
+
+def test_exchanged_legs_are_crossed():
+    body = on_host(BODY)
+    rest = Poses(np.asarray(body.rest.rotation), np.asarray(body.rest.translation))
+    other = exchanged(body, rest)
+    rows = {"rotation": np.stack([rest.rotation, other.rotation])}
+    rows |= {"translation": np.stack([rest.translation, other.translation])}
+    assert crossed(body, rows).tolist() == [False, True]
+    np.testing.assert_array_equal(exchanged(body, other).translation, rest.translation)
+    legs = {f"{side}_{limb}" for side in "lr" for limb in ("thigh", "shank", "foot")}
+    moved = np.any(other.translation != rest.translation, -1)
+    assert {name for name, there in zip(body.topology.limbs, moved) if there} == legs
+
+
+def test_legs_on_the_other_ones_points_are_exchanged(steps):
+    sim, run = steps
+    truth = Poses(sim.rotation, sim.translation)
+    wrong = tracked(run, exchanged(on_host(BODY), truth[0]))
+    assert crossed(on_host(BODY), wrong)[5:].all() and error(sim, wrong)[5:].min() > 0.06  # it does not end by itself
+    found = uncrossed(run, 0, wrong)
+    assert not crossed(on_host(BODY), found).any() and error(sim, found).max() < 0.04
+    assert found.keys() == wrong.keys() and all(found[name].shape == wrong[name].shape for name in wrong)
+    # what is good stays as it is, to the last digit
+    good = tracked(run, truth[0])
+    assert uncrossed(run, 0, good) is good
+
+
+def test_legs_that_are_crossed_stay_so(tmp_path):
+    """One knee before the other, ankles crossed."""
+    cross = np.tile([-0.45, 0.0, 0.0], (COUNT, 1))
+    sim, run = seen(tmp_path, {"l_hip": cross + [0.0, -0.5, 0.0], "r_hip": -cross + [0.0, 0.15, 0.0]})
+    good = tracked(run, Poses(sim.rotation, sim.translation)[0])
+    assert crossed(on_host(BODY), good).all() and error(sim, good).mean() < 0.05
+    assert error(sim, uncrossed(run, 0, good)).mean() < 0.05
+
+
+def test_bodies_without_knees_are_left_alone():
+    run = object.__new__(Session)
+    run.body = load_body("arm")
+    rows = {"status": np.zeros(3, np.int8)}
+    assert uncrossed(run, 0, rows) is rows

@@ -1,0 +1,68 @@
+"""Looks again where a passage has its legs crossed: each may have taken the other one's points. Host side.
+
+Somebody who is seen in part, or moves far between two frames, may be begun with the wrong legs; nothing takes them
+apart again, for both are on points. People who walk or stand do not cross their knees (in 18 recordings of eight people
+in no frame), so the legs are exchanged, tracked there and back in time, and kept so where that explains as much.
+"""
+
+import numpy as np
+from jaxtyping import Bool
+
+from voodoo_jax.body import Body
+from voodoo_jax.passage import Rows, pass_of
+from voodoo_jax.pose import Poses, apply, on_host
+from voodoo_jax.second_look import AROUND, tracked_anew
+from voodoo_jax.session import Session
+from voodoo_jax.stances import beyond
+from voodoo_jax.tracks import Status
+
+FEWEST = 5  # frames on end with crossed knees that are worth a look
+LIKELIER = 1.05  # exchanged legs may cost so much more: crossed ones are rare
+LEGS = (("l_hip", "l_knee"), ("r_hip", "r_knee"))
+
+
+def uncrossed(run: Session, first: int, rows: Rows) -> Rows:
+    """The rows of a passage that begins in frame `first`, with legs exchanged where they are crossed in vain."""
+    if any(set(leg) - set(run.body.topology.joints) for leg in LEGS):
+        return rows
+    body = on_host(run.body)
+    for start, end in _stretches(crossed(body, rows) & (rows["status"] == Status.TRACKED)):
+        at = start + int(np.argmin(rows["cost"][start:end]))
+        low, high = max(0, start - AROUND), min(len(rows["cost"]), end + AROUND)
+        poses = exchanged(body, Poses(rows["rotation"][at], rows["translation"][at]))
+        other = tracked_anew(run, first, poses, low, at, high)
+        mine = {name: row[low:high] for name, row in rows.items()}
+        if not np.mean(pass_of(run, other).cost) < LIKELIER * np.mean(pass_of(run, mine).cost):
+            continue
+        if crossed(body, other).mean() < crossed(body, mine).mean():
+            rows = {name: np.concatenate([row[:low], other[name], row[high:]]) for name, row in rows.items()}
+    return rows
+
+
+def crossed(body: Body, rows: Rows) -> Bool[np.ndarray, " frame"]:
+    """Frames in which the left knee is to the right of the right one, as the hips see it."""
+    t, poses = body.topology, Poses(rows["rotation"], rows["translation"])
+    places = {}
+    for name in sum(LEGS, ()):
+        joint = t.joints.index(name)
+        places[name] = apply(poses[:, t.parents[joint]], body.parent_anchor.translation[joint])
+    hips, knees = places["l_hip"] - places["r_hip"], places["l_knee"] - places["r_knee"]
+    return np.sum(hips * knees, -1) < 0
+
+
+def exchanged(body: Body, poses: Poses) -> Poses:
+    """The poses with each leg where the other one is."""
+    t, source = body.topology, np.arange(body.limb_count)
+    for hip, _ in LEGS:
+        for limb in beyond(body, t.joints.index(hip)):
+            name = t.limbs[limb]
+            twin = {"l": "r", "r": "l"}.get(name[0], "") + name[1:]
+            source[limb] = t.limbs.index(twin) if twin in t.limbs else limb
+    return poses[source]
+
+
+def _stretches(mask: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:
+    """Begin and end of stretches of True, of FEWEST at least; those next to each other are one."""
+    frames = np.flatnonzero(mask)
+    runs = np.split(frames, np.flatnonzero(np.diff(frames) > AROUND) + 1)
+    return [(int(r[0]), int(r[-1]) + 1) for r in runs if len(r) >= FEWEST]
