@@ -6,7 +6,7 @@ from voodoo_jax.body import Body, segment_lengths
 from voodoo_jax.marker_chain import Chain
 from voodoo_jax.marker_sets import RIDES, USUAL_LENGTHS, newington_hips, placement
 
-SCALE, ACROSS, ALONG = 0.5, 0.1, 0.05  # usual deviations (logarithms) of the scale, a limb's thickness and its length
+SCALE, ACROSS, ALONG = 0.5, 0.1, 0.06  # usual deviations (logarithms) of the scale, a limb's thickness and its length
 MIRRORED = 0.02  # between left and right limbs
 JOINT = 0.005  # metres: a joint's place on its limb
 GIRDLE = 0.03  # metres: a joint that rides on a girdle of its own, as the shoulder does
