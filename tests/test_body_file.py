@@ -83,6 +83,11 @@ def test_people_are_mirror_images_and_as_tall_as_said(name):
     assert set(lengths) == {"upper_arm", "forearm", "thigh", "shank"} and 0.47 < lengths["thigh"] < 0.51
 
 
+def test_body_read_first_within_a_traced_function_is_usable_outside():
+    inside = jax.jit(lambda factor: factor * human().sizes)(1.0)
+    assert np.allclose(human().sizes, inside)
+
+
 def test_limbs_start_at_their_joint():
     body = human()
     t = body.topology

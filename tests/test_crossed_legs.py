@@ -2,39 +2,20 @@
 
 import numpy as np
 import pytest
+from in_front import error, in_front
 
-from voodoo_jax.body import joint_centres, scaled
+from voodoo_jax.body import scaled
 from voodoo_jax.crossed_legs import crossed, exchanged, uncrossed
 from voodoo_jax.io.body_file import human, load_body
-from voodoo_jax.io.mcap_log import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.passage import rows_of
 from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.session import Session
-from voodoo_jax.settings import Settings
-from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
-from voodoo_jax.tracker import find_person
-from voodoo_jax.tracking import options_from
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
 
-def seen(folder, turns):
-    """A simulation of somebody with some joints turned, and the session that tracks it."""
-    moved = _motion(BODY, np.arange(COUNT) / 30, turns)
-    sim = simulate(BODY, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
-    recording, settings = read_log(write_simulation(sim, folder / "log.mcap")), Settings()
-    scene, people = find_person(recording, recording.up, BODY, settings)
-    return sim, Session(BODY, options_from(settings.solve, settings.track, settings.features), people, scene, settings)
-
-
 def tracked(run, poses):
     return rows_of(run, run.forwards(poses, 0, COUNT)[1], 0, COUNT)
-
-
-def error(sim, found) -> np.ndarray:
-    at = [np.asarray(joint_centres(BODY, Poses(*p))) for p in zip(found["rotation"], found["translation"])]
-    return np.linalg.norm(at - sim.joints, axis=-1).mean(1)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +23,9 @@ def steps(tmp_path_factory):
     """Somebody who stands with feet apart and sways a little."""
     sway = 0.1 * np.sin(6 * np.arange(COUNT) / 30)[:, None] * np.array([0.0, 1.0, 0.0])
     apart = np.array([0.12, 0.0, 0.0])
-    return seen(tmp_path_factory.mktemp("steps"), {"l_hip": sway + apart, "r_hip": -sway - apart})
+    return in_front(
+        tmp_path_factory.mktemp("steps") / "log.mcap", BODY, {"l_hip": sway + apart, "r_hip": -sway - apart}
+    )
 
 
 def test_exchanged_legs_are_crossed():
@@ -74,7 +57,9 @@ def test_legs_on_the_other_ones_points_are_exchanged(steps):
 def test_legs_that_are_crossed_stay_so(tmp_path):
     """One knee before the other, ankles crossed."""
     cross = np.tile([-0.45, 0.0, 0.0], (COUNT, 1))
-    sim, run = seen(tmp_path, {"l_hip": cross + [0.0, -0.5, 0.0], "r_hip": -cross + [0.0, 0.15, 0.0]})
+    sim, run = in_front(
+        tmp_path / "log.mcap", BODY, {"l_hip": cross + [0.0, -0.5, 0.0], "r_hip": -cross + [0.0, 0.15, 0.0]}
+    )
     good = tracked(run, Poses(sim.rotation, sim.translation)[0])
     assert crossed(on_host(BODY), good).all() and error(sim, good).mean() < 0.05
     assert error(sim, uncrossed(run, 0, good)).mean() < 0.05

@@ -3,20 +3,15 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from in_front import error, in_front
 
 from voodoo_jax.body import joint_centres, scaled
 from voodoo_jax.io.body_file import human, load_body
-from voodoo_jax.io.mcap_log import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.passage import rows_of
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, apply
 from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms
-from voodoo_jax.session import Session
-from voodoo_jax.settings import Settings
 from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
-from voodoo_jax.tracker import find_person
-from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status
 
 BODY = scaled(human(), 1.75)
@@ -86,17 +81,8 @@ def raised(tmp_path_factory):
     """Somebody who holds both arms up, and moves them a little."""
     time, up = np.arange(30) / 30, np.array([2.8, 0.0, 0.0])
     wave = 0.15 * np.sin(8 * time)[:, None] * np.array([1.0, 0, 0])
-    moved = _motion(BODY, time, {"l_shoulder": up + wave, "r_shoulder": -up + wave})
-    sim = simulate(BODY, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
-    recording, settings = read_log(write_simulation(sim, tmp_path_factory.mktemp("up") / "up.mcap")), Settings()
-    scene, people = find_person(recording, recording.up, BODY, settings)
-    options = options_from(settings.solve, settings.track, settings.features)
-    return sim, Session(BODY, options, people, scene, settings)
-
-
-def error(sim, found) -> np.ndarray:
-    at = [np.asarray(joint_centres(BODY, Poses(*p))) for p in zip(found["rotation"], found["translation"])]
-    return np.linalg.norm(at - sim.joints, axis=-1).mean(1)
+    turns = {"l_shoulder": up + wave, "r_shoulder": -up + wave}
+    return in_front(tmp_path_factory.mktemp("up") / "up.mcap", BODY, turns)
 
 
 def test_a_lost_arm_is_found_again(raised):

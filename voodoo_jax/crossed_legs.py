@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Bool
 
 from voodoo_jax.body import Body
-from voodoo_jax.passage import Rows, pass_of
+from voodoo_jax.passage import Rows, pass_of, tracked_anew
 from voodoo_jax.pose import Poses, apply, on_host
-from voodoo_jax.second_look import AROUND, tracked_anew
+from voodoo_jax.second_look import AROUND
 from voodoo_jax.session import Session
 from voodoo_jax.stances import beyond
 from voodoo_jax.tracks import Status
 
-FEWEST = 5  # frames on end with crossed knees that are worth a look
+FEWEST = 5  # frames with crossed knees, near each other, that are worth a look
 LIKELIER = 1.05  # exchanged legs may cost so much more: crossed ones are rare
 LEGS = (("l_hip", "l_knee"), ("r_hip", "r_knee"))
 
@@ -32,9 +32,8 @@ def uncrossed(run: Session, first: int, rows: Rows) -> Rows:
         poses = exchanged(body, Poses(rows["rotation"][at], rows["translation"][at]))
         other = tracked_anew(run, first, poses, low, at, high)
         mine = {name: row[low:high] for name, row in rows.items()}
-        if not np.mean(pass_of(run, other).cost) < LIKELIER * np.mean(pass_of(run, mine).cost):
-            continue
-        if crossed(body, other).mean() < crossed(body, mine).mean():
+        cheap = np.mean(pass_of(run, other).cost) < LIKELIER * np.mean(pass_of(run, mine).cost)
+        if cheap and crossed(body, other).mean() < crossed(body, mine).mean():
             rows = {name: np.concatenate([row[:low], other[name], row[high:]]) for name, row in rows.items()}
     return rows
 
@@ -62,7 +61,7 @@ def exchanged(body: Body, poses: Poses) -> Poses:
 
 
 def _stretches(mask: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:
-    """Begin and end of stretches of True, of FEWEST at least; those next to each other are one."""
+    """Begin and end of stretches with FEWEST True at least; those AROUND each other are one."""
     frames = np.flatnonzero(mask)
     runs = np.split(frames, np.flatnonzero(np.diff(frames) > AROUND) + 1)
     return [(int(r[0]), int(r[-1]) + 1) for r in runs if len(r) >= FEWEST]

@@ -6,6 +6,7 @@ measured on people of known lengths, see experiments/forearms. Of all limbs only
 hands are seen, and named by detectors, and nothing hangs on them.
 """
 
+from functools import cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -92,8 +93,13 @@ def _gap(body: Body, poses: Poses, joint: int) -> Float[np.ndarray, " frame"]:
     return unrotate(poses.rotation[:, parent], ends[1] - ends[0])[:, 2] / float(body.scale)
 
 
+@cache
+def _usual() -> Body:
+    """The default body, read once for all logs; on the host, for arrays of a traced call must not be kept."""
+    return on_host(human())
+
+
 def _is_usual(body: Body) -> bool:
-    usual = human()
-    return body.topology == usual.topology and np.allclose(
-        body.sizes, scaled(usual, float(body.scale)).sizes, rtol=1e-4, atol=0
+    return body.topology == _usual().topology and np.allclose(
+        body.sizes, scaled(_usual(), float(body.scale)).sizes, rtol=1e-4, atol=0
     )

@@ -50,7 +50,7 @@ class Priors:
         down = [[f"{side}_{name}" for name in ("hip", "knee", "ankle")] for side in "lr"]
         # places of hips on the pelvis, of both ends of thighs and of both ends of shanks
         legs = [[joints.index(j) for j in leg] for leg in down if set(leg) <= set(joints)]
-        self.legs = np.array([[h, n + h, k, n + k, a] for n in [len(joints)] for h, k, a in legs], int)
+        self.legs = np.array([[h, len(joints) + h, k, len(joints) + k, a] for h, k, a in legs], int)
 
     def _leg(self, places: np.ndarray, stature: float) -> float:
         """From the front of the pelvis to the ankles of somebody who stands, metres."""

@@ -73,6 +73,14 @@ def _and_back(run: Session, first: int, forward: Rows) -> Rows:
     return {name: np.concatenate([found[name], row[count:]]) for name, row in forward.items()}
 
 
+def tracked_anew(run: Session, first: int, poses: Poses, low: int, at: int, high: int) -> Rows:
+    """Rows of frames `low` to `high` - 1 of a passage that begins in frame `first`, tracked both ways from `poses` in
+    frame `at`."""
+    back = rows_of(run, run.backwards(poses, first + low, first + at + 1), first + low, at + 1 - low)
+    forth = rows_of(run, run.forwards(poses, first + at, first + high)[1], first + at, high - at)
+    return {name: np.concatenate([row[:-1], forth[name]]) for name, row in back.items()}
+
+
 def pass_of(run: Session, rows: Rows) -> Pass:
     """Poses of some frames, and what they cost; joints bent the wrong way cost more."""
     return Pass(rows["rotation"], rows["translation"], rows["cost"] * np.exp(_bent(run, rows) / WRONG_WAY))

@@ -10,7 +10,7 @@ import numpy as np
 from voodoo_jax.beginning import USUAL, soon
 from voodoo_jax.body import Body
 from voodoo_jax.both_ways import backward_is_better, smoothed
-from voodoo_jax.passage import Rows, pass_of, rows_of
+from voodoo_jax.passage import Rows, pass_of, tracked_anew
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, compose, inverse, on_host
 from voodoo_jax.session import FEW_POINTS, Session
@@ -73,14 +73,6 @@ def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
     for name, row in found.items():
         row[low:high][taken] = other[name][taken]
     return found
-
-
-def tracked_anew(run: Session, first: int, poses: Poses, low: int, at: int, high: int) -> Rows:
-    """Rows of frames `low` to `high` - 1 of a passage that begins in frame `first`, tracked both ways from `poses` in
-    frame `at`."""
-    back = rows_of(run, run.backwards(poses, first + low, first + at + 1), first + low, at + 1 - low)
-    forth = rows_of(run, run.forwards(poses, first + at, first + high)[1], first + at, high - at)
-    return {name: np.concatenate([row[:-1], forth[name]]) for name, row in back.items()}
 
 
 def other_arms(body: Body, poses: Poses) -> list[Poses]:

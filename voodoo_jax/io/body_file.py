@@ -6,7 +6,6 @@ multiple of the key `scale`. A file that does not describe a body is refused wit
 
 import json
 import os
-from functools import cache
 from importlib import resources
 from pathlib import Path
 
@@ -63,7 +62,6 @@ def load_body(name_or_path: str | os.PathLike) -> Body:
     return read_body(name_or_path)
 
 
-@cache
 def human() -> Body:
     """The default body: a person of 15 limbs, sizes in proportion to `scale` (stature, metres)."""
     return load_body("human")

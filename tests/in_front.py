@@ -1,0 +1,32 @@
+"""Somebody in front of a simulated camera, ready to be tracked, and how far tracked rows are off."""
+
+from pathlib import Path
+
+import numpy as np
+
+from voodoo_jax.body import Body, joint_centres
+from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.passage import Rows
+from voodoo_jax.pose import Poses
+from voodoo_jax.session import Session
+from voodoo_jax.settings import Settings
+from voodoo_jax.simulate import Simulation, _motion, placed, simulate, tof_camera
+from voodoo_jax.tracker import find_person
+from voodoo_jax.tracking import options_from
+
+
+def in_front(path: Path, body: Body, turns: dict[str, np.ndarray], count: int = 30) -> tuple[Simulation, Session]:
+    """A second, 3.2 m away, with some joints turned (rotation vectors [frame, 3], radians): what is so, and the session
+    that tracks it. Writes a log at `path`."""
+    moved = _motion(body, np.arange(count) / 30, turns)
+    sim = simulate(body, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
+    recording, settings = read_log(write_simulation(sim, path)), Settings()
+    scene, people = find_person(recording, recording.up, body, settings)
+    return sim, Session(body, options_from(settings.solve, settings.track, settings.features), people, scene, settings)
+
+
+def error(sim: Simulation, found: Rows) -> np.ndarray:
+    """Mean joint error of each frame, metres."""
+    at = [np.asarray(joint_centres(sim.body, Poses(*p))) for p in zip(found["rotation"], found["translation"])]
+    return np.linalg.norm(at - sim.joints, axis=-1).mean(1)
