@@ -44,6 +44,14 @@ def x64():
         yield
 
 
+@pytest.fixture(scope="module")
+def compiled_in_a_hurry():
+    """For tests of small programs that are run once or twice: they take longer to compile than to run."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 MAPS = Path("/proc/self/maps")  # of this process's memory; Linux only
 
 

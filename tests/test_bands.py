@@ -12,6 +12,8 @@ from voodoo_jax.kernels.bands import link_moments, prior_moments
 from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, apply, compose, inverse, quat_exp
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 
 def moments_of_pairs(pairs):
     """Sum of w [1, c] [1, p]^T over a list of (weight, model point, data point)."""

@@ -21,6 +21,8 @@ from helpers import (
 from voodoo_jax.icp import Problem, solve_fixed_point, solve_frame
 from voodoo_jax.kernels.correspond import Points
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 SENSOR = (2.0, 0.4, 0.5)
 
 

@@ -26,6 +26,8 @@ from voodoo_jax.io.body_file import parse_body
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.pose import Poses
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 SENSOR = (2.0, 0.4, 0.5)
 slow = pytest.mark.skipif(not os.environ.get("SLOW"), reason="a minute of compilation; SLOW=1 runs it")
 BODY = """

@@ -14,6 +14,8 @@ from voodoo_jax.settings import Settings
 from voodoo_jax.start import place
 from voodoo_jax.tracking import State, at_rest, options_from, predict
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 BODY = scaled(human(), 1.8)
 LIMBS, JOINTS = BODY.topology.limbs, BODY.topology.joints
 ARM = [LIMBS.index(name) for name in ("l_upper_arm", "l_forearm", "l_hand")]

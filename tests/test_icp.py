@@ -26,6 +26,8 @@ from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.correspond import Points, match
 from voodoo_jax.pose import Poses, apply
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 SENSORS = {"human": (3.0, 0.3, 1.2), "human10": (3.0, 0.3, 1.2), "arm": (1.5, 1.5, 0.9), "dog": (1.0, 2.5, 0.8)}
 SOLVERS = ("coupled", "per_limb")
 

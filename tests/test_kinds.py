@@ -16,6 +16,8 @@ from voodoo_jax.kernels.correspond import FREE, ON_BODY, Points, match
 from voodoo_jax.kernels.features import Features, named_points
 from voodoo_jax.pose import Poses, apply
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 SENSOR = (3.0, 0.3, 1.2)
 LOOSE = dict(prior=1e-5, max_steps=60)
 

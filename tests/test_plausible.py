@@ -14,6 +14,8 @@ from voodoo_jax.kernels.plausible import apart, check, contact_links, contacts, 
 from voodoo_jax.pose import Poses
 from voodoo_jax.simulate import pose_body
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 
 def bent(body, **turns):
     """Rest pose with joints turned: rotation vectors in degrees, in the joints' frames."""

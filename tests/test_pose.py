@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax import pose
 from voodoo_jax.pose import Poses
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 numbers = st.floats(-3, 3, width=32).map(lambda x: 0.0 if abs(x) < 1e-6 else x)
 vectors = st.lists(numbers, min_size=3, max_size=3).map(lambda v: np.array(v, np.float32))
 

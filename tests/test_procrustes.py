@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.kernels.procrustes import align, horn_matrix, top_eigenpair
 from voodoo_jax.pose import matrix
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 solve = jax.jit(align)
 
 

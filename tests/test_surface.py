@@ -10,6 +10,8 @@ from helpers import central_difference, frustum_mesh, inside_limb
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.surface import SurfacePoint, closest_point, near_side
 
+pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
+
 # a0, b0, a1, b1, length; metres
 REGULAR = {
     "round": (0.08, 0.08, 0.05, 0.05, 0.3),

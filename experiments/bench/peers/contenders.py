@@ -30,8 +30,10 @@ CONTENDERS = {
     "coupled_batch": Contender("voodoo_jax, coupled, 16 streams on each of both cores", "library",
                                {"solver": "coupled", "streams": 16}, cores=2, same=False),
     "numpy": Contender("NumPy, one core (a second one gains nothing)", "numpy_step"),
-    "numba": Contender("Numba, 2 threads", "numba_step", pinned=False),
-    "numba_both": Contender("Numba, a recording on each of both cores", "numba_step", {"threads": 1}, cores=2),
+    "numba_plain": Contender("Numba, point by point, 2 threads", "numba_step", {"by_point": True}, pinned=False),
+    "numba": Contender("Numba, arrays of points, 2 threads", "numba_step", pinned=False),
+    "numba_both": Contender("Numba, arrays of points, a recording on each of both cores", "numba_step",
+                            {"threads": 1}, cores=2),
     "open3d": Contender("Open3D ICP, points assigned before, no bands", "open3d_icp", pinned=False, same=False),
     "small_gicp": Contender("small_gicp, 2 threads, the same", "gicp", pinned=False, same=False),
 }  # fmt: skip
