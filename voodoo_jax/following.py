@@ -12,8 +12,8 @@ from jaxtyping import Bool
 
 from voodoo_jax.beginning import Beginning, begin, clearer
 from voodoo_jax.body import Body
-from voodoo_jax.crossed_legs import uncrossed
-from voodoo_jax.passage import PASSAGE, Rows, rows_of, there_and_back
+from voodoo_jax.front_or_back import likelier_way
+from voodoo_jax.passage import PASSAGE, Rows, rows_of
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.second_look import looked_again
@@ -109,9 +109,9 @@ def _turned(run: Session, start: Beginning, until: int, at: int, out: Rows) -> S
     """Fills in a span, tracked forwards to before frame `at`, with what the pass back makes of it up to `until`; the
     state to go on with, where that is another one."""
     first = start.frame
-    found, end = there_and_back(run, start, {name: out[name][first:at] for name in PASSAGE})
+    found, end = likelier_way(run, start, {name: out[name][first:at] for name in PASSAGE})
     last = until if end is None else at  # the rival's frames take the place of all
-    found = looked_again(run, first, uncrossed(run, first, found))
+    found = looked_again(run, first, found)
     for name, row in found.items():
         out[name][first:last] = row[: last - first]
     return end

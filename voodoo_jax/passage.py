@@ -3,12 +3,12 @@
 import numpy as np
 from jaxtyping import Float
 
-from voodoo_jax.beginning import Beginning, fresh
+from voodoo_jax.beginning import fresh
 from voodoo_jax.bending import wrong_bend
 from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.pose import Poses
 from voodoo_jax.session import Session, status_of
-from voodoo_jax.tracking import State, Step, cost_of
+from voodoo_jax.tracking import Step, cost_of
 from voodoo_jax.tracks import Status
 
 Rows = dict[str, np.ndarray]  # arrays of Tracks, and "cost" [frame], square metres; leading axis: frame
@@ -29,34 +29,9 @@ def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
     return {"status": status} | {name: np.asarray(row)[:count] for name, row in rows.items()}
 
 
-def there_and_back(run: Session, start: Beginning, forward: Rows) -> tuple[Rows, State | None]:
-    """A passage that began with `start` and was tracked forwards, combined with a pass back from its last good frame.
-
-    Where the start might as well face the other way, that is tracked both ways too, and what costs less is kept; then
-    the state comes with it that this ends in.
-    """
-    found = _and_back(run, start.frame, forward)
-    if start.rival is None:
-        return found, None
-    count = len(forward["status"])
-    end, step = run.forwards(start.rival.poses, start.frame, start.frame + count)
-    other = _and_back(run, start.frame, rows_of(run, step, start.frame, count))
-    # a few frames hardly tell front from back: all of them do
-    doubt = [_doubt(run, cost, rows) for cost, rows in ((start.cost, found), (start.rival.cost, other))]
-    return (found, None) if doubt[0] <= doubt[1] else (other, end)
-
-
-def _doubt(run: Session, trial: float, rows: Rows) -> float:
-    """How unlikely a passage is, to compare: by the cost of its trial and its own, and joints bent the wrong way."""
-    return trial * float(np.mean(rows["cost"])) * float(np.exp(np.mean(_bent(run, rows)) / WRONG_WAY))
-
-
-def _bent(run: Session, rows: Rows) -> Float[np.ndarray, " frame"]:
-    """How far joints are bent the wrong way, mean over the joints, radians."""
-    return np.mean(np.maximum(wrong_bend(run.body, rows["rotation"]) - FREE_BEND, 0.0), 1)
-
-
-def _and_back(run: Session, first: int, forward: Rows) -> Rows:
+def there_and_back(run: Session, first: int, forward: Rows) -> Rows:
+    """A passage that began in frame `first` and was tracked forwards, made one with a pass back from its last good
+    frame."""
     good = np.flatnonzero(forward["status"] == Status.TRACKED)
     if not len(good):
         return forward
@@ -83,4 +58,9 @@ def tracked_anew(run: Session, first: int, poses: Poses, low: int, at: int, high
 
 def pass_of(run: Session, rows: Rows) -> Pass:
     """Poses of some frames, and what they cost; joints bent the wrong way cost more."""
-    return Pass(rows["rotation"], rows["translation"], rows["cost"] * np.exp(_bent(run, rows) / WRONG_WAY))
+    return Pass(rows["rotation"], rows["translation"], rows["cost"] * np.exp(bent(run, rows) / WRONG_WAY))
+
+
+def bent(run: Session, rows: Rows) -> Float[np.ndarray, " frame"]:
+    """How far joints are bent the wrong way, mean over the joints, radians."""
+    return np.mean(np.maximum(wrong_bend(run.body, rows["rotation"]) - FREE_BEND, 0.0), 1)
