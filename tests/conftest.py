@@ -46,7 +46,8 @@ def x64():
 
 @pytest.fixture(scope="module")
 def compiled_in_a_hurry():
-    """For tests of small programs that are run once or twice: they take longer to compile than to run."""
+    """For tests of small programs that are run once or twice: they take longer to compile than to run. Not for those of
+    programs.py, which other modules' tests would find so."""
     jax.config.update("jax_disable_most_optimizations", True)
     yield
     jax.config.update("jax_disable_most_optimizations", False)

@@ -17,8 +17,6 @@ from voodoo_jax.settings import Settings
 from voodoo_jax.simulate import make_motion, placed, simulate, tof_camera
 from voodoo_jax.tracker import track
 
-pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
-
 
 def moved(pose, twist):
     """Rotation and place of a limb after a turn and a shift in its own frame."""

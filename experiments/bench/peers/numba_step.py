@@ -81,8 +81,6 @@ def _kernel(threads: int, by_point: bool):
 
     add_part = part_by_point if by_point else part_of
 
-    add_part = part_by_point if by_point else part_of
-
     @njit(parallel=threads > 1)
     def moments(size, R, t, frame, reach2):
         points = frame.shape[1]
