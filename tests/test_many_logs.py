@@ -193,6 +193,15 @@ def wait_for(what, seconds: float = 120.0) -> None:
         time.sleep(0.01)
 
 
+def test_a_worker_whose_answer_nobody_takes_ends_without_a_word():
+    """A parent that is killed closes both pipes at once; the worker may answer before it sees that no job comes."""
+    command = [sys.executable, "-P", "-m", "voodoo_jax.worker_process"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as worker:
+        assert worker.stdout is not None and worker.stderr is not None
+        worker.stdout.close()  # its input stays open
+        assert worker.stderr.read() == b"" and worker.wait(60) == 1
+
+
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to see the workers")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["killed", "interrupted"])
 def test_a_run_that_ends_in_the_middle_is_resumed(how, some_logs, reference, tmp_path):

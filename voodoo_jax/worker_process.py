@@ -23,8 +23,11 @@ def serve() -> None:
     said = 0.0
 
     def answer(kind: str, value: Any) -> None:
-        pickle.dump((kind, value), replies)
-        replies.flush()
+        try:
+            pickle.dump((kind, value), replies)
+            replies.flush()
+        except OSError:  # the other end died, and this thread saw it before the one that listens
+            os._exit(1)
 
     def progress(share: float) -> None:
         nonlocal said
