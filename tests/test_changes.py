@@ -14,7 +14,7 @@ from voodoo_jax.pose import Poses, apply
 from voodoo_jax.settings import Change, Settings, SettingsError, StartSettings, read_settings, settings_text
 from voodoo_jax.simulate import make_motion, placed, simulate
 from voodoo_jax.tracker import track
-from voodoo_jax.tracking import track_chunk
+from voodoo_jax.tracking import track_visits
 
 
 def with_stick():
@@ -161,9 +161,9 @@ def test_a_stick_is_picked_up_tracked_and_put_down(stick_log, known):
     sim, present, path = stick_log
     pick = Change(1.0, add="stick", to="r_hand", at=(0, 0, 0.06), grip=(0, 0, 0.4), axis=(1, 0, 0.3) if known else ())
     settings = Settings(changes=(pick, Change(2.4, remove=("stick",))), start=StartSettings(scale=1.7))
-    programs = len(track_chunk.ready)
+    programs = len(track_visits.ready)
     tracks = track(human(), read_log(path), settings)
-    assert len(track_chunk.ready) - programs <= 1  # one program for with and without the stick
+    assert len(track_visits.ready) - programs <= 1  # one program for with and without the stick
     there = np.isfinite(tracks.translation[:, -1]).all(1)
     np.testing.assert_array_equal(there, present[:, -1])
     assert tracks.tracked.all()

@@ -18,7 +18,8 @@ from helpers import (
     two_limbs,
 )
 
-from voodoo_jax.icp import Problem, solve_fixed_point, solve_frame
+from voodoo_jax.fixed_point import solve_fixed_point
+from voodoo_jax.icp import Problem, solve_frame
 from voodoo_jax.kernels.correspond import Points
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")

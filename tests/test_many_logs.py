@@ -69,8 +69,8 @@ def test_one_program_whatever_the_lengths(some_logs, reference, tmp_path):
     """A log of a length and of numbers of points that no other has had: nothing of the tracking is compiled for it."""
     import voodoo_jax.session
 
-    programs = [getattr(voodoo_jax.session, name).ready for name in ("run_trials", "track_chunk")]
-    before = [len(ready) for ready in programs]
+    programs = voodoo_jax.session.track_visits.ready
+    before = len(programs)
     points = {int(number) for arrays in arrays_of(reference).values() for number in arrays["points"]}
     assert len(points) > 10
     compiled = []
@@ -86,7 +86,7 @@ def test_one_program_whatever_the_lengths(some_logs, reference, tmp_path):
     finally:
         jax.monitoring.unregister_event_duration_listener(count)
     assert outcome.ok and outcome.frames == 27
-    assert [len(ready) for ready in programs] == before
+    assert len(programs) == before
     # what is still compiled for every length: joint centres of all frames, and arrays on their way to them
     assert set(compiled) <= {"jit(joint_centres)", "jit(stage)"} and len(compiled) <= 4, compiled
 

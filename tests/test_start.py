@@ -13,12 +13,11 @@ from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.mcap_tracks import limb_mesh
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import on_host
 from voodoo_jax.scene import Plane
 from voodoo_jax.session import Session
 from voodoo_jax.settings import PersonSettings, Settings, StartSettings
 from voodoo_jax.simulate import Motion, make_motion, placed, simulate, tof_camera
-from voodoo_jax.start import facing, measured_height, place, rest_height, run_trials, sized, standing_places
+from voodoo_jax.start import facing, measured_height, place, rest_height, sized, standing_places
 from voodoo_jax.tracker import find_person, track
 from voodoo_jax.tracking import options_from
 
@@ -189,7 +188,7 @@ def trials(tmp_path_factory):
         few = replace(settings, start=replace(settings.start, frames=length), person=PersonSettings(points=256))
         places = standing_places(body, people[:count], scene.floor, headings)
         starts = jax.tree.map(lambda *leaves: np.stack(leaves), *places)
-        return on_host(Session(body, options, people, scene, few).trials(body, people[:count], starts))
+        return Session(body, options, people, scene, few).trials(body, people[:count], starts)
 
     return run
 
@@ -202,7 +201,6 @@ def test_frames_without_points_do_not_count_in_trials(trials):
 
 def test_trials_that_are_given_up_are_not_the_best(trials, monkeypatch):
     """Who goes on comes out as if all did, the best among them, and one that faces the other way and is as good."""
-    monkeypatch.setattr("voodoo_jax.session.run_trials", run_trials.function)  # a program would be the same one
     monkeypatch.setattr("voodoo_jax.start.STEPS", Settings().solve.max_steps)  # as without others to give up
     some = trials(5, 5, 12)
     monkeypatch.setattr("voodoo_jax.start.KEPT", 12)

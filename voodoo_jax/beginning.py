@@ -175,7 +175,7 @@ def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest:
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
     noise = _noise(frames)
-    trial = on_host(run.trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places)))
+    trial = run.trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places))
     found = [
         Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]), noise)
         for k in opposite(body, trial, RIVAL)

@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, Links, Topology, bands
@@ -22,6 +21,7 @@ from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, apply, compose, quat_normalize
 
 MOVED = 0.003  # metres: a step that moves no limb farther may be the last where it gains nothing
+CLOSE = 0.1  # metres: a point nearer to its limb is explained
 STEADY_RADIUS = 0.1  # metres: about what a limb's own points hold its rotation with
 
 
@@ -176,12 +176,55 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     if coupled:
         motion = coupled_step(*frame_normals(poses, pulls, problem.options.damping))
     else:
-        held = sum(link_moments(some, poses, pulls.strength) for some in pulls.links)
-        features = 0.0 if pulls.named is None else pulls.named.moments
-        solved = jax.vmap(align)(pulls.measured + features + held + pulls.prior)
-        motion = solved.rotation, solved.translation
+        motion = _limb_by_limb(poses, pulls)
+    return _moved(poses, motion), pulls.info
+
+
+def _limb_by_limb(poses: Poses, pulls: Pulls) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
+    """Motions of all limbs, each in its own frame: one weighted absolute orientation per limb."""
+    held = sum(link_moments(some, poses, pulls.strength) for some in pulls.links)
+    features = 0.0 if pulls.named is None else pulls.named.moments
+    solved = jax.vmap(align)(pulls.measured + features + held + pulls.prior)
+    return solved.rotation, solved.translation
+
+
+def _moved(poses: Poses, motion: tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]) -> Poses:
     moved = compose(poses, Poses(*motion))
-    return Poses(quat_normalize(moved.rotation), moved.translation), pulls.info
+    return Poses(quat_normalize(moved.rotation), moved.translation)
+
+
+class Progress(NamedTuple):
+    """How far the loop of a frame has come."""
+
+    poses: Poses
+    quality: Float[Array, ""]  # before the last step, square metres
+    previous: Float[Array, ""]  # before the one before
+    moved: Float[Array, ""]  # by the limb that the last step moved farthest, square metres
+    steps: Int[Array, ""]
+
+    @classmethod
+    def begun(cls, start: Poses) -> "Progress":
+        huge = jnp.array(jnp.inf, start.translation.dtype)
+        return cls(start, huge, huge, huge, jnp.array(0, jnp.int32))
+
+    def after(self, poses: Poses, quality: Float[Array, ""]) -> "Progress":
+        """One step further."""
+        moved = jnp.max(jnp.sum((poses.translation - self.poses.translation) ** 2, -1))
+        return Progress(poses, quality, self.quality, moved, self.steps + 1)
+
+    def at_rest(self, options: IcpOptions, patient: Bool[Array, ""] | bool) -> Bool[Array, ""]:
+        """Whether going on would find nothing better, see solve_frame."""
+        fallen = self.previous - self.quality
+        still = jnp.abs(fallen) < options.epsilon
+        # pairs that nobody measured may make the measure rise
+        extra = options.plausible.limits is not None or options.plausible.collisions is not None
+        if extra or options.solver != "coupled":
+            return still
+        aimless = (fallen < 0) & (options.epsilon > 0) & (self.moved < MOVED**2) & jnp.logical_not(patient)
+        return still | aimless
+
+    def over(self, options: IcpOptions, patient: Bool[Array, ""] | bool) -> Bool[Array, ""]:
+        return (self.steps >= options.max_steps) | ((self.steps >= 2) & self.at_rest(options, patient))
 
 
 def solve_frame(
@@ -202,30 +245,14 @@ def solve_frame(
     bounds its steps at compile time.
     """
 
-    options = problem.options
-    extra = options.plausible.limits is not None or options.plausible.collisions is not None
-
-    def at_rest(previous, quality, moved):
-        fallen = previous - quality
-        still = jnp.abs(fallen) < options.epsilon
-        if extra or options.solver != "coupled":
-            return still
-        aimless = (fallen < 0) & (options.epsilon > 0) & (moved < MOVED**2) & jnp.logical_not(patient)
-        return still | aimless
-
     def unfinished(state):
-        _, quality, previous, moved, step = state
-        rest = (step >= 2) & at_rest(previous, quality, moved)
-        return (step < options.max_steps) & ~rest
+        return ~state.over(problem.options, patient)
 
     def body(state):
-        before, quality, _, _, step = state
-        poses, info = icp_step(before, problem)
-        moved = jnp.max(jnp.sum((poses.translation - before.translation) ** 2, -1))
-        return poses, info.quality, quality, moved, step + 1
+        poses, info = icp_step(state.poses, problem)
+        return state.after(poses, info.quality)
 
-    huge = jnp.array(jnp.inf, start.translation.dtype)
-    state = (start, huge, huge, huge, jnp.array(0, jnp.int32))
+    state = Progress.begun(start)
     if kind == "lax":
         state = jax.lax.while_loop(unfinished, body, state)
     else:
@@ -235,31 +262,68 @@ def solve_frame(
         step = lambda state, _: (jax.lax.cond(unfinished(state), body, lambda state: state, state), None)  # noqa: E731
         once_more = jax.checkpoint(step, prevent_cse=False, policy=keep)
         state = jax.lax.scan(once_more, state, length=capacity)[0]
-    poses, quality, previous, moved, steps = state
-    return FrameResult(poses, steps, at_rest(previous, quality, moved))
+    return FrameResult(state.poses, state.steps, state.at_rest(problem.options, patient))
 
 
-def _iterate(poses: Poses, problem: Problem) -> Poses:
-    return icp_step(poses, problem)[0]
+class Measured(NamedTuple):
+    """How well a frame's poses explain what was measured."""
+
+    good: Bool[Array, ""]  # False: nothing was measured, or nothing finite found, and the poses are the predicted ones
+    residual: Float[Array, ""]  # root of the weighted mean squared distance of the points, metres
+    close: Int[Array, ""]  # number of points with a pair shorter than CLOSE
+    feature_residual: Float[Array, ""]  # root of the weighted mean squared distance of the features, metres; 0: none
+    limb_weight: Float[Array, " limb"]  # of the points
+    steps: Int[Array, ""]
 
 
-def solve_fixed_point(
-    start: Poses,
-    problem: Problem,
-    tolerance: float = 1e-6,
-    max_steps: int = 256,
-    adjoint: optx.AbstractAdjoint | None = None,
-) -> FrameResult:
-    """The poses that a step leaves as they are, with exact derivatives by the implicit function theorem.
+def solve_and_measure(
+    problem: Problem, patient: Bool[Array, ""] | bool = True
+) -> tuple[Poses, Measured, Float[Array, "limb6 limb6"]]:
+    """As solve_frame from the predicted poses; and what the poses found explain, with the normal matrix of the limbs'
+    twists there (kernels.coupled), both without the pull that holds who stands still: it would make a frame surer of
+    itself than its measurements are.
 
-    For gradients rather than for speed: iterates until no component moves by more than `tolerance` (quaternion
-    components and metres), and differentiates the fixed point, not the way to it, in forward and reverse mode. The
-    derivative is right only where `converged` is true (pitfall P10), and is zero for `start` (pitfall P13); matches
-    between points and limbs are held fixed (pitfall P8).
+    One loop for both, whose last turn measures and does not move: to compile all of a step twice takes seconds.
     """
-    solver = optx.FixedPointIteration(rtol=0.0, atol=tolerance)
-    adjoint = adjoint or optx.ImplicitAdjoint()
-    found = optx.fixed_point(_iterate, solver, start, problem, adjoint=adjoint, max_steps=max_steps, throw=False)
-    # one more normalisation: the adjoint differentiates the last iterate as it is
-    poses = Poses(quat_normalize(found.value.rotation), found.value.translation)
-    return FrameResult(poses, found.stats["num_steps"], found.result == optx.RESULTS.successful)
+    options, start = problem.options, problem.predicted
+    coupled = options.solver == "coupled"
+    anything = jnp.any(problem.points.weight > 0)
+    if problem.features is not None:
+        anything = anything | jnp.any(problem.features.weight > 0)
+
+    def turn(state):
+        progress, *_ = state
+        last = progress.over(options, patient)
+        finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(progress.poses)]
+        good = anything & finite[0] & finite[1]
+        poses = jax.tree.map(lambda found, none: jnp.where(last & ~good, none, found), progress.poses, start)
+        poses = Poses(quat_normalize(poses.rotation), poses.translation)
+        here = eqx.tree_at(lambda p: p.options.steady, problem, jnp.where(last, 0.0, options.steady))
+        pulls = pulls_at(poses, here, with_second=coupled)
+        system = frame_normals(poses, pulls, options.damping) if coupled else None
+        normals = none if system is None else system[0]
+
+        def move():
+            motion = _limb_by_limb(poses, pulls) if system is None else coupled_step(*system)
+            return progress.after(_moved(poses, motion), pulls.info.quality), unseen, normals
+
+        def measure():
+            weight, off = pulls.measured[:, 0, 0], jnp.zeros_like(unseen.residual)
+            if pulls.named is not None:
+                off = jnp.sqrt(pulls.named.squares / jnp.maximum(jnp.sum(pulls.named.weight), 1e-6))
+            residual = jnp.sqrt(pulls.squares / jnp.maximum(jnp.sum(weight), 1e-6))
+            close = jnp.sum(pulls.found.close(CLOSE))
+            seen = Measured(good, residual, close, off, weight, progress.steps)
+            if system is not None:
+                return progress._replace(poses=poses), seen, normals
+            found = pulls._replace(second=sums(pulls.found).second)
+            return progress._replace(poses=poses), seen, frame_normals(poses, found, options.damping)[0]
+
+        return *jax.lax.cond(last, measure, move), last
+
+    zero, weight = jnp.zeros_like(start.translation[0, 0]), jnp.zeros_like(start.translation[:, 0])
+    none = jnp.zeros((6 * len(weight), 6 * len(weight)), weight.dtype)
+    unseen = Measured(jnp.array(False), zero, jnp.array(0), zero, weight, jnp.array(0, jnp.int32))
+    begun = Progress.begun(start), unseen, none, jnp.array(False)
+    progress, seen, normals, _ = jax.lax.while_loop(lambda state: ~state[3], turn, begun)
+    return progress.poses, seen, normals

@@ -60,7 +60,7 @@ def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
     starts = other_arms(run.body, Poses(rows["rotation"][last], rows["translation"][last]))
     if not starts or any(len(f.points) < FEW_POINTS for f in frames):
         return rows
-    trial = on_host(run.trials(run.body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *starts)))
+    trial = run.trials(run.body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *starts))
     best = int(np.argmin(trial.cost))
     if not trial.cost[best] < BETTER * np.mean(rows["cost"][at : last + 1]):
         return rows

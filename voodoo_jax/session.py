@@ -2,28 +2,29 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int8
+from jaxtyping import Bool, Int, Int8
 
 from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Body
 from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_table
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses
+from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.scene import Scene
 from voodoo_jax.settings import Change, Settings, StartSettings
-from voodoo_jax.start import Trial, run_trials
-from voodoo_jax.tracking import State, Step, TrackOptions, at_rest, track_chunk
+from voodoo_jax.start import Trial, in_pieces, run_trials
+from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, at_rest, track_visits
 from voodoo_jax.tracks import Status
 
 FEW_POINTS = 20  # fewer on the body: nothing to track by
+TRACKS = 16  # starts that are tried at once: all headings, and the poses that were lost
 
 
 def first_run(mask: Bool[np.ndarray, " frame"], length: int) -> int:
@@ -52,6 +53,7 @@ class Session:
         self.body, self.options, self.people, self.scene, self.settings = body, options, people, scene, settings
         self.sensors = len(people[0].origins) if people else 1
         self.capacity = bucket(settings.person.points)
+        self.length = max(settings.track.chunk, settings.start.frames)  # frames that the program takes at once
         self.bodies = [(0, body)]  # first frame from which on the body is so
         self.sized = False  # whether the body has its size; the first start finds it
         first = people[0].time_ns if people else 0
@@ -74,27 +76,6 @@ class Session:
         self.named = few & self.table.enough(ENOUGH)  # frames that named points alone tell of
         if self.by_markers:
             self.capacity, self.sized = 8, True
-
-    def prepare(self) -> None:
-        """Makes the programs of starting and tracking, each in a thread: none waits until another one is compiled."""
-        if self.by_markers or jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-            return  # the threads would not know of it
-        s, limbs, calls = self.settings, self.body.limb_count, []
-        at = lambda *lead: Poses(np.zeros((*lead, limbs, 4), np.float32), np.zeros((*lead, limbs, 3), np.float32))  # noqa: E731
-        for length in (s.start.frames, s.track.chunk):
-            chunk = pad_frames([], self.capacity, length, None, self.sensors, None, self.parts)
-            features = pad_features([], length, self.feature_capacity, self.names, self.choices)
-            calls.append((chunk.points, chunk.seconds, chunk.valid, features))
-        (points, seconds, _, features), rest = calls
-        with ThreadPoolExecutor(2) as pool:
-            made = [
-                pool.submit(
-                    run_trials.prepare, self.body, self.options, at(s.start.headings), points, seconds, features
-                ),
-                pool.submit(track_chunk.prepare, self.body, self.options, at_rest(at()), *rest),
-            ]
-        for each in made:
-            each.result()
 
     def can_start(self, at: int) -> bool:
         """Whether the frames from `at` on hold something to start from."""
@@ -133,16 +114,46 @@ class Session:
         s: StartSettings = self.settings.start
         # backwards in time, so that the trials end where tracking begins
         frames = frames[::-1]
-        chunk = pad_frames(frames, self.capacity, s.frames, None, self.sensors, self.settings.person.points, self.parts)
-        features = pad_features(frames, s.frames, self.feature_capacity, self.names, self.choices)
+        chunk = pad_frames(
+            frames, self.capacity, self.length, None, self.sensors, self.settings.person.points, self.parts
+        )
+        features = pad_features(frames, self.length, self.feature_capacity, self.names, self.choices)
         if features is not None:
             # what may be face or hand fits any heading and blurs the choice between them
             point, weight = np.asarray(features.point), np.asarray(features.weight)
             weight = np.where(np.all(point == point[..., :1], -1), weight, np.float32(0))
             features = eqx.tree_at(lambda f: f.weight, features, jax.device_put(weight))
         # the interval by which the pull to the prediction is set: loose trials would bend to any heading
-        seconds = jax.device_put(np.minimum(np.abs(chunk.seconds), np.asarray(self.options.prior_interval)))
-        return run_trials(body, self.options, starts, chunk.points, seconds, features)
+        seconds = np.minimum(np.abs(chunk.seconds), np.asarray(self.options.prior_interval))
+
+        seen = np.any(np.asarray(chunk.points.weight)[: s.frames] > 0, 1)
+
+        def tracked(states: State, chosen: np.ndarray, most: int | None) -> tuple[State, Step]:
+            options, steps = self.options, self.options.icp.max_steps
+            if most is not None:
+                steps = jax.device_put(np.minimum(np.asarray(steps), np.int32(most)))
+                options = eqx.tree_at(lambda o: o.icp.max_steps, options, steps)
+            visit = partial(self._visited, body, options, (chunk.points, seconds, features), chosen)
+            return in_pieces(visit, states, max(1, min(TRACKS, self.length // max(len(chosen), 1))))
+
+        return run_trials(body, starts, seen, tracked)
+
+    def _visited(
+        self, body: Body, options: TrackOptions, measured: tuple, chosen: Int[np.ndarray, " frame"], states: State
+    ) -> tuple[State, Step]:
+        """Tracks some of the frames that are `measured` (points, seconds, features; padded) from each of the states
+        (leading axis: track); the states after them, and a Step for each (leading axes: track and frame). On the host.
+        """
+        count = len(states.seen)
+        frame, track = np.zeros(self.length, np.int32), np.full(self.length, NOBODY, np.int32)
+        used = slice(count * len(chosen))
+        frame[used], track[used] = np.tile(chosen, count), np.repeat(np.arange(count), len(chosen))
+        full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[:1], TRACKS - count, 0)]), on_host(states))
+        points, seconds, features = measured
+        found = track_visits(body, options, full, points, seconds, Visits(frame, track), features)
+        after, step = on_host(found)
+        step = jax.tree.map(lambda x: x[used].reshape(count, len(chosen), *x.shape[1:]), step)
+        return jax.tree.map(lambda x: x[:count], after), step
 
     def chunk(self, state: State, at: int, most: int) -> tuple[State, Step, int]:
         """Tracks up to one chunk of frames from `at`, at most so many, not past the next change of the body; the number
@@ -168,23 +179,21 @@ class Session:
 
     def through(self, poses: Poses, frames: list[PersonFrame]) -> tuple[State, Step]:
         """The state after any number of frames, begun at rest in `poses` in the first, and a step for each of them."""
-        state, steps, length = at_rest(poses), [], self.settings.track.chunk
+        state, steps, length = at_rest(poses), [], self.length
         for at in range(0, len(frames), length):
             previous = frames[at - 1].time_ns if at else None
             state, step, _ = self._tracked(state, frames[at : at + length], previous)
             steps.append(step)
-        # only the last chunk has padding
-        return state, jax.tree.map(lambda *parts: np.concatenate(parts)[: len(frames)], *steps)
+        return state, jax.tree.map(lambda *parts: np.concatenate(parts), *steps)
 
     def _tracked(self, state: State, frames: list[PersonFrame], previous_ns: int | None) -> tuple[State, Step, int]:
-        """The state after the frames, a step for each of a chunk's frames, and how many points were left out."""
-        length = self.settings.track.chunk
+        """The state after the frames, a step for each, and how many points were left out."""
         most = self.settings.person.points
-        padded = pad_frames(frames, self.capacity, length, previous_ns, self.sensors, most, self.parts)
-        features = pad_features(frames, length, self.feature_capacity, self.names, self.choices)
-        seconds, valid = jax.device_put((padded.seconds, padded.valid))
-        state, step = track_chunk(self.body, self.options, state, padded.points, seconds, valid, features)
-        return state, jax.tree.map(np.asarray, step), padded.left_out
+        padded = pad_frames(frames, self.capacity, self.length, previous_ns, self.sensors, most, self.parts)
+        features = pad_features(frames, self.length, self.feature_capacity, self.names, self.choices)
+        measured, alone = (padded.points, padded.seconds, features), jax.tree.map(lambda x: x[None], on_host(state))
+        found = self._visited(self.body, self.options, measured, np.arange(len(frames)), alone)
+        return *jax.tree.map(lambda x: x[0], found), padded.left_out
 
     def _with_named(self, step: Step, at: int, count: int) -> Step:
         """The step with what named points say in frames that have no others."""

@@ -1,25 +1,20 @@
-"""Finds size, place and pose at the beginning: trials with different headings, the best kept."""
+"""Finds size, place and pose at the beginning: trials with different headings, the best kept. Host side."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, scaled
 from voodoo_jax.clouds import point_spacing
-from voodoo_jax.kernels.correspond import Points
-from voodoo_jax.kernels.features import Features
-from voodoo_jax.one_by_one import one_by_one
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import AnyArray, Poses, compose, on_host, rotate, unrotate
-from voodoo_jax.programs import program
 from voodoo_jax.scene import Plane
 from voodoo_jax.settings import StartSettings
-from voodoo_jax.tracking import State, TrackOptions, at_rest, cost_of, track_frame
+from voodoo_jax.tracking import State, Step, at_rest, cost_of
 
 FIRST, KEPT = 2, 4  # frames that are tracked from every start, and how many of the starts go on
 STEPS = 15  # most steps of a frame that is tracked from every start
@@ -120,68 +115,59 @@ def standing_places(body: Body, frames: list[PersonFrame], floor: Plane, heading
     return out
 
 
-class Trial(eqx.Module):
+class Trial(NamedTuple):
     """How the trials of one start went."""
 
     state: State  # leading axis: trial
-    cost: Float[Array, " trial"]  # mean of cost_of; lower is better
+    cost: Float[np.ndarray, " trial"]  # mean of cost_of; lower is better
 
 
-@program
-def run_trials(
-    body: Body,
-    options: TrackOptions,
-    starts: Poses,
-    points: Points,
-    seconds: Float[Array, " frame"],
-    features: Features | None = None,
-) -> Trial:
-    """Tracks the first frames from every start pose (leading axis: trial); frames without points do not count.
+# states (leading axis: trial), numbers of frames, most steps of each (None: as many as ever)
+# -> the states after them, and a Step for each (leading axes: trial and frame)
+Tracked = Callable[[State, Int[np.ndarray, " frame"], int | None], tuple[State, Step]]
+
+
+def run_trials(body: Body, starts: Poses, seen: Bool[np.ndarray, " frame"], tracked: Tracked) -> Trial:
+    """Tracks the first frames from every start pose (leading axis: trial); those without points (not `seen`) do not
+    count.
 
     The first FIRST frames from all of them, the others from the KEPT best, those that face the other way from the best
     among them; what the rest would cost nobody knows (infinite).
     """
-
-    count, many = points.weight.shape[0], starts.translation.shape[0]
-    pruned = FIRST if count > FIRST and many > KEPT else 0
-
-    def tracked(options, state, inputs):
-        state, out, _ = track_frame(body, options, state, *inputs)
-        return state, cost_of(out)
-
-    def through(tried, inputs):
-        """One frame in all trials that are left: a program that has the tracker in it once compiles soonest."""
-        states, cost, alive = tried
-        number, *inputs = inputs
+    many, frames = len(starts.translation), np.flatnonzero(seen)
+    state, cost, alive = at_rest(on_host(starts)), np.zeros(many), np.arange(many)
+    if len(seen) > FIRST and many > KEPT:
         # where a start is wrong, a frame takes all steps and is none the better
-        few = jnp.where(number < pruned, jnp.minimum(options.icp.max_steps, STEPS), options.icp.max_steps)
-        quick = eqx.tree_at(lambda o: o.icp.max_steps, options, few)
-        seen = jnp.any(inputs[0].weight > 0)
-        one = lambda trial: jax.lax.cond(  # noqa: E731
-            trial[1] & seen, lambda: tracked(quick, trial[0], inputs), lambda: (trial[0], jnp.zeros(()))
-        )
-        states, more = one_by_one(one, (states, alive))
-        cost = cost + more
-        if pruned:
-            best = jnp.zeros_like(alive).at[_promising(body, states.poses.rotation, cost)].set(True)
-            alive = jnp.where(number + 1 == pruned, best, alive)
-        return (states, cost, alive), None
-
-    begun = jax.vmap(at_rest)(starts), jnp.zeros(many), jnp.ones(many, bool)
-    inputs = jnp.arange(count), points, seconds, features
-    (state, cost, alive), _ = jax.lax.scan(through, begun, inputs)
-    cost = jnp.where(alive, cost, jnp.inf)
-    seen = jnp.sum(jnp.any(points.weight > 0, 1))
-    return Trial(state, cost / jnp.maximum(seen, 1))
+        state, steps = tracked(state, frames[frames < FIRST], STEPS)
+        cost, frames = np.sum(cost_of(steps), 1), frames[frames >= FIRST]
+        alive = _promising(body, np.asarray(state.poses.rotation), cost)
+    after, steps = tracked(jax.tree.map(lambda x: x[alive], state), frames, None)
+    whole = np.full(many, np.inf)
+    whole[alive] = cost[alive] + np.sum(cost_of(steps), 1)
+    return Trial(jax.tree.map(lambda x, new: _with(x, alive, new), state, after), whole / max(int(np.sum(seen)), 1))
 
 
-def _promising(body: Body, rotation: Float[Array, "trial limb 4"], cost: Float[Array, " trial"]) -> Int[Array, " kept"]:
+def in_pieces(tracked: Callable[[State], tuple[State, Step]], states: State, most: int) -> tuple[State, Step]:
+    """`tracked` of any number of states (leading axis), so many of them at once."""
+    pieces = [jax.tree.map(lambda x, at=at: x[at : at + most], states) for at in range(0, len(states.seen), most)]
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *map(tracked, pieces))
+
+
+def _with(whole: np.ndarray, at: Int[np.ndarray, " some"], some: np.ndarray) -> np.ndarray:
+    whole = whole.copy()
+    whole[at] = some
+    return whole
+
+
+def _promising(
+    body: Body, rotation: Float[np.ndarray, "trial limb 4"], cost: Float[np.ndarray, " trial"]
+) -> Int[np.ndarray, " kept"]:
     """The trials to go on with: those that cost least, the first half of them evenly from both ways to face."""
-    front = facing(body, rotation)
-    turned = front @ front[jnp.argmin(cost)] < 0
+    front = facing(on_host(body), rotation)
+    turned = front @ front[np.argmin(cost)] < 0
     better = (cost[None] < cost[:, None]) & (turned[None] == turned[:, None])
-    late = jnp.sum(better, 1) >= KEPT // 2
-    return jnp.lexsort((cost, late))[:KEPT]
+    late = np.sum(better, 1) >= KEPT // 2
+    return np.lexsort((cost, late))[:KEPT]
 
 
 def facing(body: Body, rotation: Float[AnyArray, "*frame limb 4"]) -> Float[Any, "*frame 3"]:
@@ -192,7 +178,7 @@ def facing(body: Body, rotation: Float[AnyArray, "*frame limb 4"]) -> Float[Any,
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:
     """The best trial, and the best of those that face the other way if it costs less than `near` times as much."""
-    cost, front = np.asarray(trial.cost), facing(on_host(body), np.asarray(trial.state.poses.rotation))
+    cost, front = trial.cost, facing(on_host(body), trial.state.poses.rotation)
     best = int(np.argmin(cost))
     rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))
     return [best, *rivals[np.argsort(cost[rivals])][:1].tolist()]

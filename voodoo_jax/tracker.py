@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
+from threading import Thread
 
 import jax
 import jax.monitoring
@@ -141,9 +142,11 @@ def track_person(
     body = prepared(body, changes)
     options = options_from(settings.solve, settings.track, settings.features)
     run = Session(body, options, people, scene, settings, changes)
-    if at < count:
-        run.prepare()
     out = blank(body, people)
+    # x64 may be this thread's alone
+    if at < count and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        # compiled while the tracker is
+        Thread(target=looked_at.prepare, args=(body, *_padded(out, slice(0), settings.track.chunk))).start()
     follow(run, at, enough, out, progress)
     if settings.track.forearms and settings.track.both_ways and not run.by_markers and not changes:
         run.body = with_forearms(run.body, run.people, run.names, out)
@@ -175,14 +178,19 @@ def track_person(
     )
 
 
+def _padded(out: Rows, span: slice, chunk: int) -> tuple[Poses, jax.Array]:
+    """Poses of some frames and their limbs' covariances, as looked_at takes them: one program for every length."""
+    pad = ((0, chunk - len(out["status"][span])), (0, 0), (0, 0))
+    poses = Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad))
+    return poses, jax.device_put(np.pad(out["limb_covariance"][span], (*pad, (0, 0))))
+
+
 def _look_at(body: Body, out: Rows, joints: np.ndarray, first: int, end: int, chunk: int) -> None:
     """Fills in joints of some frames with one body, how sure they are, and what is not plausible about the poses."""
     for at in range(first, end, chunk):
         span = slice(at, min(at + chunk, end))
         count = span.stop - at
-        pad = ((0, chunk - count), (0, 0), (0, 0))  # one program for every length
-        poses = Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad))
-        centres, seen = looked_at(body, poses, jax.device_put(np.pad(out["limb_covariance"][span], (*pad, (0, 0)))))
+        centres, seen = looked_at(body, *_padded(out, span, chunk))
         joints[span] = np.asarray(centres)[:count]
         there = np.any(np.isfinite(out["translation"][span]), (1, 2))
         for name, found in seen.items():

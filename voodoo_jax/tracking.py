@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, Topology, tree_order
-from voodoo_jax.icp import IcpOptions, Problem, frame_normals, pulls_at, solve_frame
+from voodoo_jax.icp import IcpOptions, Problem, solve_and_measure
 from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.coupled import tree_covariance, twist_covariance
 from voodoo_jax.kernels.features import FeatureOptions, Features
@@ -148,14 +148,16 @@ def _with_hidden(body: Body, options: TrackOptions, state: State, moved: Poses, 
     turn = quat_exp(kept * quat_log(compose(inverse(held[0]), held[1]).rotation))
     hung = compose(compose(first, Poses(turn, jnp.zeros_like(first.translation))), inverse(second))
     hidden, own = (1.0 - state.seen[1:])[:, None], moved[1:]
-    poses = moved
-    for _ in range(_depth(t)):  # all limbs at once: those farther out come right one turn later
+
+    def outwards(_, poses):
         taken = compose(poses[parents], hung)
         bent = quat_exp(hidden * quat_log(quat_multiply(quat_conjugate(own.rotation), taken.rotation)))
         rotation = quat_normalize(quat_multiply(own.rotation, bent))
         translation = own.translation + hidden * (taken.translation - own.translation)
-        poses = jax.tree.map(lambda root, rest: jnp.concatenate([root[:1], rest]), moved, Poses(rotation, translation))
-    return poses
+        return jax.tree.map(lambda root, rest: jnp.concatenate([root[:1], rest]), moved, Poses(rotation, translation))
+
+    # all limbs at once: those farther out come right one turn later
+    return jax.lax.fori_loop(0, _depth(t), outwards, moved)
 
 
 def _depth(topology: Topology) -> int:
@@ -191,70 +193,90 @@ def track_frame(
     steady = options.icp.steady * _still(body, state, options.still_speed)
     icp = eqx.tree_at(lambda o: (o.prior, o.steady), options.icp, (options.icp.prior / weaker, steady / weaker))
     problem = Problem.build(body, points, predicted, icp, features)
-    solved = solve_frame(predicted, problem, patient=late > FAR)
-    count = jnp.sum(points.weight > 0)
-    any_feature = jnp.array(False) if features is None else jnp.any(features.weight > 0)
-    # a frame without a point keeps the prediction, a broken one (NaN) is not passed on
-    good = (
-        ((count > 0) | any_feature)
-        & jnp.all(jnp.isfinite(solved.poses.translation))
-        & jnp.all(jnp.isfinite(solved.poses.rotation))
-    )
-    poses = jax.tree.map(lambda a, b: jnp.where(good, a, b), solved.poses, predicted)
-
-    # how sure a frame is of itself, whatever holds who stands still
-    pulls = pulls_at(poses, eqx.tree_at(lambda p: p.options.steady, problem, jnp.zeros_like(icp.steady)))
-    found, named = pulls.found, pulls.named
-    weight = pulls.measured[:, 0, 0]
-    quality = pulls.squares / jnp.maximum(jnp.sum(weight), 1e-6)
-    explained = jnp.sum(found.close(0.1)) / jnp.maximum(count, 1)
-
-    off = jnp.zeros(())
-    if named is not None:
-        off = jnp.sqrt(named.squares / jnp.maximum(jnp.sum(named.weight), 1e-6))
+    poses, seen, normals = solve_and_measure(problem, patient=late > FAR)
     safe = jnp.where(seconds > 0, seconds, 1.0)
     turn = compose(inverse(state.poses), poses).rotation
-    moving = (seconds > 0) & good
+    moving = (seconds > 0) & seen.good
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
-    normals = frame_normals(poses, pulls, icp.damping)[0]
-    step = Step(poses, jnp.sqrt(quality), explained, off, weight, solved.steps, count)
+    count = jnp.sum(points.weight > 0)
+    explained = seen.close / jnp.maximum(count, 1)
+    step = Step(poses, seen.residual, explained, seen.feature_residual, seen.limb_weight, seen.steps, count)
     # by how many points there are, however noisy
-    share = (weight * (1.0 if points.doubt is None else points.doubt)) ** 2
-    seen = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
-    return State(poses, spin, velocity, jnp.where(count > 0, seen, state.seen)), step, normals
+    share = (seen.limb_weight * (1.0 if points.doubt is None else points.doubt)) ** 2
+    shown = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
+    return State(poses, spin, velocity, jnp.where(count > 0, shown, state.seen)), step, normals
+
+
+def _nothing(state: State) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
+    """What track_frame returns, for no frame at all."""
+    zero, weight = jnp.zeros_like(state.seen[0]), jnp.zeros_like(state.seen)
+    poses = jax.tree.map(jnp.zeros_like, state.poses)
+    step = Step(poses, zero, zero, zero, weight, jnp.array(0, jnp.int32), jnp.array(0))
+    return state, step, jnp.eye(6 * len(weight), dtype=weight.dtype)
+
+
+class Visits(NamedTuple):
+    """Which frame is tracked next, and in which track: a start that is tried, or the one there is."""
+
+    frame: Int[AnyArray, " visit"]
+    track: Int[AnyArray, " visit"]  # NOBODY: nothing is done
+
+
+NOBODY = -1
 
 
 @program
+def track_visits(
+    body: Body,
+    options: TrackOptions,
+    states: State,
+    points: Points,
+    seconds: Float[Array, " frame"],
+    visits: Visits,
+    features: Features | None = None,
+) -> tuple[State, Step]:
+    """Tracks frames one after the other in one scan: trials of starts and whole recordings are one program, for to
+    compile the tracker takes longer than to track a log.
+
+    **Arguments:** `states` with a leading track axis; `points` and `features` with a leading frame axis; `seconds`
+    since the frame before.
+
+    **Returns:** the states of all tracks, and one Step per visit (leading axis).
+    """
+
+    def one(states, visit):
+        frame, track = visit
+        inputs = jax.tree.map(lambda x: x[frame], (points, seconds, features))
+        state = jax.tree.map(lambda x: x[track], states)
+        tracked = lambda: track_frame(body, options, state, *inputs)  # noqa: E731
+        state, *out = jax.lax.cond(track != NOBODY, tracked, lambda: _nothing(state))
+        states = jax.tree.map(lambda x, new: x.at[track].set(new), states, state)
+        return states, out
+
+    states, (steps, normals) = jax.lax.scan(one, states, visits)
+    if options.icp.plausible.collisions is None:
+        covariance = jax.vmap(lambda full: tree_covariance(body.topology, full))(normals)
+    else:  # any limb may push any other one
+        covariance = jax.lax.map(twist_covariance, normals)
+    return states, steps._replace(covariance=covariance)
+
+
 def track_chunk(
     body: Body,
     options: TrackOptions,
     state: State,
     points: Points,
     seconds: Float[Array, " frame"],
-    valid: Bool[Array, " frame"],
+    valid: Bool[AnyArray, " frame"],
     features: Features | None = None,
 ) -> tuple[State, Step]:
-    """Tracks consecutive frames in one scan. Padded frames (`valid` false) leave the state as it is.
-
-    **Arguments:** `points` and `features` with a leading frame axis; `seconds` since the frame before.
+    """Tracks consecutive frames, see track_visits; padded ones (`valid` false) leave the state as it is.
 
     **Returns:** the state after the last valid frame, and one Step per frame (leading frame axis).
     """
-
-    def one(state, inputs):
-        points, seconds, valid, features = inputs
-        nothing = lambda: (state, *jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes))  # noqa: E731
-        tracked = lambda: track_frame(body, options, state, points, seconds, features)  # noqa: E731
-        state, *out = jax.lax.cond(valid, tracked, nothing)
-        return state, out
-
-    first = jax.tree.map(lambda x: x[0], (points, seconds, features))
-    shapes = eqx.filter_eval_shape(lambda: track_frame(body, options, state, *first))[1:]
-    state, (steps, normals) = jax.lax.scan(one, state, (points, seconds, valid, features))
-    normals = jnp.where(valid[:, None, None], normals, jnp.eye(normals.shape[-1], dtype=normals.dtype))
-    if options.icp.plausible.collisions is None:
-        covariance = jax.vmap(lambda full: tree_covariance(body.topology, full))(normals)
-    else:  # any limb may push any other one
-        covariance = jax.lax.map(twist_covariance, normals)
-    return state, steps._replace(covariance=covariance)
+    array = np if isinstance(valid, np.ndarray) else jnp
+    visits = Visits(array.arange(len(valid)), array.where(valid, 0, NOBODY))
+    states = jax.tree.map(lambda x: x[None], state)
+    states, steps = track_visits(body, options, states, points, seconds, visits, features)
+    return jax.tree.map(lambda x: x[0], states), steps

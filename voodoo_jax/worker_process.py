@@ -1,5 +1,6 @@
 """The other end of workers.py: a process that takes jobs from its standard input and answers on its standard output."""
 
+import gc
 import os
 import pickle
 import signal
@@ -16,7 +17,11 @@ def serve() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C means
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print must not get between the answers
+    gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.jobs import do_job  # before the other thread: two threads must not import one package at once
+
+    gc.freeze()
+    gc.enable()
 
     jobs: SimpleQueue[Any] = SimpleQueue()
     threading.Thread(target=_receive, args=(jobs,), daemon=True).start()
