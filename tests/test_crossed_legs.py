@@ -7,7 +7,7 @@ from in_front import error, in_front
 from voodoo_jax.body import scaled
 from voodoo_jax.crossed_legs import crossed, exchanged, uncrossed
 from voodoo_jax.io.body_file import human, load_body
-from voodoo_jax.passage import rows_of
+from voodoo_jax.passage import rows_of, tracked_anew
 from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.session import Session
 
@@ -52,6 +52,25 @@ def test_legs_on_the_other_ones_points_are_exchanged(steps):
     # what is good stays as it is, to the last digit
     good = tracked(run, truth[0])
     assert uncrossed(run, 0, good) is good
+
+
+def test_legs_are_exchanged_as_often_as_they_were(steps, monkeypatch):
+    """Who is tracked anew loses the legs again after eight frames: what is left is looked at once more."""
+    sim, run = steps
+    wrong = tracked(run, exchanged(on_host(BODY), Poses(sim.rotation, sim.translation)[0]))
+
+    def for_a_while(run, first, poses, low, at, high):
+        near[max(0, at - 8) : at + 9] = True
+        pick = lambda x, bad: np.where(near[low:high].reshape(-1, *[1] * (x.ndim - 1)), x, bad)  # noqa: E731
+        return {n: pick(x, wrong[n][low:high]) for n, x in tracked_anew(run, first, poses, low, at, high).items()}
+
+    monkeypatch.setattr("voodoo_jax.crossed_legs.tracked_anew", for_a_while)
+    left = []
+    for rounds in (1, 3):
+        near = np.zeros(COUNT, bool)
+        monkeypatch.setattr("voodoo_jax.crossed_legs.MOST", rounds)
+        left.append(int(crossed(on_host(BODY), uncrossed(run, 0, wrong)).sum()))
+    assert left[0] >= 5 > left[1]  # fewer than five frames are not worth a look
 
 
 def test_legs_that_are_crossed_stay_so(tmp_path):

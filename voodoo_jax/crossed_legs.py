@@ -18,13 +18,27 @@ from voodoo_jax.tracks import Status
 
 FEWEST = 5  # frames with crossed knees, near each other, that are worth a look
 LIKELIER = 1.05  # exchanged legs may cost so much more: crossed ones are rare
+MOST = 3  # times that all of a passage is gone through
 LEGS = (("l_hip", "l_knee"), ("r_hip", "r_knee"))
 
 
 def uncrossed(run: Session, first: int, rows: Rows) -> Rows:
-    """The rows of a passage that begins in frame `first`, with legs exchanged where they are crossed in vain."""
+    """The rows of a passage that begins in frame `first`, with legs exchanged where they are crossed in vain.
+
+    Again where some are left: legs may have taken each other's points more than once.
+    """
     if any(set(leg) - set(run.body.topology.joints) for leg in LEGS):
         return rows
+    for _ in range(MOST):
+        found = _once(run, first, rows)
+        if found is rows:
+            break
+        rows = found
+    return rows
+
+
+def _once(run: Session, first: int, rows: Rows) -> Rows:
+    """The rows with legs exchanged in every stretch in which that explains as much; the same ones if in none."""
     body = on_host(run.body)
     for start, end in _stretches(crossed(body, rows) & (rows["status"] == Status.TRACKED)):
         at = start + int(np.argmin(rows["cost"][start:end]))
