@@ -11,8 +11,9 @@ from helpers import SOLVE, all_finite, seen_points, two_limbs
 
 from voodoo_jax.batch import BUCKETS, bucket, pad_frames
 from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.pose import Poses
 from voodoo_jax.settings import TrackSettings
-from voodoo_jax.tracking import at_rest, options_from, track_chunk
+from voodoo_jax.tracking import NOBODY, Visits, at_rest, options_from, track_chunk, track_visits
 
 SENSOR = np.array([[2.0, 0.4, 0.5]], np.float32)
 
@@ -80,3 +81,23 @@ def test_a_frame_without_points_keeps_the_prediction(compiled):
     np.testing.assert_array_equal(steps.points, [200, 0, 200, 0])
     assert all_finite(jax.tree.leaves(state)) and all_finite(steps)
     assert steps.explained[1] == 0 and steps.explained[2] > 0.9
+
+
+def test_tracks_that_take_turns_do_not_know_of_each_other():
+    """Two starts in one scan, in turns and with nobody's in between, and each alone: the same to the last digit."""
+    body, options = two_limbs(), options_from(SOLVE, TrackSettings())
+    chunk = pad_frames(frames([200, 150, 100, 0]), 256, 4, 10**18 - 33_000_000, 1)
+    starts = [body.rest, Poses(body.rest.rotation, body.rest.translation + jnp.float32(0.02))]
+    both = jax.tree.map(lambda *x: jnp.stack(x), *map(at_rest, starts))
+    visits = Visits(np.array([0, 0, 2, 1, 1, 0, 2]), np.array([0, 1, NOBODY, 1, 0, NOBODY, 0]))
+    states, steps = track_visits(body, options, both, chunk.points, chunk.seconds, visits)
+    rows = {0: [0, 4, 6], 1: [1, 3]}
+    for track, mine in rows.items():
+        valid = np.arange(4) < len(mine)
+        state, alone = track_chunk(body, options, at_rest(starts[track]), chunk.points, chunk.seconds, valid)
+        for one, other in zip(jax.tree.leaves(state), jax.tree.leaves(states)):
+            np.testing.assert_array_equal(one, other[track])
+        for one, other in zip(jax.tree.leaves(alone), jax.tree.leaves(steps)):
+            np.testing.assert_array_equal(one[: len(mine)], np.asarray(other)[mine])
+    assert not np.array_equal(states.poses.translation[0], states.poses.translation[1])
+    assert (np.asarray(steps.points)[[2, 5]] == 0).all()

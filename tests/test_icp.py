@@ -21,7 +21,7 @@ from helpers import (
     two_limbs,
 )
 
-from voodoo_jax.icp import Problem, adjacency, solve_frame
+from voodoo_jax.icp import Problem, adjacency, frame_normals, pulls_at, solve_and_measure, solve_frame
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.correspond import Points, match
 from voodoo_jax.pose import Poses, apply
@@ -46,12 +46,54 @@ def solve(body, points, start, options):
     return solve_frame(start, Problem.build(body, points, start, options))
 
 
+@eqx.filter_jit
+def measure(body, points, start, options):
+    return solve_and_measure(Problem.build(body, points, start, options))
+
+
 def middles(body, poses: Poses) -> np.ndarray:
     return np.asarray(apply(poses, jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)))
 
 
 def points_of(body, xyz, dtype=jnp.float32, capacity=0):
     return frame_points(xyz, [SENSORS[body.name]], dtype, capacity)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_what_is_measured_is_what_a_look_from_the_end_sees(solver):
+    """In the last turn of the loop; some points are left over, and the pull that holds who stands still is not."""
+    body, xyz, start = scene("arm", 500)
+    points = points_of(body, np.concatenate([xyz, xyz[:50] + [0.0, 0.0, 1.5]]))
+    options = icp_options(solver=solver, steady=0.5, steady_distance=10.0)
+    found = solve(body, points, start, options)
+    poses, seen, normals = measure(body, points, start, options)
+    for mine, theirs in zip(jax.tree.leaves(poses), jax.tree.leaves(found.poses)):
+        np.testing.assert_allclose(mine, theirs, atol=1e-5)
+    assert seen.good and int(seen.steps) == int(found.steps) > 2
+    here = Problem.build(body, points, start, icp_options(solver=solver, steady=0.0))
+    pulls = pulls_at(poses, here)
+    weight = pulls.measured[:, 0, 0]
+    np.testing.assert_allclose(seen.limb_weight, weight, rtol=1e-4)
+    np.testing.assert_allclose(seen.residual, np.sqrt(pulls.squares / np.sum(weight)), rtol=1e-3)
+    near = np.any(np.asarray((pulls.found.weight > 0) & (pulls.found.distance < 0.1)), 0)
+    assert 400 < int(seen.close) == near.sum() < 520
+    wanted = frame_normals(poses, pulls, here.options.damping)[0]
+    np.testing.assert_allclose(normals, wanted, atol=1e-3 * float(jnp.max(jnp.abs(wanted))))
+    held = pulls_at(poses, Problem.build(body, points, start, options))
+    assert float(jnp.max(jnp.abs(frame_normals(poses, held, options.damping)[0] - wanted))) > 1.0
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("what", ["nothing", "not a number"])
+def test_where_nothing_can_be_measured_the_prediction_stays(solver, what):
+    body, xyz, start = scene("arm", 500)
+    points = points_of(body, xyz if what == "not a number" else np.zeros((0, 3)), capacity=512)
+    if what == "not a number":
+        points = eqx.tree_at(lambda p: p.xyz, points, points.xyz.at[7].set(jnp.nan))
+    poses, seen, _ = measure(body, points, start, icp_options(solver=solver))
+    assert not seen.good
+    np.testing.assert_allclose(poses.translation, start.translation, atol=1e-6)
+    np.testing.assert_allclose(poses.rotation, start.rotation, atol=1e-6)
 
 
 @pytest.mark.parametrize(

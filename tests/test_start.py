@@ -184,8 +184,9 @@ def trials(tmp_path_factory):
     scene, people = find_person(recording, recording.up, body, settings)
     options = options_from(settings.solve, settings.track, settings.features)
 
-    def run(count: int, length: int, headings: int):
+    def run(count: int, length: int, headings: int, chunk: int = 128):
         few = replace(settings, start=replace(settings.start, frames=length), person=PersonSettings(points=256))
+        few = replace(few, track=replace(settings.track, chunk=chunk))
         places = standing_places(body, people[:count], scene.floor, headings)
         starts = jax.tree.map(lambda *leaves: np.stack(leaves), *places)
         return Session(body, options, people, scene, few).trials(body, people[:count], starts)
@@ -197,6 +198,20 @@ def test_frames_without_points_do_not_count_in_trials(trials):
     plain, padded = trials(3, 3, 4), trials(3, 6, 4)
     np.testing.assert_array_equal(plain.cost, padded.cost)
     np.testing.assert_array_equal(plain.state.poses.translation, padded.state.poses.translation)
+
+
+def test_trials_in_pieces_are_the_same(trials):
+    """More trials than are tracked at once: 18 of 2 frames each, where 16 fit in, and three where 7 frames do."""
+    many = trials(3, 6, 18)
+    for chunk, headings in ((128, 9), (7, 18)):
+        other = trials(3, 6, headings, chunk)
+        kept = np.isfinite(other.cost)
+        assert kept.sum() == 4
+        if headings == 18:
+            np.testing.assert_array_equal(other.cost, many.cost)
+            np.testing.assert_array_equal(other.state.poses.rotation, many.state.poses.rotation)
+        else:  # every second one
+            np.testing.assert_array_equal(other.state.poses.rotation[~kept], many.state.poses.rotation[::2][~kept])
 
 
 def test_trials_that_are_given_up_are_not_the_best(trials, monkeypatch):

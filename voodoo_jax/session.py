@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Int, Int8
 
-from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, PartNames, bucket, pad_features, pad_frames
+from voodoo_jax.batch import FEATURE_BUCKETS, Chunk, FeatureNames, PartNames, bucket, pad_features, pad_frames
 from voodoo_jax.body import Body
 from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
+from voodoo_jax.kernels.features import Features
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_table
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, on_host
@@ -113,11 +114,7 @@ class Session:
         """Tracks some frames from every start pose (leading axis), the last one first."""
         s: StartSettings = self.settings.start
         # backwards in time, so that the trials end where tracking begins
-        frames = frames[::-1]
-        chunk = pad_frames(
-            frames, self.capacity, self.length, None, self.sensors, self.settings.person.points, self.parts
-        )
-        features = pad_features(frames, self.length, self.feature_capacity, self.names, self.choices)
+        chunk, features = self._padded(frames[::-1], None)
         if features is not None:
             # what may be face or hand fits any heading and blurs the choice between them
             point, weight = np.asarray(features.point), np.asarray(features.weight)
@@ -125,7 +122,6 @@ class Session:
             features = eqx.tree_at(lambda f: f.weight, features, jax.device_put(weight))
         # the interval by which the pull to the prediction is set: loose trials would bend to any heading
         seconds = np.minimum(np.abs(chunk.seconds), np.asarray(self.options.prior_interval))
-
         seen = np.any(np.asarray(chunk.points.weight)[: s.frames] > 0, 1)
 
         def tracked(states: State, chosen: np.ndarray, most: int | None) -> tuple[State, Step]:
@@ -188,12 +184,16 @@ class Session:
 
     def _tracked(self, state: State, frames: list[PersonFrame], previous_ns: int | None) -> tuple[State, Step, int]:
         """The state after the frames, a step for each, and how many points were left out."""
-        most = self.settings.person.points
-        padded = pad_frames(frames, self.capacity, self.length, previous_ns, self.sensors, most, self.parts)
-        features = pad_features(frames, self.length, self.feature_capacity, self.names, self.choices)
-        measured, alone = (padded.points, padded.seconds, features), jax.tree.map(lambda x: x[None], on_host(state))
+        chunk, features = self._padded(frames, previous_ns)
+        measured, alone = (chunk.points, chunk.seconds, features), jax.tree.map(lambda x: x[None], on_host(state))
         found = self._visited(self.body, self.options, measured, np.arange(len(frames)), alone)
-        return *jax.tree.map(lambda x: x[0], found), padded.left_out
+        return *jax.tree.map(lambda x: x[0], found), chunk.left_out
+
+    def _padded(self, frames: list[PersonFrame], previous_ns: int | None) -> tuple[Chunk, Features | None]:
+        """The frames as the one program takes them."""
+        most = self.settings.person.points
+        chunk = pad_frames(frames, self.capacity, self.length, previous_ns, self.sensors, most, self.parts)
+        return chunk, pad_features(frames, self.length, self.feature_capacity, self.names, self.choices)
 
     def _with_named(self, step: Step, at: int, count: int) -> Step:
         """The step with what named points say in frames that have no others."""

@@ -232,7 +232,7 @@ def track_visits(
     options: TrackOptions,
     states: State,
     points: Points,
-    seconds: Float[Array, " frame"],
+    seconds: Float[AnyArray, " frame"],
     visits: Visits,
     features: Features | None = None,
 ) -> tuple[State, Step]:
@@ -267,7 +267,7 @@ def track_chunk(
     options: TrackOptions,
     state: State,
     points: Points,
-    seconds: Float[Array, " frame"],
+    seconds: Float[AnyArray, " frame"],
     valid: Bool[AnyArray, " frame"],
     features: Features | None = None,
 ) -> tuple[State, Step]:
