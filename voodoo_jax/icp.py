@@ -193,7 +193,7 @@ def _moved(poses: Poses, motion: tuple[Float[Array, "limb 4"], Float[Array, "lim
     return Poses(quat_normalize(moved.rotation), moved.translation)
 
 
-class Progress(NamedTuple):
+class Loop(NamedTuple):
     """How far the loop of a frame has come."""
 
     poses: Poses
@@ -203,14 +203,14 @@ class Progress(NamedTuple):
     steps: Int[Array, ""]
 
     @classmethod
-    def begun(cls, start: Poses) -> "Progress":
+    def begun(cls, start: Poses) -> "Loop":
         huge = jnp.array(jnp.inf, start.translation.dtype)
         return cls(start, huge, huge, huge, jnp.array(0, jnp.int32))
 
-    def after(self, poses: Poses, quality: Float[Array, ""]) -> "Progress":
+    def after(self, poses: Poses, quality: Float[Array, ""]) -> "Loop":
         """One step further."""
         moved = jnp.max(jnp.sum((poses.translation - self.poses.translation) ** 2, -1))
-        return Progress(poses, quality, self.quality, moved, self.steps + 1)
+        return Loop(poses, quality, self.quality, moved, self.steps + 1)
 
     def at_rest(self, options: IcpOptions, patient: Bool[Array, ""] | bool) -> Bool[Array, ""]:
         """Whether going on would find nothing better, see solve_frame."""
@@ -252,7 +252,7 @@ def solve_frame(
         poses, info = icp_step(state.poses, problem)
         return state.after(poses, info.quality)
 
-    state = Progress.begun(start)
+    state = Loop.begun(start)
     if kind == "lax":
         state = jax.lax.while_loop(unfinished, body, state)
     else:
@@ -292,11 +292,10 @@ def solve_and_measure(
         anything = anything | jnp.any(problem.features.weight > 0)
 
     def turn(state):
-        progress, *_ = state
-        last = progress.over(options, patient)
-        finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(progress.poses)]
-        good = anything & finite[0] & finite[1]
-        poses = jax.tree.map(lambda found, none: jnp.where(last & ~good, none, found), progress.poses, start)
+        loop, *_ = state
+        last, found = loop.over(options, patient), loop.poses
+        good = anything & jnp.all(jnp.isfinite(found.rotation)) & jnp.all(jnp.isfinite(found.translation))
+        poses = jax.tree.map(lambda new, old: jnp.where(last & ~good, old, new), found, start)
         poses = Poses(quat_normalize(poses.rotation), poses.translation)
         here = eqx.tree_at(lambda p: p.options.steady, problem, jnp.where(last, 0.0, options.steady))
         pulls = pulls_at(poses, here, with_second=coupled)
@@ -305,7 +304,7 @@ def solve_and_measure(
 
         def move():
             motion = _limb_by_limb(poses, pulls) if system is None else coupled_step(*system)
-            return progress.after(_moved(poses, motion), pulls.info.quality), unseen, normals
+            return loop.after(_moved(poses, motion), pulls.info.quality), unseen, normals
 
         def measure():
             weight, off = pulls.measured[:, 0, 0], jnp.zeros_like(unseen.residual)
@@ -313,17 +312,17 @@ def solve_and_measure(
                 off = jnp.sqrt(pulls.named.squares / jnp.maximum(jnp.sum(pulls.named.weight), 1e-6))
             residual = jnp.sqrt(pulls.squares / jnp.maximum(jnp.sum(weight), 1e-6))
             close = jnp.sum(pulls.found.close(CLOSE))
-            seen = Measured(good, residual, close, off, weight, progress.steps)
+            seen = Measured(good, residual, close, off, weight, loop.steps)
             if system is not None:
-                return progress._replace(poses=poses), seen, normals
-            found = pulls._replace(second=sums(pulls.found).second)
-            return progress._replace(poses=poses), seen, frame_normals(poses, found, options.damping)[0]
+                return loop._replace(poses=poses), seen, normals
+            whole = pulls._replace(second=sums(pulls.found).second)
+            return loop._replace(poses=poses), seen, frame_normals(poses, whole, options.damping)[0]
 
         return *jax.lax.cond(last, measure, move), last
 
     zero, weight = jnp.zeros_like(start.translation[0, 0]), jnp.zeros_like(start.translation[:, 0])
     none = jnp.zeros((6 * len(weight), 6 * len(weight)), weight.dtype)
     unseen = Measured(jnp.array(False), zero, jnp.array(0), zero, weight, jnp.array(0, jnp.int32))
-    begun = Progress.begun(start), unseen, none, jnp.array(False)
-    progress, seen, normals, _ = jax.lax.while_loop(lambda state: ~state[3], turn, begun)
-    return progress.poses, seen, normals
+    begun = Loop.begun(start), unseen, none, jnp.array(False)
+    loop, seen, normals, _ = jax.lax.while_loop(lambda state: ~state[3], turn, begun)
+    return loop.poses, seen, normals
