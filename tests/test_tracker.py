@@ -1,7 +1,10 @@
 """A whole recording: people who come late, leave and return, frames without points, empty recordings."""
 
 from dataclasses import replace
+from threading import Thread
 
+import jax
+import jax.monitoring
 import numpy as np
 import pytest
 
@@ -115,6 +118,20 @@ def test_progress_counts_every_frame_once(recording, nobody):
     done.clear()
     track(human(), log, progress=done.append)
     assert sum(done) > len(log) + len(frames)  # and once more backwards where somebody was
+
+
+def test_what_another_thread_compiles_meanwhile_takes_no_time_from_tracking(recording, nobody):
+    def compiles(seconds: float) -> None:
+        jax.monitoring.record_event_duration_secs("/jax/core/compile/backend_compile_duration", seconds)
+
+    def meanwhile(_: int) -> None:
+        compiles(1e-6)  # a time that has passed
+        elsewhere = Thread(target=compiles, args=(1000.0,))
+        elsewhere.start()
+        elsewhere.join()
+
+    tracks = track(human(), joined(recording, nobody * 3), progress=meanwhile)
+    assert tracks.seconds > 0 and 1e-6 <= tracks.compile_seconds < 1000
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ class Session:
         bodies = [pointing(self.body, joint, axis) for axis in directions(self.settings.start.directions)]
         starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(hung_on(b, state.poses, limbs) for b in bodies))
         trial = self.trials(self.body, self.people[at : at + self.settings.start.frames], starts)
-        self.body = bodies[int(np.argmin(np.asarray(trial.cost)))]
+        self.body = bodies[int(np.argmin(trial.cost))]
 
     def trials(self, body: Body, frames: list[PersonFrame], starts: Poses) -> Trial:
         """Tracks some frames from every start pose (leading axis), the last one first."""

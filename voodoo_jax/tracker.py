@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
-from threading import Thread
+from threading import Thread, local
 
 import jax
 import jax.monitoring
@@ -69,20 +69,22 @@ def _told(window: list[PersonFrame], scene: Scene, finder: PersonFinder) -> list
     return without_furniture(without_things(window, scene.floor, finder.apart()), scene.floor.normal)
 
 
-_compiling = [0.0]
+class _Compiling(local):
+    """Seconds that jax has spent on tracing and compiling, by thread: what another one compiles meanwhile takes no time
+    from this one."""
+
+    seconds = 0.0
+
+
+_compiling = _Compiling()
 
 
 def _count_compiling(event: str, duration_secs: float, **_: str | int) -> None:
     if event.startswith("/jax/core/compile/"):
-        _compiling[0] += duration_secs
+        _compiling.seconds += duration_secs
 
 
 jax.monitoring.register_event_duration_secs_listener(_count_compiling)
-
-
-def _compile_clock() -> float:
-    """Seconds that jax has spent on tracing and compiling in this process."""
-    return _compiling[0]
 
 
 @program
@@ -122,7 +124,7 @@ def track_person(
     progress: Progress | None = None,
 ) -> Tracks:
     """Tracks a body through frames in which it was already told apart from its surroundings (see find_person)."""
-    began, compiled = time.perf_counter(), _compile_clock()
+    began, compiled = time.perf_counter(), _compiling.seconds
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     exchanges: list[Exchange] = []
@@ -162,7 +164,7 @@ def track_person(
     if not run.by_markers:
         out["joint_confidence"] = joint_confidence(run.body.topology, out, joints, settings.track.both_ways)
         out["status"] = doubted(out["status"], out["joint_confidence"], settings.track.lost_confidence)
-    compiling = _compile_clock() - compiled
+    compiling = _compiling.seconds - compiled
     seconds = time.perf_counter() - began - compiling
     stamps = np.array([f.time_ns for f in people], np.int64)
     return Tracks(
