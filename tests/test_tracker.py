@@ -131,7 +131,7 @@ def test_what_another_thread_compiles_meanwhile_takes_no_time_from_tracking(reco
         elsewhere.join()
 
     tracks = track(human(), joined(recording, nobody * 3), progress=meanwhile)
-    assert tracks.seconds > 0 and 1e-6 <= tracks.compile_seconds < 1000
+    assert tracks.seconds > 0 and 0 < tracks.compile_seconds < 1000
 
 
 @pytest.mark.parametrize(
