@@ -15,6 +15,9 @@ from jaxtyping import install_import_hook
 # tower: an int is welcome where a float is asked for (PEP 484), as for the type checker
 install_import_hook(["voodoo_jax"], "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
+# compiled in two thirds of the time, see quick.py; whatever is compiled without its options, too
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+
 # the user's own compile cache stays as it is; one for all processes of a test run saves minutes
 if "VOODOO_JAX_COMPILE_CACHE" not in os.environ:
     os.environ["VOODOO_JAX_COMPILE_CACHE"] = tempfile.mkdtemp(prefix="voodoo-tests-")

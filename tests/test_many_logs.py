@@ -186,6 +186,10 @@ def children(pid: int) -> list[int]:
     return [int(word) for word in found.read_text().split()]
 
 
+def command_of(pid: int) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_text()
+
+
 def wait_for(what, seconds: float = 120.0) -> None:
     end = time.monotonic() + seconds
     while not what():
@@ -233,6 +237,21 @@ def test_a_run_that_ends_in_the_middle_is_resumed(how, some_logs, reference, tmp
     assert [row["status"] for row in rows(out).values()] == ["tracked"] * 4
 
 
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to see the workers")
+def test_workers_of_the_command_are_copies_of_it_and_are_replaced_where_they_die(some_logs, reference, tmp_path):
+    """The one that is killed before it has done anything takes one log with it; the others are done as ever."""
+    running = start(some_logs, tmp_path, "--workers", "2")
+    wait_for(lambda: len(children(running.pid)) == 2 or running.poll() is not None)
+    victim, other = children(running.pid)
+    assert command_of(victim) == command_of(other) == command_of(running.pid)
+    os.kill(victim, signal.SIGKILL)
+    printed, errors = running.communicate(timeout=100)
+    assert running.returncode == 1 and "SIGKILL" in printed + errors and "3 of 4 logs tracked" in printed, errors
+    found = arrays_of(tmp_path)
+    assert len(found) == 3
+    assert_same(found, {name: arrays for name, arrays in arrays_of(reference).items() if name in found})
+
+
 class Poison(Job):
     """Kills the process that receives it."""
 
@@ -263,6 +282,7 @@ def test_a_worker_that_cannot_start(tmp_path, monkeypatch):
 def test_cores_are_counted(monkeypatch):
     assert 1 <= default_workers(1000) <= usable_cores() and default_workers(1) == 1
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr("voodoo_jax.workers.find_spec", lambda name: object() if name == "jax_plugins" else None)
     assert default_workers(1000) == 1
     assert 1 <= usable_cores() <= (os.cpu_count() or 1)
 

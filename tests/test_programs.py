@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
+from threading import Thread
 
 import equinox as eqx
 import jax
@@ -13,7 +15,8 @@ import pytest
 
 from voodoo_jax.body import Body, joint_centres
 from voodoo_jax.io.body_file import human, load_body
-from voodoo_jax.programs import program
+from voodoo_jax.programs import program, seconds_of_waiting
+from voodoo_jax.quick import OPTIONS, quick
 
 CHILD = """
 import sys
@@ -103,3 +106,40 @@ def test_derivatives_and_maps_go_through():
     assert np.isclose(float(jax.grad(lambda s: height(jnp.array([0.0, 0.0, s])))(0.0)), 1.0)
     many = jax.vmap(lambda s: height(jnp.array([0.0, 0.0, s])))(jnp.arange(3.0))
     assert np.allclose(np.diff(many), 1.0)
+
+
+@program
+def slowly(x):
+    time.sleep(0.3)  # to trace it
+    return x + 1
+
+
+def test_two_threads_make_it_once_and_both_have_waited_for_it():
+    waited = []
+
+    def ask() -> None:
+        before = seconds_of_waiting()
+        slowly(jnp.arange(3))
+        slowly(jnp.arange(3))
+        waited.append(seconds_of_waiting() - before)
+
+    threads = [Thread(target=ask) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(slowly.ready) == 1 and min(waited) > 0.1
+    before = seconds_of_waiting()
+    slowly(jnp.arange(3))
+    assert seconds_of_waiting() - before < 0.1
+
+
+def test_options_that_this_xla_does_not_know_are_left_out(monkeypatch):
+    known = quick()
+    assert known == OPTIONS  # of the version that is locked
+    monkeypatch.setitem(OPTIONS, "xla_of_another_age", True)
+    quick.cache_clear()
+    try:
+        assert quick() == known
+    finally:
+        quick.cache_clear()

@@ -14,13 +14,14 @@ from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.pose import Poses
+from voodoo_jax.programs import forget
 from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.session import Session, first_run
 from voodoo_jax.settings import Settings, TrackSettings
 from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
 from voodoo_jax.start import facing, place
-from voodoo_jax.tracker import find_person, track
-from voodoo_jax.tracking import options_from
+from voodoo_jax.tracker import find_person, looked_at, prepare, track
+from voodoo_jax.tracking import options_from, track_visits
 from voodoo_jax.tracks import Status
 
 CAMERA = tof_camera(1.0, 0.07)
@@ -118,6 +119,29 @@ def test_progress_counts_every_frame_once(recording, nobody):
     done.clear()
     track(human(), log, progress=done.append)
     assert sum(done) > len(log) + len(frames)  # and once more backwards where somebody was
+
+
+@pytest.mark.parametrize(("sensors", "parts"), [(1, False), (2, True)])
+def test_what_is_prepared_is_what_is_used(recording, sensors, parts):
+    """Whatever is known of a log before it is read suffices to compile what tracks it."""
+    body, settings = human(), Settings()
+    frames = [
+        replace(
+            f,
+            origins=np.repeat(f.origins[:1], sensors, 0),
+            part=np.full(len(f.points), -1, np.int32) if parts else None,
+            parts=("body",) if parts else (),
+        )
+        for f in recording
+    ]
+    forget()
+    for thread in prepare(body, settings, sensors, False, parts):
+        thread.join()
+    made = [set(p.ready) for p in (track_visits, looked_at)]
+    assert [len(keys) for keys in made] == [1, 1]
+    tracks = track(body, replace(joined(recording, frames), sensors=recording.sensors * sensors), settings)
+    assert tracks.tracked.all() and tracks.compile_seconds < 0.5
+    assert [set(p.ready) for p in (track_visits, looked_at)] == made
 
 
 def test_what_another_thread_compiles_meanwhile_takes_no_time_from_tracking(recording, nobody):

@@ -5,7 +5,7 @@ ellipses' axes. Body frame: the frame in which the rest pose is given, z up, x f
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +14,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.pose import AnyArray, Poses, apply, on_device, on_host, rotate
+
+if TYPE_CHECKING:
+    Leaf = Array
+else:
+    Leaf = AnyArray  # on the host NumPy's, which no program ever sees
 
 
 class Topology(NamedTuple):
@@ -34,17 +39,17 @@ class Topology(NamedTuple):
 class Body(eqx.Module):
     """Sizes, rest pose, joints and named points of an articulated body. Arrays are traced, `topology` is static."""
 
-    sizes: Float[Array, "limb 5"]  # a0, b0 (bottom semi-axes along x, y), a1, b1 (top), length; metres
+    sizes: Float[Leaf, "limb 5"]  # a0, b0 (bottom semi-axes along x, y), a1, b1 (top), length; metres
     rest: Poses  # [limb] T_body_limb in the rest pose
     parent_anchor: Poses  # [joint] T_parent_joint: where the joint's ellipse sits on the parent limb
     child_anchor: Poses  # [joint] T_child_joint
-    axes: Float[Array, "joint 2"]  # semi-axes of the joint's ellipse along the joint frame's x and y, metres
-    weights: Float[Array, " joint"]  # stiffness relative to the measured weight of a limb, times the ratio r
-    centres: Float[Array, "centre 3"]  # joint centres in the frame of their limb, metres
-    sites: Float[Array, "site 3"]  # feature points in the frame of their limb, metres
-    scale: Float[Array, ""]  # the length that all others follow (a person's stature), metres
-    limits: Float[Array, "joint 3 2"]  # least and greatest swing about x and y, and twist; radians, infinite: none
-    present: Bool[Array, " limb"]  # False: the limb is not there at the moment, nothing is matched to it
+    axes: Float[Leaf, "joint 2"]  # semi-axes of the joint's ellipse along the joint frame's x and y, metres
+    weights: Float[Leaf, " joint"]  # stiffness relative to the measured weight of a limb, times the ratio r
+    centres: Float[Leaf, "centre 3"]  # joint centres in the frame of their limb, metres
+    sites: Float[Leaf, "site 3"]  # feature points in the frame of their limb, metres
+    scale: Float[Leaf, ""]  # the length that all others follow (a person's stature), metres
+    limits: Float[Leaf, "joint 3 2"]  # least and greatest swing about x and y, and twist; radians, infinite: none
+    present: Bool[Leaf, " limb"]  # False: the limb is not there at the moment, nothing is matched to it
     topology: Topology = eqx.field(static=True)
     name: str = eqx.field(static=True)
     scale_name: str = eqx.field(static=True)  # what `scale` is called, "stature" for people

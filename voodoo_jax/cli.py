@@ -1,5 +1,7 @@
 """The command `voodoo-jax`. Nothing heavy is imported before a command runs: `--help` answers at once."""
 
+import gc
+import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -136,14 +138,16 @@ def run_replay(command: Replay) -> int:
     if command.online and command.smooth:
         print("voodoo-jax replay: --smooth averages over later frames too; leave it out with --online", file=sys.stderr)
         return 2
+    gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.compile_cache import cache_folder, use_compile_cache
-    from voodoo_jax.io.body_file import BodyFileError, load_body
+    from voodoo_jax.io.body_file import BodyFileError, load_on_host
     from voodoo_jax.replay import replay
 
+    gc.enable()
     if problem := use_compile_cache(cache_folder(command.compile_cache)):
         print(f"voodoo-jax replay: {problem}; it goes on without", file=sys.stderr)
     try:
-        body = load_body(body_name(command))
+        body = load_on_host(body_name(command))
         settings = online(command.settings) if command.online else command.settings
         outcomes = replay(
             command.logs, command.out, body, settings, smooth_seconds=command.smooth, picture=command.picture,
@@ -221,6 +225,8 @@ def main(argv: list[str] | None = None) -> int:
         print(f"voodoo-jax: cannot read the settings file {path}: {problem.strerror}", file=sys.stderr)
         return 2
     if argv[:1] == ["replay"]:
+        # NumPy makes no threads then, and workers can be copies of this process; its matrices are small here
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
         @dataclass(frozen=True)
         class Configured(Replay):

@@ -69,8 +69,29 @@ def use_compile_cache(folder: str) -> str:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
-    atexit.register(_end, folder)
+    atexit.register(leave_compile_cache)
     return ""
+
+
+def leave_compile_cache() -> None:
+    """Hands on what was compiled, and removes this process's own folders."""
+    for folder in list(_own):
+        shared, own = _own.pop(folder)
+        _link_all(own, shared)
+        shutil.rmtree(own, ignore_errors=True)
+
+
+def _forget_parents() -> None:
+    """In a copy of a process: the folders are the original's."""
+    if _own:
+        import jax
+
+        _own.clear()
+        jax.config.update("jax_compilation_cache_dir", None)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_parents)
 
 
 def keep_compiled() -> None:
@@ -157,12 +178,6 @@ def alone(name: str) -> Iterator[None]:
 
 def _entry(folder: Path, name: str) -> Path:
     return folder / f"program-{name}-cache"
-
-
-def _end(folder: str) -> None:
-    shared, own = _own.pop(folder)
-    _link_all(own, shared)
-    shutil.rmtree(own, ignore_errors=True)
 
 
 def _link_all(source: Path, target: Path) -> None:

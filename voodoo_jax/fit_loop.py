@@ -8,6 +8,7 @@ where the loss is the user's own function (fit_body).
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import equinox as eqx
@@ -33,7 +34,7 @@ from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Rest
 from voodoo_jax.icp import IcpOptions
 from voodoo_jax.pose import Poses
-from voodoo_jax.programs import QUICK
+from voodoo_jax.quick import quickly
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
 FEWEST = 6  # frames of a log that must be at rest
@@ -81,8 +82,14 @@ def _normals(body: Body, options: IcpOptions, frames: FitFrames, at: Placed, x, 
 
 
 # two programs: most places are only looked at, and they are compiled at the same time
-compiled_placed: Callable[..., Placed] = eqx.filter_jit(_placed, compiler_options=QUICK)  # pyright: ignore[reportCallIssue]
-compiled_normals: Callable[..., Normals] = eqx.filter_jit(_normals, compiler_options=QUICK)  # pyright: ignore[reportCallIssue]
+@cache
+def compiled_placed() -> Callable[..., Placed]:
+    return quickly(_placed)
+
+
+@cache
+def compiled_normals() -> Callable[..., Normals]:
+    return quickly(_normals)
 
 
 @eqx.filter_jit
@@ -131,7 +138,7 @@ class Search:
         loss = 0.5 * float(np.sum((x / self.sd) ** 2))
         all_found = []
         for part, start in zip(self.parts, starts or tuple(p.frames.poses for p in self.parts)):
-            found = compiled_placed(part.body, self.options, part.frames, start, *self._inputs(x, part))
+            found = compiled_placed()(part.body, self.options, part.frames, start, *self._inputs(x, part))
             good, wanted = np.asarray(found.converged), float(np.asarray(part.frames.weight).sum())
             if good.sum() < FEWEST:
                 raise FitError(
@@ -150,7 +157,7 @@ class Search:
         slope, curve = x / self.sd**2, np.zeros((len(x), len(x)))
         for part, found, good in zip(self.parts, here.found, here.at_rest):
             rows, share = self.rows[part.person], self._share(part, good)
-            sums = compiled_normals(part.body, self.options, part.frames, found, *self._inputs(x, part))
+            sums = compiled_normals()(part.body, self.options, part.frames, found, *self._inputs(x, part))
             slope[rows] += share * np.asarray(sums.slope, np.float64).sum(0)
             curve[np.ix_(rows, rows)] += share * np.asarray(sums.curve, np.float64).sum(0)
             if self.objective == "held":
@@ -174,7 +181,7 @@ class Search:
         at = Placed(rest, none, jnp.zeros(count, bool))
         inputs = self._inputs(np.zeros(len(self.sd)), part)
         with ThreadPoolExecutor(2) as pool:
-            both = (compiled_placed, frames.poses), (compiled_normals, at)
+            both = (compiled_placed(), frames.poses), (compiled_normals(), at)
             lowered = [f.lower(part.body, self.options, frames, start, *inputs) for f, start in both]  # pyright: ignore
             for job in [pool.submit(program.compile) for program in lowered]:
                 job.result()

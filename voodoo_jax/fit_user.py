@@ -11,13 +11,14 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from voodoo_jax.body import Body
-from voodoo_jax.fit_loop import QUICK, FitError, Search
+from voodoo_jax.fit_loop import FitError, Search
 from voodoo_jax.fit_objective import SETTLED, FitFrames, UserLoss
 from voodoo_jax.fit_parameters import changed, changed_options
 from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Solution, solution
 from voodoo_jax.icp import IcpOptions, Problem
 from voodoo_jax.one_by_one import one_by_one
+from voodoo_jax.quick import quick, quickly
 
 
 def solve_frames(body: Body, options: IcpOptions, frames: FitFrames) -> Solution:
@@ -54,13 +55,10 @@ def minimised(
     solver = optx.BFGS(rtol=1e-3, atol=1e-3)
     value, aux = jax.eval_shape(function, z, None)
     state = solver.init(function, z, None, {}, value, aux, frozenset())
-    step = eqx.filter_jit(
-        lambda z, state: solver.step(function, z, None, {}, state, frozenset()),
-        compiler_options=QUICK,  # pyright: ignore[reportCallIssue]
-    )
+    step = quickly(lambda z, state: solver.step(function, z, None, {}, state, frozenset()))
     ended = eqx.filter_jit(lambda z, state: solver.terminate(function, z, None, {}, state, frozenset()))
     if not progress.losses:
-        first = float(jax.jit(function, compiler_options=QUICK)(z, None)[0])
+        first = float(jax.jit(function, compiler_options=quick())(z, None)[0])
         if not np.isfinite(first):
             raise FitError(f"the loss is {first} for the body as it is; it must be a finite number")
         progress = replace(progress, losses=(first,))

@@ -12,6 +12,7 @@ from voodoo_jax.body import Body
 from voodoo_jax.compile_cache import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.io.urls import delivered, fetched, joined
 from voodoo_jax.outcomes import Outcome, outcome_of
+from voodoo_jax.pose import on_device
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracks import Tracks
 
@@ -50,9 +51,10 @@ def output_places(log: str, out: str) -> tuple[str, str, str]:
 def track_log(path: str | os.PathLike[str], body: Body, settings: Settings, progress: Progress | None = None) -> Tracks:
     """Reads a log frame by frame and tracks the body in it. Raises LogError."""
     from voodoo_jax.io.mcap_log import open_log
-    from voodoo_jax.tracker import find_person, track_person
+    from voodoo_jax.tracker import find_person, prepare, track_person
 
     log = open_log(path, settings.read)
+    prepare(body, settings, max(1, len(log.sensors)), bool(log.features), bool(log.parts))
     total, done = max(1, (2 + settings.track.both_ways) * len(log)), 0  # read, track there, and back
 
     def more(count: int) -> None:
@@ -127,7 +129,7 @@ def _done(job: Job, progress: Progress | None) -> Outcome:
             with suppress(OSError), open(log, "rb") as stream:  # before reading: it may be changed meanwhile
                 key = run_key(job.recipe, log_fingerprint(stream))
             try:
-                tracks = track_log(log, job.body, job.settings, progress)
+                tracks = track_log(log, on_device(job.body), job.settings, progress)
             except LogError as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
             tracks = smooth(replace(tracks, source=job.log), job.smooth_seconds)

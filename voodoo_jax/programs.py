@@ -8,31 +8,56 @@ part of the arguments and the shapes of the others. Whatever does not fit is tra
 import hashlib
 import os
 import pickle
+import time
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from functools import cache, update_wrapper
 from importlib.metadata import version
 from pathlib import Path
+from threading import Lock, local
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import equinox as eqx
 import jax
 import jax.core
+import jax.monitoring
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
 from voodoo_jax.compile_cache import alone, jax_cache_aside, keep, kept, spoiled
+from voodoo_jax.quick import OPTIONS, quick
 
 P = ParamSpec("P")
 R = TypeVar("R")
 Run = Callable[[list[Any]], list[Any]]  # leaves that are arrays -> leaves of what the function returns
 Made = tuple[Run, Any]  # an executable, and the structure of what it returns
 LIBRARIES = ("jax", "jaxlib", "equinox", "optimistix")  # whose code is traced too
-# compiled in two thirds of the time, and no slower
-QUICK: dict[str, str | bool] = {"xla_backend_optimization_level": "1"}
 # what else a trace depends on
 CONTEXT = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans",
            "jax_debug_infs", "jax_disable_jit", "jax_default_device", "jax_num_cpu_devices")  # fmt: skip
 _all: list["Program"] = []
+
+
+class _Clock(local):
+    """Of one thread."""
+
+    seconds = 0.0
+    waiting = False  # for a Program: all that is counted already
+
+
+_clock = _Clock()
+
+
+def _count_compiling(event: str, duration_secs: float, **_: str | int) -> None:
+    if event.startswith("/jax/core/compile/") and not _clock.waiting:
+        _clock.seconds += duration_secs
+
+
+jax.monitoring.register_event_duration_secs_listener(_count_compiling)
+
+
+def seconds_of_waiting() -> float:
+    """Seconds for which this thread has waited for programs so far: traced, compiled, loaded, or made by others."""
+    return _clock.seconds
 
 
 @cache
@@ -54,6 +79,7 @@ class Program(Generic[P, R]):
         self.function: Callable[..., Any] = function
         self.jitted = eqx.filter_jit(function)  # for other functions' traces and for odd cases
         self.ready: dict[Hashable, Made] = {}  # of this process
+        self.making = Lock()  # two threads that want the same make it once
         _all.append(self)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -76,9 +102,19 @@ class Program(Generic[P, R]):
             found = self.ready.get(key)
         except TypeError:  # a static argument that cannot be hashed
             return None
-        if found is None:
-            self.ready[key] = found = self._made(key, leaves, tree, arrays)
-        return found
+        return self._awaited(key, leaves, tree, arrays) if found is None else found
+
+    def _awaited(self, key: Hashable, leaves: list[Any], tree: Any, arrays: list[Any]) -> Made:
+        began, _clock.waiting = time.perf_counter(), True
+        try:
+            with self.making:
+                found = self.ready.get(key)
+                if found is None:
+                    self.ready[key] = found = self._made(key, leaves, tree, arrays)
+                return found
+        finally:
+            _clock.waiting = False
+            _clock.seconds += time.perf_counter() - began
 
     def _made(self, key: Hashable, leaves: list[Any], tree: Any, arrays: list[Any]) -> Made:
         text = repr((self.__module__, self.function.__qualname__, code_fingerprint(), key, _surroundings()))
@@ -117,7 +153,7 @@ class Program(Generic[P, R]):
         if (loaded := _loaded(content, arrays, form)) is not None:
             return loaded, form, content
         with jax_cache_aside():
-            compiled = lowered.compile(QUICK if jax.default_backend() == "cpu" else None)
+            compiled = lowered.compile(quick() or None)
         with suppress(Exception):  # not every device can
             keep(content, serialize(compiled)[0])
         return compiled, form, content
@@ -181,4 +217,4 @@ def _surroundings() -> tuple[str, ...]:
     libraries = [f"{name} {version(name)}" for name in LIBRARIES]
     device = jax.devices()[0]
     flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
-    return (*libraries, device.platform, device.device_kind, str(len(jax.devices())), *flags, repr(QUICK))
+    return (*libraries, device.platform, device.device_kind, str(len(jax.devices())), *flags, repr(OPTIONS))

@@ -57,7 +57,7 @@ def replay(
 
     Raises ValueError if two logs would write the same files, or an argument cannot be used.
     """
-    from voodoo_jax.io.body_file import human
+    from voodoo_jax.io.body_file import load_on_host
     from voodoo_jax.io.finished import recipe_key
     from voodoo_jax.io.summary_file import summary_name, write_summary
 
@@ -68,7 +68,7 @@ def replay(
     number, count = parse_shard(shard)
     places = [_absolute(place) for log in logs for place in expanded(log)]
     _check_names(places)
-    out, settings, body = _absolute(out), settings or Settings(), body or human()
+    out, settings, body = _absolute(out), settings or Settings(), body or load_on_host("human")
     if not is_url(out):
         Path(out).mkdir(parents=True, exist_ok=True)
     places = shard_of(places, number, count)
@@ -96,16 +96,17 @@ def replay(
     left = largest_first([log for log in places if log not in done], {log: jobs[log].size for log in places})
     ordered, saved = [jobs[log] for log in left], time.monotonic()
     sizes = [job.size for job in ordered]
+    shares = [0.0] * len(ordered)
+
+    def report(which: int, share: float) -> None:
+        bar.update(round(sizes[which] * share) - round(sizes[which] * shares[which]))
+        shares[which] = share
+
     try:
+        results = _engine(ordered, report, engine, workers)  # before the bar, which has a thread of its own
         with tqdm(total=sum(sizes), unit="B", unit_scale=True, disable=quiet or None, leave=False) as bar:
-            shares = [0.0] * len(ordered)
-
-            def report(which: int, share: float) -> None:
-                bar.update(round(sizes[which] * share) - round(sizes[which] * shares[which]))
-                shares[which] = share
-
             bar.set_description(f"{len(done)}/{len(places)} logs")
-            with closing(_engine(ordered, report, engine, workers)) as results:
+            with closing(results):
                 for which, outcome in results:
                     done[outcome.path] = outcome
                     report(which, 1.0)

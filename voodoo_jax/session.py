@@ -134,6 +134,13 @@ class Session:
 
         return run_trials(body, starts, seen, tracked)
 
+    def prepare(self) -> None:
+        """Makes the program that tracks, or loads it: for frames like those that there are."""
+        chunk, features = self._padded(self.people[: self.length], None)
+        nobody = at_rest(jax.tree.map(lambda x: x[None], on_host(self.body.rest)))
+        measured = chunk.points, chunk.seconds, features
+        track_visits.prepare(*self._asked(self.body, self.options, measured, np.arange(1), nobody))
+
     def _visited(
         self, body: Body, options: TrackOptions, measured: tuple, chosen: Int[np.ndarray, " frame"], states: State
     ) -> tuple[State, Step]:
@@ -141,15 +148,22 @@ class Session:
         (leading axis: track); the states after them, and a Step for each (leading axes: track and frame). On the host.
         """
         count = len(states.seen)
+        after, step = on_host(track_visits(*self._asked(body, options, measured, chosen, states)))
+        used = slice(count * len(chosen))
+        step = jax.tree.map(lambda x: x[used].reshape(count, len(chosen), *x.shape[1:]), step)
+        return jax.tree.map(lambda x: x[:count], after), step
+
+    def _asked(
+        self, body: Body, options: TrackOptions, measured: tuple, chosen: Int[np.ndarray, " frame"], states: State
+    ) -> tuple:
+        """What track_visits takes, always of the same shapes."""
+        count = len(states.seen)
         frame, track = np.zeros(self.length, np.int32), np.full(self.length, NOBODY, np.int32)
         used = slice(count * len(chosen))
         frame[used], track[used] = np.tile(chosen, count), np.repeat(np.arange(count), len(chosen))
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[:1], TRACKS - count, 0)]), on_host(states))
         points, seconds, features = measured
-        found = track_visits(body, options, full, points, seconds, Visits(frame, track), features)
-        after, step = on_host(found)
-        step = jax.tree.map(lambda x: x[used].reshape(count, len(chosen), *x.shape[1:]), step)
-        return jax.tree.map(lambda x: x[:count], after), step
+        return body, options, full, points, seconds, Visits(frame, track), features
 
     def chunk(self, state: State, at: int, most: int) -> tuple[State, Step, int]:
         """Tracks up to one chunk of frames from `at`, at most so many, not past the next change of the body; the number

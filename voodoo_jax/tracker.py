@@ -3,10 +3,9 @@
 import time
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
-from threading import Thread, local
+from threading import Thread
 
 import jax
-import jax.monitoring
 import numpy as np
 from jaxtyping import Array, Float, Float32
 
@@ -30,9 +29,9 @@ from voodoo_jax.passage import Rows
 from voodoo_jax.person import PersonFinder, person_frames
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
-from voodoo_jax.programs import program
+from voodoo_jax.programs import program, seconds_of_waiting
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.scene import Scene, find_scene
+from voodoo_jax.scene import Plane, Scene, find_scene
 from voodoo_jax.session import FEW_POINTS, Session, by_markers
 from voodoo_jax.settings import Settings
 from voodoo_jax.spill import spilled
@@ -69,22 +68,25 @@ def _told(window: list[PersonFrame], scene: Scene, finder: PersonFinder) -> list
     return without_furniture(without_things(window, scene.floor, finder.apart()), scene.floor.normal)
 
 
-class _Compiling(local):
-    """Seconds that jax has spent on tracing and compiling, by thread: what another one compiles meanwhile takes no time
-    from this one."""
-
-    seconds = 0.0
-
-
-_compiling = _Compiling()
-
-
-def _count_compiling(event: str, duration_secs: float, **_: str | int) -> None:
-    if event.startswith("/jax/core/compile/"):
-        _compiling.seconds += duration_secs
-
-
-jax.monitoring.register_event_duration_secs_listener(_count_compiling)
+def prepare(body: Body, settings: Settings, sensors: int, names: bool, parts: bool) -> list[Thread]:
+    """Begins to compile or load, in the threads returned, what recordings of so many sensors are tracked with: while
+    they are read. `names`, `parts`: whether there are named features, and points that are assigned to limbs."""
+    if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        return []  # that may be this thread's alone
+    changes = loaded(settings.changes)
+    body = prepared(body, changes)
+    nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
+    frame = PersonFrame(0, nothing, none, np.zeros((sensors, 3), np.float32), part=none if parts else None)
+    scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
+    options = options_from(settings.solve, settings.track, settings.features)
+    run = Session(body, options, [frame], scene, settings, changes)
+    chunk = _padded(blank(body, [frame]), slice(0), settings.track.chunk)
+    threads = [Thread(target=looked_at.prepare, args=(body, *chunk))]
+    if not names:  # how many a frame has decides about the program
+        threads.insert(0, Thread(target=run.prepare))
+    for thread in threads:
+        thread.start()
+    return threads
 
 
 @program
@@ -109,6 +111,9 @@ def track(
     **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
     """
     settings = settings or Settings()
+    if first := recording.frames[:1]:
+        named = any(len(f.rays.names) + len(f.pairs.names) for f in recording)
+        prepare(body, settings, len(first[0].origins), named, first[0].part is not None)
     scene, people = find_person(recording, recording.up, body, settings)
     return track_person(body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress)
 
@@ -124,7 +129,7 @@ def track_person(
     progress: Progress | None = None,
 ) -> Tracks:
     """Tracks a body through frames in which it was already told apart from its surroundings (see find_person)."""
-    began, compiled = time.perf_counter(), _compiling.seconds
+    began, waited = time.perf_counter(), seconds_of_waiting()
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     exchanges: list[Exchange] = []
@@ -145,10 +150,6 @@ def track_person(
     options = options_from(settings.solve, settings.track, settings.features)
     run = Session(body, options, people, scene, settings, changes)
     out = blank(body, people)
-    # x64 may be this thread's alone
-    if at < count and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        # compiled while the tracker is
-        Thread(target=looked_at.prepare, args=(body, *_padded(out, slice(0), settings.track.chunk))).start()
     follow(run, at, enough, out, progress)
     if settings.track.forearms and settings.track.both_ways and not run.by_markers and not changes:
         run.body = with_forearms(run.body, run.people, run.names, out)
@@ -164,7 +165,7 @@ def track_person(
     if not run.by_markers:
         out["joint_confidence"] = joint_confidence(run.body.topology, out, joints, settings.track.both_ways)
         out["status"] = doubted(out["status"], out["joint_confidence"], settings.track.lost_confidence)
-    compiling = _compiling.seconds - compiled
+    compiling = seconds_of_waiting() - waited
     seconds = time.perf_counter() - began - compiling
     stamps = np.array([f.time_ns for f in people], np.int64)
     return Tracks(

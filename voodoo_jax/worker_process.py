@@ -1,4 +1,4 @@
-"""The other end of workers.py: a process that takes jobs from its standard input and answers on its standard output."""
+"""The other end of workers.py: a process that takes jobs from a pipe and answers on another."""
 
 import gc
 import os
@@ -12,19 +12,21 @@ from typing import Any
 PERIOD = 0.2  # seconds between two words on progress
 
 
-def serve() -> None:
-    """Does jobs until None comes. Ends at once when the other end is gone: nobody would take the answer."""
+def serve(source: int, target: int) -> None:
+    """Does jobs that come from `source` until it is None, and answers on `target`, numbers of open files. Ends at once
+    when the other end is gone: nobody would take the answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C means
-    replies = os.fdopen(os.dup(1), "wb")
+    replies = os.fdopen(target, "wb")
     os.dup2(2, 1)  # what libraries print must not get between the answers
     gc.disable()  # all that is imported stays, and need not be gone through again and again
+    from voodoo_jax.compile_cache import leave_compile_cache
     from voodoo_jax.jobs import do_job  # before the other thread: two threads must not import one package at once
 
     gc.freeze()
     gc.enable()
 
     jobs: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_receive, args=(jobs,), daemon=True).start()
+    threading.Thread(target=_receive, args=(source, jobs), daemon=True).start()
     said = 0.0
 
     def answer(kind: str, value: Any) -> None:
@@ -43,17 +45,18 @@ def serve() -> None:
     answer("ready", None)
     while (job := jobs.get()) is not None:
         answer("outcome", do_job(job, progress))
+    leave_compile_cache()  # copies of a process end without atexit
 
 
-def _receive(jobs: "SimpleQueue[Any]") -> None:
-    # not sys.stdin: Python wants its lock at the end, while this thread still waits
-    source = os.fdopen(os.dup(0), "rb")
+def _receive(source: int, jobs: "SimpleQueue[Any]") -> None:
+    stream = os.fdopen(source, "rb")
     while True:
         try:
-            jobs.put(pickle.load(source))
+            jobs.put(pickle.load(stream))
         except (EOFError, OSError):
             os._exit(1)
 
 
 if __name__ == "__main__":
-    serve()
+    # not sys.stdin and sys.stdout: Python wants their locks at the end, while the other thread still waits
+    serve(os.dup(0), os.dup(1))

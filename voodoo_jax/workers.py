@@ -8,10 +8,10 @@ can wait for each other for ever (seen with jax 0.10.2 on two cores). A worker t
 import os
 import pickle
 import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Generator
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -20,6 +20,7 @@ import jax
 
 from voodoo_jax.jobs import Job, do_job, output_places, remove_partials
 from voodoo_jax.outcomes import Outcome
+from voodoo_jax.worker_start import Process, all_started, started
 
 Report = Callable[[int, float], None]  # number of the job, share that is done
 Results = Generator[tuple[int, Outcome], None, None]  # number of the job and what became of it
@@ -37,11 +38,16 @@ def usable_cores() -> int:
 
 def default_workers(logs: int) -> int:
     """As many workers as there are logs, cores, and memory for; one where jax computes on a GPU."""
-    if jax.default_backend() != "cpu":
+    if _may_have_gpu() and jax.default_backend() != "cpu":
         return 1
     lines = (_text("/proc/meminfo") or "").splitlines()
     free = next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), 1 << 60)
     return max(1, min(logs, usable_cores(), free // WORKER_BYTES))
+
+
+def _may_have_gpu() -> bool:
+    """Whether jax's device is worth asking for: that opens it, and a process with an open one cannot be copied."""
+    return bool(find_spec("jax_plugins") or find_spec("libtpu") or entry_points(group="jax_plugins"))
 
 
 def _text(path: str) -> str:
@@ -60,16 +66,21 @@ def in_process(jobs: list[Job], report: Report) -> Results:
 def in_workers(jobs: list[Job], report: Report, count: int) -> Results:
     """Does the jobs in `count` processes, in their order. Gives number and outcome of each as it is done.
 
-    Ends the processes when the iterator is closed or interrupted.
+    Starts the processes at once: call it before there are other threads, and they start sooner (see worker_start.py).
+    Ends them when the iterator is closed or interrupted.
     """
+    threads_each = max(1, usable_cores() // count)
+    return _from_processes(jobs, report, all_started(count, threads_each), threads_each)
+
+
+def _from_processes(jobs: list[Job], report: Report, processes: list[Process], threads_each: int) -> Results:
     waiting: SimpleQueue[tuple[int, Job] | None] = SimpleQueue()
     events: SimpleQueue[tuple[int, float | Outcome]] = SimpleQueue()
     for item in enumerate(jobs):
         waiting.put(item)
-    for _ in range(count):
+    for _ in processes:
         waiting.put(None)
-    threads_each = max(1, usable_cores() // count)
-    workers = [_Worker(threads_each, waiting, events) for _ in range(count)]
+    workers = [_Worker(process, threads_each, waiting, events) for process in processes]
     try:
         left = len(jobs)
         while left:
@@ -90,22 +101,12 @@ def in_workers(jobs: list[Job], report: Report, count: int) -> Results:
 class _Worker:
     """A thread that keeps one worker process busy, and starts another where it dies."""
 
-    def __init__(self, threads: int, waiting: SimpleQueue, events: SimpleQueue):
-        self.threads, self.waiting, self.events = threads, waiting, events
-        self.stopped = False
+    def __init__(self, process: Process, threads: int, waiting: SimpleQueue, events: SimpleQueue):
+        self.process, self.threads, self.waiting, self.events = process, threads, waiting, events
+        self.stopped = self.ready = False
         self.lock = threading.Lock()  # else a process might be started after it was said to stop
-        self.process = self._start()
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
-
-    def _start(self) -> "subprocess.Popen[bytes]":
-        self.ready, share = False, str(self.threads)
-        names = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-        path = os.pathsep.join(p for p in sys.path if p)  # the same package, however this process came to it
-        env = {**os.environ, **dict.fromkeys(names, share), "PYTHONPATH": path}
-        env.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # on a GPU: each takes what it needs, not most of it
-        command = [sys.executable, "-P", "-m", "voodoo_jax.worker_process"]
-        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
 
     def _run(self) -> None:
         while not self.stopped and (item := self.waiting.get()) is not None:
@@ -115,7 +116,7 @@ class _Worker:
                     break
                 if self.process.poll() is not None:
                     self._close()
-                    self.process = self._start()
+                    self.process, self.ready = started(self.threads), False
             outcome = self._ask(number, job)
             if not self.stopped:
                 self.events.put((number, outcome))
@@ -166,7 +167,7 @@ def _pipe(pipe: Any) -> Any:
     return pipe
 
 
-def _send(process: "subprocess.Popen[bytes]", what: Job | None) -> None:
+def _send(process: Process, what: Job | None) -> None:
     pipe = _pipe(process.stdin)
     pipe.write(pickle.dumps(what))
     pipe.flush()

@@ -8,14 +8,14 @@ import json
 import os
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
-import jax
 import numpy as np
 
 from voodoo_jax.body import Body, Topology
 from voodoo_jax.io.atomic import replacing
 from voodoo_jax.io.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
-from voodoo_jax.pose import Poses
+from voodoo_jax.pose import Poses, on_device
 
 HEADER = """\
 # A body: degenerated cylinders (limbs) held together by elastic bands (joints).
@@ -53,13 +53,18 @@ class BodyFileError(TomlFileError):
 
 def load_body(name_or_path: str | os.PathLike) -> Body:
     """A built-in body ("human", "human10", "arm", "dog") or the body in a file. Raises BodyFileError."""
+    return on_device(load_on_host(name_or_path))
+
+
+def load_on_host(name_or_path: str | os.PathLike) -> Body:
+    """As load_body, of NumPy arrays: jax's device is left alone."""
     text = str(name_or_path)
     if text in BUILT_IN:
         resource = resources.files("voodoo_jax.bodies") / f"{text}.toml"
-        return parse_body(resource.read_text(encoding="utf-8"), f"{text}.toml")
+        return _parsed(resource.read_text(encoding="utf-8"), f"{text}.toml")
     if not Path(text).exists() and Path(text).suffix == "" and Path(text).name == text:
         raise BodyFileError(text, None, f"no such file, and no built-in body of that name{nearest(text, BUILT_IN)}")
-    return read_body(name_or_path)
+    return _read(name_or_path)
 
 
 def human() -> Body:
@@ -69,13 +74,17 @@ def human() -> Body:
 
 def read_body(path: str | os.PathLike) -> Body:
     """Reads a body file; lengths in metres, float32. Raises BodyFileError if it cannot be read or is no body."""
+    return on_device(_read(path))
+
+
+def _read(path: str | os.PathLike) -> Body:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
         raise BodyFileError(str(path), None, error.strerror or str(error)) from error
     except UnicodeDecodeError as error:
         raise BodyFileError(str(path), None, f"not UTF-8 text: {error.reason} at byte {error.start}") from error
-    return parse_body(text, str(path))
+    return _parsed(text, str(path))
 
 
 def write_body(body: Body, path: str | os.PathLike) -> None:
@@ -89,6 +98,10 @@ def write_body(body: Body, path: str | os.PathLike) -> None:
 
 def parse_body(text: str, source: str = "<text>") -> Body:
     """Body from the text of a body file; `source` names it in errors. Raises BodyFileError."""
+    return on_device(_parsed(text, source))
+
+
+def _parsed(text: str, source: str) -> Body:
     file = TomlFile(text, source, KEYS, BodyFileError)
     root = file.root()
     scale = root.number("scale", above=0)
@@ -136,19 +149,22 @@ def parse_body(text: str, source: str = "<text>") -> Body:
         sites=sites, site_limbs=site_limbs,
         segments=tuple((t.name, known[i], known[j]) for t, (i, j) in zip(tables["segment"], ends)),
     )  # fmt: skip
-    array = lambda x, *shape: jax.device_put(np.array(x, np.float32).reshape(shape))  # noqa: E731
+
+    def array(x, *shape, dtype: type = np.float32) -> Any:  # pyright expects jax's
+        return np.array(x, dtype).reshape(shape)
+
     return Body(
         sizes=array(np.array(sizes) * scale, -1, 5),
-        rest=_to_jax(rest),
-        parent_anchor=_to_jax(_relative(rest, parents, _poses(frames, at, scale))),
-        child_anchor=_to_jax(_relative(rest, children, _poses(child_frames, child_at, scale))),
+        rest=_to_poses(rest),
+        parent_anchor=_to_poses(_relative(rest, parents, _poses(frames, at, scale))),
+        child_anchor=_to_poses(_relative(rest, children, _poses(child_frames, child_at, scale))),
         axes=array(np.array([t.numbers("axes", 2, above=-1e-300) for t in tables["joint"]]) * scale, -1, 2),
         weights=array([t.number("weight", above=0, default=1.0) for t in tables["joint"]], -1),
         centres=array(centre_points, -1, 3),
         sites=array(site_points, -1, 3),
         scale=array(scale),
         limits=array([_limits(t) for t in tables["joint"]], -1, 3, 2),
-        present=jax.device_put(np.ones(len(limbs), bool)),
+        present=array([True] * len(limbs), -1, dtype=bool),
         topology=topology,
         name=root.name,
         scale_name=root.string("scale_name", "scale"),
@@ -159,7 +175,7 @@ def format_body(body: Body) -> str:
     """Text of the body file of a body (see write_body)."""
     scale = float(body.scale)
     sizes, axes, weights = (np.asarray(x, np.float64) for x in (body.sizes, body.axes, body.weights))
-    rest = _from_jax(body.rest)
+    rest = _from_poses(body.rest)
     lines = [HEADER, f"name = {_string(body.name)}", f"scale = {_number(scale)}"]
     lines += [f"scale_name = {_string(body.scale_name)}"]
     t = body.topology
@@ -168,7 +184,7 @@ def format_body(body: Body) -> str:
         lines += ["", "[[limb]]", f"name = {_string(name)}", f"bottom = {_list(bottom)}"]
         lines += [f"top = {_list(bottom + rotation[:, 2] * sizes[i, 4] / scale)}", f"x_axis = {_list(rotation[:, 0])}"]
         lines += [f"bottom_axes = {_list(sizes[i, :2] / scale)}", f"top_axes = {_list(sizes[i, 2:4] / scale)}"]
-    anchors = [(t.parents, _from_jax(body.parent_anchor)), (t.children, _from_jax(body.child_anchor))]
+    anchors = [(t.parents, _from_poses(body.parent_anchor)), (t.children, _from_poses(body.child_anchor))]
     for j, name in enumerate(t.joints):
         lines += ["", "[[joint]]", f"name = {_string(name)}", f"parent = {_string(t.limbs[t.parents[j]])}"]
         lines += [f"child = {_string(t.limbs[t.children[j]])}"]
@@ -240,12 +256,12 @@ def _relative(rest: _Frames, owner: tuple[int, ...], frames: _Frames) -> _Frames
     return turned, np.einsum("nji,nj->ni", rotation, frames[1] - translation)
 
 
-def _to_jax(frames: _Frames) -> Poses:
+def _to_poses(frames: _Frames) -> Poses:
     rotations = np.array([_quaternion(m) for m in frames[0]]).reshape(-1, 4)
-    return Poses(*jax.device_put((rotations.astype(np.float32), frames[1].astype(np.float32))))
+    return Poses(rotations.astype(np.float32), frames[1].astype(np.float32))
 
 
-def _from_jax(poses: Poses) -> _Frames:
+def _from_poses(poses: Poses) -> _Frames:
     q = np.asarray(poses.rotation, np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, v = q[:, 0], q[:, 1:]

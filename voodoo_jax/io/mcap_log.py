@@ -70,7 +70,7 @@ class LogReader:
     def __init__(self, scan: Scan, plan: Plan, settings: ReadSettings):
         self._scan, self._settings = scan, settings
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
-        self.features = plan.features
+        self.features, self.parts = plan.features, plan.parts.names
         self._whole, self._stamps, self._plan = plan, plan.stamps, plan.frames
         self._plan_parts = plan.parts
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]

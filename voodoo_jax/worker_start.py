@@ -1,0 +1,96 @@
+"""How worker processes come to be: as copies of this process where that is safe, else as Python started anew.
+
+A copy has all imports already: a second of a processor less for each worker. It is safe while this process has one
+thread, so before jax has opened a device and before OpenBLAS has made threads (see cli.main).
+"""
+
+import gc
+import multiprocessing
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+# what one log needs, beside what jobs.py imports at once
+IMPORTS = ("tracker", "smoothing", "io.mcap_log", "io.mcap_tracks", "io.tracks_file")
+ENVIRONMENT = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+
+
+class Copy:
+    """A copy of this process that runs worker_process.py, by subprocess.Popen's names. `others` were made before it."""
+
+    def __init__(self, threads: int, others: Sequence["Process"]):
+        source, stdin = os.pipe()
+        stdout, replies = os.pipe()
+        self.stdin, self.stdout = os.fdopen(stdin, "wb"), os.fdopen(stdout, "rb")
+        # an end that a sibling keeps open hides that this process is gone
+        theirs = [pipe.fileno() for each in (self, *others) for pipe in (each.stdin, each.stdout) if pipe]
+        arguments = (source, replies, theirs, environment(threads))
+        self.process = multiprocessing.get_context("fork").Process(target=_serve, args=arguments, daemon=True)
+        self.process.start()
+        os.close(source)
+        os.close(replies)
+
+    def poll(self) -> int | None:
+        return self.process.exitcode
+
+    def wait(self) -> int:
+        self.process.join()
+        return self.process.exitcode or 0
+
+    def kill(self) -> None:
+        self.process.kill()
+
+
+Process = subprocess.Popen[bytes] | Copy
+
+
+def environment(threads: int) -> dict[str, str]:
+    """What a worker's environment has beside this one's, so that it takes so many threads."""
+    out = dict.fromkeys(ENVIRONMENT, str(threads))
+    # on a GPU: each takes what it needs, not most of it
+    return out | {"XLA_PYTHON_CLIENT_PREALLOCATE": os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")}
+
+
+def can_copy() -> bool:
+    """Whether this process may be copied: on Linux, with a single thread, of whatever library."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        return len(os.listdir("/proc/self/task")) == 1
+    except OSError:
+        return False
+
+
+def started(threads: int) -> Process:
+    """A process that runs worker_process.py, Python started anew."""
+    path = os.pathsep.join(p for p in sys.path if p)  # the same package, however this process came to it
+    env = {**os.environ, **environment(threads), "PYTHONPATH": path}
+    command = [sys.executable, "-P", "-m", "voodoo_jax.worker_process"]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
+
+
+def all_started(count: int, threads: int) -> list[Process]:
+    """So many processes that run worker_process.py: copies of this one, or Python started anew."""
+    if not can_copy():
+        return [started(threads) for _ in range(count)]
+    collecting = gc.isenabled()
+    gc.disable()  # all that is imported stays
+    for name in IMPORTS:
+        import_module(f"voodoo_jax.{name}")
+    if collecting:
+        gc.enable()
+    copies: list[Process] = []
+    for _ in range(count):
+        copies.append(Copy(threads, copies))
+    return copies
+
+
+def _serve(source: int, replies: int, theirs: list[int], env: dict[str, str]) -> None:
+    from voodoo_jax.worker_process import serve
+
+    for end in theirs:
+        os.close(end)
+    os.environ.update(env)
+    serve(source, replies)
