@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -175,15 +176,19 @@ def start(logs: list[Path], out: Path, *words: str) -> "subprocess.Popen[str]":
     # what a shell starts in the background ignores Ctrl-C, and so would all that it starts
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        env = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
     finally:
         signal.signal(signal.SIGINT, before)
 
 
 def children(pid: int) -> list[int]:
-    """Processes that a process has started."""
-    found = Path(f"/proc/{pid}/task/{pid}/children")
-    return [int(word) for word in found.read_text().split()]
+    """Processes that a process has started, from whichever of its threads."""
+    out = []
+    for found in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):  # a thread that has ended
+            out += [int(word) for word in found.read_text().split()]
+    return out
 
 
 def command_of(pid: int) -> str:
@@ -239,17 +244,26 @@ def test_a_run_that_ends_in_the_middle_is_resumed(how, some_logs, reference, tmp
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to see the workers")
 def test_workers_of_the_command_are_copies_of_it_and_are_replaced_where_they_die(some_logs, reference, tmp_path):
-    """The one that is killed before it has done anything takes one log with it; the others are done as ever."""
-    running = start(some_logs, tmp_path, "--workers", "2")
+    """Each worker that is killed takes one log with it."""
+    out, endless = tmp_path / "out", [tmp_path / f"endless{k}.mcap" for k in range(3)]
+    for log in endless:
+        os.mkfifo(log)
+    running = start([*some_logs, *endless], out, "--workers", "2")
     wait_for(lambda: len(children(running.pid)) == 2 or running.poll() is not None)
-    victim, other = children(running.pid)
-    assert command_of(victim) == command_of(other) == command_of(running.pid)
-    os.kill(victim, signal.SIGKILL)
+    assert {command_of(pid) for pid in children(running.pid)} == {command_of(running.pid)}
+    assert running.stdout is not None
+    done = [next(line for line in running.stdout if ".mcap: " in line) for _ in some_logs]
+    seen = set()
+    while running.poll() is None:
+        for pid in children(running.pid):
+            with suppress(OSError):  # it has ended by itself
+                seen.add(command_of(pid))
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(0.2)
     printed, errors = running.communicate(timeout=100)
-    assert running.returncode == 1 and "SIGKILL" in printed + errors and "3 of 4 logs tracked" in printed, errors
-    found = arrays_of(tmp_path)
-    assert len(found) == 3
-    assert_same(found, {name: arrays for name, arrays in arrays_of(reference).items() if name in found})
+    assert running.returncode == 1 and "4 of 7 logs tracked" in printed, errors
+    assert len(done) == 4 and printed.count("SIGKILL") == 3 and any("worker_process" in command for command in seen)
+    assert_same(arrays_of(out), arrays_of(reference))
 
 
 class Poison(Job):
