@@ -17,7 +17,6 @@ from voodoo_jax.icp import IcpOptions, Problem, icp_step
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.pose import Poses, matrix
-from voodoo_jax.quick import quick
 from voodoo_jax.settings import SolveSettings, TrackSettings
 from voodoo_jax.tracking import options_from
 
@@ -83,7 +82,7 @@ def build(
         program = jax.jit(jax.vmap(one, (None, None, None, 0, 0)))
     else:
         program = jax.jit(one)
-    program = program.lower(body, links, icp, start, frames).compile(quick())
+    program = program.lower(body, links, icp, start, frames).compile()
 
     def run() -> Pose:
         poses = jax.block_until_ready(program(body, links, icp, start, frames))
