@@ -7,7 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, smal
 from voodoo_jax.cli import main
 from voodoo_jax.jobs import Job
 from voodoo_jax.replay import Outcome, replay
+from voodoo_jax.worker_start import can_copy
 from voodoo_jax.workers import default_workers, in_workers, usable_cores
 
 FRAMES = {"a": 12, "b": 5, "c": 33, "d": 20}
@@ -182,6 +184,16 @@ def start(logs: list[Path], out: Path, *words: str) -> "subprocess.Popen[str]":
         signal.signal(signal.SIGINT, before)
 
 
+@contextmanager
+def ended(running: "subprocess.Popen[str]") -> Iterator["subprocess.Popen[str]"]:
+    """The process, which does not outlive a test that fails."""
+    with running:
+        try:
+            yield running
+        finally:
+            running.kill()
+
+
 def children(pid: int) -> list[int]:
     """Processes that a process has started, from whichever of its threads."""
     out = []
@@ -248,22 +260,40 @@ def test_workers_of_the_command_are_copies_of_it_and_are_replaced_where_they_die
     out, endless = tmp_path / "out", [tmp_path / f"endless{k}.mcap" for k in range(3)]
     for log in endless:
         os.mkfifo(log)
-    running = start([*some_logs, *endless], out, "--workers", "2")
-    wait_for(lambda: len(children(running.pid)) == 2 or running.poll() is not None)
-    assert {command_of(pid) for pid in children(running.pid)} == {command_of(running.pid)}
-    assert running.stdout is not None
-    done = [next(line for line in running.stdout if ".mcap: " in line) for _ in some_logs]
-    seen = set()
-    while running.poll() is None:
-        for pid in children(running.pid):
-            with suppress(OSError):  # it has ended by itself
-                seen.add(command_of(pid))
-                os.kill(pid, signal.SIGKILL)
-        time.sleep(0.2)
-    printed, errors = running.communicate(timeout=100)
+    with ended(start([*some_logs, *endless], out, "--workers", "2")) as running:
+        wait_for(lambda: len(children(running.pid)) == 2 or running.poll() is not None)
+        assert {command_of(pid) for pid in children(running.pid)} == {command_of(running.pid)}
+        assert running.stdout is not None
+        done = [next(line for line in running.stdout if ".mcap: " in line) for _ in some_logs]
+        seen = set()
+        while running.poll() is None:
+            for pid in children(running.pid):
+                with suppress(OSError):  # it has ended by itself
+                    seen.add(command_of(pid))
+                    os.kill(pid, signal.SIGKILL)
+            time.sleep(0.2)
+        printed, errors = running.communicate(timeout=100)
     assert running.returncode == 1 and "4 of 7 logs tracked" in printed, errors
     assert len(done) == 4 and printed.count("SIGKILL") == 3 and any("worker_process" in command for command in seen)
     assert_same(arrays_of(out), arrays_of(reference))
+
+
+def test_a_process_is_copied_only_while_it_has_one_thread():
+    code = """
+import threading
+from voodoo_jax.worker_start import can_copy
+for _ in range(200):  # a thread that has ended is none, however lately
+    thread = threading.Thread(target=int)
+    thread.start()
+    thread.join()
+    assert can_copy()
+threading.Thread(target=threading.Event().wait, daemon=True).start()
+assert not can_copy()
+"""
+    if sys.platform.startswith("linux"):
+        subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+    else:
+        assert not can_copy()
 
 
 class Poison(Job):

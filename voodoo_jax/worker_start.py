@@ -9,12 +9,15 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from importlib import import_module
 
 # what one log needs, beside what jobs.py imports at once
 IMPORTS = ("tracker", "smoothing", "io.mcap_log", "io.mcap_tracks", "io.tracks_file")
 ENVIRONMENT = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+PATIENCE = 50  # milliseconds
 
 
 class Copy:
@@ -57,10 +60,16 @@ def can_copy() -> bool:
     """Whether this process may be copied: on Linux, with a single thread, of whatever library."""
     if not sys.platform.startswith("linux"):
         return False
-    try:
-        return len(os.listdir("/proc/self/task")) == 1
-    except OSError:
-        return False
+    for _ in range(PATIENCE):
+        try:
+            if len(os.listdir("/proc/self/task")) == 1:
+                return True
+        except OSError:
+            return False
+        if threading.active_count() > 1:
+            return False
+        time.sleep(0.001)  # for Python a thread has ended a moment before it has for the system
+    return False
 
 
 def started(threads: int) -> Process:
