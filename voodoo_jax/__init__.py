@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from voodoo_jax.settings import online as online
     from voodoo_jax.settings import preset as preset
     from voodoo_jax.smoothing import smooth as smooth
+    from voodoo_jax.together import track_many as track_many
     from voodoo_jax.tracker import track as track
     from voodoo_jax.tracks import Tracks as Tracks
 
@@ -69,6 +70,7 @@ _PUBLIC = {
     "solve_frames": ("fit_user", "solve_frames"),
     "survey": ("io.mcap_log", "survey"),
     "track": ("tracker", "track"),
+    "track_many": ("together", "track_many"),
     "write_body": ("io.body_file", "write_body"),
     "write_tracks": ("io.tracks_file", "write_tracks_npz"),
 }

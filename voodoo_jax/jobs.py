@@ -7,6 +7,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
+from typing import Any
 
 from voodoo_jax.body import Body
 from voodoo_jax.compile_cache import keep_compiled, process_runs, use_compile_cache
@@ -17,6 +18,7 @@ from voodoo_jax.settings import Settings
 from voodoo_jax.tracks import Tracks
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
+Visit = Callable[..., Any]  # see session.Visit
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +50,20 @@ def output_places(log: str, out: str) -> tuple[str, str, str]:
     return joined(out, npz.name), joined(out, mcap.name), joined(out, npz.name.removesuffix(".tracks.npz") + ".png")
 
 
-def track_log(path: str | os.PathLike[str], body: Body, settings: Settings, progress: Progress | None = None) -> Tracks:
-    """Reads a log frame by frame and tracks the body in it. Raises LogError."""
+def track_log(
+    path: str | os.PathLike[str],
+    body: Body,
+    settings: Settings,
+    progress: Progress | None = None,
+    visit: Visit | None = None,
+) -> Tracks:
+    """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError."""
     from voodoo_jax.io.mcap_log import open_log
     from voodoo_jax.tracker import find_person, prepare, track_person
 
     log = open_log(path, settings.read)
-    prepare(body, settings, max(1, len(log.sensors)), bool(log.features), bool(log.parts))
+    if visit is None:
+        prepare(body, settings, max(1, len(log.sensors)), bool(log.features), bool(log.parts))
     total, done = max(1, (2 + settings.track.both_ways) * len(log)), 0  # read, track there, and back
 
     def more(count: int) -> None:
@@ -69,7 +78,7 @@ def track_log(path: str | os.PathLike[str], body: Body, settings: Settings, prog
             yield frame
 
     scene, people = find_person(counted(), log.up, body, settings)
-    return track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more)
+    return track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more, visit)
 
 
 def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
@@ -85,14 +94,15 @@ def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: 
     picture(tracks, Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames), target, count)
 
 
-def do_job(job: Job, progress: Progress | None = None) -> Outcome:
-    """Tracks one log and writes its results. Whatever goes wrong with it is told in the outcome."""
+def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = None) -> Outcome:
+    """Tracks one log and writes its results; `visit` runs the program, None: here and now. Whatever goes wrong with it
+    is told in the outcome."""
     from voodoo_jax.io.container import LogError
 
     began = time.perf_counter()
     use_compile_cache(job.compile_cache)
     try:
-        outcome = _done(job, progress)
+        outcome = _done(job, progress, visit)
     except LogError as problem:
         outcome = Outcome(job.log, error=str(problem))
     except MemoryError:
@@ -105,7 +115,7 @@ def do_job(job: Job, progress: Progress | None = None) -> Outcome:
     return replace(outcome, total_seconds=time.perf_counter() - began)
 
 
-def _done(job: Job, progress: Progress | None) -> Outcome:
+def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
     from voodoo_jax.io.container import LogError
     from voodoo_jax.io.finished import log_fingerprint, run_key
     from voodoo_jax.io.mcap_tracks import write_tracks_mcap
@@ -129,7 +139,7 @@ def _done(job: Job, progress: Progress | None) -> Outcome:
             with suppress(OSError), open(log, "rb") as stream:  # before reading: it may be changed meanwhile
                 key = run_key(job.recipe, log_fingerprint(stream))
             try:
-                tracks = track_log(log, on_device(job.body), job.settings, progress)
+                tracks = track_log(log, on_device(job.body), job.settings, progress, visit)
             except LogError as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
             tracks = smooth(replace(tracks, source=job.log), job.smooth_seconds)

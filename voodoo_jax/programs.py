@@ -178,9 +178,9 @@ def _loaded(content: str, arrays: list[Any], form: Any) -> Run | None:
         return None
     try:
         _find_lapack()
-        return deserialize_and_load(
-            data, jax.tree.structure(((arrays,), {})), jax.tree.structure([0] * form.num_leaves)
-        )
+        given, returned = jax.tree.structure(((arrays,), {})), jax.tree.structure([0] * form.num_leaves)
+        # of several devices a program is for the first one, see _odd
+        return deserialize_and_load(data, given, returned, execution_devices=jax.devices()[:1])
     except Exception:
         spoiled(content)
         return None

@@ -38,7 +38,7 @@ def replay(
     picture: bool = False,
     again: bool = False,
     workers: int = 1,
-    engine: Literal["local", "ray"] = "local",
+    engine: Literal["local", "batch", "ray"] = "local",
     shard: str = "",
     compile_cache: str = "off",
 ) -> list[Outcome]:
@@ -50,8 +50,9 @@ def replay(
 
     **Arguments:** `logs` and `out` paths, or URLs (see io/urls.py); `smooth_seconds` see smoothing.smooth; `picture`
     draws `<stem>.png` too; `again` does finished logs anew; `workers` processes, 1: in this one, 0: as many as are good
-    for this machine; `engine` "ray": on a Ray cluster instead; `shard` "2/8": the second of eight parts of the logs
-    only; `compile_cache` folder for compiled programs, "": the user's.
+    for this machine; `engine` "batch": in this one, several logs as one batch on all of JAX's devices; "ray": on a Ray
+    cluster; `shard` "2/8": the second of eight parts of the logs only; `compile_cache` folder for compiled programs,
+    "": the user's.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
@@ -120,12 +121,16 @@ def replay(
     return [done[log] for log in places]
 
 
-def _engine(jobs: list[Job], report: Report, engine: Literal["local", "ray"], workers: int) -> Results:
+def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "ray"], workers: int) -> Results:
     """Number and outcome of each job as it is done."""
     if engine == "ray":
         from voodoo_jax.ray_engine import on_ray
 
         return on_ray(jobs, report)
+    if engine == "batch":
+        from voodoo_jax.batch_engine import in_batch
+
+        return in_batch(jobs, report)
     count = min(workers or default_workers(len(jobs)), len(jobs))
     # what is in this process's memory no other can read
     within = any(place.startswith("memory://") for job in jobs for place in (job.log, job.out))

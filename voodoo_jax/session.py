@@ -1,7 +1,7 @@
 """One recording on its way through the compiled programs: trials, chunks of frames, changes of the body. Host side."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -25,6 +25,7 @@ from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, at_re
 from voodoo_jax.tracks import Status
 
 FEW_POINTS = 20  # fewer on the body: nothing to track by
+Visit = Callable[..., tuple[State, Step]]  # as track_visits
 TRACKS = 16  # starts that are tried at once: all headings, and the poses that were lost
 
 
@@ -39,7 +40,8 @@ def first_run(mask: Bool[np.ndarray, " frame"], length: int) -> int:
 class Session:
     """Tracks one recording's person frames: start, chunks of frames, changes of the body on the way.
 
-    `changes` are those of the settings, loaded, and `body` is prepared for them (see changes.prepared).
+    `changes` are those of the settings, loaded, and `body` is prepared for them (see changes.prepared); `visit`
+    runs the program, None: here and now.
     """
 
     def __init__(
@@ -50,8 +52,10 @@ class Session:
         scene: Scene,
         settings: Settings,
         changes: Sequence[Change] = (),
+        visit: Visit | None = None,
     ):
         self.body, self.options, self.people, self.scene, self.settings = body, options, people, scene, settings
+        self.visit = visit or track_visits
         self.sensors = len(people[0].origins) if people else 1
         self.capacity = bucket(settings.person.points)
         self.length = max(settings.track.chunk, settings.start.frames)  # frames that the program takes at once
@@ -148,7 +152,7 @@ class Session:
         (leading axis: track); the states after them, and a Step for each (leading axes: track and frame). On the host.
         """
         count = len(states.seen)
-        after, step = on_host(track_visits(*self._asked(body, options, measured, chosen, states)))
+        after, step = on_host(self.visit(*self._asked(body, options, measured, chosen, states)))
         used = slice(count * len(chosen))
         step = jax.tree.map(lambda x: x[used].reshape(count, len(chosen), *x.shape[1:]), step)
         return jax.tree.map(lambda x: x[:count], after), step

@@ -32,7 +32,7 @@ from voodoo_jax.pose import Poses
 from voodoo_jax.programs import program, seconds_of_waiting
 from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.scene import Plane, Scene, find_scene
-from voodoo_jax.session import FEW_POINTS, Session, by_markers
+from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers
 from voodoo_jax.settings import Settings
 from voodoo_jax.spill import spilled
 from voodoo_jax.start import rest_height
@@ -127,8 +127,10 @@ def track_person(
     fixed_frame: str,
     notes: tuple[str, ...] = (),
     progress: Progress | None = None,
+    visit: Visit | None = None,
 ) -> Tracks:
-    """Tracks a body through frames in which it was already told apart from its surroundings (see find_person)."""
+    """Tracks a body through frames in which it was already told apart from its surroundings (see find_person);
+    `visit` see Session."""
     began, waited = time.perf_counter(), seconds_of_waiting()
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
@@ -148,7 +150,7 @@ def track_person(
     changes = loaded(settings.changes)
     body = prepared(body, changes)
     options = options_from(settings.solve, settings.track, settings.features)
-    run = Session(body, options, people, scene, settings, changes)
+    run = Session(body, options, people, scene, settings, changes, visit)
     out = blank(body, people)
     follow(run, at, enough, out, progress)
     if settings.track.forearms and settings.track.both_ways and not run.by_markers and not changes:

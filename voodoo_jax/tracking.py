@@ -255,11 +255,16 @@ def track_visits(
         return states, out
 
     states, (steps, normals) = jax.lax.scan(one, states, visits)
+    return states, steps._replace(covariance=covariances_of(body, options, normals))
+
+
+def covariances_of(
+    body: Body, options: TrackOptions, normals: Float[Array, "visit limb6 limb6"]
+) -> Float[Array, "visit limb 6 6"]:
+    """Covariance of each limb's twist from the normal matrices of many visits, see kernels.coupled."""
     if options.icp.plausible.collisions is None:
-        covariance = jax.vmap(lambda full: tree_covariance(body.topology, full))(normals)
-    else:  # any limb may push any other one
-        covariance = jax.lax.map(twist_covariance, normals)
-    return states, steps._replace(covariance=covariance)
+        return jax.vmap(lambda full: tree_covariance(body.topology, full))(normals)
+    return jax.lax.map(twist_covariance, normals)  # any limb may push any other one
 
 
 def track_chunk(

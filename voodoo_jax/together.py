@@ -1,0 +1,77 @@
+"""Many recordings in memory, or one with many settings or bodies, tracked as one batch on all devices. Host side."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+from tqdm.auto import tqdm
+
+from voodoo_jax.body import Body
+from voodoo_jax.lanes import usual_lanes, visit_lanes
+from voodoo_jax.recording import Recording
+from voodoo_jax.settings import Settings
+from voodoo_jax.tracker import find_person, track_person
+from voodoo_jax.tracks import Tracks
+from voodoo_jax.turns import Ask, in_turns
+
+
+def track_many(
+    bodies: Body | Sequence[Body],
+    recordings: Recording | Sequence[Recording],
+    settings: Settings | Sequence[Settings] | None = None,
+    *,
+    lanes: int = 0,
+    quiet: bool = False,
+) -> list[Tracks]:
+    """Tracks many recordings as one batch, or one recording with many bodies or settings: what is given once goes with
+    each of the others.
+
+    Each goes its own way through starts and passes; where all of them have frames to be tracked, that is one run of one
+    program. All of JAX's devices are used: several GPUs, or a processor's cores after
+    `jax.config.update("jax_num_cpu_devices", n)`. Logs in files are done sooner by `replay_logs` with its workers on a
+    processor, for those read them on all cores, too.
+
+    **Arguments:** `lanes` how many are tracked at once; 0: one on each device, 32 if it is a GPU.
+
+    **Returns:** for each what `track` returns, up to rounding; for so many lanes the same to the last bit whatever
+    others are beside it.
+
+    Raises ValueError if sequences differ in length, and whatever `track` raises, with a note where.
+    """
+    given = [tuple(x) if isinstance(x, Sequence) else (x,) for x in (bodies, recordings, settings or Settings())]
+    if min(map(len, given)) == 0:
+        return []
+    count = max(map(len, given))
+    if any(len(some) not in (1, count) for some in given):
+        lengths = ", ".join(f"{len(some)} {name}" for some, name in zip(given, ("bodies", "recordings", "settings")))
+        raise ValueError(f"{lengths}: give one of each, or as many as of the others")
+    if lanes < 0:
+        raise ValueError(f"lanes = {lanes}: must be 1 or more, or 0 for as many as are good for the devices")
+    cases = list(zip(*(some * (count // len(some)) for some in given)))
+    devices = len(jax.devices())
+    lanes = devices * -(-min(lanes or usual_lanes(), count) // devices)
+    people: dict[tuple, Any] = {}  # found once for all settings that change nothing about it
+
+    def task(number: int) -> Callable[[Ask], Tracks]:
+        body, recording, own = cases[number]
+
+        def tracked(ask: Ask) -> Tracks:
+            try:
+                key = id(recording), id(body), own.person, own.start.scale
+                if key not in people:
+                    people[key] = find_person(recording, recording.up, body, own)
+                scene, seen = people[key]
+                r = recording
+                return track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=ask)
+            except Exception as problem:
+                problem.add_note(f"Number {number} of {count} (from 0): '{recording.path}'")
+                raise
+
+        return tracked
+
+    out: dict[int, Tracks] = {}
+    with tqdm(total=count, unit="recording", disable=quiet or None, leave=False) as bar:
+        for number, tracks in in_turns([task(k) for k in range(count)], lanes, lambda asked: visit_lanes(asked, lanes)):
+            out[number] = tracks
+            bar.update()
+    return [out[number] for number in range(count)]
