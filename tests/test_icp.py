@@ -21,7 +21,7 @@ from helpers import (
     two_limbs,
 )
 
-from voodoo_jax.icp import Problem, adjacency, frame_normals, pulls_at, solve_and_measure, solve_frame
+from voodoo_jax.icp import Problem, adjacency, frame_normals, icp_step, pulls_at, solve_and_measure, solve_frame
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.correspond import Points, match
 from voodoo_jax.pose import Poses, apply
@@ -201,3 +201,15 @@ def test_gradients(x64, solver):
         numeric = central_difference(lambda p: plain(p)[0], parts, along, 1e-6)
         assert abs(numeric) > 1e-6
         np.testing.assert_allclose(dot(by_part, direction), numeric, rtol=1e-4, atol=1e-8)
+
+
+def test_a_body_that_is_a_constant_of_the_program_does_not_slow_it():
+    """Branches around what is to be computed once stay, or each sum repeats the whole match: four times the time."""
+    body, xyz, start = scene("human10", 200)
+    given = body, points_of(body, xyz), start, icp_options()
+
+    def branches(*constant) -> int:
+        program = jax.jit(lambda *rest: icp_step(start, Problem.build(*constant, *rest))[0])
+        return program.lower(*given[len(constant) :]).compile().as_text().count(" conditional(")
+
+    assert branches() > 0 and branches(*given) == branches()

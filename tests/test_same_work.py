@@ -77,3 +77,12 @@ def test_the_committed_baseline_holds_the_gates_ratios(bench):
     gate = bench("gate")
     kept = json.loads(gate.BASELINE.read_text())["ratios"]
     assert {name.split("@")[0] for name in kept} == {f"{own}/{other}" for own, other in gate.PAIRS}
+
+
+def test_streams_elsewhere_in_the_room_end_where_c_does(bench, rng):
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc is not installed")
+    row = bench("devices").measure(small_work(bench, rng), 300, "per_limb", 2, 1, 1.0, 0.0)
+    named = dict(zip(bench("devices").HEAD, row, strict=True))
+    assert float(named["best, frames/s"]) > 0 and float(named["limbs from C's, mm"]) < 1.0
+    assert named["of the devices' flop/s"].endswith("%") and named["of their bytes/s"] == ""

@@ -20,12 +20,13 @@ def once(true: Bool[Array, ""], compute: Callable[[], T], nothing: T | None = No
     """What `compute` gives, computed once; `true` is a condition that the compiler cannot know to be so.
 
     The compiler for the CPU repeats a whole match for each sum that uses it (half of a step's time, and not linear in
-    the points), but it does not look through a branch. A condition that differs over a mapped axis is no branch: use
-    one that all have in common. `nothing`: zeros of the same shapes; where they are given it is traced once, too.
+    the points), but it does not look through a branch, nor through the barrier before it, where the condition is a
+    constant of the program. A condition that differs over a mapped axis is no branch: use one that all have in common.
+    `nothing`: zeros of the same shapes; where they are given it is traced once, too.
     """
     if nothing is None:
         nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(compute))
-    return jax.lax.cond(true, compute, lambda: nothing)
+    return jax.lax.cond(jax.lax.optimization_barrier(true), compute, lambda: nothing)
 
 
 @jax.custom_jvp
@@ -37,7 +38,7 @@ def _cut(true, *numbers):
 def _cut_jvp(primals, tangents):
     true, tangents = primals[0], tangents[1:]
     nothing = lambda *t: tuple(jnp.zeros_like(x) for x in t)  # noqa: E731
-    return _cut(*primals), jax.lax.cond(true, lambda *t: t, nothing, *tangents)
+    return _cut(*primals), jax.lax.cond(jax.lax.optimization_barrier(true), lambda *t: t, nothing, *tangents)
 
 
 def cuts(true: Bool[Array, ""]) -> Callable[..., Any]:
