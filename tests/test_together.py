@@ -62,6 +62,12 @@ def test_one_recording_with_many_settings_and_bodies(recordings):
     assert_equal_tracks(*longer)
 
 
+def test_the_time_to_compile_is_told_apart(recordings):
+    settings = replace(SETTINGS, track=replace(SETTINGS.track, chunk=8))  # another program than those before
+    first, again = (vj.track_many(small_body(), recordings[0], settings)[0] for _ in range(2))
+    assert first.compile_seconds > 0.1 > again.compile_seconds
+
+
 def test_arguments_that_do_not_fit(recordings):
     with pytest.raises(ValueError, match="2 bodies, 3 recordings, 1 settings"):
         vj.track_many([small_body()] * 2, recordings, SETTINGS)

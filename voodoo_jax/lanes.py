@@ -1,7 +1,8 @@
 """The tracker's program for many recordings at once, each in a lane of its own, lanes shared out among all devices."""
 
+from collections.abc import Callable, Generator, Sequence
 from functools import cache, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,15 +13,39 @@ from jax.sharding import Mesh, PartitionSpec
 from voodoo_jax.body import Body
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
+from voodoo_jax.programs import count_waiting, seconds_of_waiting
 from voodoo_jax.quick import quickly
+from voodoo_jax.session import Visit
 from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, covariances_of, track_frame, track_visits
+from voodoo_jax.turns import Ask, in_turns
 
+T = TypeVar("T")
 LANES = 32  # on each device that is no processor, unless told otherwise
 
 
 def usual_lanes() -> int:
     """How many recordings to track at once, the same number on each device."""
     return len(jax.devices()) * (1 if jax.default_backend() == "cpu" else LANES)
+
+
+def in_lanes(tasks: Sequence[Callable[[Visit], T]], lanes: int) -> Generator[tuple[int, T]]:
+    """Number and result of each task as it is done, `lanes` of them under way at once; a task is given what it runs
+    instead of `track_visits`. Raises what a task raises."""
+
+    def answer(asked: list[tuple]) -> list[Any]:
+        before = seconds_of_waiting()
+        found = visit_lanes(asked, lanes)
+        return [(each, seconds_of_waiting() - before) for each in found]
+
+    def told(task: Callable[[Visit], T]) -> Callable[[Ask], T]:
+        def visit(ask: Ask, *args: Any) -> tuple[State, Step]:
+            found, compiling = ask(*args)
+            count_waiting(compiling)
+            return found
+
+        return lambda ask: task(partial(visit, ask))
+
+    return in_turns([told(task) for task in tasks], lanes, answer)
 
 
 def visit_lanes(asked: list[tuple], lanes: int) -> list[tuple[State, Step]]:

@@ -60,6 +60,11 @@ def seconds_of_waiting() -> float:
     return _clock.seconds
 
 
+def count_waiting(seconds: float) -> None:
+    """Counts what another thread has spent on a program for this one."""
+    _clock.seconds += seconds
+
+
 @cache
 def code_fingerprint() -> str:
     """Of this package's version and sources: what another version computes is not the same."""

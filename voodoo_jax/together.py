@@ -7,12 +7,12 @@ import jax
 from tqdm.auto import tqdm
 
 from voodoo_jax.body import Body
-from voodoo_jax.lanes import usual_lanes, visit_lanes
+from voodoo_jax.lanes import in_lanes, usual_lanes
 from voodoo_jax.recording import Recording
+from voodoo_jax.session import Visit
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracker import find_person, track_person
 from voodoo_jax.tracks import Tracks
-from voodoo_jax.turns import Ask, in_turns
 
 
 def track_many(
@@ -52,17 +52,17 @@ def track_many(
     lanes = devices * -(-min(lanes or usual_lanes(), count) // devices)
     people: dict[tuple, Any] = {}  # found once for all settings that change nothing about it
 
-    def task(number: int) -> Callable[[Ask], Tracks]:
+    def task(number: int) -> Callable[[Visit], Tracks]:
         body, recording, own = cases[number]
 
-        def tracked(ask: Ask) -> Tracks:
+        def tracked(visit: Visit) -> Tracks:
             try:
                 key = id(recording), id(body), own.person, own.start.scale
                 if key not in people:
                     people[key] = find_person(recording, recording.up, body, own)
                 scene, seen = people[key]
                 r = recording
-                return track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=ask)
+                return track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=visit)
             except Exception as problem:
                 problem.add_note(f"Number {number} of {count} (from 0): '{recording.path}'")
                 raise
@@ -71,7 +71,7 @@ def track_many(
 
     out: dict[int, Tracks] = {}
     with tqdm(total=count, unit="recording", disable=quiet or None, leave=False) as bar:
-        for number, tracks in in_turns([task(k) for k in range(count)], lanes, lambda asked: visit_lanes(asked, lanes)):
+        for number, tracks in in_lanes([task(k) for k in range(count)], lanes):
             out[number] = tracks
             bar.update()
     return [out[number] for number in range(count)]
