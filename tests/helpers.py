@@ -1,5 +1,6 @@
 """Oracles and small worlds for tests: meshes of limbs, random poses, what a sensor sees of a body, differences."""
 
+import time
 from dataclasses import replace
 
 import equinox as eqx
@@ -12,16 +13,26 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.body import Body
 from voodoo_jax.icp import IcpOptions
 from voodoo_jax.kernels.correspond import Points
+from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, compose, quat_exp
 from voodoo_jax.settings import SolveSettings, TrackSettings
 from voodoo_jax.tracking import options_from
 
+TWO_LIMBS_SENSOR = np.array([[2.0, 0.4, 0.5]], np.float32)  # sees two_limb_frames
 # settings are being tuned elsewhere: the tests state their own
 SOLVE = SolveSettings(
     max_steps=30, epsilon=1e-8, ratio=0.6, floor=0.03, body_enlarge=0.4, limb_enlarge=0.2, max_distance=0.2,
     robust_scale=0.1, overlap="exclusive", near_side=True, refine=0, prior=0.001, prior_radius=0.4, steady=0.0,
     solver="coupled", damping=1e-4,
 )  # fmt: skip
+
+
+def wait_for(what, seconds: float = 120.0) -> None:
+    """Waits until `what()` is true."""
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
 
 
 def cast(tree, dtype):
@@ -160,3 +171,11 @@ limb = [
 ]
 joint = [{{name = "j", parent = "a", child = "b", at = [0, 0, 0.4], axes = [{axes[0]}, {axes[1]}], weight = {weight}}}]
 """)
+
+
+def two_limb_frames(counts, seed: int = 0) -> list[PersonFrame]:
+    """So many points of two_limbs in each of some frames, the first ones of 300 that one sensor sees; 30 Hz."""
+    body = two_limbs()
+    xyz = seen_points(np.random.default_rng(seed), body, body.rest, TWO_LIMBS_SENSOR[0], 300).astype(np.float32)
+    sensor = lambda n: np.zeros(n, np.int32)  # noqa: E731
+    return [PersonFrame(10**18 + i * 33_000_000, xyz[:n], sensor(n), TWO_LIMBS_SENSOR) for i, n in enumerate(counts)]

@@ -7,23 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import SOLVE, all_finite, seen_points, two_limbs
+from helpers import SOLVE, TWO_LIMBS_SENSOR, all_finite, two_limb_frames, two_limbs
 
 from voodoo_jax.batch import BUCKETS, bucket, pad_frames
-from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.settings import TrackSettings
 from voodoo_jax.tracking import NOBODY, Visits, at_rest, options_from, track_chunk, track_visits
-
-SENSOR = np.array([[2.0, 0.4, 0.5]], np.float32)
-
-
-def frames(counts, step_ns=33_000_000, start_ns=10**18):
-    rng = np.random.default_rng(0)
-    body = two_limbs()
-    xyz = seen_points(rng, body, body.rest, SENSOR[0], 300).astype(np.float32)
-    make = lambda i, n: PersonFrame(start_ns + i * step_ns, xyz[:n], np.zeros(n, np.int32), SENSOR)  # noqa: E731
-    return [make(i, n) for i, n in enumerate(counts)]
 
 
 def test_bucket():
@@ -32,13 +21,13 @@ def test_bucket():
 
 
 def test_padding_is_harmless_and_thinning_repeatable():
-    given = frames([300, 0, 40])
+    given = two_limb_frames([300, 0, 40])
     chunk = pad_frames(given, 64, 5, None, 1)
     np.testing.assert_array_equal(chunk.points.weight.sum(-1), [64, 0, 40, 0, 0])
     np.testing.assert_array_equal(chunk.valid, [True, True, True, False, False])
     np.testing.assert_allclose(chunk.seconds, [0, 0.033, 0.033, 0, 0], atol=1e-6)
     assert chunk.left_out == 300 - 64 and all_finite(chunk.points)
-    np.testing.assert_array_equal(chunk.points.xyz[2, 40:], np.broadcast_to(SENSOR, (24, 3)))
+    np.testing.assert_array_equal(chunk.points.xyz[2, 40:], np.broadcast_to(TWO_LIMBS_SENSOR, (24, 3)))
     assert len(np.unique(chunk.points.xyz[0], axis=0)) == 64  # thinned without repetition
     # the choice does not depend on where a recording is cut
     later = pad_frames(given[:1], 64, 1, given[0].time_ns - 33_000_000, 1)
@@ -55,7 +44,7 @@ def compiled():
 def run(compiled, counts, length, **changes):
     body = two_limbs()
     options = options_from(replace(SOLVE, **changes), TrackSettings(damping=changes.get("ratio", 0.5)))
-    chunk = pad_frames(frames(counts), 256, length, 10**18 - 33_000_000, 1)
+    chunk = pad_frames(two_limb_frames(counts), 256, length, 10**18 - 33_000_000, 1)
     return compiled(
         body, options, at_rest(body.rest), chunk.points, jnp.asarray(chunk.seconds), jnp.asarray(chunk.valid)
     )
@@ -86,7 +75,7 @@ def test_a_frame_without_points_keeps_the_prediction(compiled):
 def test_tracks_that_take_turns_do_not_know_of_each_other():
     """Two starts in one scan, in turns and with nobody's in between, and each alone: the same to the last digit."""
     body, options = two_limbs(), options_from(SOLVE, TrackSettings())
-    chunk = pad_frames(frames([200, 150, 100, 0]), 256, 4, 10**18 - 33_000_000, 1)
+    chunk = pad_frames(two_limb_frames([200, 150, 100, 0]), 256, 4, 10**18 - 33_000_000, 1)
     starts = [body.rest, Poses(body.rest.rotation, body.rest.translation + jnp.float32(0.02))]
     both = jax.tree.map(lambda *x: jnp.stack(x), *map(at_rest, starts))
     visits = Visits(np.array([0, 0, 2, 1, 1, 0, 2]), np.array([0, 1, NOBODY, 1, 0, NOBODY, 0]))

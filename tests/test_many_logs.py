@@ -15,6 +15,7 @@ from pathlib import Path
 import jax
 import jax.monitoring
 import pytest
+from helpers import wait_for
 from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
 
 from voodoo_jax.cli import main
@@ -205,13 +206,6 @@ def children(pid: int) -> list[int]:
 
 def command_of(pid: int) -> str:
     return Path(f"/proc/{pid}/cmdline").read_text()
-
-
-def wait_for(what, seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
 
 
 def test_a_worker_whose_answer_nobody_takes_ends_without_a_word():

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import equinox as eqx
@@ -11,19 +10,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import SOLVE, all_finite, seen_points, two_limbs
+from helpers import SOLVE, all_finite, two_limb_frames, two_limbs, wait_for
 from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
 
 import voodoo_jax as vj
 from voodoo_jax import lanes
 from voodoo_jax.batch import pad_frames
 from voodoo_jax.cli import main
-from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.settings import TrackSettings
 from voodoo_jax.tracking import NOBODY, Visits, at_rest, options_from, track_visits
 from voodoo_jax.turns import in_turns
-
-SENSOR = np.array([[2.0, 0.4, 0.5]], np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +81,8 @@ def test_an_error_says_which_recording_it_was(recordings):
 
 def asked(count: int, seed: int):
     """What one recording asks of the program: five frames of a body of two limbs, one of them empty."""
-    rng, body = np.random.default_rng(seed), two_limbs()
-    xyz = seen_points(rng, body, body.rest, SENSOR[0], 300).astype(np.float32)
-    frames = [PersonFrame(10**18 + i * 33_000_000, xyz[:n], np.zeros(n, np.int32), SENSOR)
-              for i, n in enumerate([count, 0, count, count // 2, count])]  # fmt: skip
-    chunk = pad_frames(frames, 256, 5, None, 1)
+    body = two_limbs()
+    chunk = pad_frames(two_limb_frames([count, 0, count, count // 2, count], seed), 256, 5, None, 1)
     states = at_rest(jax.tree.map(lambda x: np.stack([x, x + np.float32(0.02) * (x.shape[-1] == 3)]), body.rest))
     frame, track = np.arange(8) % 5, np.array([0, 0, 1, 0, NOBODY, 0, 1, NOBODY])
     return body, options_from(SOLVE, TrackSettings()), states, chunk.points, chunk.seconds, Visits(frame, track), None
@@ -176,11 +169,7 @@ def test_a_task_that_nobody_waits_for_any_more_ends():
     with pytest.raises(KeyError, match="lost"):
         for _ in in_turns([fails, task, task], 3, lambda some: [0] * len(some)):
             pass
-    for _ in range(100):
-        if len(ended) == 2:
-            return
-        time.sleep(0.05)
-    raise AssertionError(f"{len(ended)} of 2 tasks have ended")
+    wait_for(lambda: len(ended) == 2, 5.0)
 
 
 @pytest.mark.parametrize("devices", [1, 2])

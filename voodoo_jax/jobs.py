@@ -18,7 +18,7 @@ from voodoo_jax.settings import Settings
 from voodoo_jax.tracks import Tracks
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
-Visit = Callable[..., Any]  # see session.Visit
+Visit = Callable[..., Any]  # session.Visit, which takes long to import
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,15 +37,12 @@ def in_lanes(tasks: Sequence[Callable[[Visit], T]], lanes: int) -> Generator[tup
         found = visit_lanes(asked, lanes)
         return [(each, seconds_of_waiting() - before) for each in found]
 
-    def told(task: Callable[[Visit], T]) -> Callable[[Ask], T]:
-        def visit(ask: Ask, *args: Any) -> tuple[State, Step]:
-            found, compiling = ask(*args)
-            count_waiting(compiling)
-            return found
+    def visit(ask: Ask, *args: Any) -> tuple[State, Step]:
+        found, compiling = ask(*args)
+        count_waiting(compiling)
+        return found
 
-        return lambda ask: task(partial(visit, ask))
-
-    return in_turns([told(task) for task in tasks], lanes, answer)
+    return in_turns([lambda ask, task=task: task(partial(visit, ask)) for task in tasks], lanes, answer)
 
 
 def visit_lanes(asked: list[tuple], lanes: int) -> list[tuple[State, Step]]:

@@ -33,7 +33,6 @@ def measure(work: Work, points: int, solver: Solver, streams: int, rounds: int, 
     """A row of the table."""
     devices = jax.devices()
     mesh, spec = Mesh(np.array(devices), ("stream",)), PartitionSpec("stream")
-    # arguments, not constants, which would make it another program
     common = library.body_of(work), library.links_of(work), library.options(solver, points)
 
     def here(common: tuple, starts: Poses, clouds: jax.Array) -> Poses:
@@ -65,8 +64,8 @@ def measure(work: Work, points: int, solver: Solver, streams: int, rounds: int, 
     if usual is not None and solver == "per_limb":
         apart = f"{1e3 * np.abs(found.translation - offset[:, None] - usual).max():.2f}"
     cost = program.cost_analysis() or {}
-    # XLA counts a loop's body once, and one device's part
-    share = STEPS * len(frames) * len(devices) / total
+    # XLA counts the loops' body once, and one device's part: one step of its streams
+    share = STEPS * len(devices) / streams
     flop, size = (share * cost.get(name, float("nan")) for name in ("flops", "bytes accessed"))
     of = [f"{100 * each * total / best / most / 1e12:.0f} %" if most > 0 else ""
           for each, most in ((flop, tflops), (size, tbs))]  # fmt: skip
