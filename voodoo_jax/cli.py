@@ -62,8 +62,7 @@ class Replay:
     shard: str = ""
     """Only a part of the logs, for array jobs: 2/8 is the second of eight. The same logs make the same parts."""
     engine: Literal["local", "batch", "ray"] = "local"
-    """local: worker processes on this machine; batch: one process, several logs at once on all of JAX's devices, for
-    GPUs; ray: the Ray cluster that runs here or that RAY_ADDRESS names."""
+    """local: processes here; batch: many logs at once in one, for GPUs; ray: the cluster here, or RAY_ADDRESS."""
     compile_cache: str = ""
     """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
