@@ -75,12 +75,31 @@ def test_no_floor_in_view(rng):
     up = np.array([0, 0, 1], np.float32)
     sure = find_scene([frame(upper - [0, 0, 0.8])], up, up_is_sure=True)
     unsure = find_scene([frame(upper)], up, up_is_sure=False)
+    cut_off = find_scene([frame(upper)], up, up_is_sure=True)  # no legs in the picture: nothing speaks against z = 0
+    assert not cut_off.floor_seen and cut_off.floor.offset == 0.0
     assert not sure.floor_seen and sure.floor.offset == 0.0
     assert not unsure.floor_seen and unsure.floor.offset == pytest.approx(
         0.9, abs=0.03
     )  # the figure's rows are 2.5 cm apart
     nothing = find_scene([], up)
     assert not nothing.floor_seen and nothing.walls == ()
+
+
+def test_the_lower_edge_of_what_is_seen_is_no_floor(rng):
+    """A camera that looks over the floor: the wall and the person end on a plane that is nearly level."""
+    seen = np.concatenate([room(rng), figure(2.5, 0.0) + rng.normal(0, 0.006, (len(figure(2.5, 0.0)), 3))])
+    edge = 1.2 - 0.15 * seen[:, 0]  # of the picture: a ray that falls 15 cm a metre
+    scene = find_scene([frame(seen[seen[:, 2] > edge])], np.array([0, 0, 1], np.float32))
+    assert not scene.floor_seen and scene.floor.offset == 0.0
+    whole = find_scene([frame(seen)], np.array([0, 0, 1], np.float32))
+    assert whole.floor_seen and abs(whole.floor.offset) < 0.01
+
+
+def test_noise_behind_a_wall_is_the_wall_and_the_next_room_is_not(rng):
+    wall = Plane(np.array([-1, 0, 0], np.float32), -3.5)
+    finder = lambda: PersonFinder(Scene(FLOOR, (wall,), True), 1.75, PersonSettings())  # noqa: E731
+    assert not len(finder()(frame(figure(3.78, 0.0))).points)  # 10 cm behind it
+    assert len(finder()(frame(figure(4.5, 0.0))).points) > 100
 
 
 @pytest.mark.parametrize("gap", [0.4, 0.25])
@@ -152,6 +171,17 @@ def test_the_person_and_not_the_larger_wardrobe(rng):
     scene = Scene(FLOOR, (), True)
     got = PersonFinder(scene, 1.7, PersonSettings())(frame(np.concatenate([wardrobe, person]))).points
     assert len(got) > 100 and (got[:, 1] > 0.4).all()
+
+
+def test_the_person_and_not_the_pole_before_them(rng):
+    """What is near has many points, and a lamp may be as high as a person."""
+    pole, person = figure(1.0, 0.4, 1.7, radius=0.04), figure(3.5, -0.5)
+    person = person[rng.random(len(person)) < 0.3]
+    assert len(person) < len(pole) / 3
+    both, scene = frame(np.concatenate([pole, person])), Scene(FLOOR, (), True)
+    got = PersonFinder(scene, 1.7, PersonSettings(), 0.5)(both).points
+    assert len(got) > 100 and (got[:, 1] < 0).all()
+    assert len(PersonFinder(scene, 1.7, PersonSettings(), 0.5)(frame(pole)).points) > 100  # alone it might be anybody
 
 
 def test_low_high_or_hanging_things_are_not_taken(rng):
@@ -258,6 +288,31 @@ def test_what_remains_where_somebody_was_is_not_the_body():
     assert all(len(f.points) > 0.8 * len(there) for f in cleaned[:12])
 
 
+def test_what_is_left_behind_is_not_the_body():
+    """Somebody touches a box at first and walks away from it: once it is alone, it is a box all the time."""
+    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+    thing = box(2.45, 0.43, 0.5, 0.8)
+    frames = [finder(frame(np.concatenate([figure(2.5, -0.12 * i), thing]), i)) for i in range(6)]
+    share = [(cKDTree(f.points).query(thing.astype(np.float32))[0] < 1e-5).mean() for f in frames]
+    assert share[0] > 0.9 and share[-1] == 0
+    cleaned = without_things(frames, FLOOR, finder.apart())
+    assert all((cKDTree(f.points).query(thing.astype(np.float32))[0] > 1e-5).all() for f in cleaned)
+    assert all(len(f.points) > 0.7 * len(figure(2.5, 0.0)) for f in cleaned)
+
+
+def test_a_leg_that_seems_apart_is_the_body_still():
+    """The thighs are hidden: what is under the body is a leg, and so is what moves beside it."""
+    body, shank = figure(2.5, 0.0), figure(2.4, 0.0, 0.45, radius=0.07)
+    upper = body[body[:, 2] > 0.8]
+    for step in (0.0, 0.07):  # metres a frame, aside
+        finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+        finder(frame(body, 0))
+        for i in range(8):
+            leg = shank + [0, step * i, 0]
+            got = finder(frame(np.concatenate([upper, leg]), i + 1)).points
+            assert (cKDTree(got).query(leg[leg[:, 2] > 0.05].astype(np.float32))[0] < 1e-5).mean() > 0.9
+
+
 def test_somebody_half_hidden_for_a_moment_is_left_whole():
     """Only the legs are seen for some frames: they are not taken for furniture when the rest is seen again."""
     finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
@@ -318,7 +373,7 @@ def test_assigned_points_pass_all_tests():
 def test_what_assigned_points_touch_is_the_person():
     """A hand says which of two people it is, and that a low thing is somebody who sits."""
     scene, settings = Scene(FLOOR, (), True), PersonSettings()
-    big, small = figure(2.5, 0.8, radius=0.25), figure(2.5, -0.8)
+    big, small = figure(2.5, 0.8, radius=0.25), figure(2.5, -0.8)[::2]
     alone = PersonFinder(scene, 1.75, settings)(frame(np.concatenate([big, small])))
     assert shares(alone, small[small[:, 2] > 0.05]) == [0.0]
     hand = small[np.abs(small[:, 2] - 1.0) < 0.1] + np.array([-0.05, 0, 0])

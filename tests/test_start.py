@@ -17,7 +17,7 @@ from voodoo_jax.scene import Plane
 from voodoo_jax.session import Session
 from voodoo_jax.settings import PersonSettings, Settings, StartSettings
 from voodoo_jax.simulate import Motion, make_motion, placed, simulate, tof_camera
-from voodoo_jax.start import facing, measured_height, place, rest_height, sized, standing_places
+from voodoo_jax.start import facing, measured_height, place, rest_box, rest_height, sized, standing_places
 from voodoo_jax.tracker import find_person, track
 from voodoo_jax.tracking import options_from
 
@@ -34,15 +34,18 @@ def column(height: float, x: float, origin=(0.0, 0.0, 1.2), pixel: float = 0.006
 
 @pytest.mark.parametrize("name", ["arm", "dog", "human10"])
 @pytest.mark.parametrize("scale", [0.5, 1.0, 1.9])
-def test_rest_height_is_the_highest_point_of_the_body(name, scale):
+def test_the_box_around_the_body_at_rest(name, scale):
     body = scaled(load_body(name), scale)
-    tops = []
+    surface = []
     for i, size in enumerate(np.asarray(body.sizes)):
         turn = Rotation.from_quat(np.asarray(body.rest.rotation[i]), scalar_first=True)
-        tops.append((turn.apply(limb_mesh(size, 256).vertices) + np.asarray(body.rest.translation[i]))[:, 2].max())
-    expected = scale if body.scale_name == "stature" else max(tops)
+        surface.append(turn.apply(limb_mesh(size, 256).vertices) + np.asarray(body.rest.translation[i]))
+    surface = np.concatenate(surface)
+    np.testing.assert_allclose(rest_box(body), [surface.min(0), surface.max(0)], atol=1e-3)
+    top = surface[:, 2].max()
+    expected = scale if body.scale_name == "stature" else top
     assert rest_height(body) == pytest.approx(expected, abs=1e-3)
-    assert max(tops) == pytest.approx(expected, rel=0.03)  # the stature is where the body's top is
+    assert top == pytest.approx(expected, rel=0.03)  # the stature is where the body's top is
 
 
 @pytest.mark.parametrize("height", [1.0, 1.5, 1.83, 2.0])

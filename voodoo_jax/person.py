@@ -1,6 +1,6 @@
 """Tells the body's points apart from floor, walls and furniture. Host side, NumPy; one frame at a time, no look ahead.
 
-Nothing here knows what the body looks like but its height at rest.
+Nothing here knows what the body looks like but its height and width at rest.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -20,18 +20,22 @@ STILL = 0.06  # metres from one frame's points to those of the frame before, of 
 APART = 0.6  # of a thing's points: so many where something was apart from the body make it that
 GONE = 0.6  # of its height before: what is lower from one frame to the next is not the body any more
 CELL = 0.08  # metres, of the grid in which the background is kept
+USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that has shown too few to tell
+SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
+ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
 
 
 class PersonFinder:
-    """Follows one thing of a body's height through the frames: first the best candidate, then what hangs together with
-    where it was. Places where other things were seen several times count as background from then on.
+    """Follows one thing of a body's height and width through the frames: first the best candidate, then what hangs
+    together with where it was. Places where other things were seen several times count as background from then on.
 
     Points that are assigned already pass all tests; what they touch is the body, of whatever height.
     """
 
-    def __init__(self, scene: Scene, body_height: float, settings: PersonSettings):
+    def __init__(self, scene: Scene, body_height: float, settings: PersonSettings, body_width: float = 0.0):
         self.scene, self.settings, self.body_height = scene, settings, body_height
+        self.body_width = body_width or 0.26 * body_height  # as a person's
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = 0
@@ -53,7 +57,7 @@ class PersonFinder:
         height, x, y, *walls = self._places(points)
         keep = (height > s.floor_margin) & ~known
         for wall in walls:
-            keep &= np.abs(wall) > 0.06
+            keep &= (wall > 0.06) | (wall < -0.25)  # noise; but behind it there may be another room
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here
             middle = self._places(np.median(self.last, 0)[None])
@@ -63,7 +67,7 @@ class PersonFinder:
         # not where something else than the body was seen before
         index = index[self._background.at(points[index]) < 3]
         found = points[index]
-        chosen = self._choose(found, sure)
+        chosen = self._choose(frame, index, sure)
         body = found[chosen]
         if not len(sure) and self._gone(body):
             self._left.add(cells_of(body, CELL), 1.0)
@@ -109,8 +113,9 @@ class PersonFinder:
             return frame.part >= 0
         return (frame.part >= 0) & np.array([*(name == "body" for name in frame.parts), False])[frame.part]
 
-    def _choose(self, points, sure) -> Bool[np.ndarray, " point"]:
-        """Which points belong to the body. `sure`: those that are known to be on it."""
+    def _choose(self, frame: Frame, index, sure) -> Bool[np.ndarray, " point"]:
+        """Which of the points with these indices belong to the body. `sure`: points that are known to be on it."""
+        points = frame.points[index]
         if len(points) < 30:
             return np.zeros(len(points), bool)
         label = components(points, self.settings.link)
@@ -121,12 +126,16 @@ class PersonFinder:
             touched = np.bincount(label, touched) * (count >= 30)
             most[np.argmax(touched)] = touched.any()
         if self.last is None:
-            return most[label] if most.any() else label == self._candidate(points, label, count)
+            return most[label] if most.any() else label == self._candidate(frame, index, label)
         near = np.bincount(label, within(points, self.last, self.settings.move))
         taken = near > np.maximum(5, 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
         main, doubtful = int(np.argmax(near)), taken & (count >= 0.1 * len(self.last))
+        for k in np.flatnonzero(doubtful):
+            if k != main and self._stands_aside(points[label == k], points[label == main], self.last):
+                taken[k] = doubtful[k] = False
+                self._background.add(cells_of(points[label == k], CELL), LONG)  # so it was all the time
         if not doubtful.any() or not len(self.others):
             return (most | taken)[label]
         beside = touching(cells_of(points, STILL), cells_of(self.others, STILL))
@@ -140,6 +149,14 @@ class PersonFinder:
             ) and within(mine, self.others, STILL).sum() >= APART * len(mine)
         taken &= ~doubtful
         return (most | taken)[label]
+
+    def _stands_aside(self, thing, body, last) -> bool:
+        """Whether a thing is low, still, and beside the body, not under it as legs are: furniture that it has left."""
+        floor = self.scene.floor
+        if np.percentile(floor.height(thing), 98) > 0.5 * self.body_height:
+            return False
+        mine, others = (points - floor.height(points)[:, None] * floor.normal for points in (thing, body))
+        return bool(within(mine, others, ASIDE).mean() < 0.05 and within(thing, last, STILL).mean() > APART)
 
     def _gone(self, taken) -> bool:
         """Whether what is left was never the body: at once less, and far lower. A chair remains."""
@@ -155,17 +172,24 @@ class PersonFinder:
         apart -= (apart @ floor.normal) * floor.normal
         return floor.height(thing).min() > 0.6 * self.body_height and bool(np.linalg.norm(apart) < 0.3)
 
-    def _candidate(self, points, label, count) -> int:
+    def _candidate(self, frame: Frame, index, label) -> int:
         """Label of the thing that is about as high as the body and not much wider, the largest of several; things of
-        another height count less. -1 where there is none."""
+        another height, and poles, count less. -1 where there is none."""
+        points, sensor = frame.points[index], frame.sensor[index]
         height, body = self.scene.floor.height(points), self.body_height
+        # not by points alone: what is near has many
+        angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(frame.origins))])[sensor]
+        area = np.bincount(label, np.sum((points - frame.origins[sensor]) ** 2, 1) * angle**2)
         best, size = -1, 0.0
-        for k in np.flatnonzero(count >= 50):
+        for k in np.flatnonzero(np.bincount(label) >= 50):
             mine = label == k
             low, top = np.percentile(height[mine], [0.5, 99.5])
             spread = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
             tall = self.settings.min_height * body <= top <= 1.35 * body
-            likely = count[k] / (1 + ((top - body) / (0.15 * body)) ** 2)
+            across = float(np.hypot(*np.ptp(self._axes[1:3] @ points[mine].T, axis=1)))
+            # as large as the body, or larger: hardly more likely
+            likely = area[k] / (area[k] + 0.5 * self.body_width * body) * min(across / (SLIM * self.body_width), 1) ** 2
+            likely /= 1 + ((top - body) / (0.15 * body)) ** 2
             if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * body and likely > size:
                 best, size = int(k), likely
         return best

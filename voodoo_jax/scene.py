@@ -5,8 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from voodoo_jax.cells import cells_of, touching
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
+
+PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class Scene:
     """The room's planes, found once from the first frames."""
 
     floor: Plane  # normal upwards
-    walls: tuple[Plane, ...]
+    walls: tuple[Plane, ...]  # normals towards the first sensor
     floor_seen: bool  # False: no floor was visible and the lowest points stand for it
 
 
@@ -106,10 +109,10 @@ def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> li
         plane, inside = fit
         along = np.cross(floor.normal, plane.normal)
         wide = np.ptp(np.percentile(rest[inside] @ along, [2, 98]))
-        side = np.sign(plane.height(frame.origins[:1]))[0]
+        side = 1 if plane.height(frame.origins[:1])[0] > 0 else -1
         behind = (plane.height(points) * side < -0.15).mean()
         if wide >= 2.0 and behind <= 0.03:
-            found.append(plane)
+            found.append(Plane(side * plane.normal, side * plane.offset))
         # else a near person, who may have more points than the wall: look on without them
         rest = rest[~inside]
     return found
@@ -125,12 +128,21 @@ def _find_floor(points, up, up_is_sure, rng) -> tuple[Plane, bool]:
             plane = Plane(-plane.normal, -plane.offset)
         above = plane.height(points)
         # a floor has next to nothing below it, and a fair share of the picture on it
-        if (np.abs(above) < 0.03).mean() > 0.04 and (above < -0.1).mean() < 0.03:
+        if (np.abs(above) < 0.03).mean() > 0.04 and (above < -0.1).mean() < 0.03 and _open(points, plane):
             return plane, True
     return _lowest(points, up, up_is_sure), False
+
+
+def _open(points, plane: Plane) -> bool:
+    """Whether most of the points on a plane have nothing right above them: not so the lower edge of what is seen of
+    walls and people."""
+    height = plane.height(points)
+    place = cells_of(points - height[:, None] * plane.normal, PLACE)
+    above = place[(height > 0.06) & (height < 0.3)]
+    return bool(touching(place[np.abs(height) < 0.03], above).mean() < 0.4)
 
 
 def _lowest(points, up, up_is_sure) -> Plane:
     """What stands for a floor that nobody sees."""
     lowest = float(np.percentile(points @ up, 0.5)) if len(points) else 0.0
-    return Plane(up, 0.0 if up_is_sure and abs(lowest) < 0.2 else lowest)
+    return Plane(up, 0.0 if up_is_sure and -0.2 < lowest < 1.3 else lowest)

@@ -21,16 +21,21 @@ STEPS = 15  # most steps of a frame that is tracked from every start
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
 
+def rest_box(body: Body) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Lowest and highest coordinates of all limbs' end ellipses in the rest pose, metres."""
+    turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()
+    sizes = np.asarray(body.sizes, np.float64)
+    bottom = np.asarray(body.rest.translation, np.float64)
+    ends = np.stack([bottom, bottom + sizes[:, 4:] * turn[:, :, 2]])
+    reach = np.stack(
+        [np.hypot(sizes[:, k, None] * turn[:, :, 0], sizes[:, k + 1, None] * turn[:, :, 1]) for k in (0, 2)]
+    )
+    return np.min(ends - reach, (0, 1)), np.max(ends + reach, (0, 1))
+
+
 def rest_height(body: Body) -> float:
     """Height of the body above the floor in its rest pose, metres: its stature, or the top of its highest limb."""
-    if body.scale_name == "stature":
-        return float(body.scale)
-    turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()[:, 2]  # [limb] row of z
-    a0, b0, a1, b1, length = np.asarray(body.sizes, np.float64).T
-    x, y, z = turn.T
-    bottom = np.asarray(body.rest.translation, np.float64)[:, 2]
-    # highest points of both end ellipses
-    return float(np.max(np.maximum(bottom + np.hypot(a0 * x, b0 * y), bottom + length * z + np.hypot(a1 * x, b1 * y))))
+    return float(body.scale) if body.scale_name == "stature" else float(rest_box(body)[1][2])
 
 
 def measured_height(

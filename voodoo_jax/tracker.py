@@ -35,7 +35,7 @@ from voodoo_jax.scene import Plane, Scene, find_scene
 from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers
 from voodoo_jax.settings import Settings
 from voodoo_jax.spill import spilled
-from voodoo_jax.start import rest_height
+from voodoo_jax.start import rest_box, rest_height
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status, Tracks
 from voodoo_jax.trust import doubted, joint_confidence
@@ -54,8 +54,9 @@ def find_person(
     scene = find_scene(first[::3], up, up_is_sure=bool(up[2] > 0.99))
     scale = settings.start.scale
     # a body's scale need not be its height
-    height = rest_height(scaled(body, scale) if scale > 0 else body)
-    finder = PersonFinder(scene, height, settings.person)
+    rested = scaled(body, scale) if scale > 0 else body
+    width = float(np.max(np.subtract(*rest_box(rested)[::-1])[:2]))
+    finder = PersonFinder(scene, rest_height(rested), settings.person, width)
     found = weighed(person_frames(chain(first, stream), finder), settings.person.noise)
     if not settings.person.ahead:
         return scene, spilled(found)
