@@ -300,6 +300,25 @@ def test_what_is_left_behind_is_not_the_body():
     assert all(len(f.points) > 0.7 * len(figure(2.5, 0.0)) for f in cleaned)
 
 
+def test_a_box_with_more_points_than_the_body_is_left_too():
+    """The body is what is tall, not what has most points."""
+    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
+    thing, body = box(2.45, 0.68, 1.0, 0.84), figure(2.5, 0.0).reshape(112, -1, 3)[::5].reshape(-1, 3)
+    assert len(thing) > 1.2 * len(body)
+    frames = [finder(frame(np.concatenate([body - [0, 0.12 * i, 0], thing]), i)) for i in range(12)]
+    assert (frames[-1].points[:, 1] < -1).all() and len(frames[-1].points) > 0.9 * len(body)
+
+
+def test_what_remains_of_a_thing_goes_with_it():
+    """Only the middle of a box is known: what hangs together with it goes, the foot before it and the body stay."""
+    thing, body, foot = box(2.5, 0.6, 0.8, 0.5), figure(2.5, -0.1), figure(2.4, 0.1, 0.1, 0.05)
+    points = np.concatenate([body, foot, thing]).astype(np.float32)
+    seen = PersonFrame(0, points, np.zeros(len(points), np.int32), ORIGIN)
+    known = lambda p: (np.abs(p[:, 1] - 0.45) < 0.25) & (p[:, 0] > 2.45)  # noqa: E731
+    cleaned = without_things([seen], FLOOR, known)[0].points
+    assert len(cleaned) == len(body) + len(foot) and cleaned[:, 1].max() < 0.2
+
+
 def test_a_leg_that_seems_apart_is_the_body_still():
     """The thighs are hidden: what is under the body is a leg, and so is what moves beside it."""
     body, shank = figure(2.5, 0.0), figure(2.4, 0.0, 0.45, radius=0.07)

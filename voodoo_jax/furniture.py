@@ -5,13 +5,15 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from voodoo_jax.cells import cells_of, touching, unique_cells
+from voodoo_jax.cells import cells_of, components, touching, unique_cells, within
+from voodoo_jax.person import ASIDE
 from voodoo_jax.person_frame import PersonFrame, assigned
 from voodoo_jax.scene import Plane
 
 AWAY = 0.55  # metres from the body's axis: not part of it
 MOVED = 0.4  # metres by which the body must come nearer to a thing or go farther from it, to be told from it
 CELL = 0.1  # metres, of the grid in which furniture is looked for
+LINK = 0.12  # metres: nearer points belong to the same thing
 BLOCK = 4_000_000  # cells times frames that are compared at once
 HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was a body that touched the thing
 
@@ -32,9 +34,26 @@ def without_things(
         if not keep.all() and keep.sum() >= 30:
             before, after = (np.percentile(floor.height(p), 98) for p in (frame.points, frame.points[keep]))
             if after >= HEAD * before:
+                keep[keep] = ~remains(frame.points[keep], frame.points[~keep], floor) | assigned(frame)[keep]
                 frame = frame.only(keep)
         out.append(frame)
     return out
+
+
+def remains(
+    points: Float32[np.ndarray, "point 3"], gone: Float32[np.ndarray, "gone 3"], floor: Plane
+) -> Bool[np.ndarray, " point"]:
+    """Which points are what is left of a thing of which the others are `gone`: they touch it, and are low and beside
+    the body."""
+    label, height = components(points, LINK), floor.height(points)
+    tops = np.array([np.percentile(height[label == k], 98) for k in range(label.max() + 1)])
+    tall = tops >= HEAD * np.percentile(height, 98)
+    main = int(np.argmax(np.bincount(label) * tall))
+    body, left = floor.level(points[label == main]), np.zeros(len(tops), bool)
+    for k in np.flatnonzero(tops < 0.5 * tops[main]):
+        thing = points[label == k]
+        left[k] = within(floor.level(thing), body, ASIDE).mean() < 0.05 and within(thing, gone, LINK).any()
+    return left[label]
 
 
 def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -> list[PersonFrame]:

@@ -22,6 +22,7 @@ GONE = 0.6  # of its height before: what is lower from one frame to the next is 
 CELL = 0.08  # metres, of the grid in which the background is kept
 USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that has shown too few to tell
 SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
+LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
 
@@ -127,36 +128,48 @@ class PersonFinder:
             most[np.argmax(touched)] = touched.any()
         if self.last is None:
             return most[label] if most.any() else label == self._candidate(frame, index, label)
-        near = np.bincount(label, within(points, self.last, self.settings.move))
+        return (most | self._followed(points, label, count, self.last))[label]
+
+    def _followed(self, points, label, count, last) -> Bool[np.ndarray, " thing"]:
+        """Which things hang together with where the body was."""
+        near = np.bincount(label, within(points, last, self.settings.move))
         taken = near > np.maximum(5, 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
-        main, doubtful = int(np.argmax(near)), taken & (count >= 0.1 * len(self.last))
-        for k in np.flatnonzero(doubtful):
-            if k != main and self._stands_aside(points[label == k], points[label == main], self.last):
+        doubtful = taken & (count >= 0.1 * len(last))
+        large = np.flatnonzero(doubtful)
+        if len(large) > 1:  # a box may have more points than the body
+            near[large] *= [LOW if self._is_low(points[label == k]) else 1.0 for k in large]
+        main = int(np.argmax(near))
+        for k in large:
+            if k != main and self._stands_aside(points[label == k], points[label == main], last):
                 taken[k] = doubtful[k] = False
                 self._background.add(cells_of(points[label == k], CELL), LONG)  # so it was all the time
         if not doubtful.any() or not len(self.others):
-            return (most | taken)[label]
+            return taken
         beside = touching(cells_of(points, STILL), cells_of(self.others, STILL))
         doubtful &= np.bincount(label, beside) >= APART * count
         for k in np.flatnonzero(doubtful):
             mine = points[label == k]
             doubtful[k] = (
-                within(mine, self.last, STILL).sum() < 0.5 * len(mine)
+                within(mine, last, STILL).sum() < 0.5 * len(mine)
                 if k == main
                 else not self._is_head(mine, points[label == main])
             ) and within(mine, self.others, STILL).sum() >= APART * len(mine)
-        taken &= ~doubtful
-        return (most | taken)[label]
+        return taken & ~doubtful
+
+    def _across(self, points) -> float:
+        """How wide a thing is, level, corner to corner; metres."""
+        return float(np.hypot(*np.ptp(self._axes[1:3] @ points.T, axis=1)))
+
+    def _is_low(self, thing) -> bool:
+        return bool(np.percentile(self.scene.floor.height(thing), 98) < 0.5 * self.body_height)
 
     def _stands_aside(self, thing, body, last) -> bool:
         """Whether a thing is low, still, and beside the body, not under it as legs are: furniture that it has left."""
-        floor = self.scene.floor
-        if np.percentile(floor.height(thing), 98) > 0.5 * self.body_height:
-            return False
-        mine, others = (points - floor.height(points)[:, None] * floor.normal for points in (thing, body))
-        return bool(within(mine, others, ASIDE).mean() < 0.05 and within(thing, last, STILL).mean() > APART)
+        mine, others = map(self.scene.floor.level, (thing, body))
+        aside = self._is_low(thing) and within(mine, others, ASIDE).mean() < 0.05
+        return bool(aside and within(thing, last, STILL).mean() > APART)
 
     def _gone(self, taken) -> bool:
         """Whether what is left was never the body: at once less, and far lower. A chair remains."""
@@ -186,9 +199,9 @@ class PersonFinder:
             low, top = np.percentile(height[mine], [0.5, 99.5])
             spread = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
             tall = self.settings.min_height * body <= top <= 1.35 * body
-            across = float(np.hypot(*np.ptp(self._axes[1:3] @ points[mine].T, axis=1)))
             # as large as the body, or larger: hardly more likely
-            likely = area[k] / (area[k] + 0.5 * self.body_width * body) * min(across / (SLIM * self.body_width), 1) ** 2
+            likely = area[k] / (area[k] + 0.5 * self.body_width * body)
+            likely *= min(self._across(points[mine]) / (SLIM * self.body_width), 1) ** 2
             likely /= 1 + ((top - body) / (0.15 * body)) ** 2
             if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * body and likely > size:
                 best, size = int(k), likely

@@ -23,6 +23,10 @@ class Plane:
         """Signed distance of points, metres."""
         return points @ self.normal - np.float32(self.offset)
 
+    def level(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point 3"]:
+        """The places on the plane under some points."""
+        return points - self.height(points)[:, None] * self.normal
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -137,7 +141,7 @@ def _open(points, plane: Plane) -> bool:
     """Whether most of the points on a plane have nothing right above them: not so the lower edge of what is seen of
     walls and people."""
     height = plane.height(points)
-    place = cells_of(points - height[:, None] * plane.normal, PLACE)
+    place = cells_of(plane.level(points), PLACE)
     above = place[(height > 0.06) & (height < 0.3)]
     return bool(touching(place[np.abs(height) < 0.03], above).mean() < 0.4)
 

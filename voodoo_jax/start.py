@@ -52,7 +52,7 @@ def measured_height(
     for frame in frames:
         if len(frame.points) >= 50:
             above = floor.height(frame.points)
-            level = frame.points - above[:, None] * floor.normal
+            level = floor.level(frame.points)
             middle = np.median(level[above > 0.5 * np.percentile(above, 99)], 0)
             near = np.linalg.norm(level - middle, axis=1) < reach
             if near.sum() < 3:
