@@ -102,6 +102,17 @@ def test_noise_behind_a_wall_is_the_wall_and_the_next_room_is_not(rng):
     assert len(finder()(frame(figure(4.5, 0.0))).points) > 100
 
 
+def test_a_noisy_wall_leaves_nothing_that_might_be_somebody(rng):
+    """Far walls are noisy: what seems to stand out from one is the wall, as far out as others seem to be behind it."""
+    around = room(rng, 6.0, 0.07)
+    scene = find_scene([frame(around)], np.array([0, 0, 1], np.float32))
+    back = [w for w in scene.walls if w.normal[0] < -0.99]
+    assert back and all(0.08 < w.noise < 0.25 for w in back)
+    seen = np.concatenate([around, figure(5.0, 0.0) + rng.normal(0, 0.03, (len(figure(5.0, 0.0)), 3))])
+    got = PersonFinder(scene, 1.75, PersonSettings())(frame(seen)).points
+    assert len(got) > 1000 and (got[:, 0] < 5.3).mean() > 0.99
+
+
 @pytest.mark.parametrize("gap", [0.4, 0.25])
 def test_a_wall_does_not_eat_the_person_before_it(rng, gap):
     """All of the wall goes, all of the person stays."""

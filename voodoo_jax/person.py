@@ -13,7 +13,7 @@ from voodoo_jax.cells import Counted, cells_of, components, touching, within
 from voodoo_jax.clouds import fair_share, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
-from voodoo_jax.scene import Scene
+from voodoo_jax.scene import BEHIND, Scene
 from voodoo_jax.settings import PersonSettings
 
 STILL = 0.06  # metres from one frame's points to those of the frame before, of things that do not move
@@ -57,8 +57,8 @@ class PersonFinder:
                 self.last = None  # the body is somewhere else than thought
         height, x, y, *walls = self._places(points)
         keep = (height > s.floor_margin) & ~known
-        for wall in walls:
-            keep &= (wall > 0.06) | (wall < -0.25)  # noise; but behind it there may be another room
+        for distance, wall in zip(walls, self.scene.walls):
+            keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here
             middle = self._places(np.median(self.last, 0)[None])

@@ -1,6 +1,6 @@
 """Floor and walls of a room, as planes, from a few frames. Host side, NumPy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -9,6 +9,7 @@ from voodoo_jax.cells import cells_of, touching
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
 
+BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
 
 
@@ -18,6 +19,7 @@ class Plane:
 
     normal: Float32[np.ndarray, "3"]  # unit
     offset: float  # metres
+    noise: float = 0.0  # metres: nearly all points on it seem to be nearer to it; 0: not known
 
     def height(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, " point"]:
         """Signed distance of points, metres."""
@@ -116,7 +118,10 @@ def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> li
         side = 1 if plane.height(frame.origins[:1])[0] > 0 else -1
         behind = (plane.height(points) * side < -0.15).mean()
         if wide >= 2.0 and behind <= 0.03:
-            found.append(Plane(side * plane.normal, side * plane.offset))
+            plane = Plane(side * plane.normal, side * plane.offset)
+            beyond = -plane.height(points)  # where nothing but noise is
+            noise = np.percentile(beyond[(beyond > 0) & (beyond < BEHIND)], 98)
+            found.append(replace(plane, noise=float(noise)))
         # else a near person, who may have more points than the wall: look on without them
         rest = rest[~inside]
     return found

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.judged import Recorded
+from experiments.stress.sensing import SENSING, at_distances, with_points
 from voodoo_jax.body import Body
-from voodoo_jax.recording import Frame, Pairs, Rays
+from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracker import find_person
 
@@ -32,38 +33,21 @@ def _cut(recorded: Recorded, start_ns: float) -> Recorded:
     )
 
 
-def _points(frame: Frame, keep: np.ndarray) -> Frame:
-    part, weight = (None if a is None else a[keep] for a in (frame.part, frame.weight))
-    return replace(frame, points=frame.points[keep], sensor=frame.sensor[keep], part=part, weight=weight)
-
-
 def half_the_points(recorded: Recorded) -> Recorded:
     """A random half of every frame's points."""
     rng = np.random.default_rng(0)
-    return replace(recorded, frames=[_points(f, rng.random(len(f.points)) < 0.5) for f in recorded.frames])
-
-
-def _at_distances(recorded: Recorded, seed: int, seen: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Recorded:
-    """Every point moved along its ray: `seen` gives its distance from the true one and a standard normal number."""
-    rng = np.random.default_rng(seed)
-    frames = []
-    for f in recorded.frames:
-        origin = f.origins[f.sensor]
-        distance = np.linalg.norm(f.points - origin, axis=1, keepdims=True)
-        moved = origin + (f.points - origin) * (seen(distance, rng.standard_normal(distance.shape)) / distance)
-        frames.append(replace(f, points=moved.astype(np.float32)))
-    return replace(recorded, frames=frames)
+    return replace(recorded, frames=[with_points(f, rng.random(len(f.points)) < 0.5) for f in recorded.frames])
 
 
 def thrice_the_noise(recorded: Recorded) -> Recorded:
     """Noise along the ray, so much that with what is there already it is three times the camera's."""
     factor = np.sqrt(3.0**2 - 1)
-    return _at_distances(recorded, 0, lambda d, normal: d + factor * (SIGMA[0] + SIGMA[1] * d**2) * normal)
+    return at_distances(recorded, 0, lambda d, normal: d + factor * (SIGMA[0] + SIGMA[1] * d**2) * normal)
 
 
 def in_steps(recorded: Recorded) -> Recorded:
     """Distances in the steps of a structured-light sensor, 2.6 cm at 3 m, 7 cm at 5 m, and noise of 0.4 of a step."""
-    return _at_distances(recorded, 1, lambda d, normal: STEPS / np.maximum(np.round(STEPS / d + 0.4 * normal), 1))
+    return at_distances(recorded, 1, lambda d, normal: STEPS / np.maximum(np.round(STEPS / d + 0.4 * normal), 1))
 
 
 def reversed_in_time(recorded: Recorded) -> Recorded:
@@ -86,7 +70,7 @@ def away_and_back(recorded: Recorded, body: Body, settings: Settings) -> Recorde
         if gap(frame.time_ns):
             mine = {tuple(p) for p in person.points.tolist()}
             keep = np.array([tuple(p) not in mine for p in frame.points.tolist()], bool)
-            frame = replace(_points(frame, keep), rays=Rays(), pairs=Pairs())
+            frame = replace(with_points(frame, keep), rays=Rays(), pairs=Pairs())
         frames.append(frame)
     return replace(recorded, frames=frames, there=recorded.there & ~gap(recorded.stamps))
 
@@ -118,4 +102,5 @@ def changes(body: Body, settings: Settings) -> dict[str, Callable[[Recorded], Re
         "first 40 % cut off": lambda r: later(r, share=0.4),
         "reversed in time": reversed_in_time,
         "out of view for 1 s": lambda r: away_and_back(r, body, settings),
+        **SENSING,
     }

@@ -1,0 +1,171 @@
+"""What real sensors and rooms do to a recording: what is hardly seen, stands before the person, or is cut off."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.judged import Recorded
+from voodoo_jax.recording import Frame
+
+DARK = 0.15  # of their points are left where clothes or hair swallow the light
+EDGES = 0.6  # of the pixels at the edge of something near lie between it and what is behind it
+WAVES = (0.02, 1.5)  # error of a phase camera's distances: amplitude and length, metres
+SHAKE = (0.4, 0.005, 3.0)  # a camera's: degrees, metres, and frames over which it goes on
+HOLES, WIDTH = 25, (1.0, 4.0)  # in a picture, and half their width in degrees
+LEGS = (("hip", "knee", 0.18), ("knee", "talocrural", 0.14))  # joints, and distance from the line between, metres
+
+
+def with_points(frame: Frame, keep: np.ndarray) -> Frame:
+    """The frame with some of its points."""
+    part, weight = (None if a is None else a[keep] for a in (frame.part, frame.weight))
+    return replace(frame, points=frame.points[keep], sensor=frame.sensor[keep], part=part, weight=weight)
+
+
+def at_distances(recorded: Recorded, seed: int, seen: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Recorded:
+    """Every point moved along its ray: `seen` gives its distance from the true one and a standard normal number."""
+
+    def one(frame, _, rng):
+        origin, ray, distance = _rays(frame)
+        moved = origin + ray * seen(distance, rng.standard_normal(distance.shape))
+        return replace(frame, points=moved.astype(np.float32))
+
+    return _each(recorded, one, seed)
+
+
+def _each(recorded: Recorded, one: Callable[[Frame, Callable, np.random.Generator], Frame], seed: int = 0) -> Recorded:
+    """Every frame changed: `one` gets it, where joints are in it (by name, metres) and random numbers."""
+    rng = np.random.default_rng(seed)
+
+    def at(frame: Frame) -> Callable[[str], np.ndarray]:
+        joints = recorded.joints[np.argmin(np.abs(recorded.stamps - frame.time_ns))]
+        return lambda name: joints[recorded.names.index(name)]
+
+    return replace(recorded, frames=[one(f, at(f), rng) for f in recorded.frames])
+
+
+def _rays(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Origins, directions and distances of a frame's points."""
+    origin = frame.origins[frame.sensor]
+    distance = np.linalg.norm(frame.points - origin, axis=1, keepdims=True)
+    return origin, (frame.points - origin) / distance, distance
+
+
+def dark_legs(recorded: Recorded) -> Recorded:
+    def one(frame, joint, rng):
+        height = frame.points @ recorded.up
+        leg = np.zeros(len(height), bool)
+        for side in "lr":
+            for first, second, width in LEGS:
+                a, b = joint(f"{side}_{first}"), joint(f"{side}_{second}")
+                along = np.clip((frame.points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+                leg |= np.linalg.norm(frame.points - a - along[:, None] * (b - a), axis=1) < width
+        leg &= (height < joint("l_hip") @ recorded.up + 0.03) & (height > 0.04)
+        return with_points(frame, ~leg | (rng.random(len(leg)) < DARK))
+
+    return _each(recorded, one)
+
+
+def dark_hair(recorded: Recorded) -> Recorded:
+    def one(frame, joint, rng):
+        away = frame.points - joint("skullbase")
+        above = away @ recorded.up
+        hair = (above > 0.08) & (above < 0.4)
+        hair &= np.linalg.norm(away - above[:, None] * recorded.up, axis=1) < 0.25
+        return with_points(frame, ~hair | (rng.random(len(hair)) < DARK))
+
+    return _each(recorded, one)
+
+
+def flying_pixels(recorded: Recorded) -> Recorded:
+    def one(frame, _, rng):
+        origin, ray, distance = _rays(frame)
+        step = np.diff(distance[:, 0])  # points come row by row
+        edge = (np.abs(step) > 0.15) & (np.linalg.norm(np.diff(ray, axis=0), axis=1) < 0.02)
+        at = np.flatnonzero(edge & (rng.random(len(edge)) < EDGES))
+        distance[at, 0] += rng.random(len(at)) * step[at]
+        return replace(frame, points=(origin + ray * distance).astype(np.float32))
+
+    return _each(recorded, one)
+
+
+def shaking(recorded: Recorded) -> Recorded:
+    degrees, metres, frames = SHAKE
+    rng, count = np.random.default_rng(5), len(recorded.frames)
+    kernel = np.exp(-0.5 * (np.arange(-9, 10) / frames) ** 2)
+    kernel /= np.linalg.norm(kernel)
+    shake = [np.convolve(rng.standard_normal(count + 18), kernel, "valid") for _ in range(6)]
+    found = []
+    for f, (*turn, x, y, z) in zip(recorded.frames, np.stack(shake, 1)):
+        turned = Rotation.from_rotvec(np.deg2rad(degrees) * np.array(turn)).apply(f.points - f.origins[0])
+        found.append(replace(f, points=(f.origins[0] + turned + metres * np.array([x, y, z])).astype(np.float32)))
+    return replace(recorded, frames=found)
+
+
+def holes(recorded: Recorded) -> Recorded:
+    def one(frame, _, rng):
+        x, y, z = _rays(frame)[1].T
+        level, rise = np.arctan2(y, x), np.arcsin(z)
+        keep = np.ones(len(x), bool)
+        for _ in range(HOLES):
+            half = np.deg2rad(rng.uniform(*WIDTH))
+            apart = [np.abs(a - rng.uniform(a.min(), a.max())) for a in (level, rise)]
+            keep &= np.maximum(*apart) > half
+        return with_points(frame, keep)
+
+    return _each(recorded, one)
+
+
+def behind_box(recorded: Recorded, low: np.ndarray, high: np.ndarray) -> Recorded:
+    """A box that hides what is behind it; its edges along the fixed frame's axes."""
+
+    def one(frame, _, rng):
+        origin, ray, distance = _rays(frame)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.sort([(low - origin) / ray, (high - origin) / ray], axis=0)
+        first, last = ends[0].max(1, keepdims=True), ends[1].min(1, keepdims=True)
+        hit = (first < last) & (first > 0) & (first < distance)
+        seen = np.where(hit, first + 0.008 * rng.standard_normal(first.shape), distance)
+        return replace(frame, points=(origin + ray * seen).astype(np.float32))
+
+    return _each(recorded, one)
+
+
+def behind_desk(recorded: Recorded) -> Recorded:
+    """A desk 0.45 m before where the person comes nearest to the camera."""
+    hips = recorded.joints[:, recorded.names.index("l_hip")].mean(0)
+    x, y = recorded.joints[:, :, 0].min() - 0.45, hips[1]
+    return behind_box(recorded, np.array([x - 0.4, y - 0.6, 0.0]), np.array([x, y + 0.6, 0.7]))
+
+
+def behind_pole(recorded: Recorded) -> Recorded:
+    """A pole of 8 cm on the way to where the person mostly is."""
+    x, y = 0.45 * recorded.joints[:, recorded.names.index("l_hip"), :2].mean(0)
+    return behind_box(recorded, np.array([x - 0.05, y - 0.04, 0.0]), np.array([x + 0.05, y + 0.04, 2.5]))
+
+
+def cut_off(recorded: Recorded) -> Recorded:
+    """The picture ends at the middle of the thigh: no floor, no legs."""
+
+    def one(frame, joint, _):
+        rise = lambda v: (v @ recorded.up) / np.linalg.norm(v, axis=-1)  # noqa: E731
+        thigh = (joint("l_hip") + joint("l_knee")) / 2 - frame.origins[0]
+        return with_points(frame, (rise(frame.points - frame.origins[0]) > rise(thigh)) & (frame.sensor == 0))
+
+    return _each(recorded, one)
+
+
+SENSING: dict[str, Callable[[Recorded], Recorded]] = {
+    "dark trousers": dark_legs,
+    "dark hair": dark_hair,
+    "flying pixels at most edges": flying_pixels,
+    "holes in the picture": holes,
+    "distances 2 cm wrong in waves": lambda r: at_distances(
+        r, 0, lambda d, _: d + WAVES[0] * np.sin(2 * np.pi * d / WAVES[1])
+    ),
+    "camera shakes": shaking,
+    "behind a desk": behind_desk,
+    "behind a pole": behind_pole,
+    "cut off at the thighs": cut_off,
+}
