@@ -77,12 +77,26 @@ def test_no_floor_in_view(rng):
     unsure = find_scene([frame(upper)], up, up_is_sure=False)
     cut_off = find_scene([frame(upper)], up, up_is_sure=True)  # no legs in the picture: nothing speaks against z = 0
     assert not cut_off.floor_seen and cut_off.floor.offset == 0.0
+    assert unsure.floor_open and not cut_off.floor_open and not sure.floor_open
     assert not sure.floor_seen and sure.floor.offset == 0.0
     assert not unsure.floor_seen and unsure.floor.offset == pytest.approx(
         0.9, abs=0.03
     )  # the figure's rows are 2.5 cm apart
     nothing = find_scene([], up)
     assert not nothing.floor_seen and nothing.walls == ()
+
+
+@pytest.mark.parametrize("cut, floor", [(0.7, 0.0), (0.3, 0.3)])
+def test_who_is_cut_off_stands_lower_than_the_picture_ends(cut, floor):
+    """Nobody knows the floor: it is under the body as far as a body is high, if little of it is seen."""
+    person, low = figure(2.0, 0.0), box(2.5, 1.2, 0.5, 0.4) + [0, 0, cut]
+    scene = Scene(Plane(FLOOR.normal, cut), (), False, floor_open=True)
+    finder = PersonFinder(scene, 1.75, PersonSettings())
+    assert not len(finder(frame(low)).points)  # furniture before anybody comes
+    got = finder(frame(np.concatenate([person[person[:, 2] > cut], low]), 1)).points
+    assert len(got) > 1000 and got[:, 1].max() < 0.5
+    assert finder.scene.floor.offset == pytest.approx(floor, abs=0.03) and finder.scene.floor_open == (floor == cut)
+    np.testing.assert_allclose(finder._places(np.zeros((1, 3), np.float32))[0], -finder.scene.floor.offset, atol=1e-6)
 
 
 def test_the_lower_edge_of_what_is_seen_is_no_floor(rng):

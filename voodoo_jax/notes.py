@@ -52,7 +52,7 @@ def notes_on(run: Session, out: Rows, exchanges: list[Exchange]) -> tuple[str, .
             notes.append(f"No frame has {TO_START} markers that features.names knows a point of this body for.")
         return (*notes, *marker_notes(run.body, run.table, poses, stamps, tracked, exchanges))
     if not run.scene.floor_seen:
-        notes.append("No floor was seen: its height was taken from the fixed frame or from the lowest points.")
+        notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")
     noise = [frame.noise for frame in run.people if frame.noise > 0]
     if noise and np.median(noise) > NOISY:
         notes.append(

@@ -4,6 +4,7 @@ Nothing here knows what the body looks like but its height and width at rest.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -24,12 +25,16 @@ USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that h
 SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
 LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
+WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
+CUT_OFF = 0.5  # of its height: so much must be in the picture then
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
 
 
 class PersonFinder:
     """Follows one thing of a body's height and width through the frames: first the best candidate, then what hangs
     together with where it was. Places where other things were seen several times count as background from then on.
+
+    Where nobody knows the floor, it is as far under the body as this is high: `scene` is what is known by now.
 
     Points that are assigned already pass all tests; what they touch is the body, of whatever height.
     """
@@ -193,19 +198,28 @@ class PersonFinder:
         # not by points alone: what is near has many
         angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(frame.origins))])[sensor]
         area = np.bincount(label, np.sum((points - frame.origins[sensor]) ** 2, 1) * angle**2)
-        best, size = -1, 0.0
+        best, size, highest = -1, 0.0, 0.0
+        least = CUT_OFF if self.scene.floor_open else self.settings.min_height
         for k in np.flatnonzero(np.bincount(label) >= 50):
             mine = label == k
             low, top = np.percentile(height[mine], [0.5, 99.5])
             spread = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
-            tall = self.settings.min_height * body <= top <= 1.35 * body
+            tall = least * body <= top <= 1.35 * body
             # as large as the body, or larger: hardly more likely
             likely = area[k] / (area[k] + 0.5 * self.body_width * body)
             likely *= min(self._across(points[mine]) / (SLIM * self.body_width), 1) ** 2
             likely /= 1 + ((top - body) / (0.15 * body)) ** 2
             if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * body and likely > size:
-                best, size = int(k), likely
+                best, size, highest = int(k), likely, float(top)
+        if self.scene.floor_open and 0 < highest < WHOLE * body:
+            self._lower_floor(body - highest)
         return best
+
+    def _lower_floor(self, by: float) -> None:
+        """From now on the floor is lower: the feet of who seems so small are not in the picture."""
+        floor = self.scene.floor
+        self.scene = replace(self.scene, floor=replace(floor, offset=floor.offset - by), floor_open=False)
+        self._offsets[0] -= by
 
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
         """Says of points whether they lie where something was seen apart from the body for some time, up to now."""

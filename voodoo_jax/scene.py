@@ -36,7 +36,8 @@ class Scene:
 
     floor: Plane  # normal upwards
     walls: tuple[Plane, ...]  # normals towards the first sensor
-    floor_seen: bool  # False: no floor was visible and the lowest points stand for it
+    floor_seen: bool  # False: no floor was visible
+    floor_open: bool = False  # nor is it known where it is: the lowest points stand for it, and it may be lower
 
 
 def fit_plane(
@@ -81,7 +82,7 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
     """Floor and walls from a few frames: `up` need be right to 40 degrees only.
 
     Where no floor is visible it is taken to be z = 0 of a fixed frame whose z points up (`up_is_sure`; robots' base,
-    odometry and map frames are so by convention), or else the height of the lowest points.
+    odometry and map frames are so by convention), or else the height of the lowest points, for the time being.
     """
     rng = np.random.default_rng(0)
     free = [f.only(~assigned(f)) if assigned(f).any() else f for f in map(whole, frames)]
@@ -91,13 +92,16 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
         points = points[rng.permutation(len(points))[:60_000]]
     if not len(points):  # the person's own lowest points are as near to the floor as one can know
         points = np.concatenate([np.zeros((0, 3), np.float32), *(f.points for f in frames)])
-        return Scene(_lowest(points, np.asarray(up, np.float32), up_is_sure), (), False)
-    floor, seen = _find_floor(points, np.asarray(up, np.float32), up_is_sure, rng)
+        return Scene(_lowest(points, np.asarray(up, np.float32), up_is_sure)[0], (), False)
+    seen, unknown = _find_floor(points, np.asarray(up, np.float32), rng), False
+    floor = seen
+    if floor is None:
+        floor, unknown = _lowest(points, np.asarray(up, np.float32), up_is_sure)
     walls: list[Plane] = []
     for frame in free:  # one by one: a person who walks is as wide as a wall over several frames together
         if len(frame.points) and len(walls) < 6:
             walls += _find_walls(frame, floor, walls, rng)
-    return Scene(floor, tuple(walls), seen)
+    return Scene(floor, tuple(walls), seen is not None, unknown)
 
 
 def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> list[Plane]:
@@ -127,7 +131,8 @@ def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> li
     return found
 
 
-def _find_floor(points, up, up_is_sure, rng) -> tuple[Plane, bool]:
+def _find_floor(points, up, rng) -> Plane | None:
+    """The floor, if it is seen."""
     height = points @ up
     low = points[height < np.percentile(height, 70)]
     found = fit_plane(low, lambda n: np.abs(n @ up) > 0.77, rng, 0.03)
@@ -138,8 +143,8 @@ def _find_floor(points, up, up_is_sure, rng) -> tuple[Plane, bool]:
         above = plane.height(points)
         # a floor has next to nothing below it, and a fair share of the picture on it
         if (np.abs(above) < 0.03).mean() > 0.04 and (above < -0.1).mean() < 0.03 and _open(points, plane):
-            return plane, True
-    return _lowest(points, up, up_is_sure), False
+            return plane
+    return None
 
 
 def _open(points, plane: Plane) -> bool:
@@ -151,7 +156,8 @@ def _open(points, plane: Plane) -> bool:
     return bool(touching(place[np.abs(height) < 0.03], above).mean() < 0.4)
 
 
-def _lowest(points, up, up_is_sure) -> Plane:
-    """What stands for a floor that nobody sees."""
+def _lowest(points, up, up_is_sure) -> tuple[Plane, bool]:
+    """What stands for a floor that nobody sees, and whether it may be lower."""
     lowest = float(np.percentile(points @ up, 0.5)) if len(points) else 0.0
-    return Plane(up, 0.0 if up_is_sure and -0.2 < lowest < 1.3 else lowest)
+    known = up_is_sure and -0.2 < lowest < 1.3
+    return Plane(up, 0.0 if known else lowest), not known

@@ -58,15 +58,16 @@ def find_person(
     width = float(np.max(np.subtract(*rest_box(rested)[::-1])[:2]))
     finder = PersonFinder(scene, rest_height(rested), settings.person, width)
     found = weighed(person_frames(chain(first, stream), finder), settings.person.noise)
-    if not settings.person.ahead:
-        return scene, spilled(found)
     windows = iter(lambda: list(islice(found, FURNITURE_FRAMES)), [])
-    return scene, spilled(chain.from_iterable(_told(window, scene, finder) for window in windows))
+    told = chain.from_iterable(_told(window, finder) for window in windows)
+    people = spilled(told if settings.person.ahead else found)
+    return finder.scene, people  # the floor may have been found with the body
 
 
-def _told(window: list[PersonFrame], scene: Scene, finder: PersonFinder) -> list[PersonFrame]:
+def _told(window: list[PersonFrame], finder: PersonFinder) -> list[PersonFrame]:
     """The frames without what all of them together tell to be furniture."""
-    return without_furniture(without_things(window, scene.floor, finder.apart()), scene.floor.normal)
+    floor = finder.scene.floor
+    return without_furniture(without_things(window, floor, finder.apart()), floor.normal)
 
 
 def prepare(body: Body, settings: Settings, sensors: int, names: bool, parts: bool) -> list[Thread]:

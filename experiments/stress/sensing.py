@@ -156,6 +156,19 @@ def cut_off(recorded: Recorded) -> Recorded:
     return _each(recorded, one)
 
 
+def as_the_camera_sees(recorded: Recorded) -> Recorded:
+    """In the camera's frame (x right, y down, z ahead) as if nobody had said where that is: no floor at z = 0."""
+    axes, origin = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]), recorded.frames[0].origins[0].astype(float)
+    turned = lambda v: (v @ axes.T).astype(np.float32)  # noqa: E731
+    moved = lambda p: turned(p - origin)  # noqa: E731
+    frames = []
+    for f in recorded.frames:
+        rays = replace(f.rays, origins=moved(f.rays.origins), directions=turned(f.rays.directions))
+        pairs = replace(f.pairs, points=moved(f.pairs.points))
+        frames.append(replace(f, points=moved(f.points), origins=moved(f.origins), rays=rays, pairs=pairs))
+    return replace(recorded, frames=frames, up=turned(recorded.up), joints=(recorded.joints - origin) @ axes.T)
+
+
 SENSING: dict[str, Callable[[Recorded], Recorded]] = {
     "dark trousers": dark_legs,
     "dark hair": dark_hair,
@@ -168,4 +181,5 @@ SENSING: dict[str, Callable[[Recorded], Recorded]] = {
     "behind a desk": behind_desk,
     "behind a pole": behind_pole,
     "cut off at the thighs": cut_off,
+    "the same, floor unknown": lambda r: as_the_camera_sees(cut_off(r)),
 }
