@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from scipy.spatial import KDTree
 
+from voodoo_jax.candidate import candidate
 from voodoo_jax.cells import Counted, cells_of, components, touching, within
 from voodoo_jax.clouds import fair_share, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
@@ -22,7 +23,6 @@ APART = 0.6  # of a thing's points: so many where something was apart from the b
 GONE = 0.6  # of its height before: what is lower from one frame to the next is not the body any more
 CELL = 0.08  # metres, of the grid in which the background is kept
 USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that has shown too few to tell
-SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
 LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
 WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
@@ -163,10 +163,6 @@ class PersonFinder:
             ) and within(mine, self.others, STILL).sum() >= APART * len(mine)
         return taken & ~doubtful
 
-    def _across(self, points) -> float:
-        """How wide a thing is, level, corner to corner; metres."""
-        return float(np.hypot(*np.ptp(self._axes[1:3] @ points.T, axis=1)))
-
     def _is_low(self, thing) -> bool:
         return bool(np.percentile(self.scene.floor.height(thing), 98) < 0.5 * self.body_height)
 
@@ -191,28 +187,14 @@ class PersonFinder:
         return floor.height(thing).min() > 0.6 * self.body_height and bool(np.linalg.norm(apart) < 0.3)
 
     def _candidate(self, frame: Frame, index, label) -> int:
-        """Label of the thing that is about as high as the body and not much wider, the largest of several; things of
-        another height, and poles, count less. -1 where there is none."""
-        points, sensor = frame.points[index], frame.sensor[index]
-        height, body = self.scene.floor.height(points), self.body_height
-        # not by points alone: what is near has many
+        """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""
+        points, sensor, body = frame.points[index], frame.sensor[index], (self.body_height, self.body_width)
         angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(frame.origins))])[sensor]
-        area = np.bincount(label, np.sum((points - frame.origins[sensor]) ** 2, 1) * angle**2)
-        best, size, highest = -1, 0.0, 0.0
+        area = np.sum((points - frame.origins[sensor]) ** 2, 1) * angle**2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
-        for k in np.flatnonzero(np.bincount(label) >= 50):
-            mine = label == k
-            low, top = np.percentile(height[mine], [0.5, 99.5])
-            spread = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
-            tall = least * body <= top <= 1.35 * body
-            # as large as the body, or larger: hardly more likely
-            likely = area[k] / (area[k] + 0.5 * self.body_width * body)
-            likely *= min(self._across(points[mine]) / (SLIM * self.body_width), 1) ** 2
-            likely /= 1 + ((top - body) / (0.15 * body)) ** 2
-            if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * body and likely > size:
-                best, size, highest = int(k), likely, float(top)
-        if self.scene.floor_open and 0 < highest < WHOLE * body:
-            self._lower_floor(body - highest)
+        best, top = candidate(points, label, area, self._places(points)[:3], body, least)
+        if self.scene.floor_open and 0 < top < WHOLE * self.body_height:
+            self._lower_floor(self.body_height - top)
         return best
 
     def _lower_floor(self, by: float) -> None:

@@ -1,0 +1,38 @@
+"""Which of several things is likeliest to be the body, where nobody knows yet. Host side, NumPy."""
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
+FEWEST = 50  # points of a thing that may be it
+
+
+def candidate(
+    points: Float32[np.ndarray, "point 3"],
+    label: Int[np.ndarray, " point"],
+    area: Float[np.ndarray, " point"],
+    places: Float32[np.ndarray, "3 point"],
+    body: tuple[float, float],
+    least: float,
+) -> tuple[int, float]:
+    """Label of the thing that is about as high as the body and not much wider, the largest of several, and the height
+    of its top; things of another height, and poles, count less. -1 where there is none.
+
+    **Arguments:** `label` the thing that each point belongs to; `area` that each point stands for, square metres: not
+    by points alone, what is near has many; `places` heights above the floor and level coordinates, metres; `body` its
+    height and width at rest; `least` the lowest top, as a share of the height.
+    """
+    (high, wide), height, areas = body, places[0], np.bincount(label, area)
+    best, size, highest = -1, 0.0, 0.0
+    for k in np.flatnonzero(np.bincount(label) >= FEWEST):
+        mine = label == k
+        low, top = np.percentile(height[mine], [0.5, 99.5])
+        spread = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
+        tall = least * high <= top <= 1.35 * high
+        # as large as the body, or larger: hardly more likely
+        likely = areas[k] / (areas[k] + 0.5 * wide * high)
+        likely *= min(np.hypot(*np.ptp(places[1:, mine], axis=1)) / (SLIM * wide), 1) ** 2
+        likely /= 1 + ((top - high) / (0.15 * high)) ** 2
+        if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * high and likely > size:
+            best, size, highest = int(k), float(likely), float(top)
+    return best, highest
