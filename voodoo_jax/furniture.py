@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from voodoo_jax.cells import cells_of, components, touching, unique_cells, within
-from voodoo_jax.person import ASIDE
+from voodoo_jax.person import stands_aside
 from voodoo_jax.person_frame import PersonFrame, assigned
 from voodoo_jax.scene import Plane
+from voodoo_jax.settings import PersonSettings
 
 AWAY = 0.55  # metres from the body's axis: not part of it
 MOVED = 0.4  # metres by which the body must come nearer to a thing or go farther from it, to be told from it
 CELL = 0.1  # metres, of the grid in which furniture is looked for
-LINK = 0.12  # metres: nearer points belong to the same thing
 BLOCK = 4_000_000  # cells times frames that are compared at once
 HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was a body that touched the thing
 
@@ -22,37 +22,37 @@ def without_things(
     frames: list[PersonFrame],
     floor: Plane,
     apart: Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]],
+    link: float = PersonSettings.link,
 ) -> list[PersonFrame]:
     """Takes out things that were seen apart from the body in other frames, before or afterwards.
 
-    **Arguments:** `apart` says which points lie where such a thing was (see PersonFinder.apart). Where that leaves the
-    head out, it was the body that stood there, and the frame comes back as it is.
+    **Arguments:** `apart` says which points lie where such a thing was (see PersonFinder.apart); points nearer than
+    `link` metres are of one thing. Where that leaves the head out, it was the body that stood there, and the frame
+    comes back as it is.
     """
     out = []
     for frame in frames:
         keep = ~apart(frame.points) | assigned(frame)
         if not keep.all() and keep.sum() >= 30:
-            before, after = (np.percentile(floor.height(p), 98) for p in (frame.points, frame.points[keep]))
-            if after >= HEAD * before:
-                keep[keep] = ~remains(frame.points[keep], frame.points[~keep], floor) | assigned(frame)[keep]
+            if floor.top(frame.points[keep]) >= HEAD * floor.top(frame.points):
+                keep[keep] = ~_remains(frame.points[keep], frame.points[~keep], floor, link) | assigned(frame)[keep]
                 frame = frame.only(keep)
         out.append(frame)
     return out
 
 
-def remains(
-    points: Float32[np.ndarray, "point 3"], gone: Float32[np.ndarray, "gone 3"], floor: Plane
+def _remains(
+    points: Float32[np.ndarray, "point 3"], gone: Float32[np.ndarray, "gone 3"], floor: Plane, link: float
 ) -> Bool[np.ndarray, " point"]:
     """Which points are what is left of a thing of which the others are `gone`: they touch it, and are low and beside
     the body."""
-    label, height = components(points, LINK), floor.height(points)
-    tops = np.array([np.percentile(height[label == k], 98) for k in range(label.max() + 1)])
-    tall = tops >= HEAD * np.percentile(height, 98)
-    main = int(np.argmax(np.bincount(label) * tall))
-    body, left = floor.level(points[label == main]), np.zeros(len(tops), bool)
+    label = components(points, link)
+    things = [points[label == k] for k in range(label.max() + 1)]
+    tops = np.array([floor.top(thing) for thing in things])
+    main = int(np.argmax(np.bincount(label) * (tops >= HEAD * floor.top(points))))
+    left = np.zeros(len(things), bool)
     for k in np.flatnonzero(tops < 0.5 * tops[main]):
-        thing = points[label == k]
-        left[k] = within(floor.level(thing), body, ASIDE).mean() < 0.05 and within(thing, gone, LINK).any()
+        left[k] = stands_aside(things[k], things[main], floor) and within(things[k], gone, link).any()
     return left[label]
 
 

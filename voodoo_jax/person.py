@@ -15,7 +15,7 @@ from voodoo_jax.cells import Counted, cells_of, components, touching, within
 from voodoo_jax.clouds import fair_share, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
-from voodoo_jax.scene import BEHIND, Scene
+from voodoo_jax.scene import BEHIND, Plane, Scene
 from voodoo_jax.settings import PersonSettings
 
 STILL = 0.06  # metres from one frame's points to those of the frame before, of things that do not move
@@ -47,7 +47,6 @@ class PersonFinder:
         self.unseen = 0
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
         self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
-        self._offsets = np.array([scene.floor.offset, 0, 0, *(w.offset for w in scene.walls)], np.float32)
         self._spacing: dict[int, float] = {}  # of each sensor
         self._background = Counted(CELL)
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
@@ -72,8 +71,8 @@ class PersonFinder:
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
         # not where something else than the body was seen before
         index = index[self._background.at(points[index]) < 3]
-        found = points[index]
-        chosen = self._choose(frame, index, sure)
+        seen = whole(frame).only(index)
+        found, chosen = seen.points, self._choose(seen, sure)
         body = found[chosen]
         if not len(sure) and self._gone(body):
             self._left.add(cells_of(body, CELL), 1.0)
@@ -96,7 +95,8 @@ class PersonFinder:
 
     def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "axis point"]:
         """Height above the floor, level coordinates, and distances from the walls; metres."""
-        return self._axes @ points.T - self._offsets[:, None]
+        offsets = [self.scene.floor.offset, 0, 0, *(wall.offset for wall in self.scene.walls)]
+        return self._axes @ points.T - np.array(offsets, np.float32)[:, None]
 
     def _without_strays(self, frame: Frame, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
@@ -119,9 +119,9 @@ class PersonFinder:
             return frame.part >= 0
         return (frame.part >= 0) & np.array([*(name == "body" for name in frame.parts), False])[frame.part]
 
-    def _choose(self, frame: Frame, index, sure) -> Bool[np.ndarray, " point"]:
-        """Which of the points with these indices belong to the body. `sure`: points that are known to be on it."""
-        points = frame.points[index]
+    def _choose(self, seen: PersonFrame, sure) -> Bool[np.ndarray, " point"]:
+        """Which points belong to the body. `sure`: those that are known to be on it."""
+        points = seen.points
         if len(points) < 30:
             return np.zeros(len(points), bool)
         label = components(points, self.settings.link)
@@ -132,7 +132,7 @@ class PersonFinder:
             touched = np.bincount(label, touched) * (count >= 30)
             most[np.argmax(touched)] = touched.any()
         if self.last is None:
-            return most[label] if most.any() else label == self._candidate(frame, index, label)
+            return most[label] if most.any() else label == self._candidate(seen, label)
         return (most | self._followed(points, label, count, self.last))[label]
 
     def _followed(self, points, label, count, last) -> Bool[np.ndarray, " thing"]:
@@ -142,14 +142,14 @@ class PersonFinder:
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
         doubtful = taken & (count >= 0.1 * len(last))
-        large = np.flatnonzero(doubtful)
-        if len(large) > 1:  # a box may have more points than the body
-            near[large] *= [LOW if self._is_low(points[label == k]) else 1.0 for k in large]
+        large = np.flatnonzero(doubtful) if doubtful.sum() > 1 else ()
+        low = {k: mine for k in large if self._is_low(mine := points[label == k])}
+        near[list(low)] *= LOW  # a box may have more points than the body
         main = int(np.argmax(near))
-        for k in large:
-            if k != main and self._stands_aside(points[label == k], points[label == main], last):
+        for k, mine in low.items():
+            if k != main and self._is_left(mine, points[label == main], last):
                 taken[k] = doubtful[k] = False
-                self._background.add(cells_of(points[label == k], CELL), LONG)  # so it was all the time
+                self._background.add(cells_of(mine, CELL), LONG)  # so it was all the time
         if not doubtful.any() or not len(self.others):
             return taken
         beside = touching(cells_of(points, STILL), cells_of(self.others, STILL))
@@ -164,20 +164,18 @@ class PersonFinder:
         return taken & ~doubtful
 
     def _is_low(self, thing) -> bool:
-        return bool(np.percentile(self.scene.floor.height(thing), 98) < 0.5 * self.body_height)
+        return self.scene.floor.top(thing) < 0.5 * self.body_height
 
-    def _stands_aside(self, thing, body, last) -> bool:
-        """Whether a thing is low, still, and beside the body, not under it as legs are: furniture that it has left."""
-        mine, others = map(self.scene.floor.level, (thing, body))
-        aside = self._is_low(thing) and within(mine, others, ASIDE).mean() < 0.05
-        return bool(aside and within(thing, last, STILL).mean() > APART)
+    def _is_left(self, thing, body, last) -> bool:
+        """Whether a low thing is still, and beside the body: furniture that it has left."""
+        return stands_aside(thing, body, self.scene.floor) and bool(within(thing, last, STILL).mean() > APART)
 
     def _gone(self, taken) -> bool:
         """Whether what is left was never the body: at once less, and far lower. A chair remains."""
         if self.last is None or len(taken) < 30 or len(taken) > 0.8 * len(self.last):
             return False
-        top, before = (np.percentile(self.scene.floor.height(p), 98) for p in (taken, self.last))
-        return bool(top < GONE * before)
+        floor = self.scene.floor
+        return floor.top(taken) < GONE * floor.top(self.last)
 
     def _is_head(self, thing, body) -> bool:
         """Whether a thing is right above a body: a head whose neck is hidden or narrow, not a chair."""
@@ -186,11 +184,11 @@ class PersonFinder:
         apart -= (apart @ floor.normal) * floor.normal
         return floor.height(thing).min() > 0.6 * self.body_height and bool(np.linalg.norm(apart) < 0.3)
 
-    def _candidate(self, frame: Frame, index, label) -> int:
+    def _candidate(self, seen: PersonFrame, label) -> int:
         """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""
-        points, sensor, body = frame.points[index], frame.sensor[index], (self.body_height, self.body_width)
-        angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(frame.origins))])[sensor]
-        area = np.sum((points - frame.origins[sensor]) ** 2, 1) * angle**2
+        points, sensor, body = seen.points, seen.sensor, (self.body_height, self.body_width)
+        angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(seen.origins))])[sensor]
+        area = np.sum((points - seen.origins[sensor]) ** 2, 1) * angle**2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
         best, top = candidate(points, label, area, self._places(points)[:3], body, least)
         if self.scene.floor_open and 0 < top < WHOLE * self.body_height:
@@ -201,7 +199,6 @@ class PersonFinder:
         """From now on the floor is lower: the feet of who seems so small are not in the picture."""
         floor = self.scene.floor
         self.scene = replace(self.scene, floor=replace(floor, offset=floor.offset - by), floor_open=False)
-        self._offsets[0] -= by
 
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
         """Says of points whether they lie where something was seen apart from the body for some time, up to now."""
@@ -226,6 +223,11 @@ class PersonFinder:
         else:
             far, times = ~within(others, mine, 0.25), 1.0
         self._background.add(cells_of(others[far], CELL), times)
+
+
+def stands_aside(thing: Float32[np.ndarray, "thing 3"], body: Float32[np.ndarray, "body 3"], floor: Plane) -> bool:
+    """Whether a thing is beside the body, not under it as legs are."""
+    return bool(within(floor.level(thing), floor.level(body), ASIDE).mean() < 0.05)
 
 
 def person_frames(frames: Iterable[Frame], finder: PersonFinder) -> Iterator[PersonFrame]:

@@ -25,6 +25,10 @@ class Plane:
         """Signed distance of points, metres."""
         return points @ self.normal - np.float32(self.offset)
 
+    def top(self, points: Float32[np.ndarray, "point 3"]) -> float:
+        """Height of the top of a thing with these points, but for single ones; metres."""
+        return float(np.percentile(self.height(points), 98))
+
     def level(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point 3"]:
         """The places on the plane under some points."""
         return points - self.height(points)[:, None] * self.normal
@@ -84,7 +88,7 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
     Where no floor is visible it is taken to be z = 0 of a fixed frame whose z points up (`up_is_sure`; robots' base,
     odometry and map frames are so by convention), or else the height of the lowest points, for the time being.
     """
-    rng = np.random.default_rng(0)
+    rng, up = np.random.default_rng(0), np.asarray(up, np.float32)
     free = [f.only(~assigned(f)) if assigned(f).any() else f for f in map(whole, frames)]
     clouds = [f.points for f in free if len(f.points)]
     points = np.concatenate(clouds) if clouds else np.zeros((0, 3), np.float32)
@@ -92,11 +96,9 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
         points = points[rng.permutation(len(points))[:60_000]]
     if not len(points):  # the person's own lowest points are as near to the floor as one can know
         points = np.concatenate([np.zeros((0, 3), np.float32), *(f.points for f in frames)])
-        return Scene(_lowest(points, np.asarray(up, np.float32), up_is_sure)[0], (), False)
-    seen, unknown = _find_floor(points, np.asarray(up, np.float32), rng), False
-    floor = seen
-    if floor is None:
-        floor, unknown = _lowest(points, np.asarray(up, np.float32), up_is_sure)
+        return Scene(_lowest(points, up, up_is_sure)[0], (), False)
+    seen = _find_floor(points, up, rng)
+    floor, unknown = (seen, False) if seen else _lowest(points, up, up_is_sure)
     walls: list[Plane] = []
     for frame in free:  # one by one: a person who walks is as wide as a wall over several frames together
         if len(frame.points) and len(walls) < 6:

@@ -292,7 +292,7 @@ def render(
         for axis, at in planes:
             _keep_nearest(depth, cosine, every, (at - origin[axis]) / rays[:, axis], np.abs(rays[:, axis]) / length)
         for box in room.boxes if room else ():
-            _keep_nearest(depth, cosine, every, *_hit_box(box, origin, rays))
+            _keep_nearest(depth, cosine, every, *hit_box(box, origin, rays))
     return depth.reshape(camera.height, camera.width), cosine.reshape(camera.height, camera.width)
 
 
@@ -349,7 +349,8 @@ def _hit_frustum(size, o, d) -> tuple[np.ndarray, np.ndarray]:
     return t, cosine
 
 
-def _hit_box(box: Box, origin, rays) -> tuple[np.ndarray, np.ndarray]:
+def hit_box(box: Box, origin, rays) -> tuple[np.ndarray, np.ndarray]:
+    """First hit t [ray] (inf: none) of origin + t ray with a box, and |cos| there; one origin, or each ray's own."""
     turn = Rotation.from_euler("z", box.yaw).as_matrix()
     half = np.array(box.size) / 2
     o, d = (origin - [box.x, box.y, half[2]]) @ turn, rays @ turn

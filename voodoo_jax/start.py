@@ -104,7 +104,7 @@ def standing_places(body: Body, frames: list[PersonFrame], floor: Plane, heading
     height = floor.height(cloud)
     # the upper half only: furniture that touches the body is low
     middle = np.median(cloud[height > 0.5 * np.percentile(height, 99)], 0)
-    foot = middle - floor.height(middle[None])[0] * up
+    foot = floor.level(middle[None])[0]
     seen = np.bincount(np.concatenate([f.sensor for f in frames]), minlength=len(frames[0].origins))
     directions = [_level_direction(foot, origin, up) for origin in frames[0].origins]
     towards = directions[int(np.argmax(seen))]

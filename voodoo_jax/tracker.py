@@ -55,8 +55,8 @@ def find_person(
     scale = settings.start.scale
     # a body's scale need not be its height
     rested = scaled(body, scale) if scale > 0 else body
-    width = float(np.max(np.subtract(*rest_box(rested)[::-1])[:2]))
-    finder = PersonFinder(scene, rest_height(rested), settings.person, width)
+    low, high = rest_box(rested)
+    finder = PersonFinder(scene, rest_height(rested), settings.person, float(np.max(high[:2] - low[:2])))
     found = weighed(person_frames(chain(first, stream), finder), settings.person.noise)
     windows = iter(lambda: list(islice(found, FURNITURE_FRAMES)), [])
     told = chain.from_iterable(_told(window, finder) for window in windows)
@@ -66,8 +66,8 @@ def find_person(
 
 def _told(window: list[PersonFrame], finder: PersonFinder) -> list[PersonFrame]:
     """The frames without what all of them together tell to be furniture."""
-    floor = finder.scene.floor
-    return without_furniture(without_things(window, floor, finder.apart()), floor.normal)
+    floor, link = finder.scene.floor, finder.settings.link
+    return without_furniture(without_things(window, floor, finder.apart(), link), floor.normal)
 
 
 def prepare(body: Body, settings: Settings, sensors: int, names: bool, parts: bool) -> list[Thread]:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.judged import Recorded
 from voodoo_jax.recording import Frame
+from voodoo_jax.simulate import Box, hit_box
 
 DARK = 0.15  # of their points are left where clothes or hair swallow the light
 EDGES = 0.6  # of the pixels at the edge of something near lie between it and what is behind it
@@ -117,15 +118,14 @@ def holes(recorded: Recorded) -> Recorded:
     return _each(recorded, one)
 
 
-def behind_box(recorded: Recorded, low: np.ndarray, high: np.ndarray) -> Recorded:
-    """A box that hides what is behind it; its edges along the fixed frame's axes."""
+def behind_box(recorded: Recorded, box: Box) -> Recorded:
+    """A box that hides what is behind it."""
 
     def one(frame, _, rng):
         origin, ray, distance = _rays(frame)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ends = np.sort([(low - origin) / ray, (high - origin) / ray], axis=0)
-        first, last = ends[0].max(1, keepdims=True), ends[1].min(1, keepdims=True)
-        hit = (first < last) & (first > 0) & (first < distance)
+            first = hit_box(box, origin, ray)[0][:, None]
+        hit = (first > 0) & (first < distance)
         seen = np.where(hit, first + 0.008 * rng.standard_normal(first.shape), distance)
         return replace(frame, points=(origin + ray * seen).astype(np.float32))
 
@@ -134,15 +134,14 @@ def behind_box(recorded: Recorded, low: np.ndarray, high: np.ndarray) -> Recorde
 
 def behind_desk(recorded: Recorded) -> Recorded:
     """A desk 0.45 m before where the person comes nearest to the camera."""
-    hips = recorded.joints[:, recorded.names.index("l_hip")].mean(0)
-    x, y = recorded.joints[:, :, 0].min() - 0.45, hips[1]
-    return behind_box(recorded, np.array([x - 0.4, y - 0.6, 0.0]), np.array([x, y + 0.6, 0.7]))
+    y = recorded.joints[:, recorded.names.index("l_hip"), 1].mean()
+    return behind_box(recorded, Box(recorded.joints[:, :, 0].min() - 0.65, y, (0.4, 1.2, 0.7)))
 
 
 def behind_pole(recorded: Recorded) -> Recorded:
     """A pole of 8 cm on the way to where the person mostly is."""
     x, y = 0.45 * recorded.joints[:, recorded.names.index("l_hip"), :2].mean(0)
-    return behind_box(recorded, np.array([x - 0.05, y - 0.04, 0.0]), np.array([x + 0.05, y + 0.04, 2.5]))
+    return behind_box(recorded, Box(x, y, (0.1, 0.08, 2.5)))
 
 
 def cut_off(recorded: Recorded) -> Recorded:
