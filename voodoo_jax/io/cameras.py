@@ -5,10 +5,15 @@ from voodoo_jax.io.decode import DEPTH_KINDS
 from voodoo_jax.io.topic import Topic
 
 
+def bare(topic: str) -> str:
+    """Topic of the image itself, without what image_transport adds for a packed one."""
+    return topic.removesuffix("/compressedDepth").removesuffix("/compressed")
+
+
 def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:
     """That of the same frame, else of the same namespace; then the one of the same size."""
     image: Image = topics[name].sample
-    space = name.rsplit("/", 1)[0]
+    space = bare(name).rsplit("/", 1)[0]
     found = []
     for other, topic in topics.items():
         c = topic.calibration

@@ -1,11 +1,11 @@
-"""Messages with colour or grey images: what they hold, still packed. `io.pictures` unpacks them."""
+"""Messages with colour, grey or compressed images: what they hold, still packed. `io.pictures` unpacks them."""
 
 from typing import Any
 
-from voodoo_jax.io.contents import Colour, frame_name, pb_stamp, ros_stamp
+from voodoo_jax.io.contents import Colour, Image, frame_name, pb_stamp, ros_stamp
+from voodoo_jax.io.packed_depth import packed_depth
 
 COLOUR_KIND = "colour image"
-COMPRESSED_DEPTH = "compressed depth"
 # Bytes per pixel of the encodings that can be unpacked. ROS calls UYVY yuv422, and YUYV yuv422_yuy2.
 PIXELS = {
     "rgb8": 3, "bgr8": 3, "8uc3": 3, "rgba8": 4, "bgra8": 4, "8uc4": 4, "mono8": 1, "8uc1": 1,
@@ -20,12 +20,12 @@ def colour_image(stamp_ns: int, frame: str, encoding: str, rows: int, columns: i
     return Colour(stamp_ns, frame_name(frame), name, (rows, columns), step, data)
 
 
-def _compressed(stamp_ns: int, frame: str, format: str, data: Any) -> Colour:
+def _compressed(stamp_ns: int, frame: str, format: str, data: Any) -> Colour | Image:
     if not len(data):
         raise ValueError("the image is empty")
-    # image_transport writes "rgb8; jpeg compressed bgr8", and "16UC1; compressedDepth png" for depth
-    kind = format.strip().lower()
-    return Colour(stamp_ns, frame_name(frame), COMPRESSED_DEPTH if "compresseddepth" in kind else kind, (0, 0), 0, data)
+    # image_transport writes "rgb8; jpeg compressed bgr8"
+    colour = Colour(stamp_ns, frame_name(frame), format.strip().lower(), (0, 0), 0, data)
+    return packed_depth(stamp_ns, frame_name(frame), format, data) or colour
 
 
 CONVERTERS = {

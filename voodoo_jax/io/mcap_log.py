@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from voodoo_jax.io import camera
-from voodoo_jax.io.cameras import calibration_of
+from voodoo_jax.io.cameras import bare, calibration_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.contents import Cloud, Image, many, stride
 from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
+from voodoo_jax.io.packed_depth import unpacked
 from voodoo_jax.io.plan import Plan, make_plan
 from voodoo_jax.io.scan import Scan, guarded
 from voodoo_jax.io.stereo import StereoReader
@@ -188,10 +189,11 @@ class LogReader:
         rotation, translation = found
         labels = None
         if isinstance(content, Image):
-            if content.raw is None:
+            raw = content.raw if content.packed is None else unpacked(content)
+            if raw is None:
                 raise ValueError(f"encoding changed to {content.encoding}")
             k = stride(*content.shape, s.max_points)
-            z = content.raw[::k, ::k].ravel().astype(np.float32) * np.float32(content.unit)
+            z = raw[::k, ::k].ravel().astype(np.float32) * np.float32(content.unit)
             rays, square = self._directions(topic, content, k, rotation)
             with np.errstate(invalid="ignore", over="ignore"):
                 keep = np.flatnonzero(self._in_range(square * (z * z)) & (z > 0))
@@ -239,7 +241,7 @@ class LogReader:
             c = calibration_of(self._scan.topics, topic)
             assert c is not None
             # By ROS custom a topic called image_rect... is rectified: P holds, and the lens is undone already.
-            rectified = "rect" in topic.rsplit("/", 1)[-1] and c.P[0, 0] > 0
+            rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
             K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)
             height, width = image.shape
             if c.width and c.height and (c.width, c.height) != (width, height):

@@ -21,9 +21,9 @@ from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.settings import ReadSettings
 
 NEEDED = (
-    "Needed is a depth image (sensor_msgs/msg/Image or foxglove.RawImage, 16UC1 in mm or 32FC1 in m) with its "
-    "calibration, or a point cloud (sensor_msgs/msg/PointCloud2 or foxglove.PointCloud), or the images of a stereo "
-    "pair with both calibrations"
+    "Needed is a depth image (sensor_msgs/msg/Image or foxglove.RawImage, 16UC1 in mm or 32FC1 in m, or packed as "
+    "compressedDepth) with its calibration, or a point cloud (sensor_msgs/msg/PointCloud2 or foxglove.PointCloud), or "
+    "the images of a stereo pair with both calibrations"
 )
 NEEDED_FEATURES = (
     ", or named features: 3D points (visualization_msgs/msg/MarkerArray, geometry_msgs/msg/PointStamped, "

@@ -9,7 +9,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from voodoo_jax.io.container import READ_ERRORS, Item, LogError, LogFile
-from voodoo_jax.io.contents import Calibration, Features, many
+from voodoo_jax.io.contents import Calibration, Features, Image, many
 from voodoo_jax.io.decode import (
     DECODE_ERRORS,
     DEPTH_KINDS,
@@ -55,7 +55,6 @@ class Scan:
         self.log_times: tuple[int, int] | None = None
         self._decoder = Decoder()
         self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
-        self._off += () if settings.stereo or settings.skin else (COLOUR_KIND,)
         # Without statistics the only way to know the number of messages is to read them all.
         everything = self.log.declared is None
         wanted = lambda s, c: everything or bool(self.kind(s, c))  # noqa: E731
@@ -85,6 +84,9 @@ class Scan:
     def kind(self, schema: Schema | None, channel: Channel) -> str:
         """What a channel may be used for; "" also for what is switched off."""
         kind = kind_of(schema, channel)
+        known = self.topics.get(channel.topic)
+        if kind == COLOUR_KIND and known is not None and known.kind in DEPTH_KINDS:
+            kind = known.kind  # its compressed images turned out to be of depth
         return "" if kind in self._off else kind
 
     def _topic(self, schema: Schema | None, channel: Channel) -> Topic:
@@ -105,6 +107,8 @@ class Scan:
                 topic.error = topic.error or f"{type(error).__name__}: {error}"
         if content is not None and topic.sample is None:
             topic.sample = content
+            if isinstance(content, Image) and topic.kind == COLOUR_KIND:
+                topic.kind = "image"
         if isinstance(content, list):
             for transform in content:
                 self.tree.add(transform, is_static(schema, channel))

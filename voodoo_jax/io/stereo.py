@@ -12,7 +12,6 @@ from mcap.records import Channel, Message, Schema
 from voodoo_jax.io.cameras import calibration_of
 from voodoo_jax.io.contents import Calibration, Cloud, Colour, Image
 from voodoo_jax.io.decode import Decoder
-from voodoo_jax.io.decode_colour import COMPRESSED_DEPTH
 from voodoo_jax.io.frames import clean_stamps
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
@@ -39,8 +38,7 @@ class Pair:
 
 def picture_of(content: object) -> Colour | None:
     """The colour or grey image that a message holds."""
-    found = content.colour if isinstance(content, Image) else content if isinstance(content, Colour) else None
-    return None if found is None or found.encoding == COMPRESSED_DEPTH else found
+    return content.colour if isinstance(content, Image) else content if isinstance(content, Colour) else None
 
 
 def rectified(topic: str) -> bool:

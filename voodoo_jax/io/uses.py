@@ -5,7 +5,7 @@ from voodoo_jax.io.cameras import calibration_of, camera_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.contents import Image
 from voodoo_jax.io.decode import DEPTH_KINDS, FEATURE_KINDS
-from voodoo_jax.io.decode_colour import COLOUR_KIND, COMPRESSED_DEPTH
+from voodoo_jax.io.decode_colour import COLOUR_KIND
 from voodoo_jax.io.parts import label_field
 from voodoo_jax.io.stereo import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
@@ -25,10 +25,7 @@ def decide_uses(
         if topic.kind in DEPTH_KINDS:
             uses[name] = _depth_use(topics, name)
         elif topic.kind == COLOUR_KIND:
-            is_depth = topic.sample is not None and topic.sample.encoding == COMPRESSED_DEPTH
-            uses[name] = (
-                _empty(topic) or f"not used: {'compressed depth is not read' if is_depth else 'a colour image'}"
-            )
+            uses[name] = _empty(topic) or "not used: a colour image"
     for pair in pairs:
         rig = [n for n, use in uses.items() if use in ("depth image", "point cloud") and n.startswith(pair.rig)]
         if pair.problem:
@@ -105,7 +102,7 @@ def _depth_use(topics: dict[str, Topic], name: str) -> str:
         return empty
     if topic.kind in ("point cloud", "laser scan"):
         return topic.kind
-    if topic.sample.raw is None:
+    if (topic.sample.raw is None and topic.sample.packed is None) or not topic.sample.unit:
         return f"not used: encoding {topic.sample.encoding} is not a depth image"
     tokens = name.lower().replace("/", "_").split("_")
     if _is_mono(topics, name) and {"ir", "infra", "infra1", "infra2", "infrared", "amplitude", "intensity"} & {*tokens}:
