@@ -6,47 +6,16 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from small_rooms import FLOOR, ORIGIN, box, figure, frame, grid, room
 
 from voodoo_jax.cells import components
 from voodoo_jax.clouds import fair_share, without_strays
 from voodoo_jax.furniture import without_furniture, without_things
-from voodoo_jax.person import PersonFinder, person_frames
+from voodoo_jax.person import PersonFinder
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Plane, Scene, find_scene
 from voodoo_jax.settings import PersonSettings
-
-ORIGIN = np.array([[0.0, 0.0, 1.2]], np.float32)
-FLOOR = Plane(np.array([0, 0, 1], np.float32), 0.0)
-
-
-def frame(points, i: int = 0) -> Frame:
-    points = np.asarray(points, np.float32)
-    return Frame(10**18 + i * 33_000_000, points, np.zeros(len(points), np.int32), ORIGIN)
-
-
-def grid(u, v, step: float = 0.02) -> np.ndarray:
-    return np.stack(np.meshgrid(np.arange(*u, step), np.arange(*v, step), indexing="ij"), -1).reshape(-1, 2)
-
-
-def figure(x: float, y: float, height: float = 1.75, radius: float = 0.18) -> np.ndarray:
-    """The side of an upright cylinder that the sensor sees."""
-    a = grid((-1.4, 1.4), (0, height), 0.025)
-    return np.stack([x - radius * np.cos(a[:, 0]), y + radius * np.sin(a[:, 0]), a[:, 1]], -1)
-
-
-def box(x: float, y: float, wide: float, height: float) -> np.ndarray:
-    """The front of a box, towards the sensor."""
-    a = grid((-wide / 2, wide / 2), (0, height))
-    return np.stack([np.full(len(a), x), y + a[:, 0], a[:, 1]], -1)
-
-
-def room(rng, wall: float = 4.5, noise: float = 0.006) -> np.ndarray:
-    floor, back = grid((0.8, wall), (-1.6, 1.6), 0.04), grid((-1.6, 1.6), (0, 2.4), 0.04)
-    points = np.concatenate([
-        np.column_stack([floor, np.zeros(len(floor))]), np.column_stack([np.full(len(back), wall), back])
-    ])  # fmt: skip
-    return points + rng.normal(0, noise, points.shape)
 
 
 def heights_of(scene: Scene, points) -> np.ndarray:
@@ -374,20 +343,6 @@ def test_the_place_of_another_thing_may_be_where_the_body_was():
     assert len(without_things([body], FLOOR, lambda points: points[:, 2] < 0.3)[0].points) < len(body.points)
 
 
-def test_frames_come_one_by_one():
-    """No look ahead: a frame is given back before the next one is asked for."""
-    finder = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())
-    asked = []
-
-    def source():
-        for i in range(3):
-            asked.append(i)
-            yield frame(figure(2.5, 0.0), i)
-
-    stream = person_frames(source(), finder)
-    assert len(next(stream).points) > 100 and asked == [0]
-
-
 def known(free, sure, names: tuple[str, ...] = ("body",), part: int = 0, i: int = 0) -> Frame:
     """A frame of free points and of points that are assigned to one part."""
     points = np.concatenate([np.asarray(free, np.float32).reshape(-1, 3), np.asarray(sure, np.float32)])
@@ -457,7 +412,7 @@ def test_a_log_of_assigned_points_only():
     frames = [known(np.zeros((0, 3)), person, i=i) for i in range(12)]
     scene = find_scene(frames[:5], np.array([0, 0, 1], np.float32), up_is_sure=False)
     assert not scene.floor_seen and scene.walls == () and scene.floor.offset == pytest.approx(0.0, abs=0.03)
-    people = list(person_frames(frames, PersonFinder(scene, 1.75, PersonSettings())))
+    people = list(map(PersonFinder(scene, 1.75, PersonSettings()), frames))
     for got in without_furniture(people, scene.floor.normal):
         np.testing.assert_array_equal(got.points, person.astype(np.float32))
 

@@ -29,7 +29,7 @@ def test_the_rest_pose_is_plausible():
     for name in ("human", "human10", "arm", "dog"):
         body = load_body(name)
         found = eqx.filter_jit(check)(body, body.rest)
-        assert float(found.beyond.max()) == 0 and float(found.depth.max()) == 0
+        assert float(found.beyond.max()) == 0 and float(found.depth.max()) < 1e-6
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -5,6 +5,8 @@ from jaxtyping import Float, Float32, Int
 
 SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
 FEWEST = 50  # points of a thing that may be it
+HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
+BROAD = 1.5  # times that area: what is even broader at the top is less likely to be the body
 
 
 def candidate(
@@ -16,7 +18,8 @@ def candidate(
     least: float,
 ) -> tuple[int, float]:
     """Label of the thing that is about as high as the body and not much wider, the largest of several, and the height
-    of its top; things of another height, and poles, count less. -1 where there is none.
+    of its top; things of another height, poles, and what is as broad at the top as below count less. -1 where there
+    is none.
 
     **Arguments:** `label` the thing that each point belongs to; `area` that each point stands for, square metres: not
     by points alone, what is near has many; `places` heights above the floor and level coordinates, metres; `body` its
@@ -33,6 +36,8 @@ def candidate(
         likely = areas[k] / (areas[k] + 0.5 * wide * high)
         likely *= min(np.hypot(*np.ptp(places[1:, mine], axis=1)) / (SLIM * wide), 1) ** 2
         likely /= 1 + ((top - high) / (0.15 * high)) ** 2
+        head = area[mine & (height > top - HEAD[0] * high)].sum() / (HEAD[1] * wide * high)
+        likely /= 1 + max(head / BROAD - 1, 0) ** 2
         if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * high and likely > size:
             best, size, highest = int(k), float(likely), float(top)
     return best, highest

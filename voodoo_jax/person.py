@@ -3,7 +3,7 @@
 Nothing here knows what the body looks like but its height and width at rest.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +28,7 @@ ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is no
 WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
 CUT_OFF = 0.5  # of its height: so much must be in the picture then
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
+SURVEY = 15  # frames after which the whole room is looked at, not only what is near the body
 
 
 class PersonFinder:
@@ -44,15 +45,15 @@ class PersonFinder:
         self.body_width = body_width or 0.26 * body_height  # as a person's
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
-        self.unseen = 0
+        self.unseen = self.frames = 0
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
         self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
         self._spacing: dict[int, float] = {}  # of each sensor
         self._background = Counted(CELL)
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
 
-    def __call__(self, frame: Frame) -> PersonFrame:
-        s = self.settings
+    def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
+        s, frame = self.settings, whole(frame)
         points = frame.points
         known = assigned(frame)
         sure = points[known]
@@ -63,22 +64,27 @@ class PersonFinder:
         keep = (height > s.floor_margin) & ~known
         for distance, wall in zip(walls, self.scene.walls):
             keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
+        distant = points[:0]
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here
             middle = self._places(np.median(self.last, 0)[None])
-            keep &= (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < (s.reach * self.body_height / 1.75) ** 2
+            near = (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < (s.reach * self.body_height / 1.75) ** 2
+            if self.frames % SURVEY == 0:
+                distant = points[keep & ~near]
+            keep &= near
+        self.frames += 1
         index = np.flatnonzero(keep)
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
         # not where something else than the body was seen before
         index = index[self._background.at(points[index]) < 3]
-        seen = whole(frame).only(index)
+        seen = frame.only(index)
         found, chosen = seen.points, self._choose(seen, sure)
         body = found[chosen]
         if not len(sure) and self._gone(body):
             self._left.add(cells_of(body, CELL), 1.0)
             chosen[:], body = False, body[:0]
         self.others = found[~chosen]
-        self._learn(self.others, np.concatenate([body, sure]))
+        self._learn(np.concatenate([self.others, distant]), np.concatenate([body, sure]))
         # the points of a limb or two do not tell where the others are
         tells = len(body) >= 30 or self._of_body(frame).sum() >= 30
         index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)])) if len(sure) else index[chosen]
@@ -91,14 +97,14 @@ class PersonFinder:
                 self.last = None  # gone: look everywhere again
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
-        return whole(frame).only(index)
+        return frame.only(index)
 
     def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "axis point"]:
         """Height above the floor, level coordinates, and distances from the walls; metres."""
         offsets = [self.scene.floor.offset, 0, 0, *(wall.offset for wall in self.scene.walls)]
         return self._axes @ points.T - np.array(offsets, np.float32)[:, None]
 
-    def _without_strays(self, frame: Frame, index: np.ndarray) -> np.ndarray:
+    def _without_strays(self, frame: PersonFrame, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
         kept = []
         for sensor in np.flatnonzero(np.bincount(frame.sensor[index])).tolist():
@@ -110,7 +116,7 @@ class PersonFinder:
             kept.append(mine[without_strays(points, origin, spacing)])
         return np.sort(np.concatenate([index[:0], *kept]))
 
-    def _of_body(self, frame: Frame) -> Bool[np.ndarray, " point"]:
+    def _of_body(self, frame: PersonFrame) -> Bool[np.ndarray, " point"]:
         """Which points are assigned to the body as a whole, or to one of so many limbs that it makes no difference."""
         if frame.part is None:
             return np.zeros(len(frame.points), bool)
@@ -228,8 +234,3 @@ class PersonFinder:
 def stands_aside(thing: Float32[np.ndarray, "thing 3"], body: Float32[np.ndarray, "body 3"], floor: Plane) -> bool:
     """Whether a thing is beside the body, not under it as legs are."""
     return bool(within(floor.level(thing), floor.level(body), ASIDE).mean() < 0.05)
-
-
-def person_frames(frames: Iterable[Frame], finder: PersonFinder) -> Iterator[PersonFrame]:
-    """The body's points frame by frame; empty frames where nothing was found."""
-    return (finder(frame) for frame in frames)

@@ -33,8 +33,10 @@ class PersonFrame:
         return replace(self, points=self.points[keep], sensor=self.sensor[keep], part=part, weight=weight)
 
 
-def whole(frame: Frame) -> PersonFrame:
+def whole(frame: Frame | PersonFrame) -> PersonFrame:
     """A frame with all its points."""
+    if isinstance(frame, PersonFrame):
+        return frame
     return PersonFrame(
         frame.time_ns, frame.points, frame.sensor, frame.origins, frame.rays, frame.pairs, frame.part, frame.parts,
         frame.weight,

@@ -32,7 +32,7 @@ class ReadSettings:
     """Nearer measurements are dropped, metres."""
     max_range: float = 12.0
     """Farther measurements are dropped, metres."""
-    max_points: int = 40_000
+    max_points: int = 120_000
     """Per sensor and frame; a denser depth image is read at every second, third, ... row and column."""
     parts: tuple[str, ...] = ()
     """Depth topic = limb, or topic = body: a segmentation has found all its points to be on that part of the person."""

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Float32
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.changes import loaded, prepared
+from voodoo_jax.chooser import Chooser
 from voodoo_jax.following import Progress, blank, follow
 from voodoo_jax.forearms import with_forearms
 from voodoo_jax.furniture import without_furniture, without_things
@@ -26,7 +27,7 @@ from voodoo_jax.marker_log import (
 from voodoo_jax.noise import weighed
 from voodoo_jax.notes import notes_on
 from voodoo_jax.passage import Rows
-from voodoo_jax.person import PersonFinder, person_frames
+from voodoo_jax.person import PersonFinder
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.programs import program, seconds_of_waiting
@@ -56,12 +57,12 @@ def find_person(
     # a body's scale need not be its height
     rested = scaled(body, scale) if scale > 0 else body
     low, high = rest_box(rested)
-    finder = PersonFinder(scene, rest_height(rested), settings.person, float(np.max(high[:2] - low[:2])))
-    found = weighed(person_frames(chain(first, stream), finder), settings.person.noise)
+    chooser = Chooser(scene, rest_height(rested), settings.person, float(np.max(high[:2] - low[:2])))
+    found = weighed(chooser(chain(first, stream)), settings.person.noise)
     windows = iter(lambda: list(islice(found, FURNITURE_FRAMES)), [])
-    told = chain.from_iterable(_told(window, finder) for window in windows)
+    told = chain.from_iterable(_told(window, chooser.finder) for window in windows)
     people = spilled(told if settings.person.ahead else found)
-    return finder.scene, people  # the floor may have been found with the body
+    return chooser.finder.scene, people  # the floor may have been found with the body
 
 
 def _told(window: list[PersonFrame], finder: PersonFinder) -> list[PersonFrame]:

@@ -149,6 +149,7 @@ JUMPS = ((0.35, KNEES_BENT), (0.18, HIGH), (0.2, IN_THE_AIR), (0.2, HIGH), (0.2,
 # seconds to get there, metres per second
 DASH = ((0.0, 0.0), (0.5, 0.0), (0.4, 8.0), (0.1, 8.0), (0.4, 0.0), (0.4, 0.0))
 STANDS = ((0.0, RELAXED), (0.7, RELAXED))
+CUPBOARD = Room(boxes=(Box(4.2, 0.9, (0.5, 0.8, 1.85)), Box(2.9, 1.75, (0.5, 0.45, 0.75), 0.3)))
 CHAIR = Room(boxes=(Box(3.47, 0.06, (0.46, 0.46, 0.38), 0.2),))
 
 
@@ -178,6 +179,8 @@ def scenes() -> dict[str, Callable[[], Scene]]:
     return {
         "standing, wave, bow": seen(3.0, 1.2, 0.07),
         "enters late from the side": lambda: Scene(body, _comes_in(body), absent=1.0),
+        "enters late, a cupboard is there": lambda: Scene(body, _comes_in(body), room=CUPBOARD, absent=1.0),
+        "leaves, a cupboard stays, comes back": lambda: Scene(body, _goes_and_comes(body), room=CUPBOARD),
         "leaves and comes back": lambda: Scene(body, _goes_and_comes(body)),
         "second person walks behind": followed,
         "camera pitched 10 degrees more, from 1.6 m": seen(3.5, 1.6, 0.245),

@@ -144,6 +144,14 @@ def behind_pole(recorded: Recorded) -> Recorded:
     return behind_box(recorded, Box(x, y, (0.1, 0.08, 2.5)))
 
 
+def with_cupboard(recorded: Recorded, size: tuple[float, float, float]) -> Recorded:
+    """A thing as tall as a person, behind the person and beside where they go."""
+    x, y, _ = np.moveaxis(recorded.joints, -1, 0)
+    side = 1 if np.median(y) < 0 else -1  # where there is more room in the picture
+    aside = side * (np.abs(y - np.median(y)).max() + 0.35 + size[1] / 2)
+    return behind_box(recorded, Box(np.median(x) + 0.7, np.median(y) + aside, size))
+
+
 def cut_off(recorded: Recorded) -> Recorded:
     """The picture ends at the middle of the thigh: no floor, no legs."""
 
@@ -179,6 +187,8 @@ SENSING: dict[str, Callable[[Recorded], Recorded]] = {
     "camera shakes": shaking,
     "behind a desk": behind_desk,
     "behind a pole": behind_pole,
+    "a cupboard behind": lambda r: with_cupboard(r, (0.6, 0.8, 1.9)),
+    "a full coat stand behind": lambda r: with_cupboard(r, (0.4, 0.4, 1.75)),
     "cut off at the thighs": cut_off,
     "the same, floor unknown": lambda r: as_the_camera_sees(cut_off(r)),
 }

@@ -1,0 +1,127 @@
+"""Which of several things that might be the body is followed: the one that moves."""
+
+import numpy as np
+import pytest
+from small_rooms import FLOOR, ORIGIN, box, figure, frame
+
+from voodoo_jax.candidate import candidate
+from voodoo_jax.chooser import ENOUGH, HELD, PATIENCE, Chooser
+from voodoo_jax.person import PersonFinder
+from voodoo_jax.recording import Frame
+from voodoo_jax.scene import Scene
+from voodoo_jax.settings import PersonSettings
+
+SCENE = Scene(FLOOR, (), True)
+COATS = figure(3.2, -0.6, 1.75)  # on a stand: as high and wide as a person
+AHEAD, ONLINE = PersonSettings(), PersonSettings(ahead=False)
+
+
+def chosen(clouds, settings=AHEAD) -> tuple[list[np.ndarray], Chooser]:
+    chooser = Chooser(SCENE, 1.75, settings)
+    return [f.points for f in chooser(frame(c, i) for i, c in enumerate(clouds))], chooser
+
+
+def of_person(points) -> bool:
+    return len(points) > 100 and bool((points[:, 1] > -0.35).all())
+
+
+def waits_then_walks(still: int, moving: int):
+    """A person before the coats' stand, and farther to the left from some frame on."""
+    for i in range(still + moving):
+        yield np.concatenate([COATS, figure(3.0, 0.6 + 0.04 * max(0, i - still), 1.6)])
+
+
+def test_without_looking_ahead_the_coats_are_likelier():
+    assert not of_person(PersonFinder(SCENE, 1.75, AHEAD)(frame(next(waits_then_walks(1, 0)))).points)
+
+
+@pytest.mark.parametrize("still", [0, 40])
+def test_the_one_that_moves_is_the_body_from_the_first_frame_on(still):
+    got, chooser = chosen(waits_then_walks(still, 30))
+    assert len(got) == still + 30 and all(map(of_person, got))
+    assert chooser.finder.last is not None and of_person(chooser.finder.last)
+
+
+def test_who_may_not_wait_changes_over_once_it_is_known():
+    got, _ = chosen(waits_then_walks(40, 60), ONLINE)
+    right = np.array([of_person(points) for points in got])
+    assert not right[: PATIENCE - 1].any() and right[40 + PATIENCE // 2 + 8 :].all()
+
+
+def test_who_comes_in_late_was_nowhere_before():
+    clouds = [COATS] * 30 + [np.concatenate([COATS, figure(3.0, 2.4 - 0.04 * i)]) for i in range(40)]
+    got, _ = chosen(clouds)
+    assert not any(map(len, got[:30])) and all(map(of_person, got[36:]))
+
+
+def test_nobody_moves():
+    """The likeliest is taken, as if nothing else were there; frames come out before the log ends."""
+    clouds = [np.concatenate([COATS, figure(3.0, 0.6, 1.6)])] * (HELD + 5)
+    frames = iter([frame(c, i) for i, c in enumerate(clouds)])
+    out = Chooser(SCENE, 1.75, AHEAD)(frames)
+    first = next(out)
+    assert sum(1 for _ in frames) == 5 and not of_person(first.points)
+
+
+def test_a_passer_by_is_not_taken_for_somebody_who_moves_too():
+    """Somebody walks past behind; the person before them only nods, later on."""
+
+    def cloud(i):
+        body = figure(2.0, 0.0)
+        nod = np.where((body[:, 2:] > 1.2) & (i > 20), [0.25, 0.0, 0.0], 0.0)
+        return np.concatenate([body - nod, figure(4.0, -2.0 + 0.08 * i, 1.9)[::4]])
+
+    got, _ = chosen([cloud(i) for i in range(50)])
+    assert all(len(points) > 100 and points[:, 0].max() < 2.5 for points in got)
+
+
+def test_what_is_known_is_no_longer_compared(monkeypatch):
+    """Once the body has moved, each frame is looked at once."""
+    calls, one = [], PersonFinder.__call__
+    monkeypatch.setattr(PersonFinder, "__call__", lambda self, seen: calls.append(self) or one(self, seen))
+    clouds = [np.concatenate([COATS, figure(3.0, 0.6 + 0.05 * i)]) for i in range(100)]
+    assert len(chosen(clouds)[0]) == 100
+    assert 100 + ENOUGH < len(calls) < 100 + PATIENCE + 20 and len(set(calls[-20:])) == 1
+
+
+def test_assigned_points_need_no_choice():
+    """A segmentation has found a hand of the person who stands beside the coats."""
+    person = figure(3.0, 0.6, 1.6)
+    points = np.concatenate([COATS, person]).astype(np.float32)
+    part = np.where((np.arange(len(points)) >= len(COATS)) & (points[:, 2] > 1.4), 0, -1).astype(np.int32)
+    seen = Frame(0, points, np.zeros(len(points), np.int32), ORIGIN, part=part, parts=("head",))
+    got = next(Chooser(SCENE, 1.75, AHEAD)(iter([seen] * 3)))
+    assert of_person(got.points)
+
+
+def test_what_stood_there_all_the_time_is_not_the_body_when_that_has_left():
+    far = COATS + [0, -1.5, 0]  # out of reach of the body
+    clouds = [np.concatenate([far, figure(3.0, 0.6 + 0.03 * i)]) for i in range(60)]
+    got, _ = chosen(clouds + [far] * (AHEAD.forget + 40))
+    assert all(map(of_person, got[:60])) and not any(map(len, got[60:]))
+
+
+def test_as_broad_at_the_top_as_below_is_less_likely():
+    """A cupboard as high as the body beside a person with a head."""
+    cupboard, person = box(3.0, -0.8, 0.7, 1.75), box(3.0, 0.8, 0.36, 1.45)
+    head = box(3.0, 0.8, 0.16, 0.3) + [0, 0, 1.45]
+    points = np.concatenate([cupboard, person, head]).astype(np.float32)
+    label = np.repeat([0, 1], [len(cupboard), len(person) + len(head)])
+    area = np.full(len(points), 0.02**2)
+    places = np.stack([points[:, 2], points[:, 0], points[:, 1]])
+    assert candidate(points, label, area, places, (1.75, 0.455), 0.65)[0] == 1
+    alone = label == 0
+    assert candidate(points[alone], label[alone], area[alone], places[:, alone], (1.75, 0.455), 0.65)[0] == 0
+
+
+def test_who_may_not_wait_gets_frames_one_by_one():
+    """A frame is given back before the next one is asked for."""
+    asked = []
+
+    def source():
+        for i in range(3):
+            asked.append(i)
+            yield frame(figure(2.5, 0.0), i)
+
+    stream = Chooser(SCENE, 1.75, ONLINE)(source())
+    assert len(next(stream).points) > 100 and asked == [0]
