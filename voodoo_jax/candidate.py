@@ -16,10 +16,10 @@ def candidate(
     places: Float32[np.ndarray, "3 point"],
     body: tuple[float, float],
     least: float,
-) -> tuple[int, float]:
-    """Label of the thing that is about as high as the body and not much wider, the largest of several, and the height
-    of its top; things of another height, poles, and what is as broad at the top as below count less. -1 where there
-    is none.
+) -> tuple[int, float, float]:
+    """Label of the thing that is about as high as the body and not much wider, the largest of several, the height of
+    its top, and how likely it is, 0..1; things of another height, poles, and what is as broad at the top as below are
+    less likely. -1 where there is none.
 
     **Arguments:** `label` the thing that each point belongs to; `area` that each point stands for, square metres: not
     by points alone, what is near has many; `places` heights above the floor and level coordinates, metres; `body` its
@@ -40,4 +40,4 @@ def candidate(
         likely /= 1 + max(head / BROAD - 1, 0) ** 2
         if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * high and likely > size:
             best, size, highest = int(k), float(likely), float(top)
-    return best, highest
+    return best, highest, size

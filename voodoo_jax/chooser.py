@@ -17,10 +17,12 @@ from voodoo_jax.settings import PersonSettings
 
 CELL = 0.08  # metres: what is in the next cell but one has moved
 MOVED = 0.03  # of a thing's points that are where it was not, and of its places where it is no more: it has moved
+FLICKER = 1.3  # times as much must have moved since the first frame than since the last one: noise comes and goes
 ENOUGH = 15  # frames in which it is elsewhere: a thing that moves by itself
 FAIR = 3  # times as long another thing must have moved than the likeliest one
 LOOK = 5  # frames after which other things are looked for
 MOST = 2  # of them
+LIKELY = 0.2  # of what is likeliest: what is less likely to be the body than that is not followed
 HELD = 300  # frames of points that wait until it is known which thing is the body
 PATIENCE = 60  # frames: who may not wait does not take another thing for the body before
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
@@ -35,6 +37,7 @@ class Follower:
         self.frames = [frame.only(NONE) for frame in before]  # in which nobody knew of it
         self.moved = 0  # frames
         self._first: Cells = np.zeros((0, 3), np.int64)  # where it was at first
+        self._last = self._first
 
     def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
         anew = self.finder.last is None
@@ -44,13 +47,19 @@ class Follower:
             now = cells_of(seen.points, CELL)
             if anew:
                 self.moved, self._first = 0, now
-            elif min(np.mean(~touching(a, b)) for a, b in ((now, self._first), (self._first, now))) > MOVED:
+            elif _apart(now, self._first) > MOVED + FLICKER * _apart(now, self._last):
                 self.moved += 1
+            self._last = now
         return seen
 
     @property
     def moves(self) -> bool:
         return self.moved >= ENOUGH
+
+
+def _apart(cells: Cells, others: Cells) -> float:
+    """How much of a thing is where it was not, and was where it is not, the smaller share of both."""
+    return float(min(np.mean(~touching(cells, others)), np.mean(~touching(others, cells))))
 
 
 class Chooser:
@@ -102,7 +111,7 @@ class Chooser:
         taken = np.concatenate([points for points in taken if points is not None])
         rest = rest.only(~touching(place, cells_of(taken, BESIDE)))
         other = Follower(self._finder(), self._main.frames[:-1])
-        if len(other(rest).points) >= 30:
+        if len(other(rest).points) >= 30 and other.finder.likely >= LIKELY * self.finder.likely:
             self._others.append(other)
 
     def _decide(self, assigned: bool = False, full: bool = False) -> None:

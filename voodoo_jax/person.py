@@ -28,6 +28,11 @@ ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is no
 WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
 CUT_OFF = 0.5  # of its height: so much must be in the picture then
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
+SPEED = 3.0  # metres per second: so fast the body may be where it was not seen for a moment ...
+FARTHEST = 1.5  # metres, but not farther
+ALIKE = 0.4  # of its points and of its height before: what it must have left there
+WIDE = 0.25  # metres, standard deviation of the floor's points in every direction
+SHAKEN = 0.12  # metres: so far the floor may be from where it was found
 SURVEY = 15  # frames after which the whole room is looked at, not only what is near the body
 
 
@@ -45,7 +50,8 @@ class PersonFinder:
         self.body_width = body_width or 0.26 * body_height  # as a person's
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
-        self.unseen = self.frames = 0
+        self.unseen = self.frames = self.last_ns = 0
+        self.likely = 0.0  # to be the body: the last thing that was taken for it
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
         self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
         self._spacing: dict[int, float] = {}  # of each sensor
@@ -61,6 +67,7 @@ class PersonFinder:
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
         height, x, y, *walls = self._places(points)
+        height = height - self._tilted(height, x, y)
         keep = (height > s.floor_margin) & ~known
         for distance, wall in zip(walls, self.scene.walls):
             keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
@@ -68,7 +75,8 @@ class PersonFinder:
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here
             middle = self._places(np.median(self.last, 0)[None])
-            near = (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < (s.reach * self.body_height / 1.75) ** 2
+            reach = s.reach * self.body_height / 1.75 + self._gone_by(frame)
+            near = (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < reach**2
             if self.frames % SURVEY == 0:
                 distant = points[keep & ~near]
             keep &= near
@@ -89,7 +97,7 @@ class PersonFinder:
         tells = len(body) >= 30 or self._of_body(frame).sum() >= 30
         index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)])) if len(sure) else index[chosen]
         if tells:
-            self.last, self.unseen = points[index], 0
+            self.last, self.last_ns, self.unseen = points[index], frame.time_ns, 0
             self._left.clear()
         else:
             self.unseen += 1
@@ -103,6 +111,23 @@ class PersonFinder:
         """Height above the floor, level coordinates, and distances from the walls; metres."""
         offsets = [self.scene.floor.offset, 0, 0, *(wall.offset for wall in self.scene.walls)]
         return self._axes @ points.T - np.array(offsets, np.float32)[:, None]
+
+    def _tilted(self, height, x, y) -> Float32[np.ndarray, " point"] | float:
+        """How much higher the floor seems to be under each point than it is: a sensor that shakes tilts it."""
+        near = np.flatnonzero(np.abs(height) < SHAKEN)
+        if not self.scene.floor_seen or len(near) < 300 or np.mean(height[near] > self.settings.floor_margin) < 0.1:
+            return 0.0
+        near = near[:: len(near) // 2000 + 1]
+        places, level = np.stack([x[near], y[near], np.ones(len(near), np.float32)], 1), height[near]
+        if np.linalg.svd(places[:, :2] - places[:, :2].mean(0))[1][1] < WIDE * np.sqrt(len(near)):
+            return 0.0  # feet, not a floor
+        plane = np.zeros(3, np.float32)
+        for within_ in (SHAKEN, 0.06, 0.03):  # metres
+            on = np.abs(level - places @ plane) < within_
+            if on.sum() < 0.5 * len(near):
+                return 0.0
+            plane = np.linalg.lstsq(places[on], level[on], rcond=None)[0].astype(np.float32)
+        return plane[0] * x + plane[1] * y + plane[2]
 
     def _without_strays(self, frame: PersonFrame, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
@@ -139,7 +164,30 @@ class PersonFinder:
             most[np.argmax(touched)] = touched.any()
         if self.last is None:
             return most[label] if most.any() else label == self._candidate(seen, label)
-        return (most | self._followed(points, label, count, self.last))[label]
+        taken = most | self._followed(points, label, count, self.last)
+        far = self._gone_by(seen)
+        if far > 0 and np.sum(count[taken]) < ALIKE * len(self.last):
+            taken |= self._elsewhere(points, label, count, self.last, self.settings.move + far)
+        return taken[label]
+
+    def _gone_by(self, frame: PersonFrame) -> float:
+        """How much farther than from frame to frame the body may be by now, metres."""
+        seconds = (frame.time_ns - self.last_ns) / 1e9
+        return float(np.clip(SPEED * seconds - self.settings.move, 0, FARTHEST))
+
+    def _elsewhere(self, points, label, count, last, far: float) -> Bool[np.ndarray, " thing"]:
+        """The thing nearest to where the body was some time ago that is like it, and was not there before."""
+        floor, best = self.scene.floor, np.zeros(len(count), bool)
+        near = np.bincount(label, within(points, last, far))
+        for k in np.argsort(-near):
+            if near[k] <= 0.3 * count[k] or count[k] < ALIKE * len(last):
+                continue
+            mine = points[label == k]
+            known = len(self.others) > 0 and within(mine, self.others, STILL).mean() >= APART
+            if not known and floor.top(mine) > ALIKE * floor.top(last):
+                best[k] = True
+                break
+        return best
 
     def _followed(self, points, label, count, last) -> Bool[np.ndarray, " thing"]:
         """Which things hang together with where the body was."""
@@ -196,7 +244,7 @@ class PersonFinder:
         angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(seen.origins))])[sensor]
         area = np.sum((points - seen.origins[sensor]) ** 2, 1) * angle**2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
-        best, top = candidate(points, label, area, self._places(points)[:3], body, least)
+        best, top, self.likely = candidate(points, label, area, self._places(points)[:3], body, least)
         if self.scene.floor_open and 0 < top < WHOLE * self.body_height:
             self._lower_floor(self.body_height - top)
         return best
