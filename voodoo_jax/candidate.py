@@ -6,6 +6,7 @@ from jaxtyping import Float, Float32, Int
 SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
 FEWEST = 50  # points of a thing that may be it
 HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
+NEAR = 4.0  # metres from the sensor: who is farther away is less likely to be meant
 BROAD = 1.5  # times that area: what is even broader at the top is less likely to be the body
 
 
@@ -13,6 +14,7 @@ def candidate(
     points: Float32[np.ndarray, "point 3"],
     label: Int[np.ndarray, " point"],
     area: Float[np.ndarray, " point"],
+    distance: Float[np.ndarray, " point"],
     places: Float32[np.ndarray, "3 point"],
     body: tuple[float, float],
     least: float,
@@ -22,8 +24,8 @@ def candidate(
     less likely. -1 where there is none.
 
     **Arguments:** `label` the thing that each point belongs to; `area` that each point stands for, square metres: not
-    by points alone, what is near has many; `places` heights above the floor and level coordinates, metres; `body` its
-    height and width at rest; `least` the lowest top, as a share of the height.
+    by points alone, what is near has many; `distance` from its sensor, metres; `places` heights above the floor and
+    level coordinates, metres; `body` its height and width at rest; `least` the lowest top, as a share of the height.
     """
     (high, wide), height, areas = body, places[0], np.bincount(label, area)
     best, size, highest = -1, 0.0, 0.0
@@ -38,6 +40,7 @@ def candidate(
         likely /= 1 + ((top - high) / (0.15 * high)) ** 2
         head = area[mine & (height > top - HEAD[0] * high)].sum() / (HEAD[1] * wide * high)
         likely /= 1 + max(head / BROAD - 1, 0) ** 2
+        likely /= 1 + (np.median(distance[mine]) / NEAR) ** 2
         if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * high and likely > size:
             best, size, highest = int(k), float(likely), float(top)
     return best, highest, size

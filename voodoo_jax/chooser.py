@@ -5,6 +5,7 @@ the body is followed, too.
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,16 +16,20 @@ from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Scene
 from voodoo_jax.settings import PersonSettings
 
-CELL = 0.08  # metres: what is in the next cell but one has moved
+CELL = 0.05  # metres: what is in the next cell but one has moved
 MOVED = 0.03  # of a thing's points that are where it was not, and of its places where it is no more: it has moved
-FLICKER = 1.3  # times as much must have moved since the first frame than since the last one: noise comes and goes
+AWAY = 0.4  # metres from where it was, its middle: it has moved in any case
+LEFT = 3.0  # times as much of it may be in new places as is no longer in old ones: arms hang before the trunk
+FLICKER = 2.0  # times as much must have moved since the first frame than since the last one: noise comes and goes
 ENOUGH = 15  # frames in which it is elsewhere: a thing that moves by itself
-FAIR = 3  # times as long another thing must have moved than the likeliest one
+LITTLE = 4  # frames in which what moves at all is elsewhere, at the end of waiting
+FAIR = 6  # times as long another thing must have moved than the likeliest one
 LOOK = 5  # frames after which other things are looked for
 MOST = 2  # of them
 LIKELY = 0.2  # of what is likeliest: what is less likely to be the body than that is not followed
 HELD = 300  # frames of points that wait until it is known which thing is the body
 PATIENCE = 60  # frames: who may not wait does not take another thing for the body before
+LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 NONE = np.zeros(0, int)
 
@@ -35,9 +40,9 @@ class Follower:
     def __init__(self, finder: PersonFinder, before: Iterable[PersonFrame] = ()):
         self.finder = finder
         self.frames = [frame.only(NONE) for frame in before]  # in which nobody knew of it
-        self.moved = 0  # frames
+        self.moved = self.there = 0  # frames since it was found: in which it was elsewhere, and all
         self._first: Cells = np.zeros((0, 3), np.int64)  # where it was at first
-        self._last = self._first
+        self._last, self._place = self._first, np.zeros(3)
 
     def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
         anew = self.finder.last is None
@@ -45,11 +50,14 @@ class Follower:
         self.frames.append(seen)
         if len(seen.points) >= 30:
             now = cells_of(seen.points, CELL)
+            place = np.median(seen.points, 0)
             if anew:
-                self.moved, self._first = 0, now
-            elif _apart(now, self._first) > MOVED + FLICKER * _apart(now, self._last):
+                self.moved, self.there, self._first, self._place = 0, 0, now, place
+            elif np.linalg.norm(place - self._place) > AWAY:
                 self.moved += 1
-            self._last = now
+            elif _elsewhere(now, self._first) > MOVED + FLICKER * _elsewhere(now, self._last):
+                self.moved += 1
+            self._last, self.there = now, self.there + 1
         return seen
 
     @property
@@ -57,9 +65,10 @@ class Follower:
         return self.moved >= ENOUGH
 
 
-def _apart(cells: Cells, others: Cells) -> float:
-    """How much of a thing is where it was not, and was where it is not, the smaller share of both."""
-    return float(min(np.mean(~touching(cells, others)), np.mean(~touching(others, cells))))
+def _elsewhere(now: Cells, before: Cells) -> float:
+    """How much of a thing is where it was not; nothing unless it is no longer in some place where it was."""
+    new, left = np.mean(~touching(now, before)), np.mean(~touching(before, now))
+    return float(min(new, LEFT * left))
 
 
 class Chooser:
@@ -70,7 +79,7 @@ class Chooser:
     """
 
     def __init__(self, scene: Scene, body_height: float, settings: PersonSettings, body_width: float = 0.0):
-        self._finder = lambda: PersonFinder(scene, body_height, settings, body_width)
+        self._finder = lambda s=settings: PersonFinder(scene, body_height, s, body_width)
         self.settings = settings
         self._main = Follower(self._finder())
         self._others: list[Follower] = []
@@ -100,17 +109,19 @@ class Chooser:
         for other in self._others:
             other(frame)
         self._others = [o for o in self._others if o.moves or o.finder.last is not None]
-        if self._seen % LOOK == 0 and len(self._others) < MOST and self.finder.last is not None:
+        if self._seen % LOOK == 0 and len(self._others) < MOST:
             self._look(frame)
         self._seen += 1
 
     def _look(self, frame: Frame) -> None:
-        """Begins to follow another thing, if there is one."""
-        rest, place = whole(frame), cells_of(frame.points, BESIDE)
-        taken = [f.finder.last for f in (self._main, *self._others)]
-        taken = np.concatenate([points for points in taken if points is not None])
-        rest = rest.only(~touching(place, cells_of(taken, BESIDE)))
-        other = Follower(self._finder(), self._main.frames[:-1])
+        """Begins to follow another thing, if there is one: a small one only where there is no other."""
+        s, rest = self.settings, whole(frame)
+        taken = [f.finder.last for f in (self._main, *self._others) if f.finder.last is not None]
+        if taken:
+            rest = rest.only(~touching(cells_of(rest.points, BESIDE), cells_of(np.concatenate(taken), BESIDE)))
+        if self.finder.last is None:
+            s = replace(s, min_height=min(s.min_height, LOW))
+        other = Follower(self._finder(s), self._main.frames[:-1])
         if len(other(rest).points) >= 30 and other.finder.likely >= LIKELY * self.finder.likely:
             self._others.append(other)
 
@@ -118,11 +129,14 @@ class Chooser:
         """Takes the likeliest for the body if it has moved, or another thing that has, and the likeliest has not.
 
         `assigned`: somebody has said what is the body; `full`: frames can wait no longer."""
+        main, ahead = self._main, self.settings.ahead
         best = max(self._others, key=lambda other: other.moved, default=None)
-        if assigned or self._main.moves and (best is None or FAIR * self._main.moved >= best.moved):
+        if assigned or main.moves and (best is None or FAIR * main.moved >= best.moved):
             self._known = True
-        elif best is not None and best.moves and best.moved > FAIR * self._main.moved:
-            if full and self.settings.ahead or self._seen >= PATIENCE and best.moved >= PATIENCE // 2:
+        elif best is not None and best.moved > FAIR * main.moved:
+            if ahead and full and best.moved >= LITTLE:
+                self._main, self._known = best, True
+            elif not ahead and best.moved >= PATIENCE // 2 and (main.there >= PATIENCE or not main.there):
                 self._main, self._known = best, True
 
     def _release(self) -> Iterator[PersonFrame]:

@@ -32,6 +32,7 @@ SPEED = 3.0  # metres per second: so fast the body may be where it was not seen 
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 WIDE = 0.25  # metres, standard deviation of the floor's points in every direction
+STEADY = 0.02  # metres: what differs by less is noise
 SHAKEN = 0.12  # metres: so far the floor may be from where it was found
 SURVEY = 15  # frames after which the whole room is looked at, not only what is near the body
 
@@ -119,7 +120,7 @@ class PersonFinder:
             return 0.0
         near = near[:: len(near) // 2000 + 1]
         places, level = np.stack([x[near], y[near], np.ones(len(near), np.float32)], 1), height[near]
-        if np.linalg.svd(places[:, :2] - places[:, :2].mean(0))[1][1] < WIDE * np.sqrt(len(near)):
+        if np.linalg.eigvalsh(np.cov(places[:, :2].T))[0] < WIDE**2:
             return 0.0  # feet, not a floor
         plane = np.zeros(3, np.float32)
         for within_ in (SHAKEN, 0.06, 0.03):  # metres
@@ -127,6 +128,8 @@ class PersonFinder:
             if on.sum() < 0.5 * len(near):
                 return 0.0
             plane = np.linalg.lstsq(places[on], level[on], rcond=None)[0].astype(np.float32)
+        if np.abs(places @ plane).max() < STEADY:
+            return 0.0
         return plane[0] * x + plane[1] * y + plane[2]
 
     def _without_strays(self, frame: PersonFrame, index: np.ndarray) -> np.ndarray:
@@ -242,9 +245,10 @@ class PersonFinder:
         """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""
         points, sensor, body = seen.points, seen.sensor, (self.body_height, self.body_width)
         angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(seen.origins))])[sensor]
-        area = np.sum((points - seen.origins[sensor]) ** 2, 1) * angle**2
+        distance = np.linalg.norm(points - seen.origins[sensor], axis=1)
+        area = (distance * angle) ** 2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
-        best, top, self.likely = candidate(points, label, area, self._places(points)[:3], body, least)
+        best, top, self.likely = candidate(points, label, area, distance, self._places(points)[:3], body, least)
         if self.scene.floor_open and 0 < top < WHOLE * self.body_height:
             self._lower_floor(self.body_height - top)
         return best
