@@ -4,12 +4,31 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
+AROUND = 100  # neighbours of a point among which the nearest in every direction is looked for
+
 
 def point_spacing(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:
     """Angle between neighbouring points as seen from the sensor, radians (median)."""
     rays = points - origin
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     return float(np.median(KDTree(rays).query(rays[:: max(1, len(rays) // 2000)], k=2)[0][:, 1]))
+
+
+def point_gap(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:
+    """Angle across which the next point is found in any direction, radians (median; 0 for too few points): of a
+    scanner the angle between its rows, however close the points of a row are."""
+    if len(points) < AROUND:
+        return 0.0
+    rays = points - origin
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    middle = rays.mean(0)
+    places = rays @ np.linalg.svd(middle[None])[2][1:].T
+    distance, index = KDTree(places).query(places[:: len(places) // 300 + 1], k=AROUND)
+    apart = places[index[:, 1:]] - places[index[:, :1]]
+    line = np.floor(np.arctan2(apart[..., 1], apart[..., 0]) / (np.pi / 4) + 0.5).astype(int) % 4  # four lines
+    nearest = np.stack([np.min(np.where(line == k, distance[:, 1:], np.inf), 1) for k in range(4)])
+    widest = np.max(nearest, 0)
+    return float(np.median(widest[np.isfinite(widest)])) if np.isfinite(widest).any() else 0.0
 
 
 def without_strays(

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.candidate import candidate
 from voodoo_jax.cells import Counted, cells_of, components, touching, within
-from voodoo_jax.clouds import fair_share, point_spacing, without_strays
+from voodoo_jax.clouds import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import BEHIND, Plane, Scene
@@ -22,6 +22,7 @@ STILL = 0.06  # metres from one frame's points to those of the frame before, of 
 APART = 0.6  # of a thing's points: so many where something was apart from the body make it that
 GONE = 0.6  # of its height before: what is lower from one frame to the next is not the body any more
 CELL = 0.08  # metres, of the grid in which the background is kept
+GAPS = 1.6  # times the gap between a scanner's rows: what is nearer hangs together
 USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that has shown too few to tell
 LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
@@ -55,7 +56,8 @@ class PersonFinder:
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
         self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
-        self._spacing: dict[int, float] = {}  # of each sensor
+        self._spacing: dict[int, float] = {}  # of each sensor: angle between neighbouring points, radians,
+        self._gap: dict[int, float] = {}  # and across which there is another one in any direction
         self._background = Counted(CELL)
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
 
@@ -139,8 +141,8 @@ class PersonFinder:
             mine = index[frame.sensor[index] == sensor]
             points, origin = frame.points[mine], frame.origins[sensor]
             spacing = self._spacing.get(sensor) or (point_spacing(points, origin) if len(points) > 4 else 0.0)
-            if len(points) > 100:
-                self._spacing[sensor] = spacing
+            if len(points) > 100 and sensor not in self._spacing:
+                self._spacing[sensor], self._gap[sensor] = spacing, point_gap(points, origin)
             kept.append(mine[without_strays(points, origin, spacing)])
         return np.sort(np.concatenate([index[:0], *kept]))
 
@@ -158,7 +160,7 @@ class PersonFinder:
         points = seen.points
         if len(points) < 30:
             return np.zeros(len(points), bool)
-        label = components(points, self.settings.link)
+        label = components(points, self._link(seen))
         count = np.bincount(label)
         most = np.zeros(len(count), bool)
         if len(sure):
@@ -172,6 +174,16 @@ class PersonFinder:
         if far > 0 and np.sum(count[taken]) < ALIKE * len(self.last):
             taken |= self._elsewhere(points, label, count, self.last, self.settings.move + far)
         return taken[label]
+
+    def _link(self, seen: PersonFrame) -> float:
+        """Points closer than this belong to the same thing, metres: not less than the gaps between a scanner's rows."""
+        gaps = [gap for sensor, gap in self._gap.items() if gap > 0 and (seen.sensor == sensor).sum() >= 30]
+        if not gaps or min(gaps) < USUAL_SPACING * 1.6:
+            return self.settings.link
+        return max(self.settings.link, GAPS * min(gaps) * float(np.median(self._distances(seen))))
+
+    def _distances(self, seen: PersonFrame) -> Float32[np.ndarray, " point"]:
+        return np.linalg.norm(seen.points - seen.origins[seen.sensor], axis=1)
 
     def _gone_by(self, frame: PersonFrame) -> float:
         """How much farther than from frame to frame the body may be by now, metres."""
@@ -245,7 +257,7 @@ class PersonFinder:
         """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""
         points, sensor, body = seen.points, seen.sensor, (self.body_height, self.body_width)
         angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(seen.origins))])[sensor]
-        distance = np.linalg.norm(points - seen.origins[sensor], axis=1)
+        distance = self._distances(seen)
         area = (distance * angle) ** 2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
         best, top, self.likely = candidate(points, label, area, distance, self._places(points)[:3], body, least)

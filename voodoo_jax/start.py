@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, scaled
-from voodoo_jax.clouds import point_spacing
+from voodoo_jax.clouds import point_gap, point_spacing
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import AnyArray, Poses, compose, on_host, rotate, unrotate
 from voodoo_jax.scene import Plane
@@ -77,13 +77,15 @@ def place(
 
 
 def _spacings(frames: list[PersonFrame]) -> list[float]:
-    """Angle between neighbouring points of each sensor, radians, where it first sees the body; 0 if it never does."""
+    """Angle between neighbouring points of each sensor, radians, where it first sees the body; 0 if it never does. Of a
+    scanner whose rows are far apart, half of that: on average the top is so far above its highest row."""
     found = [0.0] * len(frames[0].origins)
     for sensor in range(len(found)):
         for frame in frames:
             mine = frame.points[frame.sensor == sensor]
             if len(mine) > 4:
-                found[sensor] = point_spacing(mine, frame.origins[sensor])
+                spacing, gap = (of(mine, frame.origins[sensor]) for of in (point_spacing, point_gap))
+                found[sensor] = 0.45 * gap if gap > 3 * spacing else spacing
                 break
     return found
 
