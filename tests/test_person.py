@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from small_rooms import FLOOR, ORIGIN, box, figure, frame, grid, room
 
 from voodoo_jax.cells import components
-from voodoo_jax.clouds import fair_share, without_strays
+from voodoo_jax.clouds import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.furniture import without_furniture, without_things
 from voodoo_jax.person import PersonFinder
 from voodoo_jax.person_frame import PersonFrame
@@ -482,3 +482,34 @@ def test_after_a_gap_the_body_may_be_farther_away(frames):
     got = finder(frame(np.concatenate([far, chair]), 2 + frames))
     of_person, of_chair = shares(got, far[far[:, 2] > 0.05], chair)
     assert of_chair == 0 and (of_person > 0.99 if frames > 1 else of_person < 0.1)
+
+
+@pytest.mark.parametrize("rows", [16, 32])
+def test_a_scanner_of_few_rows_sees_one_thing(rng, rows):
+    """Rows of points 18 or 9 cm apart at 5 m, 2 cm within a row: one person, and a post that stands apart."""
+    step = np.radians(30 / (rows - 1))
+    level, rise = np.meshgrid(np.arange(-0.25, 0.25, 0.0035), np.arange(-0.26, 0.26, step), indexing="ij")
+    rays = np.stack([np.cos(rise) * np.cos(level), np.cos(rise) * np.sin(level), np.sin(rise)], -1).reshape(-1, 3)
+    clouds = []
+    for x, y, radius, height in ((5.0, 0.0, 0.2, 1.75), (5.2, 0.9, 0.05, 1.0)):
+        across = rays[:, :2] @ [y, -x] / np.linalg.norm(rays[:, :2], axis=1)
+        near = np.sqrt(np.maximum(radius**2 - across**2, 0))
+        distance = (rays[:, :2] @ [x, y] / np.linalg.norm(rays[:, :2], axis=1) - near) / np.hypot(*rays[:, :2].T)
+        points = (ORIGIN[0] + rays * (distance + rng.normal(0, 0.01, len(rays)))[:, None]).astype(np.float32)
+        clouds.append(points[(np.abs(across) < radius) & (points[:, 2] > 0.04) & (points[:, 2] < height)])
+    assert point_gap(clouds[0], ORIGIN[0]) == pytest.approx(step, rel=0.25)
+    assert point_spacing(clouds[0], ORIGIN[0]) < 0.006
+    got = PersonFinder(Scene(FLOOR, (), True), 1.75, PersonSettings())(frame(np.concatenate(clouds)))
+    of_person, of_post = shares(got, *clouds)
+    assert of_person > 0.85 and of_post == 0  # grazing rays at both sides have no neighbours
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.1])
+def test_gaps_of_an_image_are_its_pixels(rng, kept):
+    """All around each point is another: of a full image the next pixel, of a thinned one a few pixels on."""
+    v, u = np.mgrid[-60:60, -60:60].reshape(2, -1) * 0.005
+    points = np.stack([np.ones(len(u)), u, v], -1).astype(np.float32)
+    points = points[rng.random(len(points)) < kept]
+    low, high = (0.004, 0.008) if kept == 1 else (0.015, 0.04)
+    assert low < point_gap(points, np.zeros(3, np.float32)) < high
+    assert point_gap(points[:20], np.zeros(3, np.float32)) == 0

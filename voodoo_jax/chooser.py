@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Int
 
 from voodoo_jax.cells import Cells, cells_of, touching
 from voodoo_jax.person import PersonFinder
@@ -65,7 +66,7 @@ class Follower:
         return self.moved >= ENOUGH
 
 
-def _elsewhere(now: Cells, before: Cells) -> float:
+def _elsewhere(now: Cells, before: Int[np.ndarray, "before 3"]) -> float:
     """How much of a thing is where it was not; nothing unless it is no longer in some place where it was."""
     new, left = np.mean(~touching(now, before)), np.mean(~touching(before, now))
     return float(min(new, LEFT * left))

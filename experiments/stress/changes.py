@@ -15,6 +15,8 @@ from voodoo_jax.tracker import find_person
 STEPS = 580 * 0.075 * 8  # a Kinect's number of steps at 1 m: focal length (pixels), baseline (metres), parts of a pixel
 SIGMA = (0.004, 0.0015)  # of the recordings' camera: metres, and per metre of the squared distance
 GAP = 1.0  # seconds out of view
+PAUSE = 0.3  # seconds without a frame
+CHILD = 0.65
 
 
 def _frames(recorded: Recorded, keep: Callable[[int, float], bool]) -> Recorded:
@@ -33,10 +35,32 @@ def _cut(recorded: Recorded, start_ns: float) -> Recorded:
     )
 
 
-def half_the_points(recorded: Recorded) -> Recorded:
-    """A random half of every frame's points."""
+def _gap_share(recorded: Recorded) -> float:
+    """Of a sixth of the recording, what a gap of PAUSE takes."""
+    return 6 * PAUSE * 1e9 / (recorded.frames[-1].time_ns - recorded.frames[0].time_ns)
+
+
+def some_of_the_points(recorded: Recorded, share: float) -> Recorded:
+    """A random choice of every frame's points."""
     rng = np.random.default_rng(0)
-    return replace(recorded, frames=[with_points(f, rng.random(len(f.points)) < 0.5) for f in recorded.frames])
+    return replace(recorded, frames=[with_points(f, rng.random(len(f.points)) < share) for f in recorded.frames])
+
+
+def as_a_child(recorded: Recorded) -> Recorded:
+    """The whole world at CHILD of its size: people of 1.0 to 1.3 m, from nearer."""
+    small = lambda points: (CHILD * points).astype(np.float32)  # noqa: E731
+    frames = [
+        replace(
+            f,
+            points=small(f.points),
+            origins=small(f.origins),
+            rays=replace(f.rays, origins=small(f.rays.origins)),
+            pairs=replace(f.pairs, points=small(f.pairs.points)),
+        )
+        for f in recorded.frames
+    ]
+    dims = {name: CHILD * size for name, size in recorded.dims.items()}
+    return replace(recorded, frames=frames, joints=CHILD * recorded.joints, dims=dims)
 
 
 def thrice_the_noise(recorded: Recorded) -> Recorded:
@@ -95,11 +119,14 @@ def changes(body: Body, settings: Settings) -> dict[str, Callable[[Recorded], Re
         "every third frame": lambda r: _frames(r, lambda i, _: i % 3 == 0),
         "every fifth frame": lambda r: _frames(r, lambda i, _: i % 5 == 0),
         "every tenth frame missing": lambda r: _frames(r, lambda i, _: i % 10 != 9),
-        "half of the points": half_the_points,
+        "five gaps of 0.3 s": lambda r: _frames(r, lambda _, share: share < 1 / 9 or share * 6 % 1 > _gap_share(r)),
+        "half of the points": lambda r: some_of_the_points(r, 0.5),
+        "one point in eight": lambda r: some_of_the_points(r, 1 / 8),
         "three times the noise": thrice_the_noise,
         "distances in a Kinect's steps": in_steps,
         "first half second cut off": lambda r: later(r, seconds=0.5),
         "first 40 % cut off": lambda r: later(r, share=0.4),
+        "a child of 1.0 to 1.3 m": as_a_child,
         "reversed in time": reversed_in_time,
         "out of view for 1 s": lambda r: away_and_back(r, body, settings),
         **SENSING,

@@ -44,6 +44,7 @@ from voodoo_jax.simulate import (
     Box,
     Camera,
     Motion,
+    Noise,
     Room,
     add_noise,
     make_motion,
@@ -69,6 +70,17 @@ class Scene:
     other: tuple[Body, Motion] | None = None  # a second person, who is not to be tracked
     absent: float = 0.0  # seconds before the motion begins, the person not there
     tilt: float = 0.0  # error of the camera's known pitch, radians
+    noise: Noise = TOF_NOISE
+    every: int = 1  # frames of the motion for one of the sensor
+
+
+class Scanner(Camera):
+    """A laser scanner with rows from 15 degrees above to 15 below, over 120 degrees in steps of 0.2."""
+
+    def rays(self) -> np.ndarray:
+        rise, level = np.radians(np.linspace(15, -15, self.height)), np.radians(np.linspace(60, -60, self.width))
+        e, a = np.meshgrid(rise, level, indexing="ij")
+        return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1).reshape(-1, 3)
 
 
 def shoot(name: str, scene: Scene, frames: int = 0) -> Recorded:
@@ -84,18 +96,18 @@ def shoot(name: str, scene: Scene, frames: int = 0) -> Recorded:
     tilt = Rotation.from_rotvec(scene.tilt * camera.rotation[:, 0])
     position = np.array(camera.position)
     found = []
-    for i in range(min(frames or count + wait, count + wait)):
+    for i in range(0, min(frames or count + wait, count + wait), scene.every):
         body = scene.body if i >= wait else nobody
         depth, cosine = render(body, poses[max(i - wait, 0)], camera, scene.room)
         if scene.other and others is not None:
             more, slant = render(scene.other[0], others[min(i, len(scene.other[1]) - 1)], camera, None)
             depth, cosine = np.minimum(depth, more), np.where(more < depth, slant, cosine)
-        z = add_noise(depth, cosine, camera, TOF_NOISE, np.random.default_rng([7, i])).ravel() / 1000
+        z = add_noise(depth, cosine, camera, scene.noise, np.random.default_rng([7, i])).ravel() / 1000
         points = position + tilt.apply(camera.rays()[z > 0] * z[z > 0, None])
         stamp = START_NS + round(i / RATE * 1e9)
         origins = np.asarray(position, np.float32)[None]
         found.append(Frame(stamp, points.astype(np.float32), np.zeros(len(points), np.int32), origins))
-    joints = joints[: len(found)]
+    joints = joints[: len(found) * scene.every : scene.every]
     stamps = np.array([f.time_ns for f in found], np.int64)
     dims = segment_lengths(scene.body) | {"stature": float(scene.body.scale)}
     up, there = np.array([0, 0, 1], np.float32), _in_view(joints, camera)
@@ -104,7 +116,9 @@ def shoot(name: str, scene: Scene, frames: int = 0) -> Recorded:
 
 
 def _in_view(joints: np.ndarray, camera: Camera) -> np.ndarray:
-    """[time] Whether all joints are in the picture; NaN is not."""
+    """[time] Whether all joints are in the picture; NaN is not. A scanner sees all around."""
+    if isinstance(camera, Scanner):
+        return np.isfinite(joints).all((1, 2))
     seen = (joints - camera.position) @ camera.rotation
     u, v = (seen[..., :2] / seen[..., 2:]).transpose(2, 0, 1)
     u, v = camera.cx + camera.fx * u, camera.cy + camera.fy * v
@@ -150,6 +164,8 @@ JUMPS = ((0.35, KNEES_BENT), (0.18, HIGH), (0.2, IN_THE_AIR), (0.2, HIGH), (0.2,
 DASH = ((0.0, 0.0), (0.5, 0.0), (0.4, 8.0), (0.1, 8.0), (0.4, 0.0), (0.4, 0.0))
 STANDS = ((0.0, RELAXED), (0.7, RELAXED))
 CUPBOARD = Room(boxes=(Box(4.2, 0.9, (0.5, 0.8, 1.85)), Box(2.9, 1.75, (0.5, 0.45, 0.75), 0.3)))
+# all around: a scanner of few rows sees far
+HALL = Room(True, 7.0, (Box(3, 3.6, (8, 0.1, 2.6)), Box(3, -3.6, (8, 0.1, 2.6)), Box(5.5, 2.2, (0.5, 0.45, 0.75), 0.3)))
 CHAIR = Room(boxes=(Box(3.47, 0.06, (0.46, 0.46, 0.38), 0.2),))
 
 
@@ -176,6 +192,11 @@ def scenes() -> dict[str, Callable[[], Scene]]:
     def dashes(x: float, y: float, yaw: float) -> Callable[[], Scene]:
         return lambda: Scene(body, placed(running(body, [*DASH]), x, y, yaw), room=Room(wall=9.0, boxes=()))
 
+    def scanned(rows: int) -> Callable[[], Scene]:
+        motion = placed(sequence(_bow_wave(body), make_motion(body, "walk", 3.0, RATE)), 4.8, 0.3, np.pi + 0.3)
+        noise = Noise(constant=0.02, quadratic=0.0, flying=0.1, dropout=0.02, grazing=0.05, max_range=30.0)
+        return lambda: Scene(body, motion, Scanner(600, rows, 1, 1, 0, 0, (0, 0, 1.2)), HALL, noise=noise, every=3)
+
     return {
         "standing, wave, bow": seen(3.0, 1.2, 0.07),
         "enters late from the side": lambda: Scene(body, _comes_in(body), absent=1.0),
@@ -198,6 +219,8 @@ def scenes() -> dict[str, Callable[[], Scene]]:
         "slashes": keys(*SLASHES, *SLASHES, ground=True),
         "dances": keys(*DANCES, ground=True),
         "jumps": keys(*JUMPS, *JUMPS, ground=True),
+        "laser scanner of 16 rows, 10 Hz": scanned(16),
+        "laser scanner of 32 rows, 10 Hz": scanned(32),
         "dashes away at 8 m/s": dashes(2.8, -0.5, 0.15),
         "dashes here at 8 m/s": dashes(6.8, 0.6, np.pi + 0.1),
         "dashes across at 8 m/s": dashes(6.0, -2.1, np.pi / 2),
