@@ -55,9 +55,31 @@ def bend(poses: Poses, joint: str) -> float:
 
 
 def test_who_is_seen_goes_on_as_before(walking):
-    found = on_host(predict(BODY, options(0.3), walking, jnp.float32(0.1)))
-    moved = walking.poses.translation + 0.7 * 0.1 * walking.velocity
-    np.testing.assert_allclose(found.translation, moved, atol=1e-6)
+    for cloud in (None, jnp.array([9.0, 9.0, 9.0, 500.0])):
+        found = on_host(predict(BODY, options(0.3), walking, jnp.float32(0.03), cloud))
+        moved = walking.poses.translation + 0.7 * 0.03 * walking.velocity
+        np.testing.assert_allclose(found.translation, moved, atol=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_after_a_long_interval_limbs_have_not_swung_on(walking, sign):
+    """The body as a whole goes on, or where its points went if enough are seen; it turns as in 85 ms."""
+    was = walking._replace(cloud=jnp.array([2.0, 0.0, 1.0, 400.0]))
+    root = lambda poses: np.asarray(poses.translation)[0]  # noqa: E731
+    plain, few, many = (
+        predict(BODY, options(0.3), was, jnp.float32(sign * 5.0), cloud)
+        for cloud in (None, jnp.array([2.5, 0.4, 1.0, 30.0]), jnp.array([2.5, 0.4, 1.0, 400.0]))
+    )
+    gone = sign * 0.7 * 5.0 * np.asarray(was.velocity)[0]
+    np.testing.assert_allclose(root(plain), root(was.poses) + gone, atol=1e-4)
+    np.testing.assert_allclose(root(few), root(plain), atol=1e-6)
+    np.testing.assert_allclose(root(many), root(was.poses) + [0.5, 0.4, 0.0], atol=1e-5)
+    turn = [Rotation.from_quat(np.asarray(p.rotation), scalar_first=True) for p in (was.poses, plain)]
+    np.testing.assert_allclose((turn[0].inv() * turn[1]).magnitude(), 0.7 * 1.5 * 0.085, atol=2e-3)
+    apart = np.linalg.norm(np.diff(np.asarray(plain.translation), axis=0), axis=1)
+    np.testing.assert_allclose(
+        apart, np.linalg.norm(np.diff(np.asarray(was.poses.translation), axis=0), axis=1), atol=0.01
+    )
 
 
 @pytest.mark.parametrize(("rest", "seconds"), [(0.3, 0.1), (0.8, 0.033), (0.8, 2.0)])

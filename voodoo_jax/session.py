@@ -99,7 +99,7 @@ class Session:
                     self._look_for(change.add.topology.limbs[0], limbs, at, state)
                 spin, velocity = np.array(state.spin), np.array(state.velocity)
                 spin[limbs], velocity[limbs] = 0.0, 0.0
-                state = State(hung_on(self.body, state.poses, limbs), spin, velocity, state.seen)
+                state = state._replace(poses=hung_on(self.body, state.poses, limbs), spin=spin, velocity=velocity)
         if due:
             self.pending = self.pending[len(due) :]
             self.bodies.append((at, self.body))

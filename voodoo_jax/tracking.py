@@ -29,6 +29,8 @@ from voodoo_jax.programs import program
 from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
 FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off
+FEW = 60  # points of which the mean tells where the body is
+SWING = 0.05  # seconds beyond prior_interval in which limbs' own motion comes to rest: they swing to and fro
 FEATURE_SHARE = 0.005  # of the features' squared distance in cost_of
 
 
@@ -50,6 +52,7 @@ class State(NamedTuple):
     spin: Float[AnyArray, "limb 3"]  # radians per second, in the limb's frame
     velocity: Float[AnyArray, "limb 3"]  # metres per second, world frame
     seen: Float[AnyArray, " limb"]  # share of each limb that was not hidden, 0..1
+    cloud: Float[AnyArray, "4"]  # mean of the points, metres, and how many there were
 
 
 class Step(NamedTuple):
@@ -126,14 +129,30 @@ def at_rest(poses: Poses) -> State:
     # of NumPy's arrays where the poses are: see pose.AnyArray
     array = np if isinstance(poses.translation, np.ndarray) else jnp
     zero = array.zeros_like(poses.translation)
-    return State(poses, zero, zero, array.ones_like(poses.translation[..., 0]))
+    nowhere = array.zeros((*poses.translation.shape[:-2], 4), poses.translation.dtype)
+    return State(poses, zero, zero, array.ones_like(poses.translation[..., 0]), nowhere)
 
 
-def predict(body: Body, options: TrackOptions, state: State, seconds: Float[Array, ""]) -> Poses:
-    """Poses after `seconds`: a share of the velocity goes on; hidden limbs go with their parents, and back to rest."""
+def predict(
+    body: Body, options: TrackOptions, state: State, seconds: Float[Array, ""], cloud: Float[Array, "4"] | None = None
+) -> Poses:
+    """Poses after `seconds`: a share of the velocity goes on; hidden limbs go with their parents, and back to rest.
+
+    Over long intervals limbs do not swing on, and the body goes where the mean of its points (`cloud`: metres, and
+    their number) went.
+    """
     on = options.damping * seconds
-    rotation = quat_normalize(quat_multiply(state.poses.rotation, quat_exp(on * state.spin)))
-    return _with_hidden(body, options, state, Poses(rotation, state.poses.translation + on * state.velocity), seconds)
+    over = jnp.maximum(jnp.abs(seconds) - options.prior_interval, 0.0)
+    swing = on - options.damping * jnp.sign(seconds) * (over - SWING * (1.0 - jnp.exp(-over / SWING)))
+    rotation = quat_normalize(quat_multiply(state.poses.rotation, quat_exp(swing * state.spin)))
+    whole = state.velocity[:1]
+    gone = on * whole
+    if cloud is not None:
+        known = (cloud[3] >= FEW) & (state.cloud[3] >= FEW)
+        trusted = jnp.where(known, jnp.clip(over / options.prior_interval - 1.0, 0.0, 1.0), 0.0)
+        gone = gone + trusted * ((cloud - state.cloud)[:3] - gone)
+    translation = state.poses.translation + gone + swing * (state.velocity - whole)
+    return _with_hidden(body, options, state, Poses(rotation, translation), seconds)
 
 
 def _with_hidden(body: Body, options: TrackOptions, state: State, moved: Poses, seconds: Float[Array, ""]) -> Poses:
@@ -176,6 +195,13 @@ def _still(body: Body, state: State, speed: Float[Array, ""]) -> Float[Array, " 
     return 1.0 / (1.0 + square / speed**2) ** 2
 
 
+def _cloud(points: Points) -> Float[Array, "4"]:
+    """Mean of a frame's points, metres, and their number."""
+    there = (points.weight > 0).astype(points.xyz.dtype)
+    number = jnp.sum(there)
+    return jnp.append(there @ points.xyz / jnp.maximum(number, 1), number)
+
+
 def track_frame(
     body: Body,
     options: TrackOptions,
@@ -186,7 +212,8 @@ def track_frame(
 ) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
     """Tracks one frame: predict, solve, measure how well it went; and the normal matrix of the limbs' twists there
     (kernels.coupled), for many frames are inverted together in less time."""
-    predicted = predict(body, options, state, seconds)
+    cloud = _cloud(points)
+    predicted = predict(body, options, state, seconds, cloud)
     # a prediction over a longer interval is worth less: its error grows with the square of the time
     late = jnp.maximum(seconds / options.prior_interval, 1.0)
     weaker = jnp.minimum(late**2, 16.0)
@@ -205,7 +232,7 @@ def track_frame(
     # by how many points there are, however noisy
     share = (seen.limb_weight * (1.0 if points.doubt is None else points.doubt)) ** 2
     shown = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
-    return State(poses, spin, velocity, jnp.where(count > 0, shown, state.seen)), step, normals
+    return State(poses, spin, velocity, jnp.where(count > 0, shown, state.seen), cloud), step, normals
 
 
 def _nothing(state: State) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
