@@ -19,13 +19,14 @@ from voodoo_jax.settings import PersonSettings
 
 CELL = 0.05  # metres: what is in the next cell but one has moved
 MOVED = 0.03  # of a thing's points that are where it was not, and of its places where it is no more: it has moved
+EVERY = 2  # frames: so often it is asked
 AWAY = 0.4  # metres from where it was, its middle: it has moved in any case
 LEFT = 3.0  # times as much of it may be in new places as is no longer in old ones: arms hang before the trunk
 FLICKER = 2.0  # times as much must have moved since the first frame than since the last one: noise comes and goes
 ENOUGH = 15  # frames in which it is elsewhere: a thing that moves by itself
 LITTLE = 4  # frames in which what moves at all is elsewhere, at the end of waiting
 FAIR = 6  # times as long another thing must have moved than the likeliest one
-LOOK = 5  # frames after which other things are looked for
+LOOK = 10  # frames after which other things are looked for
 MOST = 2  # of them
 LIKELY = 0.2  # of what is likeliest: what is less likely to be the body than that is not followed
 HELD = 300  # frames of points that wait until it is known which thing is the body
@@ -49,15 +50,17 @@ class Follower:
         anew = self.finder.last is None
         seen = self.finder(frame)
         self.frames.append(seen)
-        if len(seen.points) >= 30:
+        if len(seen.points) >= 30 and not anew and self.there % EVERY:
+            self.there += 1
+        elif len(seen.points) >= 30:
             now = cells_of(seen.points, CELL)
             place = np.median(seen.points, 0)
             if anew:
                 self.moved, self.there, self._first, self._place = 0, 0, now, place
             elif np.linalg.norm(place - self._place) > AWAY:
-                self.moved += 1
+                self.moved += EVERY
             elif _elsewhere(now, self._first) > MOVED + FLICKER * _elsewhere(now, self._last):
-                self.moved += 1
+                self.moved += EVERY
             self._last, self.there = now, self.there + 1
         return seen
 
@@ -80,9 +83,8 @@ class Chooser:
     """
 
     def __init__(self, scene: Scene, body_height: float, settings: PersonSettings, body_width: float = 0.0):
-        self._finder = lambda s=settings: PersonFinder(scene, body_height, s, body_width)
         self.settings = settings
-        self._main = Follower(self._finder())
+        self._main = Follower(PersonFinder(scene, body_height, settings, body_width))
         self._others: list[Follower] = []
         self._known = False
         self._seen = 0  # frames
@@ -122,7 +124,7 @@ class Chooser:
             rest = rest.only(~touching(cells_of(rest.points, BESIDE), cells_of(np.concatenate(taken), BESIDE)))
         if self.finder.last is None:
             s = replace(s, min_height=min(s.min_height, LOW))
-        other = Follower(self._finder(s), self._main.frames[:-1])
+        other = Follower(self.finder.another(s), self._main.frames[:-1])
         if len(other(rest).points) >= 30 and other.finder.likely >= LIKELY * self.finder.likely:
             self._others.append(other)
 

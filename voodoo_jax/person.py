@@ -49,6 +49,7 @@ class PersonFinder:
 
     def __init__(self, scene: Scene, body_height: float, settings: PersonSettings, body_width: float = 0.0):
         self.scene, self.settings, self.body_height = scene, settings, body_height
+        self._given = scene
         self.body_width = body_width or 0.26 * body_height  # as a person's
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
@@ -110,6 +111,12 @@ class PersonFinder:
                 self._left.clear()
         return frame.only(index)
 
+    def another(self, settings: PersonSettings) -> "PersonFinder":
+        """One that follows nothing yet, for the same sensors."""
+        other = PersonFinder(self._given, self.body_height, settings, self.body_width)
+        other._spacing, other._gap = dict(self._spacing), dict(self._gap)
+        return other
+
     def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "axis point"]:
         """Height above the floor, level coordinates, and distances from the walls; metres."""
         offsets = [self.scene.floor.offset, 0, 0, *(wall.offset for wall in self.scene.walls)]
@@ -117,17 +124,20 @@ class PersonFinder:
 
     def _tilted(self, height, x, y) -> Float32[np.ndarray, " point"] | float:
         """How much higher the floor seems to be under each point than it is: a sensor that shakes tilts it."""
-        near = np.flatnonzero(np.abs(height) < SHAKEN)
-        if not self.scene.floor_seen or len(near) < 300 or np.mean(height[near] > self.settings.floor_margin) < 0.1:
+        if not self.scene.floor_seen:
             return 0.0
-        near = near[:: len(near) // 2000 + 1]
-        places, level = np.stack([x[near], y[near], np.ones(len(near), np.float32)], 1), height[near]
+        step = len(height) // 4000 + 1
+        near = np.abs(height[::step]) < SHAKEN
+        level = height[::step][near]
+        if len(level) < 100 or np.mean(level > self.settings.floor_margin) < 0.1:
+            return 0.0
+        places = np.stack([x[::step][near], y[::step][near], np.ones(len(level), np.float32)], 1)
         if np.linalg.eigvalsh(np.cov(places[:, :2].T))[0] < WIDE**2:
             return 0.0  # feet, not a floor
         plane = np.zeros(3, np.float32)
         for within_ in (SHAKEN, 0.06, 0.03):  # metres
             on = np.abs(level - places @ plane) < within_
-            if on.sum() < 0.5 * len(near):
+            if on.sum() < 0.5 * len(level):
                 return 0.0
             plane = np.linalg.lstsq(places[on], level[on], rcond=None)[0].astype(np.float32)
         if np.abs(places @ plane).max() < STEADY:
