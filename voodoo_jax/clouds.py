@@ -23,7 +23,7 @@ def point_gap(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     middle = rays.mean(0)
     places = rays @ np.linalg.svd(middle[None])[2][1:].T
-    distance, index = KDTree(places).query(places[:: len(places) // 300 + 1], k=AROUND)
+    distance, index = map(np.asarray, KDTree(places).query(places[:: len(places) // 300 + 1], k=AROUND))
     apart = places[index[:, 1:]] - places[index[:, :1]]
     line = np.floor(np.arctan2(apart[..., 1], apart[..., 0]) / (np.pi / 4) + 0.5).astype(int) % 4  # four lines
     nearest = np.stack([np.min(np.where(line == k, distance[:, 1:], np.inf), 1) for k in range(4)])
