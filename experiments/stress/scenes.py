@@ -118,7 +118,7 @@ def shoot(name: str, scene: Scene, frames: int = 0) -> Recorded:
 def _in_view(joints: np.ndarray, camera: Camera) -> np.ndarray:
     """[time] Whether all joints are in the picture; NaN is not. A scanner sees all around."""
     if isinstance(camera, Scanner):
-        return np.isfinite(joints.reshape(len(joints), -1)).all(1)
+        return np.asarray(np.isfinite(joints).all((1, 2)))
     seen = (joints - camera.position) @ camera.rotation
     u, v = (seen[..., :2] / seen[..., 2:]).transpose(2, 0, 1)
     u, v = camera.cx + camera.fx * u, camera.cy + camera.fy * v
