@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float32, Int
 
 from voodoo_jax.cells import Cells, cells_of, touching
 from voodoo_jax.person import PersonFinder
@@ -50,19 +50,24 @@ class Follower:
         anew = self.finder.last is None
         seen = self.finder(frame)
         self.frames.append(seen)
-        if len(seen.points) >= 30 and not anew and self.there % EVERY:
-            self.there += 1
-        elif len(seen.points) >= 30:
-            now = cells_of(seen.points, CELL)
-            place = np.median(seen.points, 0)
+        if len(seen.points) >= 30:
             if anew:
-                self.moved, self.there, self._first, self._place = 0, 0, now, place
-            elif np.linalg.norm(place - self._place) > AWAY:
-                self.moved += EVERY
-            elif _elsewhere(now, self._first) > MOVED + FLICKER * _elsewhere(now, self._last):
-                self.moved += EVERY
-            self._last, self.there = now, self.there + 1
+                self.moved = self.there = 0
+            if self.there % EVERY == 0:
+                self._compare(seen.points)
+            self.there += 1
         return seen
+
+    def _compare(self, points: Float32[np.ndarray, "point 3"]) -> None:
+        """With where it was when it was found, and when it was compared before."""
+        now, place = cells_of(points, CELL), np.median(points, 0)
+        if self.there == 0:
+            self._first, self._place = now, place
+        elif np.linalg.norm(place - self._place) > AWAY or _elsewhere(now, self._first) > MOVED + FLICKER * _elsewhere(
+            now, self._last
+        ):
+            self.moved += EVERY
+        self._last = now
 
     @property
     def moves(self) -> bool:

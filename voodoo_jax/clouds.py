@@ -9,8 +9,7 @@ AROUND = 100  # neighbours of a point among which the nearest in every direction
 
 def point_spacing(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:
     """Angle between neighbouring points as seen from the sensor, radians (median)."""
-    rays = points - origin
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = _directions(points, origin)
     return float(np.median(KDTree(rays).query(rays[:: max(1, len(rays) // 2000)], k=2)[0][:, 1]))
 
 
@@ -19,10 +18,8 @@ def point_gap(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray
     scanner the angle between its rows, however close the points of a row are."""
     if len(points) < AROUND:
         return 0.0
-    rays = points - origin
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    middle = rays.mean(0)
-    places = rays @ np.linalg.svd(middle[None])[2][1:].T
+    rays = _directions(points, origin)
+    places = rays @ np.linalg.svd(rays.mean(0)[None])[2][1:].T
     distance, index = map(np.asarray, KDTree(places).query(places[:: len(places) // 300 + 1], k=AROUND))
     apart = places[index[:, 1:]] - places[index[:, :1]]
     line = np.floor(np.arctan2(apart[..., 1], apart[..., 0]) / (np.pi / 4) + 0.5).astype(int) % 4  # four lines
@@ -53,6 +50,14 @@ def without_strays(
     tree = KDTree(points, balanced_tree=False, compact_nodes=False)  # faster to make than it is to ask
     kept[rest] = tree.query(points[rest], k=4, distance_upper_bound=1.01 * float(near.max()))[0][:, 3] < near[rest]
     return kept
+
+
+def _directions(
+    points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]
+) -> Float32[np.ndarray, "point 3"]:
+    """Unit vectors from the sensor to its points."""
+    rays = points - origin
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def _length(v: Float32[np.ndarray, "3 point"]) -> Float32[np.ndarray, " point"]:

@@ -22,6 +22,7 @@ STILL = 0.06  # metres from one frame's points to those of the frame before, of 
 APART = 0.6  # of a thing's points: so many where something was apart from the body make it that
 GONE = 0.6  # of its height before: what is lower from one frame to the next is not the body any more
 CELL = 0.08  # metres, of the grid in which the background is kept
+DENSE = 0.008  # radians between the points of a sensor in any direction: whose are closer needs no longer link
 GAPS = 2.1  # times the gap between a scanner's rows: cells of half of that touch each other
 USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that has shown too few to tell
 LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
@@ -188,7 +189,7 @@ class PersonFinder:
     def _link(self, seen: PersonFrame) -> float:
         """Points closer than this belong to the same thing, metres: not less than the gaps between a scanner's rows."""
         gaps = [gap for sensor, gap in self._gap.items() if gap > 0 and (seen.sensor == sensor).sum() >= 30]
-        if not gaps or min(gaps) < USUAL_SPACING * 1.6:
+        if not gaps or min(gaps) < DENSE:
             return self.settings.link
         return max(self.settings.link, GAPS * min(gaps) * float(np.median(self._distances(seen))))
 

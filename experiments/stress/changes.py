@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.judged import Recorded
-from experiments.stress.sensing import SENSING, at_distances, with_points
+from experiments.stress.sensing import SENSING, at_distances, with_places, with_points
 from voodoo_jax.body import Body
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.settings import Settings
@@ -48,17 +48,7 @@ def some_of_the_points(recorded: Recorded, share: float) -> Recorded:
 
 def as_a_child(recorded: Recorded) -> Recorded:
     """The whole world at CHILD of its size: people of 1.0 to 1.3 m, from nearer."""
-    small = lambda points: (CHILD * points).astype(np.float32)  # noqa: E731
-    frames = [
-        replace(
-            f,
-            points=small(f.points),
-            origins=small(f.origins),
-            rays=replace(f.rays, origins=small(f.rays.origins)),
-            pairs=replace(f.pairs, points=small(f.pairs.points)),
-        )
-        for f in recorded.frames
-    ]
+    frames = [with_places(f, lambda points: (CHILD * points).astype(np.float32)) for f in recorded.frames]
     dims = {name: CHILD * size for name, size in recorded.dims.items()}
     return replace(recorded, frames=frames, joints=CHILD * recorded.joints, dims=dims)
 

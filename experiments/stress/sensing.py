@@ -24,6 +24,15 @@ def with_points(frame: Frame, keep: np.ndarray) -> Frame:
     return replace(frame, points=frame.points[keep], sensor=frame.sensor[keep], part=part, weight=weight)
 
 
+def with_places(
+    frame: Frame, place: Callable[[np.ndarray], np.ndarray], direction: Callable[[np.ndarray], np.ndarray] = lambda v: v
+) -> Frame:
+    """The frame with all that is in it elsewhere."""
+    rays = replace(frame.rays, origins=place(frame.rays.origins), directions=direction(frame.rays.directions))
+    pairs = replace(frame.pairs, points=place(frame.pairs.points))
+    return replace(frame, points=place(frame.points), origins=place(frame.origins), rays=rays, pairs=pairs)
+
+
 def at_distances(recorded: Recorded, seed: int, seen: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Recorded:
     """Every point moved along its ray: `seen` gives its distance from the true one and a standard normal number."""
 
@@ -168,11 +177,7 @@ def as_the_camera_sees(recorded: Recorded) -> Recorded:
     axes, origin = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]), recorded.frames[0].origins[0].astype(float)
     turned = lambda v: (v @ axes.T).astype(np.float32)  # noqa: E731
     moved = lambda p: turned(p - origin)  # noqa: E731
-    frames = []
-    for f in recorded.frames:
-        rays = replace(f.rays, origins=moved(f.rays.origins), directions=turned(f.rays.directions))
-        pairs = replace(f.pairs, points=moved(f.pairs.points))
-        frames.append(replace(f, points=moved(f.points), origins=moved(f.origins), rays=rays, pairs=pairs))
+    frames = [with_places(f, moved, turned) for f in recorded.frames]
     return replace(recorded, frames=frames, up=turned(recorded.up), joints=(recorded.joints - origin) @ axes.T)
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int64
 
+DEPTH_ENCODINGS = {"16UC1": ("u2", 0.001), "MONO16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # pixels, metres per unit
+
 
 @dataclass(frozen=True)
 class Cloud:

@@ -5,11 +5,20 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.io.contents import Calibration, Cloud, Image, frame_name, pb_stamp, ros_stamp, xyz, xyzw
+from voodoo_jax.io.contents import (
+    DEPTH_ENCODINGS,
+    Calibration,
+    Cloud,
+    Image,
+    frame_name,
+    pb_stamp,
+    ros_stamp,
+    xyz,
+    xyzw,
+)
 from voodoo_jax.io.decode_colour import PIXELS, colour_image
 from voodoo_jax.io.transforms import Transform
 
-_DEPTH = {"16UC1": ("u2", 0.001), "MONO16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # pixel type, metres per unit
 # Signed and unsigned are swapped between the two: ROS INT8=1, UINT8=2; Foxglove UINT8=1, INT8=2.
 _ROS_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _AXES = ("x", "y", "z")
@@ -139,7 +148,7 @@ def _grid(data: Any, rows: int, columns: int, step: int, row_step: int, fields: 
 def _image(
     stamp_ns: int, frame: str, encoding: str, rows: int, columns: int, step: int, data: Any, order: str
 ) -> Image:
-    kind, unit = _DEPTH.get(encoding.strip().upper(), ("", 1.0))
+    kind, unit = DEPTH_ENCODINGS.get(encoding.strip().upper(), ("", 1.0))
     raw = colour = None
     if encoding.strip().lower() in PIXELS:
         colour = colour_image(stamp_ns, frame, encoding, rows, columns, step, data)

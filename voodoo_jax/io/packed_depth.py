@@ -5,12 +5,11 @@ import struct
 import numpy as np
 from jaxtyping import Float32, Int, UInt16
 
-from voodoo_jax.io.contents import Image
+from voodoo_jax.io.contents import DEPTH_ENCODINGS, Image
 
 PNG = b"\x89PNG\r\n\x1a\n"
 HEADER = 12  # bytes before the packed image: int32 format, float32 parameters A and B
 LARGEST = 1 << 14  # pixels in a row or column
-UNITS = {"16UC1": 0.001, "MONO16": 0.001, "32FC1": 1.0}  # metres per unit
 
 
 def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | bytes) -> Image | None:
@@ -23,7 +22,7 @@ def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | byte
     whole, start = "compresseddepth" not in how.lower(), 0
     if not whole:
         start, encoding = HEADER, encoding.upper()
-    elif encoding.upper() not in UNITS:
+    elif encoding.upper() not in DEPTH_ENCODINGS:
         encoding = "16UC1"
     head = bytes(data[start : start + 26])
     if whole and not (head.startswith(PNG) and head[24:26] == b"\x10\x00"):  # bits, and one channel of grey
@@ -35,8 +34,9 @@ def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | byte
     columns, rows = struct.unpack(">ii", head[16:24]) if is_png else struct.unpack("<ii", head[:8])
     if not (is_png or "rvl" in how.lower()) or not (0 < rows <= LARGEST and 0 < columns <= LARGEST):
         raise ValueError("the depth image is neither PNG nor RVL")
-    unit = UNITS.get(encoding.upper(), 0.0)
-    return Image(stamp_ns, frame, encoding, (rows, columns), None, unit, packed=bytes(data), start=start)
+    kind, unit = DEPTH_ENCODINGS.get(encoding.upper(), ("", 1.0))
+    packed = bytes(data) if kind else None
+    return Image(stamp_ns, frame, encoding, (rows, columns), None, unit, packed=packed, start=start)
 
 
 def unpacked(image: Image) -> Float32[np.ndarray, "row column"] | UInt16[np.ndarray, "row column"]:
@@ -57,17 +57,9 @@ def unpacked(image: Image) -> Float32[np.ndarray, "row column"] | UInt16[np.ndar
 
 
 def _png(data: bytes) -> np.ndarray:
-    import cv2  # a tenth of a second, which other logs need not wait for
+    from voodoo_jax.io.pictures import stored  # takes a tenth of a second, which other logs need not wait for
 
-    if b"IEND\xaeB`\x82" not in data[-64:]:
-        raise ValueError("the depth image is cut off")  # the decoder would fill it up
-    try:
-        made = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as problem:
-        raise ValueError(f"the depth image cannot be decoded: {problem.err}") from None
-    if made is None:
-        raise ValueError("the depth image cannot be decoded")
-    return made
+    return stored(data, "depth")
 
 
 def _rvl(data: bytes, count: int) -> UInt16[np.ndarray, " pixel"]:

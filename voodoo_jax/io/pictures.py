@@ -28,16 +28,23 @@ def pixels(image: Colour) -> UInt8[np.ndarray, "row column 3"]:
         view = np.ndarray((*image.shape, size), np.uint8, buffer=raw, strides=(image.step, size, 1))
         code = _TO_BGR.get(image.encoding)
         return np.ascontiguousarray(view) if code is None else cv2.cvtColor(np.ascontiguousarray(view), code)
-    data = np.frombuffer(image.data, np.uint8)
+    # as it was stored: with its orientation tag applied it would no longer fit the calibration
+    as_stored = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    return np.asarray(stored(image.data, image.encoding, as_stored), np.uint8)
+
+
+def stored(data: np.ndarray | bytes, what: str, how: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
+    """The image [row, column, ...] in the bytes of a JPEG, PNG and so on. Raises ValueError that names `what` it is of,
+    where it is broken."""
+    data = np.frombuffer(data, np.uint8)
     end = _ENDS.get(data[:2].tobytes())
-    # the decoder fills what is missing at the end of a file with grey
+    # the decoder fills what is missing at the end of a file
     if end is not None and end not in data[-64:].tobytes():
-        raise ValueError(f"the {image.encoding} image is cut off")
+        raise ValueError(f"the {what} image is cut off")
     try:
-        # as it was stored: with its orientation tag applied it would no longer fit the calibration
-        made = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        made = cv2.imdecode(data, how)
     except cv2.error as problem:
-        raise ValueError(f"the {image.encoding} image cannot be decoded: {problem.err}") from None
+        raise ValueError(f"the {what} image cannot be decoded: {problem.err}") from None
     if made is None:
-        raise ValueError(f"the {image.encoding} image cannot be decoded")
-    return np.asarray(made, np.uint8)
+        raise ValueError(f"the {what} image cannot be decoded")
+    return np.asarray(made)

@@ -102,7 +102,7 @@ def _depth_use(topics: dict[str, Topic], name: str) -> str:
         return empty
     if topic.kind in ("point cloud", "laser scan"):
         return topic.kind
-    if (topic.sample.raw is None and topic.sample.packed is None) or not topic.sample.unit:
+    if topic.sample.raw is None and topic.sample.packed is None:
         return f"not used: encoding {topic.sample.encoding} is not a depth image"
     tokens = name.lower().replace("/", "_").split("_")
     if _is_mono(topics, name) and {"ir", "infra", "infra1", "infra2", "infrared", "amplitude", "intensity"} & {*tokens}:
