@@ -10,7 +10,7 @@ from voodoo_jax.io.body_file import human, load_body
 from voodoo_jax.passage import rows_of
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, apply
-from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms
+from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms, other_legs
 from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
 from voodoo_jax.tracks import Status
 
@@ -99,3 +99,16 @@ def test_a_lost_arm_is_found_again(raised):
     # what is good stays as it is, to the last digit
     again = looked_again(run, 0, good)
     np.testing.assert_array_equal(again["rotation"], good["rotation"])
+
+
+def test_a_lost_leg_is_found_again(tmp_path):
+    """One leg kicks towards the camera, and is tracked as if it were bent backwards."""
+    kick = {"l_hip": np.tile([0.0, -1.4, 0.0], (22, 1))}
+    sim, run = in_front(tmp_path / "leg.mcap", BODY, kick, 22)
+    truth = Poses(sim.rotation, sim.translation)
+    good = rows_of(run, run.forwards(truth[0], 0, 22)[1], 0, 22)
+    bent = other_legs(BODY, truth[12])[8]
+    lost = rows_of(run, run.forwards(bent, 12, 22)[1], 12, 10)
+    wrong = {name: np.concatenate([row[:12], lost[name]]) for name, row in good.items()}
+    assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
+    assert error(sim, looked_again(run, 0, wrong)).max() < 0.04

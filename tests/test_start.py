@@ -13,10 +13,11 @@ from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.mcap_tracks import limb_mesh
 from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.pose import Poses
 from voodoo_jax.scene import Plane
 from voodoo_jax.session import Session
 from voodoo_jax.settings import PersonSettings, Settings, StartSettings
-from voodoo_jax.simulate import Motion, make_motion, placed, simulate, tof_camera
+from voodoo_jax.simulate import Motion, make_motion, placed, sequence, simulate, tof_camera
 from voodoo_jax.start import facing, measured_height, place, rest_box, rest_height, sized, standing_places
 from voodoo_jax.tracker import find_person, track
 from voodoo_jax.tracking import options_from
@@ -172,6 +173,20 @@ def test_who_does_not_stand_at_first_is_followed_back_from_where_they_do(rising)
     assert np.linalg.norm(tracks.joints - sim.joints, axis=-1).mean() < 0.03
 
 
+def test_who_jumps_is_not_taller(tmp_path):
+    """Somebody who is bent at first, stands up, and jumps meanwhile or not."""
+    body, bent, sizes = scaled(human(), 1.8), 22, []
+    whole = sequence(make_motion(body, "bow", 3.0, 15.0), make_motion(body, "stand", 2.0, 15.0))
+    motion = placed(whole, 3.2, 0.0, np.radians(150))
+    for high in (0.0, 0.2):
+        lift = np.zeros((len(motion) - bent, 3), np.float32)
+        lift[20:36, 2] = high
+        root = Poses(motion.root.rotation[bent:], motion.root.translation[bent:] + lift)
+        sim = simulate(body, Motion(motion.time[bent:], root, motion.rotations[bent:]), tof_camera(1.0, 0.07))
+        sizes.append(track(human(), read_log(write_simulation(sim, tmp_path / "jump.mcap"))).body.scale)
+    assert abs(float(sizes[1] - sizes[0])) < 0.06
+
+
 def test_without_a_look_ahead_the_first_frames_settle_the_size(rising):
     _, recording = rising
     settings = replace(Settings(), track=replace(Settings().track, both_ways=False))
@@ -190,8 +205,7 @@ def trials(tmp_path_factory):
     def run(count: int, length: int, headings: int, chunk: int = 128):
         few = replace(settings, start=replace(settings.start, frames=length), person=PersonSettings(points=256))
         few = replace(few, track=replace(settings.track, chunk=chunk))
-        places = standing_places(body, people[:count], scene.floor, headings)
-        starts = jax.tree.map(lambda *leaves: np.stack(leaves), *places)
+        starts = standing_places(body, people[:count], scene.floor, headings)
         return Session(body, options, people, scene, few).trials(body, people[:count], starts)
 
     return run

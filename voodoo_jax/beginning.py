@@ -1,5 +1,6 @@
 """Where and how a passage begins: the best of several starts, tracked as trials. Host side."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -16,10 +17,12 @@ from voodoo_jax.stances import STANCES, in_stance
 from voodoo_jax.start import facing, opposite, sized, standing_places
 
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
+MUCH_BETTER = 0.5  # of its cost, where the fresh start is in doubt, too
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
 LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
 ALIKE = 3.0  # starts that cost less than so much more than the best may tell the size
+OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher jumps; if even higher, feet are hidden
 USUAL = 0.018  # metres of noise that a start is allowed in any case
 NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is
 
@@ -55,8 +58,9 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
         frame = int(good[np.argmin(np.abs(good - at))])
         return Beginning(at, run.body, marker_start(run.body, run.table.markers, frame), 0.0)
     found, sure = [_trial(run, at, _sized(run, at), before)], run.settings.start.sure
+    low = _lowest(run, run.people[at])
     for frame in _later(run, at) if not found[0].clear(sure) else ():
-        found.append(_trial(run, frame, _sized(run, frame)))
+        found.append(_trial(run, frame, _sized(run, frame, low)))
         if found[-1].clear(sure):
             break
     clearest = min(found, key=lambda b: b.cost)
@@ -66,8 +70,8 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
         best = posed
     else:
         # who bends or walks is taller than they look
-        tallest = max((b for b in found if b.cost < ALIKE * best.cost), key=lambda b: float(b.body.scale)).body
-        if float(tallest.scale) > 1.01 * float(best.body.scale):
+        tallest = max((b.body for b in found if b.cost < ALIKE * best.cost), key=_scale)
+        if _scale(tallest) > 1.01 * _scale(best.body):
             best = _trial(run, best.frame, tallest)
     run.body, run.sized = best.body, True
     run.bodies[-1] = (run.bodies[-1][0], run.body)
@@ -115,7 +119,7 @@ def fresh(
         # a few frames hardly tell front from back: the track knows it from all before
         ways = facing(on_host(run.body), np.stack([rotation[skip], best.poses.rotation]))
         best = best if ways[0] @ ways[1] > 0 else best.rival
-    if not best.cost < BETTER * here or best.unexplained > run.settings.start.sure:
+    if not best.cost < (BETTER if best.unexplained <= run.settings.start.sure else MUCH_BETTER) * here:
         return None
     return run.through(best.poses, run.people[at:end])[0].poses
 
@@ -133,15 +137,29 @@ def _in_stances(run: Session, at: int) -> Beginning | None:
     return min(found, key=lambda b: b.cost, default=None)
 
 
-def _sized(run: Session, at: int) -> Body:
-    """The body in the size that it is known to have, or else in the one that it seems to have from frame `at` on."""
-    return run.body if run.sized else _measured(run, at)
+def _sized(run: Session, at: int, low: float = np.inf) -> Body:
+    """The body in the size that it is known to have, or else in the one that it seems to have, see _measured."""
+    return run.body if run.sized else _measured(run, at, low)
 
 
-def _measured(run: Session, at: int) -> Body:
-    """The body in the size that it seems to have from frame `at` on."""
+def _measured(run: Session, at: int, low: float = np.inf) -> Body:
+    """The body in the size that it seems to have from frame `at` on.
+
+    `low` how high above the floor the lowest points are when it stands, metres: in the air it is as much lower."""
     s: StartSettings = run.settings.start
-    return sized(run.body, run.people[at : at + s.size_frames], run.scene.floor, s)
+    frames, up = run.people[at : at + s.size_frames], run.scene.floor.normal
+    lifts = (_lowest(run, frame) - low for frame in frames)
+    lowered = [replace(f, points=f.points - by * up) if OFF_FLOOR < by < HIDDEN else f for f, by in zip(frames, lifts)]
+    return sized(run.body, lowered, run.scene.floor, s)
+
+
+def _lowest(run: Session, frame: PersonFrame) -> float:
+    """How high above the floor the lowest points are, metres."""
+    return float(np.percentile(run.scene.floor.height(frame.points), 1)) if len(frame.points) else -np.inf
+
+
+def _scale(body: Body) -> float:
+    return float(body.scale)
 
 
 def _tried_on(run: Session, at: int) -> list[PersonFrame]:
@@ -175,7 +193,7 @@ def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest:
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
     noise = _noise(frames)
-    trial = run.trials(body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *places))
+    trial = run.trials(body, frames, places)
     found = [
         Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]), noise)
         for k in opposite(body, trial, RIVAL)

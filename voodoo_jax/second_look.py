@@ -1,10 +1,10 @@
-"""Looks again where a passage explains what was measured worse than elsewhere: an arm may be lost there. Host side.
+"""Looks again where a passage explains what was measured worse than elsewhere: a limb may be lost there. Host side.
 
-A limb that no point reaches any more is not found again from where it is. So arms are started anew in the middle of the
-trouble, in several poses as one batch, tracked there and back in time, and kept where they explain more.
+A limb that no point reaches any more is not found again from where it is. So arms, legs and the whole body are started
+anew in the middle of the trouble, in several poses as one batch, tracked there and back in time, and kept where they
+explain more.
 """
 
-import jax
 import numpy as np
 
 from voodoo_jax.beginning import USUAL, soon
@@ -15,11 +15,12 @@ from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, compose, inverse, on_host
 from voodoo_jax.session import FEW_POINTS, Session
 from voodoo_jax.stances import Stance, Turn, beyond, both, in_stance
+from voodoo_jax.start import standing_places
 from voodoo_jax.tracks import Status
 
 WORSE = 1.6  # times what a frame costs where the passage goes well: here it is in doubt
 WELL = 10  # percent of the frames cost less where it goes well
-BETTER = 0.85  # arms started anew are followed where they cost less than this share
+BETTER = 0.85  # what is started anew is followed where it costs less than this share
 FEWEST, LONGEST = 3, 30  # frames in doubt on end that are worth a look, and that one look is for
 AROUND = 15  # frames before and after them that are tracked anew, too
 # against the rest pose, in which they hang: as there, forwards, to the side and bent, up
@@ -29,11 +30,19 @@ ARMS: tuple[tuple[Turn, ...], ...] = (
     (*both("shoulder", "x", 80.0), *both("elbow", "y", -60.0)),
     both("shoulder", "x", 165.0),
 )
-SHOULDERS = ("l_shoulder", "r_shoulder")
+# hanging, forwards, forwards and bent, to the side, backwards and bent
+LEGS: tuple[tuple[Turn, ...], ...] = (
+    (),
+    both("hip", "y", -85.0),
+    (*both("hip", "y", -85.0), *both("knee", "y", 95.0)),
+    both("hip", "x", 70.0),
+    (*both("hip", "y", 30.0), *both("knee", "y", 80.0)),
+)
+SHOULDERS, HIPS = ("l_shoulder", "r_shoulder"), ("l_hip", "r_hip")
 
 
 def looked_again(run: Session, first: int, rows: Rows) -> Rows:
-    """The rows of a passage that begins in frame `first`, with other arms where those explain more."""
+    """The rows of a passage that begins in frame `first`, with other limbs where those explain more."""
     for start, end in in_doubt(run.people[first : first + len(rows["cost"])], rows):
         rows = _looked(run, first, rows, start, end)
     return rows
@@ -52,15 +61,19 @@ def in_doubt(people: list[PersonFrame], rows: Rows) -> list[tuple[int, int]]:
 
 
 def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
-    """The rows with arms that were started anew between two frames, where they cost less."""
+    """The rows with limbs that were started anew between two frames, where they cost less."""
     count = len(rows["cost"])
     at = start + int(np.argmax(smoothed(rows["cost"])[start:end]))
     frames = soon(run.people[first + at : first + count], run.settings.start)
     last = at + len(frames) - 1
-    starts = other_arms(run.body, Poses(rows["rotation"][last], rows["translation"][last]))
-    if not starts or any(len(f.points) < FEW_POINTS for f in frames):
+    poses = Poses(rows["rotation"][last], rows["translation"][last])
+    limbs = [starts for starts in (other_arms(run.body, poses), other_legs(run.body, poses)) if starts]
+    if not limbs or any(len(f.points) < FEW_POINTS for f in frames):
         return rows
-    trial = run.trials(run.body, frames, jax.tree.map(lambda *leaves: np.stack(leaves), *starts))
+    whole = standing_places(run.body, frames[::-1], run.scene.floor, run.settings.start.headings)
+    # not all at once: of starts that differ by more than a limb the best few are of one kind
+    tried = [run.trials(run.body, frames, starts) for starts in (*limbs, whole)]
+    trial = min(tried, key=lambda t: np.min(t.cost))
     best = int(np.argmin(trial.cost))
     if not trial.cost[best] < BETTER * np.mean(rows["cost"][at : last + 1]):
         return rows
@@ -77,18 +90,29 @@ def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
 
 def other_arms(body: Body, poses: Poses) -> list[Poses]:
     """The poses with the left arm, the right one or both in other places; nothing for a body without arms."""
-    stances = [stance for turns in ARMS if (stance := in_stance(body, Stance(turns, (1.0,)))) is not None]
-    if len(stances) < len(ARMS):
+    return _others(body, poses, ARMS, (SHOULDERS[:1], SHOULDERS[1:], SHOULDERS))
+
+
+def other_legs(body: Body, poses: Poses) -> list[Poses]:
+    """The poses with the left or the right leg in other places; nothing for a body without legs."""
+    return _others(body, poses, LEGS, (HIPS[:1], HIPS[1:]))
+
+
+def _others(
+    body: Body, poses: Poses, turned: tuple[tuple[Turn, ...], ...], sides: tuple[tuple[str, ...], ...]
+) -> list[Poses]:
+    """The poses with the limbs on some joints as each of the stances holds them; nothing for a body without these."""
+    stances = [stance for turns in turned if (stance := in_stance(body, Stance(turns, (1.0,)))) is not None]
+    if len(stances) < len(turned):
         return []
-    sides = (SHOULDERS[:1], SHOULDERS[1:], SHOULDERS)
-    return [_with_arms(stance, poses, some) for stance in stances for some in sides]
+    return [_with_limbs(stance, poses, some) for stance in stances for some in sides]
 
 
-def _with_arms(stance: Body, poses: Poses, shoulders: tuple[str, ...]) -> Poses:
+def _with_limbs(stance: Body, poses: Poses, joints: tuple[str, ...]) -> Poses:
     """The poses with what hangs on some joints as the stance holds it against the limb before them."""
     t, rest = stance.topology, on_host(stance.rest)
     rotation, translation = np.array(poses.rotation), np.array(poses.translation)
-    for name in shoulders:
+    for name in joints:
         joint = t.joints.index(name)
         limbs, parent = beyond(stance, joint), t.parents[joint]
         held = compose(compose(poses[parent], inverse(rest[parent])), rest[limbs])

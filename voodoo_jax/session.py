@@ -7,7 +7,6 @@ from functools import partial
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Int, Int8
 
@@ -110,12 +109,12 @@ class Session:
         t = self.body.topology
         joint = t.children.index(t.limbs.index(thing))
         bodies = [pointing(self.body, joint, axis) for axis in directions(self.settings.start.directions)]
-        starts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(hung_on(b, state.poses, limbs) for b in bodies))
+        starts = [hung_on(b, state.poses, limbs) for b in bodies]
         trial = self.trials(self.body, self.people[at : at + self.settings.start.frames], starts)
         self.body = bodies[int(np.argmin(trial.cost))]
 
-    def trials(self, body: Body, frames: list[PersonFrame], starts: Poses) -> Trial:
-        """Tracks some frames from every start pose (leading axis), the last one first."""
+    def trials(self, body: Body, frames: list[PersonFrame], starts: list[Poses]) -> Trial:
+        """Tracks some frames from every start pose, the last one first."""
         s: StartSettings = self.settings.start
         # backwards in time, so that the trials end where tracking begins
         chunk, features = self._padded(frames[::-1], None)
@@ -136,7 +135,7 @@ class Session:
             visit = partial(self._visited, body, options, (chunk.points, seconds, features), chosen)
             return in_pieces(visit, states, max(1, min(TRACKS, self.length // max(len(chosen), 1))))
 
-        return run_trials(body, starts, seen, tracked)
+        return run_trials(body, jax.tree.map(lambda *leaves: np.stack(leaves), *starts), seen, tracked)
 
     def prepare(self) -> None:
         """Makes the program that tracks, or loads it: for frames like those that there are."""
