@@ -5,11 +5,12 @@ import pytest
 from in_front import error, in_front
 
 from voodoo_jax.body import scaled
-from voodoo_jax.crossed_legs import crossed, exchanged, uncrossed
+from voodoo_jax.crossed_legs import crossed, uncrossed
 from voodoo_jax.io.body_file import human, load_body
 from voodoo_jax.passage import rows_of, tracked_anew
 from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.session import Session
+from voodoo_jax.stances import HIPS, exchanged
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
@@ -31,11 +32,11 @@ def steps(tmp_path_factory):
 def test_exchanged_legs_are_crossed():
     body = on_host(BODY)
     rest = Poses(np.asarray(body.rest.rotation), np.asarray(body.rest.translation))
-    other = exchanged(body, rest)
+    other = exchanged(body, rest, HIPS)
     rows = {"rotation": np.stack([rest.rotation, other.rotation])}
     rows |= {"translation": np.stack([rest.translation, other.translation])}
     assert crossed(body, rows).tolist() == [False, True]
-    np.testing.assert_array_equal(exchanged(body, other).translation, rest.translation)
+    np.testing.assert_array_equal(exchanged(body, other, HIPS).translation, rest.translation)
     legs = {f"{side}_{limb}" for side in "lr" for limb in ("thigh", "shank", "foot")}
     moved = np.any(other.translation != rest.translation, -1)
     assert {name for name, there in zip(body.topology.limbs, moved) if there} == legs
@@ -44,7 +45,7 @@ def test_exchanged_legs_are_crossed():
 def test_legs_on_the_other_ones_points_are_exchanged(steps):
     sim, run = steps
     truth = Poses(sim.rotation, sim.translation)
-    wrong = tracked(run, exchanged(on_host(BODY), truth[0]))
+    wrong = tracked(run, exchanged(on_host(BODY), truth[0], HIPS))
     assert crossed(on_host(BODY), wrong)[5:].all() and error(sim, wrong)[5:].min() > 0.06  # it does not end by itself
     found = uncrossed(run, 0, wrong)
     assert not crossed(on_host(BODY), found).any() and error(sim, found).max() < 0.04
@@ -57,7 +58,7 @@ def test_legs_on_the_other_ones_points_are_exchanged(steps):
 def test_legs_are_exchanged_as_often_as_they_were(steps, monkeypatch):
     """Who is tracked anew loses the legs again after eight frames: what is left is looked at once more."""
     sim, run = steps
-    wrong = tracked(run, exchanged(on_host(BODY), Poses(sim.rotation, sim.translation)[0]))
+    wrong = tracked(run, exchanged(on_host(BODY), Poses(sim.rotation, sim.translation)[0], HIPS))
 
     def for_a_while(run, first, poses, low, at, high):
         near[max(0, at - 8) : at + 9] = True
@@ -89,3 +90,17 @@ def test_bodies_without_knees_are_left_alone():
     run.body = load_body("arm")
     rows = {"status": np.zeros(3, np.int8)}
     assert uncrossed(run, 0, rows) is rows
+
+
+def test_who_crosses_the_legs_has_them_exchanged_where_that_explains_much_more(tmp_path):
+    """Feet apart at first, then one knee before the other: with the legs exchanged fewer frames are crossed."""
+    share = np.clip((np.arange(COUNT) - 8) / 6, 0, 1)[:, None]
+    mix = lambda first, then: (1 - share) * np.array(first) + share * np.array(then)  # noqa: E731
+    hips = {"l_hip": mix([0.12, 0, 0], [-0.45, -0.5, 0]), "r_hip": mix([-0.12, 0, 0], [0.45, 0.15, 0])}
+    sim, run = in_front(tmp_path / "log.mcap", BODY, hips)
+    truth = Poses(sim.rotation, sim.translation)
+    wrong, good = (tracked(run, poses) for poses in (exchanged(on_host(BODY), truth[0], HIPS), truth[0]))
+    body = on_host(BODY)
+    assert crossed(body, wrong)[:8].all() and crossed(body, wrong).sum() < crossed(body, good).sum()
+    # the last frame is farther from the crossed ones than is looked at
+    assert error(sim, wrong).min() > 0.06 and error(sim, uncrossed(run, 0, wrong))[:-1].max() < 0.02

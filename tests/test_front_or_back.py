@@ -6,11 +6,11 @@ from in_front import error, in_front
 
 from voodoo_jax.beginning import Beginning
 from voodoo_jax.body import scaled
-from voodoo_jax.crossed_legs import exchanged
 from voodoo_jax.front_or_back import likelier_way
 from voodoo_jax.io.body_file import human
 from voodoo_jax.passage import rows_of
 from voodoo_jax.pose import Poses, compose, on_host
+from voodoo_jax.stances import HIPS, exchanged
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
@@ -42,7 +42,7 @@ def way(run, first, second):
 @pytest.mark.parametrize("legs", ["own", "exchanged"])
 def test_the_right_way_is_kept_whichever_is_first_even_with_the_legs_exchanged(seen, legs):
     sim, run, truth, turned = seen
-    right = truth if legs == "own" else exchanged(on_host(BODY), truth)
+    right = truth if legs == "own" else exchanged(on_host(BODY), truth, HIPS)
     found, end = way(run, right, turned)
     assert end is None and error(sim, found).mean() < 0.03
     found, end = way(run, turned, right)

@@ -60,9 +60,8 @@ def combined(forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"])
     rotation, other_rotation = pick(backward.rotation, forward.rotation), pick(forward.rotation, backward.rotation)
     place, other = pick(backward.translation, forward.translation), pick(forward.translation, backward.translation)
     axis, other_axis = _axis(rotation), _axis(other_rotation)
-    reach = lengths[None, :, None]
-    ends = ((place, other), (place + reach * axis, other + reach * other_axis))
-    apart = np.maximum(*(np.linalg.norm(a - b, axis=-1) for a, b in ends))
+    ends = limb_ends(rotation, place, lengths) - limb_ends(other_rotation, other, lengths)
+    apart = np.max(np.linalg.norm(ends, axis=-1), 0)
     agree = apart < AGREE  # NaN does not agree
     half = _half_turn(axis, other_axis)
     turned = (Rotation.from_quat(half.reshape(-1, 4)) * _rotations(rotation)).as_quat(scalar_first=True)
@@ -70,6 +69,15 @@ def combined(forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"])
     rotation = np.where(agree[..., None], turned, rotation).astype(np.float32)
     translation = np.where(agree[..., None], (place + other) / 2, place).astype(np.float32)
     return Combined(rotation, translation, taken, apart.astype(np.float32))
+
+
+def limb_ends(
+    rotation: Float32[np.ndarray, "frame limb 4"],
+    translation: Float32[np.ndarray, "frame limb 3"],
+    lengths: Float[np.ndarray, " limb"],
+) -> Float[np.ndarray, "2 frame limb 3"]:
+    """Where both ends of every limb's axis are, metres."""
+    return np.stack([translation, translation + lengths[None, :, None] * _axis(rotation)])
 
 
 def _rotations(q: np.ndarray) -> Rotation:

@@ -13,10 +13,11 @@ from voodoo_jax.passage import Rows, pass_of, tracked_anew
 from voodoo_jax.pose import Poses, apply, on_host
 from voodoo_jax.second_look import AROUND
 from voodoo_jax.session import Session
-from voodoo_jax.stances import beyond
+from voodoo_jax.stances import HIPS, exchanged
 from voodoo_jax.tracks import Status
 
 FEWEST = 5  # frames with crossed knees, near each other, that are worth a look
+BETTER = 0.85  # who dances crosses them: then exchanged legs must cost so much less
 LIKELIER = 1.05  # exchanged legs may cost so much more: crossed ones are rare
 MOST = 3  # times that all of a passage is gone through
 LEGS = (("l_hip", "l_knee"), ("r_hip", "r_knee"))
@@ -43,11 +44,11 @@ def _once(run: Session, first: int, rows: Rows) -> Rows:
     for start, end in _stretches(crossed(body, rows) & (rows["status"] == Status.TRACKED)):
         at = start + int(np.argmin(rows["cost"][start:end]))
         low, high = max(0, start - AROUND), min(len(rows["cost"]), end + AROUND)
-        poses = exchanged(body, Poses(rows["rotation"][at], rows["translation"][at]))
+        poses = exchanged(body, Poses(rows["rotation"][at], rows["translation"][at]), HIPS)
         other = tracked_anew(run, first, poses, low, at, high)
         mine = {name: row[low:high] for name, row in rows.items()}
-        cheap = np.mean(pass_of(run, other).cost) < LIKELIER * np.mean(pass_of(run, mine).cost)
-        if cheap and crossed(body, other).mean() < crossed(body, mine).mean():
+        costs = np.mean(pass_of(run, other).cost) / np.mean(pass_of(run, mine).cost)
+        if costs < (LIKELIER if crossed(body, other).mean() < crossed(body, mine).mean() else BETTER):
             rows = {name: np.concatenate([row[:low], other[name], row[high:]]) for name, row in rows.items()}
     return rows
 
@@ -61,17 +62,6 @@ def crossed(body: Body, rows: Rows) -> Bool[np.ndarray, " frame"]:
         places[name] = apply(poses[:, t.parents[joint]], body.parent_anchor.translation[joint])
     hips, knees = places["l_hip"] - places["r_hip"], places["l_knee"] - places["r_knee"]
     return np.sum(hips * knees, -1) < 0
-
-
-def exchanged(body: Body, poses: Poses) -> Poses:
-    """The poses with each leg where the other one is."""
-    t, source = body.topology, np.arange(body.limb_count)
-    for hip, _ in LEGS:
-        for limb in beyond(body, t.joints.index(hip)):
-            name = t.limbs[limb]
-            twin = {"l": "r", "r": "l"}.get(name[0], "") + name[1:]
-            source[limb] = t.limbs.index(twin) if twin in t.limbs else limb
-    return poses[source]
 
 
 def _stretches(mask: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:

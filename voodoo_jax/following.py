@@ -13,6 +13,7 @@ from jaxtyping import Bool
 from voodoo_jax.beginning import Beginning, begin, clearer
 from voodoo_jax.body import Body
 from voodoo_jax.front_or_back import likelier_way
+from voodoo_jax.jumps import without_jumps
 from voodoo_jax.passage import PASSAGE, Rows, rows_of
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
@@ -111,7 +112,7 @@ def _turned(run: Session, start: Beginning, until: int, at: int, out: Rows) -> S
     first = start.frame
     found, end = likelier_way(run, start, {name: out[name][first:at] for name in PASSAGE})
     last = until if end is None else at  # the rival's frames take the place of all
-    found = looked_again(run, first, found)
+    found = without_jumps(run, first, looked_again(run, first, found))
     for name, row in found.items():
         out[name][first:last] = row[: last - first]
     return end

@@ -1,8 +1,8 @@
 """Looks again where a passage explains what was measured worse than elsewhere: a limb may be lost there. Host side.
 
-A limb that no point reaches any more is not found again from where it is. So arms, legs and the whole body are started
-anew in the middle of the trouble, in several poses as one batch, tracked there and back in time, and kept where they
-explain more.
+A limb that no point reaches any more is not found again from where it is. So arms and legs are started anew in the
+middle of the trouble, and the whole body where it may be lost, in several poses, tracked there and back in time, and
+kept where they explain more.
 """
 
 import numpy as np
@@ -14,11 +14,12 @@ from voodoo_jax.passage import Rows, pass_of, tracked_anew
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, compose, inverse, on_host
 from voodoo_jax.session import FEW_POINTS, Session
-from voodoo_jax.stances import Stance, Turn, beyond, both, in_stance
+from voodoo_jax.stances import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
 from voodoo_jax.start import standing_places
 from voodoo_jax.tracks import Status
 
 WORSE = 1.6  # times what a frame costs where the passage goes well: here it is in doubt
+LOST = 2.5  # times that: all of the body may be lost
 WELL = 10  # percent of the frames cost less where it goes well
 BETTER = 0.85  # what is started anew is followed where it costs less than this share
 FEWEST, LONGEST = 3, 30  # frames in doubt on end that are worth a look, and that one look is for
@@ -38,7 +39,6 @@ LEGS: tuple[tuple[Turn, ...], ...] = (
     both("hip", "x", 70.0),
     (*both("hip", "y", 30.0), *both("knee", "y", 80.0)),
 )
-SHOULDERS, HIPS = ("l_shoulder", "r_shoulder"), ("l_hip", "r_hip")
 
 
 def looked_again(run: Session, first: int, rows: Rows) -> Rows:
@@ -70,12 +70,14 @@ def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
     limbs = [starts for starts in (other_arms(run.body, poses), other_legs(run.body, poses)) if starts]
     if not limbs or any(len(f.points) < FEW_POINTS for f in frames):
         return rows
-    whole = standing_places(run.body, frames[::-1], run.scene.floor, run.settings.start.headings)
-    # not all at once: of starts that differ by more than a limb the best few are of one kind
-    tried = [run.trials(run.body, frames, starts) for starts in (*limbs, whole)]
+    here = float(np.mean(rows["cost"][at : last + 1]))
+    if here > LOST * np.percentile(rows["cost"], WELL):
+        limbs.append(standing_places(run.body, frames[::-1], run.scene.floor, run.settings.start.headings))
+    # not all at once: the best few after two frames might all be of one kind
+    tried = [run.trials(run.body, frames, starts) for starts in limbs]
     trial = min(tried, key=lambda t: np.min(t.cost))
     best = int(np.argmin(trial.cost))
-    if not trial.cost[best] < BETTER * np.mean(rows["cost"][at : last + 1]):
+    if not trial.cost[best] < BETTER * here:
         return rows
     poses = trial.state.poses[best]
     low, high = max(0, start - AROUND), min(count, end + AROUND)
@@ -94,8 +96,9 @@ def other_arms(body: Body, poses: Poses) -> list[Poses]:
 
 
 def other_legs(body: Body, poses: Poses) -> list[Poses]:
-    """The poses with the left or the right leg in other places; nothing for a body without legs."""
-    return _others(body, poses, LEGS, (HIPS[:1], HIPS[1:]))
+    """The poses with the left or the right leg in other places, or both exchanged; nothing for a body without legs."""
+    found = _others(body, poses, LEGS, (HIPS[:1], HIPS[1:]))
+    return found and [*found, exchanged(body, poses, HIPS)]
 
 
 def _others(

@@ -7,8 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, tree_order, with_rest_from_joints
-from voodoo_jax.pose import on_device, on_host
+from voodoo_jax.pose import Poses, on_device, on_host
 
+SHOULDERS, HIPS = ("l_shoulder", "r_shoulder"), ("l_hip", "r_hip")
 Turn = tuple[str, str, float]  # joint, axis, degrees
 
 
@@ -65,3 +66,14 @@ def beyond(body: Body, joint: int) -> np.ndarray:
         if t.parents[j] in out:
             out.append(t.children[j])
     return np.array(out)
+
+
+def exchanged(body: Body, poses: Poses, joints: tuple[str, ...]) -> Poses:
+    """The poses with what hangs on the joints, of the left and of the right side, each where the other one is."""
+    t, source = body.topology, np.arange(body.limb_count)
+    for joint in joints:
+        for limb in beyond(body, t.joints.index(joint)):
+            name = t.limbs[limb]
+            twin = {"l": "r", "r": "l"}.get(name[0], "") + name[1:]
+            source[limb] = t.limbs.index(twin) if twin in t.limbs else limb
+    return poses[source]

@@ -1,0 +1,77 @@
+"""Takes out jumps of a passage: bodies do not jump from one frame to the next. Host side.
+
+Where two passes that disagree are put together, or a stretch that was tracked anew, limbs may be elsewhere at once: one
+of the two sides is wrong. Each is carried on over the other one, and kept where that explains more.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from voodoo_jax.both_ways import limb_ends
+from voodoo_jax.passage import Rows, pass_of, rows_of
+from voodoo_jax.pose import Poses
+from voodoo_jax.session import Session
+from voodoo_jax.tracks import Status
+
+FAR = 0.2  # metres that a limb's end goes farther from one frame to the next than ...
+MOVES = 2.0  # ... so many times what it goes in the frames before and after: a jump
+SAME = 0.06  # metres between limbs' ends of poses that are the same
+MOST = 60  # frames over which one side is carried on, at most
+BETTER = 0.9  # it is kept where it costs less than this share
+EVERY = 30  # frames of a passage for each of the jumps that are looked at
+
+
+def without_jumps(run: Session, first: int, rows: Rows) -> Rows:
+    """The rows of a passage that begins in frame `first`, with one side of a jump carried on over the other one."""
+    left: set[int] = set()
+    for _ in range(1 + len(rows["cost"]) // EVERY):
+        found = [k for k in jumps(rows, np.asarray(run.body.sizes[:, 4])) if k not in left]
+        if not found:
+            break
+        other = _mended(run, first, rows, found[0])
+        if other is rows:
+            left.add(found[0])
+        rows = other
+    return rows
+
+
+def jumps(rows: Rows, lengths: Float[np.ndarray, " limb"]) -> list[int]:
+    """Frames in which a limb is elsewhere than in the frame before, the farthest jump first; `lengths` of the limbs."""
+    if len(rows["cost"]) < 2:
+        return []
+    ends = limb_ends(rows["rotation"], rows["translation"], lengths)
+    gone = np.max(np.linalg.norm(np.diff(ends, axis=1), axis=-1), 0)  # [frame - 1, limb]
+    usual = np.pad(gone, ((1, 1), (0, 0)))
+    over = np.max(gone - MOVES * np.maximum(usual[:-2], usual[2:]), 1)
+    tracked = rows["status"] == Status.TRACKED
+    over = np.where(tracked[1:] & tracked[:-1], over, 0.0)
+    found = 1 + np.flatnonzero(over > FAR)
+    return found[np.argsort(-over[found - 1])].tolist()
+
+
+def _mended(run: Session, first: int, rows: Rows, at: int) -> Rows:
+    """The rows with the cheaper one of the sides of the jump into frame `at` carried on over the other one, up to where
+    both are the same; the same rows if none explains more."""
+    lengths = np.asarray(run.body.sizes[:, 4])
+    low, high = max(0, at - MOST), min(len(rows["cost"]), at + MOST)
+    before, after = (Poses(rows["rotation"][k], rows["translation"][k]) for k in (at - 1, at))
+    ahead = rows_of(run, run.forwards(before, first + at - 1, first + high)[1], first + at - 1, high - at + 1)
+    back = rows_of(run, run.backwards(after, first + low, first + at + 1), first + low, at + 1 - low)
+    found, least = rows, BETTER
+    for other, begin, end, order in ((_part(ahead, 1, None), at, high, 1), (_part(back, 0, -1), low, at, -1)):
+        mine = _part(rows, begin, end)
+        ends = [limb_ends(part["rotation"], part["translation"], lengths) for part in (mine, other)]
+        same = np.flatnonzero(np.max(np.linalg.norm(ends[0] - ends[1], axis=-1), (0, 2))[::order] < SAME)
+        size = int(same[0]) if len(same) else end - begin
+        used = slice(0, size) if order > 0 else slice(end - begin - size, end - begin)
+        costs = [np.log(pass_of(run, part).cost)[used] for part in (mine, other)]
+        share = float(np.exp(np.mean(costs[1] - costs[0]))) if size else np.inf
+        if share < least:
+            found, least = {name: np.array(row) for name, row in rows.items()}, share
+            for name, row in found.items():
+                row[begin:end][used] = other[name][used]
+    return found
+
+
+def _part(rows: Rows, begin: int, end: int | None) -> Rows:
+    return {name: row[begin:end] for name, row in rows.items()}
