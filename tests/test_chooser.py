@@ -48,6 +48,16 @@ def test_who_may_not_wait_changes_over_once_it_is_known():
     assert not right[: PATIENCE - 1].any() and right[40 + PATIENCE // 2 + 8 :].all()
 
 
+def test_the_frame_says_so_from_which_on_something_else_is_taken():
+    changed = {}
+    for settings in (AHEAD, ONLINE):
+        chooser = Chooser(SCENE, 1.75, settings)
+        got = list(chooser(frame(c, i) for i, c in enumerate(waits_then_walks(40, 60))))
+        changed[settings.ahead] = [i for i, f in enumerate(got) if f.other]
+        right = [of_person(f.points) for f in got]
+    assert changed == {True: [], False: [right.index(True)]}
+
+
 def test_who_comes_in_late_was_nowhere_before():
     clouds = [COATS] * 30 + [np.concatenate([COATS, figure(3.0, 2.4 - 0.04 * i)]) for i in range(40)]
     got, _ = chosen(clouds)

@@ -109,3 +109,19 @@ def test_the_command(tmp_path, capsys):
             track=replace(Settings().track, both_ways=False),
         )
     )
+
+
+@pytest.mark.parametrize("settings", [SETTINGS, Settings()], ids=["online", "both ways"])
+def test_something_else_is_the_body_from_some_frame_on(demo, settings):
+    """At first a larger thing is followed, then the person, as if nothing had been before."""
+    scene, people, _ = demo
+    larger = [replace(frame, points=frame.points * np.float32(1.2)) for frame in people[:30]]
+    later = people[30:60]
+    whole, alone = (
+        track_person(human(), scene, frames, settings, "demo", "base")
+        for frames in ([*larger, replace(later[0], other=True), *later[1:]], later)
+    )
+    assert whole.tracked[30:].all()
+    apart = np.linalg.norm(whole.joints[30:] - alone.joints, axis=-1)
+    assert np.median(apart) < 1e-3 and apart.max() < 0.05  # forearms' length is found from all frames
+    assert abs(float(whole.body.scale) - float(alone.body.scale)) < 1e-3

@@ -93,6 +93,7 @@ class Chooser:
         self._others: list[Follower] = []
         self._known = False
         self._seen = 0  # frames
+        self._given: Follower | None = None  # what was last given as the body
 
     @property
     def finder(self) -> PersonFinder:
@@ -154,4 +155,7 @@ class Chooser:
             other.frames = []
         if self._known:
             self._others = []
+        if frames and self._given not in (None, self._main):
+            frames[0] = replace(frames[0], other=True)
+        self._given = self._main
         yield from frames

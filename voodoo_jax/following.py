@@ -65,6 +65,9 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
     say(at)
     while at < count:
         state = run.change(at, state)
+        if at in run.others and state is not None:
+            state = before = None
+            run.another(at)
         if state is None and not run.can_start(at):
             out["status"][at], at = Status.NO_DATA, at + 1
             say(1)
@@ -86,7 +89,7 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
             out[name][at : at + keep] = row[:keep]
         at, state = at + keep, after
         say(keep)
-        over = keep < taken or at == count
+        over = keep < taken or at == count or at in run.others
         if both_ways and start is not None and (over or at - start.frame >= SPAN):
             until = at if over else at - OVERLAP
             state = _turned(run, start, until, at, out) or state

@@ -25,6 +25,7 @@ class PersonFrame:
     doubt: float = (
         1.0  # how much less the points weigh because of it: sum of the weights that they would have, over theirs
     )
+    other: bool = False  # from here on something else is taken for the body than in the frames before
 
     def only(self, keep: np.ndarray) -> "PersonFrame":
         """The frame with some of its points: a mask or indices."""

@@ -63,6 +63,7 @@ class Session:
         first = people[0].time_ns if people else 0
         stamps = np.array([f.time_ns for f in people], np.int64)
         self.pending = [(int(np.searchsorted(stamps, first + round(c.time * 1e9))), c) for c in changes]
+        self.others = [k for k, f in enumerate(people) if f.other]  # frames in which something else becomes the body
         self.left_out = 0  # points beyond settings.person.points
         self.names = FeatureNames(body.topology, settings.features)
         named = [(*f.rays.names, *f.pairs.names) for f in people]
@@ -103,6 +104,11 @@ class Session:
             self.pending = self.pending[len(due) :]
             self.bodies.append((at, self.body))
         return state
+
+    def another(self, at: int) -> None:
+        """From frame `at` on the body is something else, of another size."""
+        self.sized = False
+        self.bodies.append((at, self.body))
 
     def _look_for(self, thing: str, limbs: list[int], at: int, state: State) -> None:
         """Lets a held thing point where the first frames from `at` on say it does: trials as at the start."""
@@ -169,9 +175,10 @@ class Session:
         return body, options, full, points, seconds, Visits(frame, track), features
 
     def chunk(self, state: State, at: int, most: int) -> tuple[State, Step, int]:
-        """Tracks up to one chunk of frames from `at`, at most so many, not past the next change of the body; the number
-        tracked."""
-        end = min([at + min(most, self.settings.track.chunk), *(frame for frame, _ in self.pending)])
+        """Tracks up to one chunk of frames from `at`, at most so many, not past the next change of the body, or to
+        something else; the number tracked."""
+        others = (frame for frame in self.others if frame > at)
+        end = min([at + min(most, self.settings.track.chunk), *(frame for frame, _ in self.pending), *others])
         frames = self.people[at:end]
         previous = self.people[at - 1].time_ns if at else None
         state, step, left_out = self._tracked(state, frames, previous)
