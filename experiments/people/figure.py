@@ -1,0 +1,98 @@
+"""A person's mesh in motion: linear blend skinning, the bones turned as a clip's segments."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.people.motions import Clip
+
+BONES = {
+    "skullbase": "head", "vc7": "neck01", "l_shoulder": "upperarm01.L", "l_elbow": "lowerarm01.L", "l_wrist": "wrist.L",
+    "r_shoulder": "upperarm01.R", "r_elbow": "lowerarm01.R", "r_wrist": "wrist.R", "l_hip": "upperleg01.L",
+    "l_knee": "lowerleg01.L", "l_ankle": "foot.L", "r_hip": "upperleg01.R", "r_knee": "lowerleg01.R",
+    "r_ankle": "foot.R",
+}  # fmt: skip
+# how far a bone goes from the first segment to the second one
+BENT = {"spine05": 0.1, "spine04": 0.4, "spine03": 0.7, "spine02": 0.9, "neck01": 0.3, "neck02": 0.6, "neck03": 0.8}
+LIMBS = (
+    ("upperarm", "upper_arm"), ("lowerarm", "forearm"), ("wrist", "forearm"), ("finger", "forearm"),
+    ("metacarpal", "forearm"), ("upperleg", "thigh"), ("lowerleg", "shank"), ("foot", "foot"), ("toe", "foot"),
+)  # fmt: skip
+TRUNK = (("root", "root"), ("pelvis", "root"), ("spine", "chest"), ("clavicle", "chest"), ("shoulder", "chest"),
+         ("breast", "chest"))  # fmt: skip
+
+
+class Meshes(NamedTuple):
+    """What bodies.py has written."""
+
+    vertices: np.ndarray  # [person, vertex, 3] metres, at rest
+    heads: np.ndarray  # [person, bone, 3]
+    faces: np.ndarray
+    bones: list[str]
+    parents: np.ndarray
+    skin: np.ndarray  # [vertex, k] bones
+    weights: np.ndarray
+
+
+def read_meshes(path: Path) -> Meshes:
+    data = np.load(path)
+    return Meshes(*(data[name].tolist() if name == "bones" else data[name] for name in Meshes._fields))
+
+
+class Figure:
+    """One of the people."""
+
+    def __init__(self, meshes: Meshes, person: int):
+        self.meshes, self.vertices, self.heads = meshes, meshes.vertices[person], meshes.heads[person].astype(float)
+        self.joints = {joint: self.heads[meshes.bones.index(bone)] for joint, bone in BONES.items()}
+        length = lambda a, b: float(np.linalg.norm(self.joints[f"l_{a}"] - self.joints[f"l_{b}"]))  # noqa: E731
+        self.dims = {
+            "upper_arm": length("shoulder", "elbow"), "forearm": length("elbow", "wrist"),
+            "thigh": length("hip", "knee"), "shank": length("knee", "ankle"),
+            "stature": float(np.ptp(self.vertices[:, 2])),
+        }  # fmt: skip
+        self._hanging = {k: Rotation.identity() for k in ("root", "chest", "neck", "l_foot", "r_foot")}
+        for side in "lr":
+            for upper, lower, a, b, c in (
+                ("upper_arm", "forearm", "shoulder", "elbow", "wrist"), ("thigh", "shank", "hip", "knee", "ankle"),
+            ):  # fmt: skip
+                first = self._down(side, a, b, Rotation.identity())
+                self._hanging |= {f"{side}_{upper}": first, f"{side}_{lower}": self._down(side, b, c, first)}
+
+    def _down(self, side: str, upper: str, lower: str, turned: Rotation) -> Rotation:
+        """The turn that lets a segment of the rest pose hang, after another turn."""
+        along = turned.apply(self.joints[f"{side}_{lower}"] - self.joints[f"{side}_{upper}"])
+        return Rotation.align_vectors([[0, 0, -1.0]], [along])[0] * turned
+
+    def posed(self, clip: Clip, grounded: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices [frame, vertex, 3] and joints [frame, joint, 3]; `grounded`: some part is on the floor at all times,
+        else in most frames."""
+        world, meshes = clip.world(), self.meshes
+        turns = np.stack([self._bone(name, world).as_matrix() for name in meshes.bones], 1)  # [frame, bone, 3, 3]
+        place = np.zeros((*turns.shape[:2], 3))
+        for bone, parent in enumerate(meshes.parents):
+            if parent >= 0:
+                place[:, bone] = place[:, parent] + turns[:, parent] @ (self.heads[bone] - self.heads[parent])
+        shift = place - np.einsum("fbij,bj->fbi", turns, self.heads)
+        vertices = np.zeros((len(place), *self.vertices.shape), np.float32)
+        for k in range(meshes.skin.shape[1]):
+            bone, weight = meshes.skin[:, k], meshes.weights[:, k, None].astype(np.float32)
+            for f in range(len(place)):
+                vertices[f] += weight * (np.einsum("vij,vj->vi", turns[f, bone], self.vertices) + shift[f, bone])
+        leg = self.dims["thigh"] + self.dims["shank"]
+        lowest, gone = vertices[..., 2].min(1), clip.place * leg
+        gone[:, 2] = -lowest if grounded else gone[:, 2] - np.percentile(gone[:, 2] + lowest, 3)
+        joints = np.stack([place[:, meshes.bones.index(bone)] for bone in BONES.values()], 1)
+        return vertices + gone[:, None].astype(np.float32), joints + gone[:, None]
+
+    def _bone(self, name: str, world: dict[str, Rotation]) -> Rotation:
+        stem, _, side = name.partition(".")
+        if stem in BENT:
+            first, second = ("root", "chest") if stem.startswith("spine") else ("chest", "neck")
+            return world[first] * Rotation.from_rotvec(BENT[stem] * (world[first].inv() * world[second]).as_rotvec())
+        for start, segment in LIMBS if side else ():
+            if stem.startswith(start):
+                return world[f"{side.lower()}_{segment}"] * self._hanging[f"{side.lower()}_{segment}"]
+        return world[next((segment for start, segment in TRUNK if stem.startswith(start)), "neck")]

@@ -1,0 +1,143 @@
+"""Which people do what before which camera; one take made, tracked and judged. Worker processes import this."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.common import human
+from experiments.judged import Verdict, judge, read
+from experiments.people.bodies import UNUSUAL, USUAL
+from experiments.people.figure import Figure, Meshes, read_meshes
+from experiments.people.motions import RATE, after_standing, read_clip
+from experiments.people.recorded import Found, write, write_truth
+from experiments.people.sight import beside, detections, draw, empty_room, in_camera, marked, pixels
+from voodoo_jax.settings import Settings
+from voodoo_jax.simulate import TOF_NOISE, Box, Camera, Noise, Room, add_noise, tof_camera
+
+START_NS = 1_700_000_000_000_000_000
+CLIPS = {"walk": 2, "run": 1, "jump": 2, "kick": 1, "punch": 1, "spinkick": 1, "dance_a": 1, "dance_b": 1, "spin": 1}
+IN_THE_AIR = ("jump", "spinkick", "run")
+VIEWS = 8  # of each clip by the usual people
+NEAREST, FARTHEST = 2.6, 5.0  # metres, of the middle of where somebody goes
+STILL, EASED, HELD = 21, 15, 9  # frames: relaxed at first, taking the clip's first pose, holding its last one
+
+
+def _camera(width: int, height: int, focal: float) -> Camera:
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, (0.0, 0.0, 1.2), 0.07)
+
+
+CAMERAS = {
+    "time of flight, 160x124": (tof_camera(), TOF_NOISE),
+    "Kinect": (_camera(640, 480, 580.0), Noise(0.001, 3e-4, 0.3, 0.01, 0.15, disparity=580 * 0.075 * 8, max_range=8)),
+    "Kinect 2": (_camera(512, 424, 366.0), Noise(0.002, 6e-4, 0.3, 0.01, 0.1, max_range=6)),
+    "RealSense": (_camera(848, 480, 420.0), Noise(0.001, 2e-3, 0.5, 0.02, 0.1, max_range=8)),
+    "Azure Kinect": (_camera(640, 576, 504.0), Noise(0.003, 6e-4, 0.3, 0.01, 0.1, max_range=5.5)),
+}
+FURNISHED = (
+    Box(2.9, 1.55, (0.5, 0.45, 0.75), 0.3), Box(4.3, -1.6, (0.8, 1.2, 0.74), 0.1), Box(4.4, 2.0, (0.6, 0.8, 1.9)),
+    Box(1.0, -0.9, (0.3, 0.4, 0.85)),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Take:
+    """One log."""
+
+    row: str
+    name: str
+    person: int
+    clip: str
+    yaw: float  # from facing the camera, radians
+    mirrored: bool
+    speed: float
+    camera: str
+    furnished: bool
+    seed: int
+    meshes: Path
+    motions: Path
+    logs: Path
+
+
+def takes(meshes: Path, motions: Path, logs: Path) -> list[Take]:
+    """Every clip by usual people from all sides, and by unusual ones before other cameras too."""
+    rng, found, cameras = np.random.default_rng(5), [], list(CAMERAS)
+    files = dict(meshes=meshes, motions=motions, logs=logs)
+    order = rng.permutation(USUAL)
+    for clip in CLIPS:
+        for view in range(VIEWS):
+            found.append(Take(
+                clip, f"{clip}-{view}", int(order[len(found) % USUAL]), clip,
+                2 * np.pi * view / VIEWS + float(rng.uniform(-0.3, 0.3)), bool(rng.integers(2)),
+                float(rng.uniform(0.75, 1.0)), cameras[0], False, len(found), **files,
+            ))  # fmt: skip
+    for who in range(len(UNUSUAL)):
+        for turn in range(2):
+            clip = ("walk", "punch", "dance_b", "kick")[(who + 2 * turn) % 4]
+            camera = cameras[(1 + who % 4) * turn]
+            found.append(Take(
+                "unusual people" if turn == 0 else "the same, other cameras", f"unusual-{who}-{turn}", USUAL + who,
+                clip, (0.2, -0.7, 1.0, -0.3)[(who + turn) % 4], bool(who % 2), 0.9, camera, turn == 1, len(found),
+                **files,
+            ))  # fmt: skip
+    return found
+
+
+def work(take: Take) -> Verdict:
+    """Makes the log if there is none, tracks it, judges the tracks."""
+    path = take.logs / f"{take.name}.mcap"
+    if not path.exists():
+        make(take, path)
+    recorded, body, settings = read(path, Settings()), human(), Settings()
+    log = recorded.log(body, settings)
+    return judge(recorded, log, log.track(body, settings))
+
+
+@cache
+def _meshes(path: Path) -> Meshes:
+    return read_meshes(path)
+
+
+def make(take: Take, path: Path) -> None:
+    """Writes the log and its truth."""
+    figure, rng = Figure(_meshes(take.meshes), take.person), np.random.default_rng(take.seed)
+    clip = read_clip(take.motions / f"humanoid3d_{take.clip}.txt", take.speed, CLIPS[take.clip])
+    clip = after_standing(clip.mirrored() if take.mirrored else clip, STILL, EASED, HELD)
+    vertices, joints = figure.posed(clip, take.clip not in IN_THE_AIR)
+    turn = Rotation.from_euler("z", np.pi + take.yaw).as_matrix()
+    vertices, joints = vertices @ turn.T.astype(np.float32), joints @ turn.T
+    camera, noise = CAMERAS[take.camera]
+    shift = _in_view(vertices, camera)
+    vertices, joints = vertices + shift.astype(np.float32), joints + shift
+    box = Box(float(rng.uniform(2.6, 3.6)), 1.4, (0.5, 0.45, float(rng.uniform(0.4, 1.0))), 0.3)
+    wall = max(4.5, vertices[..., 0].max() + float(rng.uniform(0.35, 1.5)))
+    room = beside(Room(wall=wall, boxes=FURNISHED if take.furnished else (box,)), vertices, rng)
+    colour = replace(_camera(640, 480, 554.3), position=(0.0, 0.06, 1.25))
+    empty, where = empty_room(camera, room), marked(figure)
+    depth: list[np.ndarray] = []
+    found: list[Found] = []
+    for frame in vertices:
+        exact = empty[0].copy(), empty[1].copy()
+        points = np.ascontiguousarray(in_camera(frame, camera), np.float64)
+        draw(points, figure.meshes.faces, camera.fx, camera.fy, camera.cx, camera.cy, *exact)
+        depth.append(add_noise(*exact, camera, noise, rng))
+        found.append([] if take.furnished else detections(figure, frame, colour, where, rng))
+    time_ns = START_NS + np.round(np.arange(len(depth)) / RATE * 1e9).astype(np.int64)
+    write_truth(path.with_suffix(".truth.npz"), time_ns, joints, figure.dims)
+    write(path, {"depth": camera, "colour": colour}, time_ns, depth, found)
+
+
+def _in_view(vertices: np.ndarray, camera: Camera) -> np.ndarray:
+    """How to move somebody to be as near as possible and wholly in view all the time."""
+    points = vertices[:, ::7].reshape(-1, 3)
+    middle = (points.min(0) + points.max(0)) / 2
+    shift = np.zeros(3)
+    for distance in np.arange(NEAREST, FARTHEST, 0.1):
+        shift = np.array([distance - middle[0], -middle[1], 0.0])
+        there = in_camera(points + shift, camera)
+        at = pixels(there, camera)
+        if there[:, 2].min() > 0.8 and at.min() > 1 and (at.max(0) < [camera.width - 2, camera.height - 2]).all():
+            break
+    return shift

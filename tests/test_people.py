@@ -1,0 +1,84 @@
+"""The makings of experiments/people: drawing against trimesh, clips of motion."""
+
+import importlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(autouse=True)
+def importable(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT)
+
+
+def part(name: str):
+    return importlib.import_module(f"experiments.people.{name}")
+
+
+def test_what_is_drawn_is_where_rays_meet_the_mesh():
+    mesh = trimesh.creation.icosphere(2, 0.3)
+    mesh.apply_translation([0.1, -0.05, 1.2])
+    fx, fy, cx, cy, shape = 30.0, 28.0, 15.5, 11.5, (24, 32)
+    depth, cosine = np.full(shape, np.inf), np.ones(shape)
+    part("sight").draw(mesh.vertices, mesh.faces, fx, fy, cx, cy, depth, cosine)
+    v, u = np.mgrid[: shape[0], : shape[1]].reshape(2, -1)
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.size)], -1)
+    place, ray, face = mesh.ray.intersects_location(np.zeros_like(rays), rays, multiple_hits=True)
+    nearest, facing = np.full(u.size, np.inf), np.ones(u.size)
+    for z, r, f in sorted(zip(place[:, 2], ray, face), reverse=True):
+        nearest[r] = z
+        facing[r] = abs(mesh.face_normals[f] @ rays[r]) / np.linalg.norm(rays[r])
+    assert np.isfinite(nearest).sum() > 100
+    np.testing.assert_array_equal(np.isfinite(depth.ravel()), np.isfinite(nearest))
+    np.testing.assert_allclose(depth.ravel(), nearest, atol=1e-9)
+    np.testing.assert_allclose(cosine.ravel(), facing, atol=1e-9)
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """Turns left by a right angle in a second, walking one metre ahead, the right knee bent by one radian."""
+    motions, frames = part("motions"), []
+    for share in np.linspace(0, 1, 11):
+        frame = np.zeros(44)
+        frame[0], frame[1:4] = 0.1, [share, 0.9, 0.0]
+        for column in motions.BALLS.values():
+            frame[column] = 1.0
+        angle = np.pi / 4 * share  # half of it, about y, which is up
+        frame[4:8] = [np.cos(angle), 0, np.sin(angle), 0]
+        frame[motions.HINGES["r_shank"]] = -1.0
+        frames.append(frame.tolist())
+    path = tmp_path / "clip.txt"
+    path.write_text(json.dumps({"Frames": frames}))
+    return motions.read_clip(path, 1.0, 2)
+
+
+def test_a_clip_goes_on_where_it_ended(clip):
+    leg, ahead = part("motions").LEG, clip.world()["root"].apply([1.0, 0, 0])
+    half = len(ahead) // 2
+    np.testing.assert_allclose(ahead[0], [1, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(ahead[half], ahead[half - 1], atol=1e-9)
+    assert ahead[half - 1][1] > 0.99 * np.sin(np.pi / 2 * 0.95)  # x towards y: to the left
+    np.testing.assert_allclose(clip.place[0, :2], 0, atol=1e-9)
+    np.testing.assert_allclose(clip.place[half], [*clip.place[half - 1, :2], 0.9 / leg], atol=1e-9)
+    gone = clip.place[-1, :2] - clip.place[half, :2]
+    assert gone @ ahead[half - 1][:2] > 0.9 / leg
+
+
+def test_knees_bend_backwards_on_the_other_side_when_mirrored(clip):
+    for some, bent, straight in ((clip, "r", "l"), (clip.mirrored(), "l", "r")):
+        down = {s: some.world()[f"{s}_shank"][0].apply([0, 0, -1.0]) for s in "lr"}
+        np.testing.assert_allclose(down[straight], [0, 0, -1], atol=1e-9)
+        np.testing.assert_allclose(down[bent], [-np.sin(1), 0, -np.cos(1)], atol=1e-9)
+
+
+def test_standing_comes_first(clip):
+    whole = part("motions").after_standing(clip, 5, 4, 3)
+    assert {len(v) for v in whole.turns.values()} == {len(clip.place) + 12} == {len(whole.place)}
+    assert whole.turns["r_shank"].magnitude()[:5].max() < 1e-9 < whole.turns["r_shank"].magnitude()[6]
+    np.testing.assert_allclose(whole.turns["r_shank"].magnitude()[9:], 1.0)
+    assert np.ptp(whole.place[:9], 0).max() == 0 == np.ptp(whole.place[-4:], 0).max()
