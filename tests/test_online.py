@@ -125,3 +125,13 @@ def test_something_else_is_the_body_from_some_frame_on(demo, settings):
     apart = np.linalg.norm(whole.joints[30:] - alone.joints, axis=-1)
     assert np.median(apart) < 1e-3 and apart.max() < 0.05  # forearms' length is found from all frames
     assert abs(float(whole.body.scale) - float(alone.body.scale)) < 1e-3
+
+
+def test_something_else_after_nothing_at_all(demo):
+    """The larger thing is lost before something else is taken: it begins with a size of its own all the same."""
+    scene, people, _ = demo
+    larger = [replace(frame, points=frame.points * np.float32(1.2)) for frame in people[:25]]
+    gap = [frame.only(np.zeros(len(frame.points), bool)) for frame in people[25:50]]
+    gap[20] = replace(gap[20], other=True)
+    found, alone = (tracks_of(scene, frames) for frames in ([*larger, *gap, *people[50:80]], people[50:80]))
+    assert abs(float(found.body.scale) - float(alone.body.scale)) < 1e-3

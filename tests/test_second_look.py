@@ -85,13 +85,17 @@ def raised(tmp_path_factory):
     return in_front(tmp_path_factory.mktemp("up") / "up.mcap", BODY, turns)
 
 
+def lost_on_the_way(sim, run, other):
+    """Rows tracked from the truth, and the same with other poses from frame 12 on."""
+    truth, count = Poses(sim.rotation, sim.translation), len(sim.time_ns)
+    good = rows_of(run, run.forwards(truth[0], 0, count)[1], 0, count)
+    lost = rows_of(run, run.forwards(other(truth[12]), 12, count)[1], 12, count - 12)
+    return good, {name: np.concatenate([row[:12], lost[name]]) for name, row in good.items()}
+
+
 def test_a_lost_arm_is_found_again(raised):
     sim, run = raised
-    truth = Poses(sim.rotation, sim.translation)
-    good = rows_of(run, run.forwards(truth[0], 0, 30)[1], 0, 30)
-    hanging = other_arms(BODY, truth[12])[0]
-    lost = rows_of(run, run.forwards(hanging, 12, 30)[1], 12, 18)
-    wrong = {name: np.concatenate([row[:12], lost[name]]) for name, row in good.items()}
+    good, wrong = lost_on_the_way(sim, run, lambda poses: other_arms(BODY, poses)[0])
     assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
     found = looked_again(run, 0, wrong)
     assert error(sim, found).max() < 0.06
@@ -105,10 +109,6 @@ def test_a_lost_leg_is_found_again(tmp_path):
     """One leg kicks towards the camera, and is tracked as if it were bent backwards."""
     kick = {"l_hip": np.tile([0.0, -1.4, 0.0], (22, 1))}
     sim, run = in_front(tmp_path / "leg.mcap", BODY, kick, 22)
-    truth = Poses(sim.rotation, sim.translation)
-    good = rows_of(run, run.forwards(truth[0], 0, 22)[1], 0, 22)
-    bent = other_legs(BODY, truth[12])[8]
-    lost = rows_of(run, run.forwards(bent, 12, 22)[1], 12, 10)
-    wrong = {name: np.concatenate([row[:12], lost[name]]) for name, row in good.items()}
+    _, wrong = lost_on_the_way(sim, run, lambda poses: other_legs(BODY, poses)[8])
     assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
     assert error(sim, looked_again(run, 0, wrong)).max() < 0.04

@@ -65,7 +65,7 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Rows,
     say(at)
     while at < count:
         state = run.change(at, state)
-        if at in run.others and state is not None:
+        if run.others and run.others[0] <= at:
             state = before = None
             run.another(at)
         if state is None and not run.can_start(at):

@@ -109,6 +109,7 @@ class Session:
         """From frame `at` on the body is something else, of another size."""
         self.sized = False
         self.bodies.append((at, self.body))
+        self.others = [k for k in self.others if k > at]
 
     def _look_for(self, thing: str, limbs: list[int], at: int, state: State) -> None:
         """Lets a held thing point where the first frames from `at` on say it does: trials as at the start."""
@@ -177,8 +178,7 @@ class Session:
     def chunk(self, state: State, at: int, most: int) -> tuple[State, Step, int]:
         """Tracks up to one chunk of frames from `at`, at most so many, not past the next change of the body, or to
         something else; the number tracked."""
-        others = (frame for frame in self.others if frame > at)
-        end = min([at + min(most, self.settings.track.chunk), *(frame for frame, _ in self.pending), *others])
+        end = min([at + min(most, self.settings.track.chunk), *(frame for frame, _ in self.pending), *self.others])
         frames = self.people[at:end]
         previous = self.people[at - 1].time_ns if at else None
         state, step, left_out = self._tracked(state, frames, previous)

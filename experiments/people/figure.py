@@ -66,9 +66,9 @@ class Figure:
         along = turned.apply(self.joints[f"{side}_{lower}"] - self.joints[f"{side}_{upper}"])
         return Rotation.align_vectors([[0, 0, -1.0]], [along])[0] * turned
 
-    def posed(self, clip: Clip, grounded: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices [frame, vertex, 3] and joints [frame, joint, 3]; `grounded`: some part is on the floor at all times,
-        else in most frames."""
+    def posed(self, clip: Clip, on_floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices [frame, vertex, 3] and joints [frame, joint, 3]; `on_floor` [frame]: 1 where the lowest part is on
+        the floor, 0 where it is as high as the clip has it, between them in between."""
         world, meshes = clip.world(), self.meshes
         turns = np.stack([self._bone(name, world).as_matrix() for name in meshes.bones], 1)  # [frame, bone, 3, 3]
         place = np.zeros((*turns.shape[:2], 3))
@@ -83,7 +83,10 @@ class Figure:
                 vertices[f] += weight * (np.einsum("vij,vj->vi", turns[f, bone], self.vertices) + shift[f, bone])
         leg = self.dims["thigh"] + self.dims["shank"]
         lowest, gone = vertices[..., 2].min(1), clip.place * leg
-        gone[:, 2] = -lowest if grounded else gone[:, 2] - np.percentile(gone[:, 2] + lowest, 3)
+        height = gone[:, 2] + lowest
+        free = on_floor < 1
+        height -= np.percentile(height[free], 3) if free.any() else 0.0  # some part of the clip is on the floor
+        gone[:, 2] = (1 - on_floor) * height - lowest
         joints = np.stack([place[:, meshes.bones.index(bone)] for bone in BONES.values()], 1)
         return vertices + gone[:, None].astype(np.float32), joints + gone[:, None]
 

@@ -105,7 +105,8 @@ def make(take: Take, path: Path) -> None:
     figure, rng = Figure(_meshes(take.meshes), take.person), np.random.default_rng(take.seed)
     clip = read_clip(take.motions / f"humanoid3d_{take.clip}.txt", take.speed, CLIPS[take.clip])
     clip = after_standing(clip.mirrored() if take.mirrored else clip, STILL, EASED, HELD)
-    vertices, joints = figure.posed(clip, take.clip not in IN_THE_AIR)
+    eased = np.clip((np.arange(len(clip.place)) - STILL) / EASED, 0, 1)
+    vertices, joints = figure.posed(clip, 1 - eased if take.clip in IN_THE_AIR else np.ones_like(eased))
     turn = Rotation.from_euler("z", np.pi + take.yaw).as_matrix()
     vertices, joints = vertices @ turn.T.astype(np.float32), joints @ turn.T
     camera, noise = CAMERAS[take.camera]
