@@ -5,8 +5,8 @@ of the two sides is wrong. Each is carried on over the other one, and kept where
 """
 
 import numpy as np
-from jaxtyping import Float
 
+from voodoo_jax.body import Body
 from voodoo_jax.both_ways import limb_ends
 from voodoo_jax.passage import Rows, pass_of, rows_of
 from voodoo_jax.pose import Poses
@@ -25,7 +25,7 @@ def without_jumps(run: Session, first: int, rows: Rows) -> Rows:
     """The rows of a passage that begins in frame `first`, with one side of a jump carried on over the other one."""
     left: set[int] = set()
     for _ in range(1 + len(rows["cost"]) // EVERY):
-        found = [k for k in jumps(rows, np.asarray(run.body.sizes[:, 4])) if k not in left]
+        found = [k for k in jumps(run.body, rows) if k not in left]
         if not found:
             break
         other = _mended(run, first, rows, found[0])
@@ -35,11 +35,14 @@ def without_jumps(run: Session, first: int, rows: Rows) -> Rows:
     return rows
 
 
-def jumps(rows: Rows, lengths: Float[np.ndarray, " limb"]) -> list[int]:
-    """Frames in which a limb is elsewhere than in the frame before, the farthest jump first; `lengths` of the limbs."""
+def jumps(body: Body, rows: Rows) -> list[int]:
+    """Frames in which a limb that carries others is elsewhere than in the frame before, the farthest jump first. Hands
+    and feet alone flicker where few points tell of them."""
+    carries = np.array(sorted(set(body.topology.parents)), int)
     if len(rows["cost"]) < 2:
         return []
-    ends = limb_ends(rows["rotation"], rows["translation"], lengths)
+    lengths = np.asarray(body.sizes[carries, 4])
+    ends = limb_ends(rows["rotation"][:, carries], rows["translation"][:, carries], lengths)
     gone = np.max(np.linalg.norm(np.diff(ends, axis=1), axis=-1), 0)  # [frame - 1, limb]
     usual = np.pad(gone, ((1, 1), (0, 0)))
     over = np.max(gone - MOVES * np.maximum(usual[:-2], usual[2:]), 1)
