@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from voodoo_jax.body import Body
-from voodoo_jax.passage import Rows, pass_of, tracked_anew
+from voodoo_jax.passage import Rows, part, pass_of, pose_at, tracked_anew, with_part
 from voodoo_jax.pose import Poses, apply, on_host
 from voodoo_jax.second_look import AROUND
 from voodoo_jax.session import Session
@@ -44,12 +44,12 @@ def _once(run: Session, first: int, rows: Rows) -> Rows:
     for start, end in _stretches(crossed(body, rows) & (rows["status"] == Status.TRACKED)):
         at = start + int(np.argmin(rows["cost"][start:end]))
         low, high = max(0, start - AROUND), min(len(rows["cost"]), end + AROUND)
-        poses = exchanged(body, Poses(rows["rotation"][at], rows["translation"][at]), HIPS)
+        poses = exchanged(body, pose_at(rows, at), HIPS)
         other = tracked_anew(run, first, poses, low, at, high)
-        mine = {name: row[low:high] for name, row in rows.items()}
+        mine = part(rows, low, high)
         costs = np.mean(pass_of(run, other).cost) / np.mean(pass_of(run, mine).cost)
         if costs < (LIKELIER if crossed(body, other).mean() < crossed(body, mine).mean() else BETTER):
-            rows = {name: np.concatenate([row[:low], other[name], row[high:]]) for name, row in rows.items()}
+            rows = with_part(rows, low, other, np.ones(high - low, bool))
     return rows
 
 

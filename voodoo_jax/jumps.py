@@ -8,8 +8,7 @@ import numpy as np
 
 from voodoo_jax.body import Body
 from voodoo_jax.both_ways import limb_ends
-from voodoo_jax.passage import Rows, pass_of, rows_of
-from voodoo_jax.pose import Poses
+from voodoo_jax.passage import Rows, part, pass_of, pose_at, rows_of, with_part
 from voodoo_jax.session import Session
 from voodoo_jax.tracks import Status
 
@@ -57,24 +56,19 @@ def _mended(run: Session, first: int, rows: Rows, at: int) -> Rows:
     both are the same; the same rows if none explains more."""
     lengths = np.asarray(run.body.sizes[:, 4])
     low, high = max(0, at - MOST), min(len(rows["cost"]), at + MOST)
-    before, after = (Poses(rows["rotation"][k], rows["translation"][k]) for k in (at - 1, at))
+    before, after = pose_at(rows, at - 1), pose_at(rows, at)
     ahead = rows_of(run, run.forwards(before, first + at - 1, first + high)[1], first + at - 1, high - at + 1)
     back = rows_of(run, run.backwards(after, first + low, first + at + 1), first + low, at + 1 - low)
     found, least = rows, BETTER
-    for other, begin, end, order in ((_part(ahead, 1, None), at, high, 1), (_part(back, 0, -1), low, at, -1)):
-        mine = _part(rows, begin, end)
-        ends = [limb_ends(part["rotation"], part["translation"], lengths) for part in (mine, other)]
-        same = np.flatnonzero(np.max(np.linalg.norm(ends[0] - ends[1], axis=-1), (0, 2))[::order] < SAME)
-        size = int(same[0]) if len(same) else end - begin
-        used = slice(0, size) if order > 0 else slice(end - begin - size, end - begin)
-        costs = [np.log(pass_of(run, part).cost)[used] for part in (mine, other)]
-        share = float(np.exp(np.mean(costs[1] - costs[0]))) if size else np.inf
+    for other, begin, end, order in ((part(ahead, 1, None), at, high, 1), (part(back, None, -1), low, at, -1)):
+        both = part(rows, begin, end), other
+        mine, theirs = (limb_ends(some["rotation"], some["translation"], lengths) for some in both)
+        same = np.max(np.linalg.norm(mine - theirs, axis=-1), (0, 2)) < SAME
+        used = np.logical_and.accumulate(~same[::order])[::order]
+        if not used.any():
+            continue
+        costs = [np.log(pass_of(run, some).cost[used]) for some in both]
+        share = float(np.exp(np.mean(costs[1] - costs[0])))
         if share < least:
-            found, least = {name: np.array(row) for name, row in rows.items()}, share
-            for name, row in found.items():
-                row[begin:end][used] = other[name][used]
+            found, least = with_part(rows, begin, other, used), share
     return found
-
-
-def _part(rows: Rows, begin: int, end: int | None) -> Rows:
-    return {name: row[begin:end] for name, row in rows.items()}

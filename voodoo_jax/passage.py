@@ -1,7 +1,7 @@
 """A passage, the frames from one start of the tracker to the next: tracked there and back in time, and made one."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from voodoo_jax.beginning import fresh
 from voodoo_jax.bending import wrong_bend
@@ -29,6 +29,25 @@ def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
     return {"status": status} | {name: np.asarray(row)[:count] for name, row in rows.items()}
 
 
+def pose_at(rows: Rows, at: int) -> Poses:
+    """The pose in one of the frames."""
+    return Poses(rows["rotation"][at], rows["translation"][at])
+
+
+def part(rows: Rows, begin: int | None, end: int | None) -> Rows:
+    """Some of the frames."""
+    return {name: row[begin:end] for name, row in rows.items()}
+
+
+def with_part(rows: Rows, begin: int, other: Rows, taken: Bool[np.ndarray, " frame"]) -> Rows:
+    """The rows with those of other ones that begin in frame `begin`, where they are taken."""
+    at = begin + np.flatnonzero(taken)
+    found = {name: np.array(row) for name, row in rows.items()}
+    for name, row in found.items():
+        row[at] = other[name][taken]
+    return found
+
+
 def there_and_back(run: Session, first: int, forward: Rows) -> Rows:
     """A passage that began in frame `first` and was tracked forwards, made one with a pass back from its last good
     frame."""
@@ -36,10 +55,10 @@ def there_and_back(run: Session, first: int, forward: Rows) -> Rows:
     if not len(good):
         return forward
     count = int(good[-1]) + 1
-    forth = {name: row[:count] for name, row in forward.items()}
+    forth = part(forward, None, count)
     poses = fresh(run, first, forth["cost"], forth["rotation"])
     if poses is None:
-        poses = Poses(forth["rotation"][-1], forth["translation"][-1])
+        poses = pose_at(forth, -1)
     back = rows_of(run, run.backwards(poses, first, first + count), first, count)
     both = combined(pass_of(run, forth), pass_of(run, back), np.asarray(run.body.sizes[:, 4]))
     pick = lambda old, new: np.where(both.backward.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731

@@ -10,7 +10,7 @@ import numpy as np
 from voodoo_jax.beginning import USUAL, soon
 from voodoo_jax.body import Body
 from voodoo_jax.both_ways import backward_is_better, smoothed
-from voodoo_jax.passage import Rows, pass_of, tracked_anew
+from voodoo_jax.passage import Rows, part, pass_of, pose_at, tracked_anew, with_part
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, compose, inverse, on_host
 from voodoo_jax.session import FEW_POINTS, Session
@@ -66,7 +66,7 @@ def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
     at = start + int(np.argmax(smoothed(rows["cost"])[start:end]))
     frames = soon(run.people[first + at : first + count], run.settings.start)
     last = at + len(frames) - 1
-    poses = Poses(rows["rotation"][last], rows["translation"][last])
+    poses = pose_at(rows, last)
     limbs = [starts for starts in (other_arms(run.body, poses), other_legs(run.body, poses)) if starts]
     if not limbs or any(len(f.points) < FEW_POINTS for f in frames):
         return rows
@@ -82,12 +82,8 @@ def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
     poses = trial.state.poses[best]
     low, high = max(0, start - AROUND), min(count, end + AROUND)
     other = tracked_anew(run, first, poses, low, at, high)
-    mine = {name: row[low:high] for name, row in rows.items()}
-    taken = backward_is_better(pass_of(run, mine).cost, pass_of(run, other).cost)
-    found = {name: np.array(row) for name, row in rows.items()}
-    for name, row in found.items():
-        row[low:high][taken] = other[name][taken]
-    return found
+    costs = (pass_of(run, some).cost for some in (part(rows, low, high), other))
+    return with_part(rows, low, other, backward_is_better(*costs))
 
 
 def other_arms(body: Body, poses: Poses) -> list[Poses]:

@@ -275,7 +275,7 @@ def render(
     `poses` [limb] T_fixed_limb of the body's limbs, closed elliptic frusta; absent limbs are not seen.
     """
     rays, origin = camera.rays(), np.array(camera.position)
-    depth, cosine = np.full(len(rays), np.inf), np.ones(len(rays))
+    depth, cosine = (image.ravel() for image in render_room(camera, room))
     sizes, (rotation, translation) = np.asarray(body.sizes, np.float64), _arrays(poses)
     centres = translation + rotation[..., 2] * sizes[:, 4:] / 2 - origin
     radii = np.hypot(sizes[:, :4].max(1), sizes[:, 4] / 2)
@@ -285,7 +285,15 @@ def render(
         along = rays @ centre
         near = np.nonzero((along > 0) & (along**2 > (centre @ centre - radius**2) * (rays**2).sum(1)))[0]
         _keep_nearest(depth, cosine, near, *_hit_frustum(size, (origin - t) @ r, rays[near] @ r))
-    every = np.arange(len(rays))
+    return depth.reshape(camera.height, camera.width), cosine.reshape(camera.height, camera.width)
+
+
+def render_room(
+    camera: Camera, room: Room | None
+) -> tuple[Float64[np.ndarray, "row column"], Float64[np.ndarray, "row column"]]:
+    """As render, of a room that nobody is in."""
+    rays, origin = camera.rays(), np.array(camera.position)
+    depth, cosine, every = np.full(len(rays), np.inf), np.ones(len(rays)), np.arange(len(rays))
     planes = [] if room is None else [(2, 0.0)] * room.floor + ([] if room.wall is None else [(0, room.wall)])
     with np.errstate(divide="ignore", invalid="ignore"):
         length = np.linalg.norm(rays, axis=1)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.people.figure import Figure
-from voodoo_jax.simulate import Box, Camera, Room, hit_box
+from voodoo_jax.simulate import Box, Camera, Room
 
 try:  # loops over triangles: a hundred times as fast compiled
     from numba import njit  # pyright: ignore[reportMissingImports]
@@ -57,23 +57,6 @@ def pixels(points: np.ndarray, camera: Camera) -> np.ndarray:
     """Where points (optical frame) are in the picture."""
     focal, middle = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     return points[..., :2] / points[..., 2:] * focal + middle
-
-
-def empty_room(camera: Camera, room: Room) -> tuple[np.ndarray, np.ndarray]:
-    """Depth and cosine of the incidence of floor, wall and boxes."""
-    rays, origin = camera.rays(), np.array(camera.position)
-    depth, cosine = np.full(len(rays), np.inf), np.ones(len(rays))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        hits = [
-            ((at - origin[axis]) / rays[:, axis], np.abs(rays[:, axis]) / np.linalg.norm(rays, axis=1))
-            for axis, at in ((2, 0.0), (0, room.wall))
-            if at is not None
-        ]
-        for t, c in (*hits, *(hit_box(box, origin, rays) for box in room.boxes)):
-            near = (t > 0) & (t < depth)
-            depth[near], cosine[near] = t[near], c[near]
-    shape = camera.height, camera.width
-    return depth.reshape(shape), cosine.reshape(shape)
 
 
 def beside(room: Room, vertices: np.ndarray, rng: np.random.Generator) -> Room:

@@ -13,9 +13,9 @@ from experiments.people.bodies import UNUSUAL, USUAL
 from experiments.people.figure import Figure, Meshes, read_meshes
 from experiments.people.motions import RATE, after_standing, read_clip
 from experiments.people.recorded import Found, write, write_truth
-from experiments.people.sight import beside, detections, draw, empty_room, in_camera, marked, pixels
+from experiments.people.sight import beside, detections, draw, in_camera, marked, pixels
 from voodoo_jax.settings import Settings
-from voodoo_jax.simulate import TOF_NOISE, Box, Camera, Noise, Room, add_noise, tof_camera
+from voodoo_jax.simulate import TOF_NOISE, Box, Camera, Noise, Room, add_noise, render_room, tof_camera
 
 START_NS = 1_700_000_000_000_000_000
 CLIPS = {"walk": 2, "run": 1, "jump": 2, "kick": 1, "punch": 1, "spinkick": 1, "dance_a": 1, "dance_b": 1, "spin": 1}
@@ -116,7 +116,7 @@ def make(take: Take, path: Path) -> None:
     wall = max(4.5, vertices[..., 0].max() + float(rng.uniform(0.35, 1.5)))
     room = beside(Room(wall=wall, boxes=FURNISHED if take.furnished else (box,)), vertices, rng)
     colour = replace(_camera(640, 480, 554.3), position=(0.0, 0.06, 1.25))
-    empty, where = empty_room(camera, room), marked(figure)
+    empty, where = render_room(camera, room), marked(figure)
     depth: list[np.ndarray] = []
     found: list[Found] = []
     for frame in vertices:

@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -41,11 +42,16 @@ def write_simulation(simulation: Simulation, path: str | os.PathLike[str], forma
 
 
 def _save_truth(simulation: Simulation, stream: BinaryIO) -> None:
-    body = simulation.body
+    body, s = simulation.body, simulation
     dims = segment_lengths(body) | ({"stature": float(body.scale)} if body.scale_name == "stature" else {})
-    names = np.array(body.topology.centres)
-    s, text = simulation, np.array(json.dumps(dims))
-    np.savez_compressed(stream, time_ns=s.time_ns, joints=s.joints, names=names, dims=text)
+    save_truth(stream, s.time_ns, s.joints, body.topology.centres, dims)
+
+
+def save_truth(
+    stream: BinaryIO, time_ns: np.ndarray, joints: np.ndarray, names: Sequence[str], dims: dict[str, float]
+) -> None:
+    """Truth as write_simulation has it."""
+    np.savez_compressed(stream, time_ns=time_ns, joints=joints, names=np.array(names), dims=np.array(json.dumps(dims)))
 
 
 def _replace(path: Path, fill: Callable[[BinaryIO], None]) -> None:
@@ -107,35 +113,56 @@ def _ros2(simulation: Simulation, stream: BinaryIO) -> None:
 
 
 def _foxglove(simulation: Simulation, stream: BinaryIO) -> None:
+    camera = simulation.camera
+    with foxglove_log(stream) as put:
+        if len(simulation.time_ns):
+            start = int(simulation.time_ns[0])
+            put_camera(put, start, camera, simulation.fixed_frame, OPTICAL_FRAME, INFO_TOPIC)
+        for stamp, image in zip(simulation.time_ns.tolist(), simulation.depth):
+            put(IMAGE_TOPIC, stamp, depth_image(camera, OPTICAL_FRAME, image))
+
+
+Put = Callable[[str, int, Any], None]  # topic, stamp, message
+
+
+@contextmanager
+def foxglove_log(stream: BinaryIO) -> Iterator[Put]:
+    """What writes a message of foxglove's, stamped where it has a stamp, into a log that is finished at the end."""
     writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
     writer.start(profile="", library="voodoo_jax")
     channels: dict[str, int] = {}
 
     def put(topic: str, stamp: int, message: Any) -> None:
-        message.timestamp.FromNanoseconds(stamp)
+        if "timestamp" in message.DESCRIPTOR.fields_by_name:
+            message.timestamp.FromNanoseconds(stamp)
         if topic not in channels:
             descriptors = build_file_descriptor_set(type(message)).SerializeToString(deterministic=True)
             schema = writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", descriptors)
             channels[topic] = writer.register_channel(topic, "protobuf", schema)
         writer.add_message(channels[topic], stamp, message.SerializeToString(deterministic=True), stamp)
 
-    camera = simulation.camera
-    if len(simulation.time_ns):
-        start = int(simulation.time_ns[0])
-        transform = FrameTransform(parent_frame_id=simulation.fixed_frame, child_frame_id=OPTICAL_FRAME)
-        part = transform.translation
-        part.x, part.y, part.z = camera.position
-        turn = transform.rotation
-        turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(camera.rotation).as_quat().tolist()
-        put("/tf", start, transform)
-        k, r, p = _matrices(camera)
-        put(INFO_TOPIC, start, CameraCalibration(
-            frame_id=OPTICAL_FRAME, width=camera.width, height=camera.height, distortion_model="plumb_bob",
-            D=[0.0] * 5, K=k, R=r, P=p,
-        ))  # fmt: skip
-    for stamp, image in zip(simulation.time_ns.tolist(), simulation.depth):
-        put(IMAGE_TOPIC, stamp, RawImage(
-            frame_id=OPTICAL_FRAME, width=camera.width, height=camera.height, encoding="16UC1",
-            step=2 * camera.width, data=image.astype("<u2").tobytes(),
-        ))  # fmt: skip
+    yield put
     writer.finish()
+
+
+def put_camera(put: Put, stamp: int, camera: Camera, fixed_frame: str, frame: str, topic: str) -> None:
+    """A camera's place, on /tf, and its calibration."""
+    transform = FrameTransform(parent_frame_id=fixed_frame, child_frame_id=frame)
+    part = transform.translation
+    part.x, part.y, part.z = camera.position
+    turn = transform.rotation
+    turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(camera.rotation).as_quat().tolist()
+    put("/tf", stamp, transform)
+    k, r, p = _matrices(camera)
+    put(topic, stamp, CameraCalibration(
+        frame_id=frame, width=camera.width, height=camera.height, distortion_model="plumb_bob", D=[0.0] * 5, K=k, R=r,
+        P=p,
+    ))  # fmt: skip
+
+
+def depth_image(camera: Camera, frame: str, image: np.ndarray) -> RawImage:
+    """An image in millimetres."""
+    return RawImage(
+        frame_id=frame, width=camera.width, height=camera.height, encoding="16UC1", step=2 * camera.width,
+        data=image.astype("<u2").tobytes(),
+    )  # fmt: skip
