@@ -1,5 +1,6 @@
 """Somebody in front of a simulated camera, ready to be tracked, and how far tracked rows are off."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,14 @@ from voodoo_jax.tracker import find_person
 from voodoo_jax.tracking import options_from
 
 
-def in_front(path: Path, body: Body, turns: dict[str, np.ndarray], count: int = 30) -> tuple[Simulation, Session]:
-    """A second, 3.2 m away, with some joints turned (rotation vectors [frame, 3], radians): what is so, and the session
-    that tracks it. Writes a log at `path`."""
+def in_front(
+    path: Path, body: Body, turns: dict[str, np.ndarray], count: int = 30, nearer: float = 0.0
+) -> tuple[Simulation, Session]:
+    """A second, 3.2 m away and in the end `nearer` by so many metres, with some joints turned (rotation vectors [frame,
+    3], radians): what is so, and the session that tracks it. Writes a log at `path`."""
     moved = _motion(body, np.arange(count) / 30, turns)
+    gone = np.outer(np.linspace(0, nearer, count), [1.0, 0, 0]).astype(np.float32)
+    moved = replace(moved, root=Poses(moved.root.rotation, moved.root.translation + gone))
     sim = simulate(body, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
     recording, settings = read_log(write_simulation(sim, path)), Settings()
     scene, people = find_person(recording, recording.up, body, settings)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).parents[1]
 
@@ -82,3 +83,43 @@ def test_standing_comes_first(clip):
     assert whole.turns["r_shank"].magnitude()[:5].max() < 1e-9 < whole.turns["r_shank"].magnitude()[6]
     np.testing.assert_allclose(whole.turns["r_shank"].magnitude()[9:], 1.0)
     assert np.ptp(whole.place[:9], 0).max() == 0 == np.ptp(whole.place[-4:], 0).max()
+
+
+def test_shoulders_go_along_with_raised_arms(clip):
+    figures = part("figure")
+    chest = {"clavicle.": (0.02, 0.02, 1.38), "shoulder01.": (0.02, 0.1, 1.39)}
+    places = {"neck01": (0, 0, 1.45), "head": (0, 0, 1.55)}
+    for side, sign in (("L", 1), ("R", -1)):
+        arm = {"upperarm01.": (0.02, 0.17, 1.35), "lowerarm01.": (0.02, 0.17, 1.1), "wrist.": (0.02, 0.17, 0.85)}
+        leg = {"upperleg01.": (0, 0.1, 0.9), "lowerleg01.": (0, 0.1, 0.5), "foot.": (0, 0.1, 0.08)}
+        places |= {k + side: (x, sign * y, z) for k, (x, y, z) in (chest | arm | leg).items()}
+    bones = ["spine01", *places]
+    heads = np.array([(0, 0, 1.2), *places.values()])
+    parents = np.zeros(len(bones), int) - 1
+    for name in bones[1:]:
+        stem, _, side = name.partition(".")
+        before = {
+            "shoulder01": "clavicle",
+            "upperarm01": "shoulder01",
+            "lowerarm01": "upperarm01",
+            "wrist": "lowerarm01",
+        }
+        parents[bones.index(name)] = bones.index(f"{before[stem]}.{side}") if stem in before else 0
+    skin, weights = np.arange(len(bones))[:, None], np.ones((len(bones), 1))
+    vertices = np.concatenate([heads, [[0, 0, 0], [0, 0, 1.7]]])
+    skin, weights = np.pad(skin, ((0, 2), (0, 0))), np.pad(weights, ((0, 2), (0, 0)), constant_values=1.0)
+    one = figures.Figure(
+        figures.Meshes(vertices[None], heads[None], np.zeros((0, 3), int), bones, parents, skin, weights), 0
+    )
+    still = part("motions").after_standing(clip, 1, 1, 1)
+    for raised, (low, high) in ((0.0, (-0.002, 0.002)), (np.pi / 2, (0.02, 0.04)), (np.pi, (0.04, 0.07))):
+        turns = {k: Rotation.identity(2) for k in still.turns} | {
+            f"{side}_upper_arm": Rotation.from_rotvec([[0, -raised, 0]] * 2) for side in "lr"
+        }
+        joints = one.posed(still._replace(turns=turns, place=np.zeros((2, 3))), np.ones(2))[1]
+        at = {name: joints[0, k] for k, name in enumerate(figures.BONES)}
+        for side in "lr":
+            gone = at[f"{side}_shoulder"] - at["vc7"] - (one.joints[f"{side}_shoulder"] - one.joints["vc7"])
+            assert low < gone[2] < high
+            elbow = at[f"{side}_elbow"] - at[f"{side}_shoulder"]  # as long as ever, where the clip has it
+            np.testing.assert_allclose(elbow, 0.25 * np.array([np.sin(raised), 0, -np.cos(raised)]), atol=1e-6)

@@ -120,6 +120,19 @@ def test_a_person_who_fills_the_picture_is_no_wall(rng):
     assert scene.walls == ()
 
 
+@pytest.mark.parametrize("beside", ["a box", "more of the wall"])
+def test_a_person_and_a_box_in_one_plane_are_no_wall_but_a_wall_behind_a_desk_is(rng, beside):
+    """Somebody's flat back, and two metres from there something else, as far away."""
+    high = (0.05, 0.8) if beside == "a box" else (0.7, 2.2)  # over the desk
+    flat = np.concatenate([grid((-0.6, -0.1), (0.05, 1.9), 0.02), grid((0.5, 1.6), high, 0.02)])
+    points = np.column_stack([np.full(len(flat), 3.0), flat]) + rng.normal(0, 0.006, (len(flat), 3))
+    ground = np.column_stack(
+        [grid((1.5, 3.0), (-1.0, 2.0), 0.04), rng.normal(0, 0.006, len(grid((1.5, 3.0), (-1.0, 2.0), 0.04)))]
+    )
+    scene = find_scene([frame(np.concatenate([points, ground]))], np.array([0, 0, 1], np.float32))
+    assert scene.floor_seen and len(scene.walls) == (beside != "a box")
+
+
 def test_flying_pixels_go_and_the_surface_stays(rng):
     spacing = 0.008
     a = grid((-0.3, 0.3), (-0.6, 0.6), spacing * 2.0)

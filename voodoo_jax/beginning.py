@@ -21,6 +21,7 @@ MUCH_BETTER = 0.5  # of its cost, where the fresh start is in doubt, too
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
 LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
+FAR_RIVAL = 3.0  # and if it costs less than so much more where something else speaks for it
 ALIKE = 3.0  # starts that cost less than so much more than the best may tell the size
 OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher jumps; if even higher, feet are hidden
 USUAL = 0.018  # metres of noise that a start is allowed in any case
@@ -35,11 +36,16 @@ class Beginning(NamedTuple):
     poses: Poses
     cost: float  # see tracking.cost_of
     noise: float = 0.0  # of the points that it was tried on, metres, at least USUAL
-    rival: "Beginning | None" = None  # faces the other way and costs hardly more
+    rival: "Beginning | None" = None  # faces the other way
 
     def clear(self, sure: float) -> bool:
         """Whether neither what it costs nor noise leaves a doubt that it is right."""
         return self.unexplained <= sure and self.noise <= NOISY
+
+    @property
+    def close_rival(self) -> "Beginning | None":
+        """The rival, if it costs hardly more."""
+        return self.rival if self.rival is not None and self.rival.cost < RIVAL * self.cost else None
 
     @property
     def unexplained(self) -> float:
@@ -115,10 +121,10 @@ def fresh(
     if here - _noise(tried) ** 2 <= run.settings.start.sure:  # it is in no doubt itself
         return None
     best = _trial(run, at, run.body)
-    if best.rival is not None:
+    if (rival := best.close_rival) is not None:
         # a few frames hardly tell front from back: the track knows it from all before
         ways = facing(on_host(run.body), np.stack([rotation[skip], best.poses.rotation]))
-        best = best if ways[0] @ ways[1] > 0 else best.rival
+        best = best if ways[0] @ ways[1] > 0 else rival
     if not best.cost < (BETTER if best.unexplained <= run.settings.start.sure else MUCH_BETTER) * here:
         return None
     return run.through(best.poses, run.people[at:end])[0].poses
@@ -196,7 +202,7 @@ def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest:
     trial = run.trials(body, frames, places)
     found = [
         Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]), noise)
-        for k in opposite(body, trial, RIVAL)
+        for k in opposite(body, trial, FAR_RIVAL)
     ]
     return found[0]._replace(rival=found[1] if len(found) > 1 else None)
 

@@ -10,6 +10,8 @@ from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
 
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
+WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
+COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
 
 
@@ -120,10 +122,11 @@ def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> li
             break
         plane, inside = fit
         along = np.cross(floor.normal, plane.normal)
-        wide = np.ptp(np.percentile(rest[inside] @ along, [2, 98]))
+        place = rest[inside] @ along
+        wide = np.ptp(np.percentile(place, [2, 98]))
         side = 1 if plane.height(frame.origins[:1])[0] > 0 else -1
         behind = (plane.height(points) * side < -0.15).mean()
-        if wide >= 2.0 and behind <= 0.03:
+        if wide >= WIDE and _filled(place, floor.height(rest[inside])) >= FILLED and behind <= 0.03:
             plane = Plane(side * plane.normal, side * plane.offset)
             beyond = -plane.height(points)  # where nothing but noise is
             noise = np.percentile(beyond[(beyond > 0) & (beyond < BEHIND)], 98)
@@ -131,6 +134,15 @@ def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> li
         # else a near person, who may have more points than the wall: look on without them
         rest = rest[~inside]
     return found
+
+
+def _filled(place: Float32[np.ndarray, " point"], height: Float32[np.ndarray, " point"]) -> float:
+    """Metres of a plane, along the floor, that are about as high as it is: less where a person and a box beside them
+    happen to be in one plane."""
+    column, index, count = np.unique(np.floor(place / COLUMN), return_inverse=True, return_counts=True)
+    top = np.full(len(column), -np.inf)
+    np.maximum.at(top, index, height)
+    return COLUMN * float(np.sum((top > 0.6 * np.percentile(height, 98)) & (count >= 3)))
 
 
 def _find_floor(points, up, rng) -> Plane | None:

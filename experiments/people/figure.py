@@ -20,8 +20,10 @@ LIMBS = (
     ("upperarm", "upper_arm"), ("lowerarm", "forearm"), ("wrist", "forearm"), ("finger", "forearm"),
     ("metacarpal", "forearm"), ("upperleg", "thigh"), ("lowerleg", "shank"), ("foot", "foot"), ("toe", "foot"),
 )  # fmt: skip
-TRUNK = (("root", "root"), ("pelvis", "root"), ("spine", "chest"), ("clavicle", "chest"), ("shoulder", "chest"),
-         ("breast", "chest"))  # fmt: skip
+TRUNK = (("root", "root"), ("pelvis", "root"), ("spine", "chest"), ("breast", "chest"))
+# The clips' skeleton has no shoulder girdle, people have: as the arm turns from hanging to pointing forward, outward or
+# up, its joint goes along, by so much of the stature for each unit of its direction (as in recorded people)
+GIRDLE = np.array([0.013, 0.002, 0.018])
 
 
 class Meshes(NamedTuple):
@@ -98,4 +100,16 @@ class Figure:
         for start, segment in LIMBS if side else ():
             if stem.startswith(start):
                 return world[f"{side.lower()}_{segment}"] * self._hanging[f"{side.lower()}_{segment}"]
+        if side and stem.startswith(("clavicle", "shoulder")):
+            return world["chest"] * self._girdle(side, world["chest"].inv() * world[f"{side.lower()}_upper_arm"])
         return world[next((segment for start, segment in TRUNK if stem.startswith(start)), "neck")]
+
+    def _girdle(self, side: str, upper_arm: Rotation) -> Rotation:
+        """The turn of the shoulder girdle against the chest, from that of the upper arm; [frame]."""
+        hangs = np.array([0, 0, -1.0])
+        moved = self.dims["stature"] * GIRDLE * (upper_arm.apply(hangs) - hangs)
+        along = self.joints[f"{side.lower()}_shoulder"] - self.heads[self.meshes.bones.index(f"clavicle.{side}")]
+        axis = np.cross(along, along + moved)
+        angle = np.arctan2(np.linalg.norm(axis, axis=1), (along + moved) @ along)
+        length = np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+        return Rotation.from_rotvec(angle[:, None] * axis / length)
