@@ -5,8 +5,9 @@ import pytest
 from small_rooms import FLOOR, ORIGIN, box, figure, frame
 
 from voodoo_jax.candidate import candidate
-from voodoo_jax.chooser import ENOUGH, HELD, PATIENCE, Chooser
+from voodoo_jax.chooser import ENOUGH, HELD, PATIENCE, Chooser, Follower
 from voodoo_jax.person import PersonFinder
+from voodoo_jax.person_frame import whole
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Scene
 from voodoo_jax.settings import PersonSettings
@@ -92,6 +93,59 @@ def test_what_is_known_is_no_longer_compared(monkeypatch):
     clouds = [np.concatenate([COATS[::3], figure(2.0, 0.4 + 0.03 * i)]) for i in range(100)]
     assert len(chosen(clouds)[0]) == 100
     assert 100 + ENOUGH < len(calls) < 100 + 3 * ENOUGH and len(set(calls[-20:])) == 1
+
+
+def in_shadow(points, person):
+    """Which points an upright person hides from the sensor."""
+    away, before = points - ORIGIN, person - ORIGIN
+    at, bearing = (np.arctan2(p[:, 1], p[:, 0]) for p in (away, before))
+    slope, over = (p[:, 2] / np.hypot(p[:, 0], p[:, 1]) for p in (away, before))
+    return (at > bearing.min()) & (at < bearing.max()) & (slope < over.max())
+
+
+class Told(PersonFinder):
+    """Finds what is within some distances ahead of the sensor."""
+
+    def __init__(self, near: float, far: float):
+        super().__init__(SCENE, 1.75, AHEAD)
+        self.near, self.far = near, far
+
+    def __call__(self, frame):
+        seen = whole(frame).only((frame.points[:, 0] > self.near) & (frame.points[:, 0] < self.far))
+        self.last = seen.points
+        return seen
+
+
+def moved(clouds, near: float, far: float) -> int:
+    """In how many frames what is so far ahead of the sensor is thought to have moved."""
+    follower = Follower(Told(near, far))
+    for i, cloud in enumerate(clouds):
+        follower(frame(cloud, i))
+    return follower.moved
+
+
+@pytest.mark.parametrize("step", [(0.0, 0.03), (0.0, -0.02), (-0.03, 0.0), (0.03, 0.01)])
+def test_what_comes_out_from_behind_somebody_has_not_moved(step):
+    """A cupboard, and somebody who hides a part of it and walks on, aside, nearer or farther away."""
+    cupboard, clouds = box(3.6, 0.0, 0.9, 1.75), []
+    for i in range(60):
+        person = figure(2.2 + np.clip(step[0] * i, -0.9, 0.9), -0.2 + step[1] * i, 1.6)
+        clouds.append(np.concatenate([cupboard[~in_shadow(cupboard, person)], person]))
+    assert moved(clouds, 3.5, 4.0) == 0 and moved(clouds, 0.5, 3.5) > 40
+
+
+def test_of_what_more_is_seen_from_the_second_frame_on_has_not_moved():
+    cupboard, desk = box(3.0, -1.4, 0.6, 1.75), box(3.0, -0.5, 1.2, 0.9)
+    clouds = [np.concatenate([cupboard, *[desk][: i > 0]]) for i in range(40)]
+    assert moved(clouds, 2.5, 3.5) == 0
+
+
+def test_the_fourth_thing_may_be_the_one_that_moves():
+    """Three coat stands, and a child who is less like a body than they are."""
+    stands = np.concatenate([figure(3.2, y, 1.75) for y in (-1.6, -0.6, 0.4)])
+    clouds = [np.concatenate([stands, figure(3.0, 1.5 + 0.03 * max(0, i - 40), 1.35)]) for i in range(80)]
+    got, _ = chosen(clouds)
+    assert all(len(points) > 100 and points[:, 1].min() > 1.0 for points in got[40:])
 
 
 def test_assigned_points_need_no_choice():

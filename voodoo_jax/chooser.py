@@ -6,11 +6,14 @@ the body is followed, too.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Int
 
 from voodoo_jax.cells import Cells, cells_of, touching
+from voodoo_jax.clouds import fair_share
+from voodoo_jax.hiding import Nearest
 from voodoo_jax.person import PersonFinder
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
@@ -20,20 +23,46 @@ from voodoo_jax.settings import PersonSettings
 CELL = 0.05  # metres: what is in the next cell but one has moved
 MOVED = 0.03  # of a thing's points that are where it was not, and of its places where it is no more: it has moved
 EVERY = 2  # frames: so often it is asked
-AWAY = 0.4  # metres from where it was, its middle: it has moved in any case
+AWAY, EMPTY = 0.4, 0.2  # metres from where it was, its middle, and so much of that empty: it has moved in any case
 LEFT = 3.0  # times as much of it may be in new places as is no longer in old ones: arms hang before the trunk
 FLICKER = 2.0  # times as much must have moved since the first frame than since the last one: noise comes and goes
 ENOUGH = 15  # frames in which it is elsewhere: a thing that moves by itself
 LITTLE = 4  # frames in which what moves at all is elsewhere, at the end of waiting
 FAIR = 6  # times as long another thing must have moved than the likeliest one
 LOOK = 10  # frames after which other things are looked for
-MOST = 2  # of them
+MOST = 4  # of them
 LIKELY = 0.2  # of what is likeliest: what is less likely to be the body than that is not followed
 HELD = 300  # frames of points that wait until it is known which thing is the body
 PATIENCE = 60  # frames: who may not wait does not take another thing for the body before
 LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
+MANY = 20_000  # points of a frame by which it is asked what hides what
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 NONE = np.zeros(0, int)
+
+
+class Sight(NamedTuple):
+    """How a thing was seen in a frame."""
+
+    points: Float32[np.ndarray, "point 3"]
+    sensor: Int[np.ndarray, " point"]
+    cells: Cells
+    place: Float32[np.ndarray, "3"]  # its middle
+    around: Nearest  # what else was seen
+
+    @classmethod
+    def of(cls, seen: PersonFrame, frame: Frame | PersonFrame) -> "Sight":
+        """Of the thing with the points that were `seen` in a frame."""
+        cells = cells_of(seen.points, CELL)
+        some = whole(frame).only(fair_share(frame.sensor, MANY))
+        others = some.only(~touching(cells_of(some.points, CELL), cells))
+        around = Nearest.of(others.points, others.sensor, others.origins)
+        return cls(seen.points, seen.sensor, cells, np.median(seen.points, 0), around)
+
+    def gone_from(self, before: "Sight") -> float:
+        """The share of where it was before in which it is no longer; what something else hides now does not count."""
+        gone = ~touching(before.cells, self.cells)
+        gone[gone] = ~self.around.hides(before.points[gone], before.sensor[gone])
+        return float(np.mean(gone))
 
 
 class Follower:
@@ -43,8 +72,8 @@ class Follower:
         self.finder = finder
         self.frames = [frame.only(NONE) for frame in before]  # in which nobody knew of it
         self.moved = self.there = 0  # frames since it was found: in which it was elsewhere, and all
-        self._first: Cells = np.zeros((0, 3), np.int64)  # where it was at first
-        self._last, self._place = self._first, np.zeros(3)
+        self._first: Sight | None = None  # how it was seen at first
+        self._last: Sight | None = None
 
     def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
         anew = self.finder.last is None
@@ -54,19 +83,22 @@ class Follower:
             if anew:
                 self.moved = self.there = 0
             if self.there % EVERY == 0:
-                self._compare(seen.points)
+                self._compare(seen, frame)
             self.there += 1
         return seen
 
-    def _compare(self, points: Float32[np.ndarray, "point 3"]) -> None:
-        """With where it was when it was found, and when it was compared before."""
-        now, place = cells_of(points, CELL), np.median(points, 0)
-        if self.there == 0:
-            self._first, self._place = now, place
-        elif np.linalg.norm(place - self._place) > AWAY or _elsewhere(now, self._first) > MOVED + FLICKER * _elsewhere(
-            now, self._last
-        ):
-            self.moved += EVERY
+    def _compare(self, seen: PersonFrame, frame: Frame | PersonFrame) -> None:
+        """With how it was seen when it was found, and when it was compared before."""
+        now = Sight.of(seen, frame)
+        if self.there == 0 or self._first is None or self._last is None:
+            self._first = now
+        else:
+            left, new = now.gone_from(self._first), self._first.gone_from(now)
+            # of what is known of more and more of it the middle moves, too
+            away = np.linalg.norm(now.place - self._first.place) > AWAY and left > EMPTY
+            flicker = _elsewhere(now.gone_from(self._last), self._last.gone_from(now))
+            if away or _elsewhere(left, new) > MOVED + FLICKER * flicker:
+                self.moved += EVERY
         self._last = now
 
     @property
@@ -74,10 +106,9 @@ class Follower:
         return self.moved >= ENOUGH
 
 
-def _elsewhere(now: Cells, before: Int[np.ndarray, "before 3"]) -> float:
+def _elsewhere(left: float, new: float) -> float:
     """How much of a thing is where it was not; nothing unless it is no longer in some place where it was."""
-    new, left = np.mean(~touching(now, before)), np.mean(~touching(before, now))
-    return float(min(new, LEFT * left))
+    return min(new, LEFT * left)
 
 
 class Chooser:

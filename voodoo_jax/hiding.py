@@ -1,0 +1,44 @@
+"""What hides what: a thing that comes out from behind another one has not moved. Host side, NumPy."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+BIN = 2.0  # degrees: what is seen in a direction is so wide
+NEARER = 0.3  # metres: what hides a place is so much nearer to the sensor
+
+
+class Nearest(NamedTuple):
+    """How far off the nearest thing is in each direction from each sensor, metres; infinite: nothing is seen."""
+
+    origins: Float32[np.ndarray, "sensor 3"]
+    distance: Float[np.ndarray, "sensor azimuth elevation"]
+
+    @classmethod
+    def of(
+        cls,
+        points: Float32[np.ndarray, "point 3"],
+        sensor: Int[np.ndarray, " point"],
+        origins: Float32[np.ndarray, "sensor 3"],
+    ) -> "Nearest":
+        """From the points that each sensor sees, metres."""
+        found = np.full((len(origins), int(360 / BIN) + 1, int(180 / BIN) + 1), np.inf)
+        distance, bins = _directions(points, sensor, origins)
+        np.minimum.at(found, bins, distance)
+        return cls(origins, found)
+
+    def hides(
+        self, points: Float32[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"]
+    ) -> Bool[np.ndarray, " point"]:
+        """Which points their sensor would not see, for something is before them."""
+        distance, bins = _directions(points, sensor, self.origins)
+        return self.distance[bins] < distance - NEARER
+
+
+def _directions(points, sensor, origins):
+    """Distances of points from their sensors, and the bins of their directions."""
+    away = points - origins[sensor]
+    azimuth = np.degrees(np.arctan2(away[:, 1], away[:, 0])) + 180
+    elevation = np.degrees(np.arctan2(away[:, 2], np.hypot(away[:, 0], away[:, 1]))) + 90
+    return np.linalg.norm(away, axis=1), (sensor, (azimuth / BIN).astype(int), (elevation / BIN).astype(int))
