@@ -140,6 +140,19 @@ def test_of_what_more_is_seen_from_the_second_frame_on_has_not_moved():
     assert moved(clouds, 2.5, 3.5) == 0
 
 
+def test_who_was_mixed_up_with_something_is_found_again():
+    """What is followed as another thing ends up at the likeliest one, as somebody may who passes close by it."""
+    person = [figure(3.0, 0.6 + 0.03 * max(0, i - 8), 1.6) for i in range(60)]
+    chooser = Chooser(SCENE, 1.75, AHEAD)
+    clouds = iter([frame(np.concatenate([COATS, p]), i) for i, p in enumerate(person)])
+    for _ in range(6):
+        chooser._follow(next(clouds))
+    (other,) = chooser._others
+    other.finder.last = chooser.finder.last
+    got = [f.points for f in chooser(clouds)]
+    assert len(got) == 60 and not any(map(len, got[:6])) and all(map(of_person, got[11:]))
+
+
 def test_the_fourth_thing_may_be_the_one_that_moves():
     """Three coat stands, and a child who is less like a body than they are."""
     stands = np.concatenate([figure(3.2, y, 1.75) for y in (-1.6, -0.6, 0.4)])

@@ -111,6 +111,14 @@ def _elsewhere(left: float, new: float) -> float:
     return min(new, LEFT * left)
 
 
+def _same(one: Follower, other: Follower) -> bool:
+    """Whether two are at the same thing by now."""
+    if one.finder.last is None or other.finder.last is None:
+        return False
+    cells = cells_of(one.finder.last, CELL), cells_of(other.finder.last, CELL)
+    return bool(touching(*cells).mean() > 0.5)
+
+
 class Chooser:
     """The body's points frame by frame, of the thing that turns out to be the body.
 
@@ -148,7 +156,12 @@ class Chooser:
         self._main(frame)
         for other in self._others:
             other(frame)
-        self._others = [o for o in self._others if o.moves or o.finder.last is not None]
+        kept = [self._main]
+        for other in self._others:
+            # who passes a cupboard may be mixed up with it
+            if other.moves or (other.finder.last is not None and not any(_same(other, one) for one in kept)):
+                kept.append(other)
+        self._others = kept[1:]
         if self._seen % LOOK == 0 and len(self._others) < MOST:
             self._look(frame)
         self._seen += 1
