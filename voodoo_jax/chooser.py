@@ -64,6 +64,10 @@ class Sight(NamedTuple):
         gone[gone] = ~self.around.hides(before.points[gone], before.sensor[gone])
         return float(np.mean(gone))
 
+    def elsewhere(self, before: "Sight") -> float:
+        """How much of it is where it was not before; nothing unless it is no longer in some place where it was."""
+        return min(before.gone_from(self), LEFT * self.gone_from(before))
+
 
 class Follower:
     """One thing that might be the body, and what was seen of it since the last release."""
@@ -72,8 +76,7 @@ class Follower:
         self.finder = finder
         self.frames = [frame.only(NONE) for frame in before]  # in which nobody knew of it
         self.moved = self.there = 0  # frames since it was found: in which it was elsewhere, and all
-        self._first: Sight | None = None  # how it was seen at first
-        self._last: Sight | None = None
+        self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
     def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
         anew = self.finder.last is None
@@ -81,34 +84,24 @@ class Follower:
         self.frames.append(seen)
         if len(seen.points) >= 30:
             if anew:
-                self.moved = self.there = 0
+                self.moved, self.there, self._sights = 0, 0, None
             if self.there % EVERY == 0:
-                self._compare(seen, frame)
+                self._compare(Sight.of(seen, frame))
             self.there += 1
         return seen
 
-    def _compare(self, seen: PersonFrame, frame: Frame | PersonFrame) -> None:
+    def _compare(self, now: Sight) -> None:
         """With how it was seen when it was found, and when it was compared before."""
-        now = Sight.of(seen, frame)
-        if self.there == 0 or self._first is None or self._last is None:
-            self._first = now
-        else:
-            left, new = now.gone_from(self._first), self._first.gone_from(now)
-            # of what is known of more and more of it the middle moves, too
-            away = np.linalg.norm(now.place - self._first.place) > AWAY and left > EMPTY
-            flicker = _elsewhere(now.gone_from(self._last), self._last.gone_from(now))
-            if away or _elsewhere(left, new) > MOVED + FLICKER * flicker:
-                self.moved += EVERY
-        self._last = now
+        first, last = self._sights or (now, now)
+        # of what is known of more and more of it the middle moves, too
+        away = np.linalg.norm(now.place - first.place) > AWAY and now.gone_from(first) > EMPTY
+        if away or now.elsewhere(first) > MOVED + FLICKER * now.elsewhere(last):
+            self.moved += EVERY
+        self._sights = first, now
 
     @property
     def moves(self) -> bool:
         return self.moved >= ENOUGH
-
-
-def _elsewhere(left: float, new: float) -> float:
-    """How much of a thing is where it was not; nothing unless it is no longer in some place where it was."""
-    return min(new, LEFT * left)
 
 
 def _same(one: Follower, other: Follower) -> bool:

@@ -1,5 +1,6 @@
 """A person's mesh in motion: linear blend skinning, the bones turned as a clip's segments."""
 
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +39,9 @@ class Meshes(NamedTuple):
     weights: np.ndarray
 
 
+@cache
 def read_meshes(path: Path) -> Meshes:
+    """Read once in each process."""
     data = np.load(path)
     return Meshes(*(data[name].tolist() if name == "bones" else data[name] for name in Meshes._fields))
 

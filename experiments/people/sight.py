@@ -48,6 +48,16 @@ def draw(points, faces, fx, fy, cx, cy, depth, cosine):  # pragma: no cover  com
                     depth[y, x], cosine[y, x] = z, abs(slope) / np.sqrt(u * u + v * v + 1)
 
 
+def before(
+    empty: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, faces: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depth and cosine of the incidence, exact, of a mesh (fixed frame) in a room of which those are `empty`."""
+    depth, cosine = empty[0].copy(), empty[1].copy()
+    points = np.ascontiguousarray(in_camera(vertices, camera), np.float64)
+    draw(points, faces, camera.fx, camera.fy, camera.cx, camera.cy, depth, cosine)
+    return depth, cosine
+
+
 def in_camera(points: np.ndarray, camera: Camera) -> np.ndarray:
     """Points of the fixed frame in the optical one, metres."""
     return (points - np.array(camera.position)) @ camera.rotation

@@ -1,7 +1,6 @@
 """Which people do what before which camera; one take made, tracked and judged. Worker processes import this."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from experiments.common import human
 from experiments.judged import Verdict, judge, read
 from experiments.people.bodies import UNUSUAL, USUAL
-from experiments.people.figure import Figure, Meshes, read_meshes
+from experiments.people.figure import Figure, read_meshes
 from experiments.people.motions import RATE, after_standing, read_clip
 from experiments.people.recorded import Found, write, write_truth
-from experiments.people.sight import beside, detections, draw, in_camera, marked, pixels
+from experiments.people.sight import before, beside, detections, in_camera, marked, pixels
 from voodoo_jax.settings import Settings
 from voodoo_jax.simulate import TOF_NOISE, Box, Camera, Noise, Room, add_noise, render_room, tof_camera
 
@@ -95,14 +94,9 @@ def work(take: Take) -> Verdict:
     return judge(recorded, log, log.track(body, settings))
 
 
-@cache
-def _meshes(path: Path) -> Meshes:
-    return read_meshes(path)
-
-
 def make(take: Take, path: Path) -> None:
     """Writes the log and its truth."""
-    figure, rng = Figure(_meshes(take.meshes), take.person), np.random.default_rng(take.seed)
+    figure, rng = Figure(read_meshes(take.meshes), take.person), np.random.default_rng(take.seed)
     clip = read_clip(take.motions / f"humanoid3d_{take.clip}.txt", take.speed, CLIPS[take.clip])
     clip = after_standing(clip.mirrored() if take.mirrored else clip, STILL, EASED, HELD)
     eased = np.clip((np.arange(len(clip.place)) - STILL) / EASED, 0, 1)
@@ -120,10 +114,7 @@ def make(take: Take, path: Path) -> None:
     depth: list[np.ndarray] = []
     found: list[Found] = []
     for frame in vertices:
-        exact = empty[0].copy(), empty[1].copy()
-        points = np.ascontiguousarray(in_camera(frame, camera), np.float64)
-        draw(points, figure.meshes.faces, camera.fx, camera.fy, camera.cx, camera.cy, *exact)
-        depth.append(add_noise(*exact, camera, noise, rng))
+        depth.append(add_noise(*before(empty, frame, figure.meshes.faces, camera), camera, noise, rng))
         found.append([] if take.furnished else detections(figure, frame, colour, where, rng))
     time_ns = START_NS + np.round(np.arange(len(depth)) / RATE * 1e9).astype(np.int64)
     write_truth(path.with_suffix(".truth.npz"), time_ns, joints, figure.dims)

@@ -2,7 +2,6 @@
 this."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +9,17 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from experiments.common import human
-from experiments.people.figure import Figure, Meshes, read_meshes
+from experiments.people.figure import Figure, read_meshes
 from experiments.people.motions import RATE, Clip, after_standing, read_clip
-from experiments.people.sight import draw, in_camera, pixels
-from experiments.people.takes import CAMERAS, CLIPS
+from experiments.people.sight import before, in_camera, pixels
+from experiments.people.takes import CAMERAS, CLIPS, EASED, STILL
 from voodoo_jax.recording import Frame
 from voodoo_jax.settings import Settings
 from voodoo_jax.simulate import Box, Camera, Room, add_noise, render_room
 from voodoo_jax.tracker import find_person
 
 FRAMES = 90  # at most
+HELD = 3  # of them in the clip's last pose
 FURNITURE = (
     (0.45, 0.45, 0.85), (1.2, 0.7, 0.73), (0.8, 0.45, 1.9), (0.4, 0.4, 0.5), (1.6, 0.8, 0.74), (0.5, 0.5, 1.2),
     (0.6, 0.35, 2.1), (0.9, 0.9, 0.42),
@@ -47,15 +47,10 @@ class Found:
     right: float  # of the found points that are the person's, 0..1
 
 
-@cache
-def _meshes(path: Path) -> Meshes:
-    return read_meshes(path)
-
-
 def work(job: Draw) -> Found:
     """Draws a room and looks for the person in it."""
     rng = np.random.default_rng(1000 + job.seed)
-    meshes = _meshes(job.meshes)
+    meshes = read_meshes(job.meshes)
     figure = Figure(meshes, int(rng.integers(len(meshes.vertices))))
     clip = str(rng.choice(list(CLIPS)))
     vertices = figure.posed(moves := _clip(job, clip, rng), np.ones(len(moves.place)))[0]
@@ -67,9 +62,7 @@ def work(job: Draw) -> Found:
     empty, rays = render_room(camera, room), camera.rays().reshape(camera.height, camera.width, 3)
     origin, frames, theirs = np.array(camera.position, np.float32), [], []
     for k, frame in enumerate(vertices):
-        exact = empty[0].copy(), empty[1].copy()
-        points = np.ascontiguousarray(in_camera(frame, camera), np.float64)
-        draw(points, meshes.faces, camera.fx, camera.fy, camera.cx, camera.cy, *exact)
+        exact = before(empty, frame, meshes.faces, camera)
         depth = add_noise(*exact, camera, noise, rng).astype(float) / 1000
         seen = depth > 0
         points = (rays * depth[..., None] + origin)[seen].astype(np.float32)
@@ -97,7 +90,7 @@ def _clip(job: Draw, clip: str, rng: np.random.Generator) -> Clip:
     """Some of a clip, mostly with standing before it, mostly from the beginning."""
     found = read_clip(job.motions / f"humanoid3d_{clip}.txt", float(rng.uniform(0.75, 1)), CLIPS[clip])
     if rng.random() < 0.7:
-        found = after_standing(found, 21, 15, 3)
+        found = after_standing(found, STILL, EASED, HELD)
     first = 0 if rng.random() < 0.7 else int(rng.integers(0, max(1, len(found.place) - 75)))
     some = slice(first, first + FRAMES)
     return Clip({k: v[some] for k, v in found.turns.items()}, found.place[some])
