@@ -13,10 +13,12 @@ from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.chooser import Chooser
+from voodoo_jax.flat_faces import without_faces
 from voodoo_jax.following import Progress, blank, follow
 from voodoo_jax.forearms import with_forearms
 from voodoo_jax.furniture import without_furniture, without_things
 from voodoo_jax.kernels.plausible import check
+from voodoo_jax.leftovers import without_leftovers
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
 from voodoo_jax.marker_log import (
     TO_START,
@@ -43,6 +45,7 @@ from voodoo_jax.trust import doubted, joint_confidence
 from voodoo_jax.uncertainty import covariances
 
 FURNITURE_FRAMES = 1800  # furniture is told from the body by so many frames at once
+LOOKS = 2  # times that a recording is tracked anew without what the body left unexplained
 SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
 
 
@@ -60,15 +63,17 @@ def find_person(
     chooser = Chooser(scene, rest_height(rested), settings.person, float(np.max(high[:2] - low[:2])))
     found = weighed(chooser(chain(first, stream)), settings.person.noise)
     windows = iter(lambda: list(islice(found, FURNITURE_FRAMES)), [])
-    told = chain.from_iterable(_told(window, chooser.finder) for window in windows)
+    flat = body.scale_name != "stature"  # a machine may be
+    told = chain.from_iterable(_told(window, chooser.finder, flat) for window in windows)
     people = spilled(told if settings.person.ahead else found)
     return chooser.finder.scene, people  # the floor may have been found with the body
 
 
-def _told(window: list[PersonFrame], finder: PersonFinder) -> list[PersonFrame]:
-    """The frames without what all of them together tell to be furniture."""
+def _told(window: list[PersonFrame], finder: PersonFinder, flat: bool) -> list[PersonFrame]:
+    """The frames without what all of them together tell to be furniture. `flat`: the body may have flat faces, too."""
     floor, link = finder.scene.floor, finder.settings.link
-    return without_furniture(without_things(window, floor, finder.apart(), link), floor.normal)
+    left = without_furniture(without_things(window, floor, finder.apart(), link), floor.normal)
+    return left if flat else without_faces(left, floor)
 
 
 def prepare(body: Body, settings: Settings, sensors: int, names: bool, parts: bool) -> list[Thread]:
@@ -156,6 +161,15 @@ def track_person(
     run = Session(body, options, people, scene, settings, changes, visit)
     out = blank(body, people)
     follow(run, at, enough, out, progress)
+    ahead = settings.person.ahead and settings.track.both_ways and not run.by_markers and not changes
+    for _ in range(LOOKS if ahead else 0):
+        left = without_leftovers(run.people, run.bodies, out)
+        if left is None:
+            break
+        people = spilled(left)
+        run = Session(body, options, people, scene, settings, changes, visit)
+        out = blank(body, people)
+        follow(run, at, enough, out, None)
     if settings.track.forearms and settings.track.both_ways and not run.by_markers and not changes:
         run.body = with_forearms(run.body, run.people, run.names, out)
         run.bodies = [(0, run.body)]

@@ -1,0 +1,148 @@
+"""Flat faces of furniture that the body touches all the time: seats, backs, fronts of sofas, tables. No person is flat
+to some millimetres. Host side, NumPy; looks ahead."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from voodoo_jax.person_frame import PersonFrame, assigned
+from voodoo_jax.resting import Resting, resting
+from voodoo_jax.scene import Plane
+
+NEIGHBOURS, NEAR = 20, (0.06, 3.0)  # by which a normal is found: how many at most, within metres and pixels
+EVEN = 0.006  # metres from the plane of its neighbours (root mean square): a point is on something even
+ON, ALIKE = 0.008, np.cos(np.radians(20))  # metres from a face, and cosine of its normal's angle: a point is on it
+TRIED, MOST = 100, 8  # planes that are tried for a face, and faces that are looked for
+AREA, LONG, BROAD = 0.03, 0.2, 0.08  # square metres, and metres, of a face at least
+FLAT, FLATTER = 0.003, 0.0022  # metres from the plane (root mean square): of a face, and of one that is nothing else
+FILLED = 0.8  # of its rectangle: so much of a face that is not so flat is seen
+UPRIGHT, LEVEL = 0.03, 0.995  # vertical component of its normal at most, or at least
+STANDS = 0.15  # metres above the floor, at most, where what stands on it ends
+BESIDE, SMALL, ROUGH = 0.1, 8, 0.0035  # of a known face: metres, points and flatness of others of the same thing
+BEHIND = 2.5  # times the noise, from a face: so far its points are
+ASIDE = 0.045  # metres beyond its outline
+
+
+class Face(NamedTuple):
+    """A flat piece of furniture."""
+
+    normal: Float[np.ndarray, "3"]
+    middle: Float[np.ndarray, "3"]
+    points: Float[np.ndarray, "point 3"]
+
+    def holds(self, points: Float[np.ndarray, "any 3"], off: float) -> Bool[np.ndarray, " any"]:
+        """Which points are on it, or less than `off` metres away from its plane."""
+        height = (points - self.middle) @ self.normal
+        found = np.abs(height) < off
+        level = points[found] - height[found, None] * self.normal
+        found[found] = KDTree(self.points).query(level, distance_upper_bound=ASIDE)[0] < np.inf
+        return found
+
+
+def without_faces(frames: list[PersonFrame], floor: Plane) -> list[PersonFrame]:
+    """The frames without the points on flat faces of what is at rest; the same frames if there are none."""
+    faces = flat_faces(resting(frames), floor)
+    if not faces:
+        return frames
+    off = max(0.02, BEHIND * float(np.median([f.noise for f in frames if len(f.points)])))
+    out = []
+    for frame in frames:
+        on = np.zeros(len(frame.points), bool)
+        for face in faces:
+            on |= face.holds(frame.points, off)
+        out.append(frame.only(~on | assigned(frame)) if on.any() else frame)
+    return out
+
+
+def flat_faces(rest: Resting, floor: Plane) -> list[Face]:
+    """Faces of furniture, the largest ones first, and smaller ones beside them."""
+    sure, others = [], []
+    for face, area in _even_patches(rest) if len(rest.points) >= 50 else ():
+        (sure if _is_furniture(face, area, floor) else others).append(face)
+    found = list(sure)
+    while sure:
+        known = KDTree(np.concatenate([face.points for face in sure]))
+        sure = [face for face in others if _may_belong(face, floor) and known.query(face.points)[0].min() < BESIDE]
+        others = [face for face in others if not any(face is other for other in sure)]
+        found += sure
+    return found
+
+
+def _is_furniture(face: Face, area: float, floor: Plane) -> bool:
+    across = np.linalg.svd(face.points - face.middle, full_matrices=False)[2][:2]
+    long, broad = np.subtract(*np.percentile((face.points - face.middle) @ across.T, [97, 3], axis=0))
+    rough, up = _roughness(face), abs(face.normal @ floor.normal)
+    if area < AREA or long < LONG or broad < BROAD or UPRIGHT < up < LEVEL:
+        return False
+    filled = area > FILLED * long * broad
+    stands = np.percentile(floor.height(face.points.astype(np.float32)), 2) < STANDS
+    return bool(rough < FLATTER or (rough < FLAT and filled and (stands or up > LEVEL)))
+
+
+def _may_belong(face: Face, floor: Plane) -> bool:
+    up = abs(face.normal @ floor.normal)
+    return _roughness(face) < ROUGH and bool(up < UPRIGHT or up > LEVEL)
+
+
+def _roughness(face: Face) -> float:
+    return float(np.std((face.points - face.middle) @ face.normal))
+
+
+def _even_patches(rest: Resting) -> list[tuple[Face, float]]:
+    """Pieces of planes among what is at rest, and their areas, square metres; the largest first."""
+    normal, even = _normals(rest)
+    slant = np.maximum(np.abs(np.sum(normal * rest.direction, 1)), 0.2)
+    area = rest.pixel**2 / slant
+    link = 3.2 * float(np.median(rest.pixel))
+    found: list[tuple[Face, float]] = []
+    left = np.flatnonzero(even)
+    while len(left) >= SMALL and len(found) < MOST:
+        points, mine = rest.points[left], normal[left]
+        tried = np.arange(len(left))[:: len(left) // TRIED + 1]
+        on = np.abs(points @ mine[tried].T - np.sum(points[tried] * mine[tried], 1)) < ON
+        on &= np.abs(mine @ mine[tried].T) > ALIKE
+        best = int(tried[np.argmax(area[left] @ on)])
+        face = _settled(points, mine, best)
+        if len(face) < SMALL:
+            left = np.delete(left, best)
+            continue
+        label = connected_components(KDTree(points[face]).sparse_distance_matrix(KDTree(points[face]), link))[1]
+        face = face[label == np.argmax(np.bincount(label, area[left[face]]))]
+        if len(face) >= SMALL:
+            found.append((_face(points[face]), float(area[left[face]].sum())))
+        left = np.delete(left, face)
+    return found
+
+
+def _settled(points: np.ndarray, normal: np.ndarray, best: int) -> Int[np.ndarray, " inlier"]:
+    """The points on the plane through one of them, the plane fitted to them anew."""
+    plane, on = Face(normal[best], points[best], points[:0]), np.zeros(0, int)
+    for _ in range(3):
+        on = np.flatnonzero(
+            (np.abs((points - plane.middle) @ plane.normal) < ON) & (np.abs(normal @ plane.normal) > ALIKE)
+        )
+        if len(on) < SMALL:
+            break
+        plane = _face(points[on])
+    return on
+
+
+def _face(points: np.ndarray) -> Face:
+    middle = points.mean(0)
+    return Face(np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0], middle, points)
+
+
+def _normals(rest: Resting) -> tuple[Float[np.ndarray, "rest 3"], Bool[np.ndarray, " rest"]]:
+    """Normals of the surface at each point, and whether it is even there."""
+    reach = max(NEAR[0], NEAR[1] * float(np.median(rest.pixel)))
+    distance, index = KDTree(rest.points).query(rest.points, NEIGHBOURS, distance_upper_bound=reach)
+    there = np.isfinite(distance)
+    near = rest.points[np.where(there, index, 0)] * there[..., None]
+    count = there.sum(1)
+    near = (near - (near.sum(1) / count[:, None])[:, None]) * there[..., None]
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near) / count[:, None, None])
+    spread = np.sqrt(np.maximum(spread, 0))
+    return axes[:, :, 0], (count >= 6) & (spread[:, 0] < EVEN) & (spread[:, 1] > 0.2 * reach)

@@ -1,0 +1,90 @@
+"""Furniture that the body touches all the time and that is not flat: what is at rest and never explained by the body
+where it is well tracked. Host side, NumPy; looks ahead."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.body import Body
+from voodoo_jax.passage import Rows
+from voodoo_jax.person_frame import PersonFrame, assigned
+from voodoo_jax.resting import resting
+from voodoo_jax.tracks import Status
+
+WINDOW = 1800  # frames that are looked at together
+WELL = 0.99  # of the points explained, mean of all frames: nothing is left over
+EVERY = 3  # of the frames in which things at rest are seen, one is looked at
+OFF = 0.06  # metres outside of all limbs: not explained
+MOSTLY, SEEN = (
+    0.7,
+    4,
+)  # of the frames in which it is seen, and how many at least, something is not explained if it is furniture
+FEWEST = 20  # points at rest that are furniture, or there is none
+AROUND = 0.05  # metres around them
+
+
+def without_leftovers(
+    people: list[PersonFrame], bodies: list[tuple[int, Body]], rows: Rows
+) -> Iterator[PersonFrame] | None:
+    """The frames without what is at rest and not explained by the body, tracked as `rows` say; None if there is hardly
+    anything. `bodies` [(first frame, body)] as they were tracked."""
+    windows = [slice(at, min(at + WINDOW, len(people))) for at in range(0, len(people), WINDOW)]
+    found = [_leftovers(people, bodies, rows, window) for window in windows]
+    if not any(map(len, found)):
+        return None
+    return (frame for window, points in zip(windows, found) for frame in _without(people[window], points))
+
+
+def _without(frames: list[PersonFrame], points: Float[np.ndarray, "point 3"]) -> Iterator[PersonFrame]:
+    tree = KDTree(points) if len(points) else None
+    for f in frames:
+        if tree is not None and len(f.points):
+            f = f.only((tree.query(f.points, distance_upper_bound=AROUND)[0] == np.inf) | assigned(f))
+        yield f
+
+
+def _leftovers(
+    people: list[PersonFrame], bodies: list[tuple[int, Body]], rows: Rows, window: slice
+) -> Float[np.ndarray, "point 3"]:
+    """Points at rest that are furniture; none if those are few."""
+    nothing = np.zeros((0, 3))
+    tracked = rows["status"] == Status.TRACKED
+    explained = rows["explained"][window][tracked[window]]
+    if not len(explained) or np.mean(explained) > WELL:
+        return nothing
+    rest = resting(people[window])
+    sight = rest.frame + window.start
+    looked = np.unique(sight)[::EVERY]
+    asked = np.isin(sight, looked[tracked[looked]])
+    frame, which = sight[asked], rest.which[asked]
+    outside = np.zeros(len(frame))
+    for (first, body), end in zip(bodies, [*(at for at, _ in bodies[1:]), len(people)]):
+        mine = (frame >= first) & (frame < end)
+        outside[mine] = _outside(body, rest.points[which[mine]], frame[mine], rows)
+    count = np.bincount(which, minlength=len(rest.points))
+    off = np.bincount(which, outside > OFF, len(rest.points))
+    found = (count >= SEEN) & (off > MOSTLY * count)
+    return rest.points[found] if found.sum() >= FEWEST else nothing
+
+
+def _outside(
+    body: Body, points: Float[np.ndarray, "point 3"], frame: np.ndarray, rows: Rows
+) -> Float[np.ndarray, " point"]:
+    """How far each point is outside of the limbs as they were in its frame, metres; inside 0, caps as if they were
+    flat."""
+    nearest = np.full(len(points), np.inf)
+    for limb, (a, b, c, d, length) in enumerate(np.asarray(body.sizes, float)):
+        rotation, place = rows["rotation"][frame, limb], rows["translation"][frame, limb]
+        there = np.isfinite(place[:, 0])
+        turn = Rotation.from_quat(np.where(there[:, None], rotation, [1.0, 0, 0, 0]), scalar_first=True)
+        x, y, z = turn.inv().apply(points - place).T
+        along = np.clip(z / max(length, 1e-6), 0, 1)
+        wide, deep = a + (c - a) * along, b + (d - b) * along
+        radius = np.hypot(x, y)
+        rim = wide * deep / np.maximum(np.hypot(deep * x, wide * y), 1e-9) * radius
+        far = np.hypot(np.maximum(radius - rim, 0), z - along * length)
+        nearest = np.fmin(nearest, np.where(there, far, np.inf))
+    return nearest
