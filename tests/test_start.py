@@ -17,7 +17,7 @@ from voodoo_jax.pose import Poses
 from voodoo_jax.scene import Plane
 from voodoo_jax.session import Session
 from voodoo_jax.settings import PersonSettings, Settings, StartSettings
-from voodoo_jax.simulate import Motion, make_motion, placed, sequence, simulate, tof_camera
+from voodoo_jax.simulate import Motion, _motion, make_motion, placed, sequence, simulate, tof_camera
 from voodoo_jax.start import facing, measured_height, place, rest_box, rest_height, sized, standing_places
 from voodoo_jax.tracker import find_person, track
 from voodoo_jax.tracking import options_from
@@ -185,6 +185,16 @@ def test_who_jumps_is_not_taller(tmp_path):
         sim = simulate(body, Motion(motion.time[bent:], root, motion.rotations[bent:]), tof_camera(1.0, 0.07))
         sizes.append(track(human(), read_log(write_simulation(sim, tmp_path / "jump.mcap"))).body.scale)
     assert abs(float(sizes[1] - sizes[0])) < 0.06
+
+
+def test_a_hand_above_the_head_makes_nobody_taller(tmp_path):
+    """Far away, where noise leaves a doubt and later frames are asked; in some of them a hand is what is highest."""
+    body, time = scaled(human(), 1.7), np.arange(60) / 30
+    up = np.interp(time, [1.0, 1.3, 1.7, 2.0], [0.0, 1.0, 1.0, 0.0])[:, None] * np.array([3.3, 0.0, 0.0])
+    moved = placed(_motion(body, time, {"l_shoulder": up, "r_shoulder": -up}), 4.6, 0.0, np.pi)
+    recording = read_log(write_simulation(simulate(body, moved, tof_camera(1.2, 0.0)), tmp_path / "up.mcap"))
+    tracks = track(human(), recording)
+    assert tracks.tracked.all() and float(tracks.body.scale) == pytest.approx(1.7, abs=0.06)
 
 
 def test_without_a_look_ahead_the_first_frames_settle_the_size(rising):

@@ -23,6 +23,7 @@ LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
 FAR_RIVAL = 3.0  # and if it costs less than so much more where something else speaks for it
 ALIKE = 3.0  # starts that cost less than so much more than the best may tell the size
+AS_WELL = 1.2  # times what it costs in the size that it seems to have, at most, where it is taken to be taller
 OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher jumps; if even higher, feet are hidden
 USUAL = 0.018  # metres of noise that a start is allowed in any case
 NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is
@@ -76,9 +77,12 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
         best = posed
     else:
         # who bends or walks is taller than they look
-        tallest = max((b.body for b in found if b.cost < ALIKE * best.cost), key=_scale)
-        if _scale(tallest) > 1.01 * _scale(best.body):
-            best = _trial(run, best.frame, tallest)
+        taller = [b.body for b in found if b.cost < ALIKE * best.cost and _scale(b.body) > 1.01 * _scale(best.body)]
+        for body in sorted(taller, key=_scale, reverse=True)[:2]:
+            trial = _trial(run, best.frame, body)
+            if trial.cost < AS_WELL * best.cost:  # else a hand was what was highest
+                best = trial
+                break
     run.body, run.sized = best.body, True
     run.bodies[-1] = (run.bodies[-1][0], run.body)
     if best.frame > at:
