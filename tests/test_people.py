@@ -85,6 +85,61 @@ def test_standing_comes_first(clip):
     assert np.ptp(whole.place[:9], 0).max() == 0 == np.ptp(whole.place[-4:], 0).max()
 
 
+def test_there_and_back(clip):
+    whole = part("motions").there_and_back(clip, 3)
+    count = len(clip.place)
+    assert {len(v) for v in whole.turns.values()} == {2 * count + 3} == {len(whole.place)}
+    np.testing.assert_array_equal(whole.place[0], clip.place[-1])
+    np.testing.assert_allclose((whole.turns["root"][:count] * clip.turns["root"][::-1].inv()).magnitude(), 0, atol=1e-9)
+    assert np.ptp(whole.place[count - 1 : count + 4], 0).max() == 0
+
+
+def test_poses_are_what_they_are_called():
+    poses, down, ahead = part("poses"), [0, 0, -1.0], [1.0, 0, 0]
+
+    def along(name, **what):
+        clip = poses.sequence([poses.pose(**what)], np.zeros(1), np.zeros(1))
+        return clip.world()[name][0].apply(ahead if name.endswith("foot") else down)
+
+    for side, sign in (("l", 1), ("r", -1)):
+        np.testing.assert_allclose(along(f"{side}_upper_arm", arms=(poses.SIDE, poses.SIDE)), [0, sign, 0], atol=0.1)
+        np.testing.assert_allclose(along(f"{side}_upper_arm", arms=(poses.AHEAD, poses.AHEAD)), ahead, atol=0.1)
+        assert along(f"{side}_forearm", arms=(poses.PRAYS, poses.PRAYS))[1] * sign < -0.3  # to the middle
+        assert along(f"{side}_forearm", arms=(poses.WAVES, poses.WAVES))[2] > 0.7
+        for root in ((0, 0, 0), (0, 0.3, 0)):  # who leans forward sits as well
+            seated = dict(root=root, left=poses.SITS, right=poses.SITS)
+            np.testing.assert_allclose(along(f"{side}_thigh", **seated), ahead, atol=0.15)
+            np.testing.assert_allclose(along(f"{side}_shank", **seated), down, atol=0.15)
+            np.testing.assert_allclose(along(f"{side}_foot", **seated), ahead, atol=0.15)
+
+
+@pytest.mark.parametrize("what", ["exercise", "sitting"])
+@pytest.mark.parametrize("whole", [True, False])
+def test_clips_of_poses_hold_together(what, whole):
+    poses = part("poses")
+    clip = getattr(poses, what)(np.random.default_rng(3), whole)
+    assert 90 < len(clip.place) < 300 and {len(v) for v in clip.turns.values()} == {len(clip.place)}
+    for name, turn in clip.turns.items():
+        assert (turn[1:] * turn[:-1].inv()).magnitude().max() < 0.6, name
+
+
+def test_feet_that_stand_do_not_slide_and_the_chair_is_under_who_sits():
+    poses, names, count = part("poses"), ["l_ankle", "r_ankle", "l_hip", "r_hip"], 30
+    gone = np.linspace(0, 0.5, count)[:, None] * np.array([1.0, 0.2, 0])
+    joints = np.zeros((count, 4, 3))
+    joints[:, 0] = [0.4, 0.1, 0.08] - gone  # the left foot stands, so the rest goes ahead; the right one is lifted
+    joints[:, 1] = [0.4, -0.1, 0.6]
+    joints[:, 2:, 2] = np.linspace(0.9, 0.5, count)[:, None]
+    vertices = np.tile(np.array([[0.05, 0, 0.4], [2.0, 0, 0.1]], np.float32), (count, 1, 1))
+    moved, found = poses.planted(vertices, joints, names)
+    np.testing.assert_allclose(np.ptp(found[:, 0], 0), 0, atol=1e-3)
+    np.testing.assert_allclose(moved[-1] - vertices[-1], np.tile(gone[-1], (2, 1)), atol=1e-3)
+    seat, back = poses.chair(vertices, joints, names, True)
+    assert seat[2][2] == pytest.approx(0.39, abs=1e-6)
+    assert back[2][2] > seat[2][2] and back[0] < seat[0] - seat[2][0] / 2
+    assert len(poses.chair(vertices, joints, names, False)) == 1
+
+
 def test_shoulders_go_along_with_raised_arms(clip):
     figures = part("figure")
     chest = {"clavicle.": (0.02, 0.02, 1.38), "shoulder01.": (0.02, 0.1, 1.39)}

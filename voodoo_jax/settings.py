@@ -63,7 +63,7 @@ class PersonSettings:
     points: int = 1024
     """Points per frame given to the tracker: a random choice where there are more."""
     ahead: bool = True
-    """Tell furniture that the body touches by all frames, later ones too; false: by those before each frame only."""
+    """Tell furniture that the body touches, and seats, by all frames; false: by those before each frame only."""
     noise: float = 0.03
     """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
 

@@ -87,3 +87,9 @@ def after_standing(clip: Clip, still: int, eased: int, held: int) -> Clip:
         [np.repeat(clip.place[:1], still + eased, 0), clip.place, np.repeat(clip.place[-1:], held, 0)]
     )
     return Clip(turns, place)
+
+
+def there_and_back(clip: Clip, held: int) -> Clip:
+    """The clip backwards, so many frames in its first pose, and the clip."""
+    turns = {k: Rotation.concatenate([v[::-1], *[v[0]] * held, v]) for k, v in clip.turns.items()}
+    return Clip(turns, np.concatenate([clip.place[::-1], np.repeat(clip.place[:1], held, 0), clip.place]))

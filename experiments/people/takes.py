@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 from experiments.common import human
 from experiments.judged import Verdict, judge, read
 from experiments.people.bodies import UNUSUAL, USUAL
-from experiments.people.figure import Figure, read_meshes
-from experiments.people.motions import RATE, after_standing, read_clip
+from experiments.people.figure import BONES, Figure, read_meshes
+from experiments.people.motions import RATE, Clip, after_standing, read_clip, there_and_back
+from experiments.people.poses import chair, exercise, planted, sitting
 from experiments.people.recorded import Found, write, write_truth
 from experiments.people.sight import before, beside, detections, in_camera, marked, pixels
 from voodoo_jax.settings import Settings
@@ -18,6 +19,9 @@ from voodoo_jax.simulate import TOF_NOISE, Box, Camera, Noise, Room, add_noise, 
 
 START_NS = 1_700_000_000_000_000_000
 CLIPS = {"walk": 2, "run": 1, "jump": 2, "kick": 1, "punch": 1, "spinkick": 1, "dance_a": 1, "dance_b": 1, "spin": 1}
+FLOOR = ("crawl", "getup_facedown", "getup_faceup", "roll", "cartwheel")
+POSED = {"exercise": 8, "begins in some pose": 4, "sits down and stands up": 6, "sits all the time": 6}
+SEATED = tuple(POSED)[2:]
 IN_THE_AIR = ("jump", "spinkick", "run")
 VIEWS = 8  # of each clip by the usual people
 NEAREST, FARTHEST = 2.6, 5.0  # metres, of the middle of where somebody goes
@@ -61,7 +65,8 @@ class Take:
 
 
 def takes(meshes: Path, motions: Path, logs: Path) -> list[Take]:
-    """Every clip by usual people from all sides, and by unusual ones before other cameras too."""
+    """Every clip by usual people from all sides, and by unusual ones before other cameras too; then poses drawn at
+    random, people on chairs and on the floor."""
     rng, found, cameras = np.random.default_rng(5), [], list(CAMERAS)
     files = dict(meshes=meshes, motions=motions, logs=logs)
     order = rng.permutation(USUAL)
@@ -81,6 +86,15 @@ def takes(meshes: Path, motions: Path, logs: Path) -> list[Take]:
                 clip, (0.2, -0.7, 1.0, -0.3)[(who + turn) % 4], bool(who % 2), 0.9, camera, turn == 1, len(found),
                 **files,
             ))  # fmt: skip
+    for what, count in [*POSED.items(), *((clip, 2) for clip in FLOOR)]:
+        for k in range(count):
+            ahead = what in SEATED
+            found.append(Take(
+                "on the floor" if what in FLOOR else what, f"{what.replace(' ', '-')}-{k}",
+                int(rng.integers(USUAL + len(UNUSUAL))), what,
+                float(rng.uniform(-1.2, 1.2) if ahead else rng.uniform(-np.pi, np.pi)), bool(rng.integers(2)),
+                0.85, cameras[k % len(cameras) if ahead else 0], False, len(found), **files,
+            ))  # fmt: skip
     return found
 
 
@@ -97,10 +111,13 @@ def work(take: Take) -> Verdict:
 def make(take: Take, path: Path) -> None:
     """Writes the log and its truth."""
     figure, rng = Figure(read_meshes(take.meshes), take.person), np.random.default_rng(take.seed)
-    clip = read_clip(take.motions / f"humanoid3d_{take.clip}.txt", take.speed, CLIPS[take.clip])
-    clip = after_standing(clip.mirrored() if take.mirrored else clip, STILL, EASED, HELD)
-    eased = np.clip((np.arange(len(clip.place)) - STILL) / EASED, 0, 1)
-    vertices, joints = figure.posed(clip, 1 - eased if take.clip in IN_THE_AIR else np.ones_like(eased))
+    clip, in_the_air = _moves(take, rng)
+    vertices, joints = figure.posed(clip, 1 - in_the_air)
+    names, furniture = list(BONES), []
+    if take.clip in POSED:
+        vertices, joints = planted(vertices, joints, names)
+    if take.clip in SEATED:
+        furniture = chair(vertices, joints, names, with_back=bool(take.seed % 2))
     turn = Rotation.from_euler("z", np.pi + take.yaw).as_matrix()
     vertices, joints = vertices @ turn.T.astype(np.float32), joints @ turn.T
     camera, noise = CAMERAS[take.camera]
@@ -109,6 +126,9 @@ def make(take: Take, path: Path) -> None:
     box = Box(float(rng.uniform(2.6, 3.6)), 1.4, (0.5, 0.45, float(rng.uniform(0.4, 1.0))), 0.3)
     wall = max(4.5, vertices[..., 0].max() + float(rng.uniform(0.35, 1.5)))
     room = beside(Room(wall=wall, boxes=FURNISHED if take.furnished else (box,)), vertices, rng)
+    for x, y, size in furniture:
+        x, y, _ = turn @ [x, y, 0] + shift
+        room = replace(room, boxes=(*room.boxes, Box(float(x), float(y), size, np.pi + take.yaw)))
     colour = replace(_camera(640, 480, 554.3), position=(0.0, 0.06, 1.25))
     empty, where = render_room(camera, room), marked(figure)
     depth: list[np.ndarray] = []
@@ -119,6 +139,19 @@ def make(take: Take, path: Path) -> None:
     time_ns = START_NS + np.round(np.arange(len(depth)) / RATE * 1e9).astype(np.int64)
     write_truth(path.with_suffix(".truth.npz"), time_ns, joints, figure.dims)
     write(path, {"depth": camera, "colour": colour}, time_ns, depth, found)
+
+
+def _moves(take: Take, rng: np.random.Generator) -> tuple[Clip, np.ndarray]:
+    """What somebody does, and how much of it is free of the floor, 0..1 [frame]."""
+    if take.clip in POSED:
+        clip = sitting(rng, take.clip == SEATED[1]) if take.clip in SEATED else exercise(rng, take.clip == "exercise")
+        return clip.mirrored() if take.mirrored else clip, np.zeros(len(clip.place))
+    clip = read_clip(take.motions / f"humanoid3d_{take.clip}.txt", take.speed, CLIPS.get(take.clip, 1))
+    if take.clip.startswith("getup"):  # lies down first
+        clip = there_and_back(clip, HELD)
+    clip = after_standing(clip.mirrored() if take.mirrored else clip, STILL, EASED, HELD)
+    eased = np.clip((np.arange(len(clip.place)) - STILL) / EASED, 0, 1)
+    return clip, eased if take.clip in IN_THE_AIR else np.zeros_like(eased)
 
 
 def _in_view(vertices: np.ndarray, camera: Camera) -> np.ndarray:
