@@ -19,7 +19,7 @@ from voodoo_jax.start import facing, opposite, sized, standing_places
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
 MUCH_BETTER = 0.5  # of its cost, where the fresh start is in doubt, too
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
-LIKELIER = 0.7  # arms raised, or sitting, where that costs less than this share of standing
+LIKELIER = 0.8  # arms raised, or sitting, where that costs less than this share of standing
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
 FAR_RIVAL = 3.0  # and if it costs less than so much more where something else speaks for it
 ALIKE = 3.0  # starts that cost less than so much more than the best may tell the size

@@ -45,7 +45,7 @@ from voodoo_jax.trust import doubted, joint_confidence
 from voodoo_jax.uncertainty import covariances
 
 FURNITURE_FRAMES = 1800  # furniture is told from the body by so many frames at once
-LOOKS = 2  # times that a recording is tracked anew without what the body left unexplained
+LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained
 SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
 
 
