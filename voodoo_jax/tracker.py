@@ -45,6 +45,7 @@ from voodoo_jax.trust import doubted, joint_confidence
 from voodoo_jax.uncertainty import covariances
 
 FURNITURE_FRAMES = 1800  # furniture is told from the body by so many frames at once
+FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)
 LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained
 SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
 
@@ -162,11 +163,12 @@ def track_person(
     out = blank(body, people)
     follow(run, at, enough, out, progress)
     ahead = settings.person.ahead and settings.track.both_ways and not run.by_markers and not changes
+    furniture: tuple[str, ...] = ()
     for _ in range(LOOKS if ahead else 0):
         left = without_leftovers(run.people, run.bodies, out)
         if left is None:
             break
-        people = spilled(left)
+        people, furniture = spilled(left), FURNITURE_NOTE
         run = Session(body, options, people, scene, settings, changes, visit)
         out = blank(body, people)
         follow(run, at, enough, out, None)
@@ -195,7 +197,7 @@ def track_person(
         joints=joints,
         seconds=seconds,
         compile_seconds=compiling,
-        notes=tuple(notes) + notes_on(run, out, exchanges),
+        notes=tuple(notes) + furniture + notes_on(run, out, exchanges),
         **out,
     )
 
