@@ -64,7 +64,7 @@ def combined(forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"])
     apart = np.max(np.linalg.norm(ends, axis=-1), 0)
     agree = apart < AGREE  # NaN does not agree
     half = _half_turn(axis, other_axis)
-    turned = (Rotation.from_quat(half.reshape(-1, 4)) * _rotations(rotation)).as_quat(scalar_first=True)
+    turned = (Rotation.from_quat(half.reshape(-1, 4)) * rotations(rotation)).as_quat(scalar_first=True)
     turned = turned.reshape(rotation.shape)
     rotation = np.where(agree[..., None], turned, rotation).astype(np.float32)
     translation = np.where(agree[..., None], (place + other) / 2, place).astype(np.float32)
@@ -80,7 +80,7 @@ def limb_ends(
     return np.stack([translation, translation + lengths[None, :, None] * _axis(rotation)])
 
 
-def _rotations(q: np.ndarray) -> Rotation:
+def rotations(q: np.ndarray) -> Rotation:
     """Rotations of quaternions wxyz; NaN becomes the identity."""
     flat = q.reshape(-1, 4).astype(float)
     there = np.all(np.isfinite(flat), 1, keepdims=True)
@@ -88,7 +88,7 @@ def _rotations(q: np.ndarray) -> Rotation:
 
 
 def _axis(q: np.ndarray) -> np.ndarray:
-    return _rotations(q).apply([0.0, 0.0, 1.0]).reshape(*q.shape[:-1], 3)
+    return rotations(q).apply([0.0, 0.0, 1.0]).reshape(*q.shape[:-1], 3)
 
 
 def _half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,7 +1,9 @@
 """Flat faces of furniture that the body touches all the time: seats, backs, fronts of sofas, tables. No person is flat
 to some millimetres. Host side, NumPy; looks ahead."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import compress
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,19 +28,24 @@ BEHIND = 2.5  # times the noise, from a face: so far its points are
 ASIDE = 0.045  # metres beyond its outline
 
 
-class Face(NamedTuple):
+@dataclass(frozen=True)
+class Face:
     """A flat piece of furniture."""
 
     normal: Float[np.ndarray, "3"]
     middle: Float[np.ndarray, "3"]
     points: Float[np.ndarray, "point 3"]
 
+    @cached_property
+    def tree(self) -> KDTree:
+        return KDTree(self.points)
+
     def holds(self, points: Float[np.ndarray, "any 3"], off: float) -> Bool[np.ndarray, " any"]:
         """Which points are on it, or less than `off` metres away from its plane."""
         height = (points - self.middle) @ self.normal
         found = np.abs(height) < off
         level = points[found] - height[found, None] * self.normal
-        found[found] = KDTree(self.points).query(level, distance_upper_bound=ASIDE)[0] < np.inf
+        found[found] = self.tree.query(level, distance_upper_bound=ASIDE)[0] < np.inf
         return found
 
 
@@ -61,12 +68,15 @@ def flat_faces(rest: Resting, floor: Plane) -> list[Face]:
     """Faces of furniture, the largest ones first, and smaller ones beside them."""
     sure, others = [], []
     for face, area in _even_patches(rest) if len(rest.points) >= 50 else ():
-        (sure if _is_furniture(face, area, floor) else others).append(face)
+        if _is_furniture(face, area, floor):
+            sure.append(face)
+        elif _may_belong(face, floor):
+            others.append(face)
     found = list(sure)
     while sure:
         known = KDTree(np.concatenate([face.points for face in sure]))
-        sure = [face for face in others if _may_belong(face, floor) and known.query(face.points)[0].min() < BESIDE]
-        others = [face for face in others if not any(face is other for other in sure)]
+        beside = [known.query(face.points)[0].min() < BESIDE for face in others]
+        sure, others = list(compress(others, beside)), list(compress(others, np.logical_not(beside)))
         found += sure
     return found
 

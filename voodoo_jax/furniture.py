@@ -11,6 +11,7 @@ from voodoo_jax.person_frame import PersonFrame, assigned
 from voodoo_jax.scene import Plane
 from voodoo_jax.settings import PersonSettings
 
+WINDOW = 1800  # frames by which furniture is told from the body at once
 AWAY = 0.55  # metres from the body's axis: not part of it
 MOVED = 0.4  # metres by which the body must come nearer to a thing or go farther from it, to be told from it
 CELL = 0.1  # metres, of the grid in which furniture is looked for

@@ -6,22 +6,21 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body
+from voodoo_jax.both_ways import rotations
+from voodoo_jax.furniture import WINDOW
 from voodoo_jax.passage import Rows
 from voodoo_jax.person_frame import PersonFrame, assigned
 from voodoo_jax.resting import resting
+from voodoo_jax.session import spans
 from voodoo_jax.tracks import Status
 
-WINDOW = 1800  # frames that are looked at together
 WELL = 0.99  # of the points explained, mean of all frames: nothing is left over
 EVERY = 3  # of the frames in which things at rest are seen, one is looked at
 OFF = 0.06  # metres outside of all limbs: not explained
-MOSTLY, SEEN = (
-    0.7,
-    4,
-)  # of the frames in which it is seen, and how many at least, something is not explained if it is furniture
+MOSTLY = 0.7  # of the frames in which it is seen something is not explained, if it is furniture
+SEEN = 4  # frames in which it must be seen
 FEWEST = 20  # points at rest that are furniture, or there is none
 AROUND = 0.05  # metres around them
 
@@ -61,7 +60,7 @@ def _leftovers(
     asked = np.isin(sight, looked[tracked[looked]])
     frame, which = sight[asked], rest.which[asked]
     outside = np.zeros(len(frame))
-    for (first, body), end in zip(bodies, [*(at for at, _ in bodies[1:]), len(people)]):
+    for first, end, body in spans(bodies, len(people)):
         mine = (frame >= first) & (frame < end)
         outside[mine] = _outside(body, rest.points[which[mine]], frame[mine], rows)
     count = np.bincount(which, minlength=len(rest.points))
@@ -78,13 +77,11 @@ def _outside(
     nearest = np.full(len(points), np.inf)
     for limb, (a, b, c, d, length) in enumerate(np.asarray(body.sizes, float)):
         rotation, place = rows["rotation"][frame, limb], rows["translation"][frame, limb]
-        there = np.isfinite(place[:, 0])
-        turn = Rotation.from_quat(np.where(there[:, None], rotation, [1.0, 0, 0, 0]), scalar_first=True)
-        x, y, z = turn.inv().apply(points - place).T
+        x, y, z = rotations(rotation).inv().apply(points - place).T
         along = np.clip(z / max(length, 1e-6), 0, 1)
         wide, deep = a + (c - a) * along, b + (d - b) * along
         radius = np.hypot(x, y)
         rim = wide * deep / np.maximum(np.hypot(deep * x, wide * y), 1e-9) * radius
         far = np.hypot(np.maximum(radius - rim, 0), z - along * length)
-        nearest = np.fmin(nearest, np.where(there, far, np.inf))
+        nearest = np.fmin(nearest, far)  # NaN: the limb is not there
     return nearest

@@ -36,6 +36,12 @@ def first_run(mask: Bool[np.ndarray, " frame"], length: int) -> int:
     return int(np.argmax(full)) if full.any() else len(mask)
 
 
+def spans(bodies: Sequence[tuple[int, Body]], count: int) -> list[tuple[int, int, Body]]:
+    """First frame, the one after the last, and body, from the bodies [(first frame, body)] of `count` frames."""
+    ends = [*(first for first, _ in bodies[1:]), count]
+    return [(first, end, body) for (first, body), end in zip(bodies, ends)]
+
+
 class Session:
     """Tracks one recording's person frames: start, chunks of frames, changes of the body on the way.
 

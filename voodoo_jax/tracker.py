@@ -16,7 +16,7 @@ from voodoo_jax.chooser import Chooser
 from voodoo_jax.flat_faces import without_faces
 from voodoo_jax.following import Progress, blank, follow
 from voodoo_jax.forearms import with_forearms
-from voodoo_jax.furniture import without_furniture, without_things
+from voodoo_jax.furniture import WINDOW, without_furniture, without_things
 from voodoo_jax.kernels.plausible import check
 from voodoo_jax.leftovers import without_leftovers
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
@@ -35,7 +35,7 @@ from voodoo_jax.pose import Poses
 from voodoo_jax.programs import program, seconds_of_waiting
 from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.scene import Plane, Scene, find_scene
-from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers
+from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.settings import Settings
 from voodoo_jax.spill import spilled
 from voodoo_jax.start import rest_box, rest_height
@@ -44,7 +44,6 @@ from voodoo_jax.tracks import Status, Tracks
 from voodoo_jax.trust import doubted, joint_confidence
 from voodoo_jax.uncertainty import covariances
 
-FURNITURE_FRAMES = 1800  # furniture is told from the body by so many frames at once
 FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)
 LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained
 SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
@@ -63,7 +62,7 @@ def find_person(
     low, high = rest_box(rested)
     chooser = Chooser(scene, rest_height(rested), settings.person, float(np.max(high[:2] - low[:2])))
     found = weighed(chooser(chain(first, stream)), settings.person.noise)
-    windows = iter(lambda: list(islice(found, FURNITURE_FRAMES)), [])
+    windows = iter(lambda: list(islice(found, WINDOW)), [])
     flat = body.scale_name != "stature"  # a machine may be
     told = chain.from_iterable(_told(window, chooser.finder, flat) for window in windows)
     people = spilled(told if settings.person.ahead else found)
@@ -159,26 +158,23 @@ def track_person(
     changes = loaded(settings.changes)
     body = prepared(body, changes)
     options = options_from(settings.solve, settings.track, settings.features)
-    run = Session(body, options, people, scene, settings, changes, visit)
-    out = blank(body, people)
-    follow(run, at, enough, out, progress)
-    ahead = settings.person.ahead and settings.track.both_ways and not run.by_markers and not changes
+    steady = settings.track.both_ways and not from_markers and not changes  # looks ahead, at one body
     furniture: tuple[str, ...] = ()
-    for _ in range(LOOKS if ahead else 0):
-        left = without_leftovers(run.people, run.bodies, out)
+    for looks in range(LOOKS if steady and settings.person.ahead else 0, -1, -1):
+        run = Session(body, options, people, scene, settings, changes, visit)
+        out = blank(body, people)
+        follow(run, at, enough, out, None if furniture else progress)
+        left = without_leftovers(people, run.bodies, out) if looks else None
         if left is None:
             break
         people, furniture = spilled(left), FURNITURE_NOTE
-        run = Session(body, options, people, scene, settings, changes, visit)
-        out = blank(body, people)
-        follow(run, at, enough, out, None)
-    if settings.track.forearms and settings.track.both_ways and not run.by_markers and not changes:
+    if settings.track.forearms and steady:
         run.body = with_forearms(run.body, run.people, run.names, out)
         run.bodies = [(0, run.body)]
     del out["cost"]
     out["residual"][out["status"] == Status.NO_DATA] = np.nan
     joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)
-    for (first, body), end in zip(run.bodies, [*(at for at, _ in run.bodies[1:]), count]):
+    for first, end, body in spans(run.bodies, count):
         absent = ~np.asarray(body.present)
         for name in ("rotation", "translation", "limb_covariance"):
             out[name][first:end, absent] = np.nan

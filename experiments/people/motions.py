@@ -76,17 +76,21 @@ def after_standing(clip: Clip, still: int, eased: int, held: int) -> Clip:
     relaxed |= {"l_upper_arm": Rotation.from_rotvec([0.15, 0, 0]), "r_upper_arm": Rotation.from_rotvec([-0.15, 0, 0])}
     relaxed |= {f"{side}_forearm": Rotation.from_rotvec([0, -0.2, 0]) for side in "lr"}
     share = np.arange(1, eased + 1) / (eased + 1)
-    share = (share * share * (3 - 2 * share))[:, None]
     turns = {}
     for name, first in relaxed.items():
-        there = (first.inv() * clip.turns[name][0]).as_rotvec()
-        between = first * Rotation.from_rotvec(share * there)
+        between = turned(first, clip.turns[name][0], share)
         last = clip.turns[name][-1]
         turns[name] = Rotation.concatenate([*[first] * still, between, clip.turns[name], *[last] * held])
     place = np.concatenate(
         [np.repeat(clip.place[:1], still + eased, 0), clip.place, np.repeat(clip.place[-1:], held, 0)]
     )
     return Clip(turns, place)
+
+
+def turned(first: Rotation, last: Rotation, share: np.ndarray) -> Rotation:
+    """From one turn to another: where it is after each `share` (0..1) of the time, slow at both ends."""
+    gone = (share * share * (3 - 2 * share))[:, None]
+    return first * Rotation.from_rotvec(gone * (first.inv() * last).as_rotvec())
 
 
 def there_and_back(clip: Clip, held: int) -> Clip:

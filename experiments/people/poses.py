@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.people.motions import PARENT, RATE, Clip
+from experiments.people.motions import PARENT, RATE, Clip, turned
 
 Pose = dict[str, Rotation]
 # each arm: forwards, outwards, turned inwards about the vertical, elbow; radians
@@ -58,10 +58,8 @@ def sequence(poses: Sequence[Pose], between: np.ndarray, held: np.ndarray) -> Cl
     for k, there in enumerate(poses):
         for name, turn in there.items():
             if k:
-                here = poses[k - 1][name]
-                share = np.linspace(0, 1, max(2, int(between[k] * RATE)) + 1)[1:, None]
-                share = share * share * (3 - 2 * share)
-                turns[name].append(here * Rotation.from_rotvec(share * (here.inv() * turn).as_rotvec()))
+                share = np.linspace(0, 1, max(2, int(between[k] * RATE)) + 1)[1:]
+                turns[name].append(turned(poses[k - 1][name], turn, share))
             turns[name].append(Rotation.concatenate([turn] * max(1, int(held[k] * RATE))))
     whole = {name: Rotation.concatenate(parts) for name, parts in turns.items()}
     return Clip(whole, np.zeros((len(whole["root"]), 3)))
