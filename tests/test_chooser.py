@@ -1,5 +1,7 @@
 """Which of several things that might be the body is followed: the one that moves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_rooms import FLOOR, ORIGIN, box, figure, frame
@@ -11,6 +13,7 @@ from voodoo_jax.person_frame import whole
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Scene
 from voodoo_jax.settings import PersonSettings
+from voodoo_jax.simulate import Box, hit_box
 
 SCENE = Scene(FLOOR, (), True)
 COATS = figure(3.2, -0.6, 1.75)  # on a stand: as high and wide as a person
@@ -132,6 +135,53 @@ def test_what_comes_out_from_behind_somebody_has_not_moved(step):
         person = figure(2.2 + np.clip(step[0] * i, -0.9, 0.9), -0.2 + step[1] * i, 1.6)
         clouds.append(np.concatenate([cupboard[~in_shadow(cupboard, person)], person]))
     assert moved(clouds, 3.5, 4.0) == 0 and moved(clouds, 0.5, 3.5) > 40
+
+
+def going_round(standing: bool) -> list[Frame]:
+    """A cupboard, and somebody, before a wall, as a camera sees them that goes from the right to the left."""
+    v, u = np.mgrid[-0.45:0.3:90j, -0.7:0.7:160j].reshape(2, -1)
+    frames = []
+    for i in range(50):
+        origin = np.array([0.0, -1.5 + 0.06 * i, 1.2])
+        rays = np.stack([np.ones(u.size), u - 0.5 * (origin[1] / 3), v], 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = np.minimum((5.0 - origin[0]) / rays[:, 0], np.where(v < 0, -origin[2] / rays[:, 2], np.inf))
+            person = 0.0 if standing else 0.03 * i
+            for thing in (Box(3.0, -0.6, (0.6, 0.8, 1.8)), Box(3.0 + person, 0.8, (0.3, 0.4, 1.7))):
+                hit = hit_box(thing, origin, rays)[0]
+                distance = np.where(hit > 0, np.minimum(distance, hit), distance)
+        points = (origin + rays * distance[:, None]).astype(np.float32)
+        frames.append(replace(frame(points, i), origins=origin[None].astype(np.float32)))
+    return frames
+
+
+class Between(Told):
+    """Finds what is between two places to the left of the camera, before the wall and above the floor."""
+
+    def __call__(self, frame):
+        x, y, z = frame.points.T
+        seen = whole(frame).only((y > self.near) & (y < self.far) & (x < 4.9) & (z > 0.05))
+        self.last = seen.points
+        return seen
+
+
+@pytest.mark.parametrize("standing", [True, False])
+def test_for_a_camera_that_goes_round_a_thing_it_has_not_moved(standing):
+    """Other sides of it are seen, and those seen before no longer."""
+    frames = going_round(standing)
+    cupboard, person = Follower(Between(-1.1, -0.1)), Follower(Between(0.4, 1.2))
+    for seen in frames:
+        cupboard(seen), person(seen)
+    assert cupboard.there == 50 and cupboard.moved == 0
+    assert person.moved == 0 if standing else person.moved > 30
+
+
+def test_who_was_followed_all_the_time_is_taken_from_the_beginning_on():
+    """The camera turns away from coats, which were likelier, to somebody who goes away much later."""
+    clouds = [np.concatenate([COATS, figure(3.0, 0.6, 1.6)])] * 12
+    clouds += [figure(3.0, 0.6 + 0.04 * max(0, i - 60), 1.6) for i in range(100)]
+    got, chooser = chosen(clouds)
+    assert len(got) == 112 and all(map(of_person, got))
 
 
 def test_of_what_more_is_seen_from_the_second_frame_on_has_not_moved():

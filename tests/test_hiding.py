@@ -29,6 +29,12 @@ def test_what_is_hidden_is_what_rays_meet_something_before(rng):
     clear = (np.abs(angle - edge) > np.radians(1.5 * BIN)) & (np.abs(reach - distance - NEARER) > 0.15)
     assert 100 < hidden[clear].sum() < clear.sum() - 100
     np.testing.assert_array_equal(hidden[clear], (distance < reach - NEARER)[clear])
+    # where nothing is seen nobody knows whether it is empty
+    clear &= np.abs(distance - reach - NEARER) > 0.15
+    through = near.empty(places, of)
+    np.testing.assert_array_equal(through[clear], (np.isfinite(distance) & (distance > reach + NEARER))[clear])
+    halfway = (surface[face, 0] + origins[sensor]) / 2
+    assert near.empty(halfway.astype(np.float32), sensor.astype(np.int32)).all()
 
 
 def test_nothing_is_hidden_by_nothing():
@@ -38,3 +44,5 @@ def test_nothing_is_hidden_by_nothing():
     assert not Nearest.of(none, sensor[:0], origins).hides(points, sensor).any()
     assert not Nearest.of(points, sensor, origins).hides(points, sensor).any()
     assert Nearest.of(points, sensor, origins).hides(2 * points, sensor).all()
+    assert not Nearest.of(none, sensor[:0], origins).empty(points, sensor).any()
+    assert Nearest.of(2 * points, sensor, origins).empty(points, sensor).all()

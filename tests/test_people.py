@@ -178,3 +178,17 @@ def test_shoulders_go_along_with_raised_arms(clip):
             assert low < gone[2] < high
             elbow = at[f"{side}_elbow"] - at[f"{side}_shoulder"]  # as long as ever, where the clip has it
             np.testing.assert_allclose(elbow, 0.25 * np.array([np.sin(raised), 0, -np.cos(raised)]), atol=1e-6)
+
+
+@pytest.mark.parametrize("path", ["drives up", "goes round", "turns", "in a hand"])
+def test_a_camera_keeps_who_it_looks_at_in_view(path, rng):
+    paths, sight = part("paths"), part("sight")
+    camera = importlib.import_module("voodoo_jax.simulate").tof_camera()
+    middle = np.stack([np.full(90, 3.2), np.linspace(-0.4, 0.4, 90), np.full(90, 0.9)], 1)
+    cameras = paths.moved(camera, path, middle, rng)
+    assert len(cameras) == 90 and paths.PATHS[3] == "in a hand"
+    seen = np.array([sight.pixels(sight.in_camera(m[None], c), c)[0] for m, c in zip(middle, cameras)])
+    assert (np.abs(seen - [camera.cx, camera.cy]) < [60, 45]).all()
+    place, yaw = np.array([c.position for c in cameras]), np.array([c.yaw for c in cameras])
+    assert np.linalg.norm(np.diff(place, axis=0), axis=1).max() < 0.1 and np.abs(np.diff(yaw)).max() < 0.05
+    assert np.ptp(yaw) > 0.05 and (np.ptp(place, 0).max() > 0.05) == (path != "turns")

@@ -22,6 +22,7 @@ from voodoo_jax.settings import PersonSettings
 
 CELL = 0.05  # metres: what is in the next cell but one has moved
 MOVED = 0.03  # of a thing's points that are where it was not, and of its places where it is no more: it has moved
+SHAKEN = 0.4  # the same where sensors shake: they may turn as floor and walls do not tell
 EVERY = 2  # frames: so often it is asked
 AWAY, EMPTY = 0.4, 0.2  # metres from where it was, its middle, and so much of that empty: it has moved in any case
 LEFT = 3.0  # times as much of it may be in new places as is no longer in old ones: arms hang before the trunk
@@ -35,6 +36,7 @@ LIKELY = 0.2  # of what is likeliest: what is less likely to be the body than th
 HELD = 300  # frames of points that wait until it is known which thing is the body
 PATIENCE = 60  # frames: who may not wait does not take another thing for the body before
 LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
+WENT = 0.05  # metres from where it was: a sensor that sees other sides of things
 MANY = 20_000  # points of a frame by which it is asked what hides what
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 NONE = np.zeros(0, int)
@@ -48,6 +50,7 @@ class Sight(NamedTuple):
     cells: Cells
     place: Float32[np.ndarray, "3"]  # its middle
     around: Nearest  # what else was seen
+    whole: PersonFrame  # all that was seen, or a fair share
 
     @classmethod
     def of(cls, seen: PersonFrame, frame: Frame | PersonFrame) -> "Sight":
@@ -56,12 +59,18 @@ class Sight(NamedTuple):
         some = whole(frame).only(fair_share(frame.sensor, MANY))
         others = some.only(~touching(cells_of(some.points, CELL), cells))
         around = Nearest.of(others.points, others.sensor, others.origins)
-        return cls(seen.points, seen.sensor, cells, np.median(seen.points, 0), around)
+        return cls(seen.points, seen.sensor, cells, np.median(seen.points, 0), around, some)
 
     def gone_from(self, before: "Sight") -> float:
-        """The share of where it was before in which it is no longer; what something else hides now does not count."""
+        """The share of where it was before in which it is no longer; what something else hides now does not count, nor,
+        for a sensor that goes round a thing, what it does not see through."""
         gone = ~touching(before.cells, self.cells)
-        gone[gone] = ~self.around.hides(before.points[gone], before.sensor[gone])
+        points, sensor = before.points[gone], before.sensor[gone]
+        here, there = self.whole.origins, before.whole.origins
+        if np.linalg.norm(here - there, axis=1).max() > WENT:
+            gone[gone] = Nearest.of(self.whole.points, self.whole.sensor, here).empty(points, sensor)
+        else:
+            gone[gone] = ~self.around.hides(points, sensor)
         return float(np.mean(gone))
 
     def elsewhere(self, before: "Sight") -> float:
@@ -76,6 +85,7 @@ class Follower:
         self.finder = finder
         self.frames = [frame.only(NONE) for frame in before]  # in which nobody knew of it
         self.moved = self.there = 0  # frames since it was found: in which it was elsewhere, and all
+        self.earlier = 0  # of the thing that was followed before: frames in which it was elsewhere
         self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
     def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
@@ -84,7 +94,7 @@ class Follower:
         self.frames.append(seen)
         if len(seen.points) >= 30:
             if anew:
-                self.moved, self.there, self._sights = 0, 0, None
+                self.earlier, self.moved, self.there, self._sights = self.moved, 0, 0, None
             if self.there % EVERY == 0:
                 self._compare(Sight.of(seen, frame))
             self.there += 1
@@ -95,7 +105,9 @@ class Follower:
         first, last = self._sights or (now, now)
         # of what is known of more and more of it the middle moves, too
         away = np.linalg.norm(now.place - first.place) > AWAY and now.gone_from(first) > EMPTY
-        if away or now.elsewhere(first) > MOVED + FLICKER * now.elsewhere(last):
+        shaken = now.whole.T_fixed_steady is not None
+        changed = now.elsewhere(first) - (SHAKEN if shaken else MOVED)
+        if changed > 0 and (away or changed > FLICKER * now.elsewhere(last)):
             self.moved += EVERY
         self._sights = first, now
 
@@ -149,9 +161,14 @@ class Chooser:
         self._main(frame)
         for other in self._others:
             other(frame)
+        main = self._main  # what it has just found may be followed already
+        known = (f for f in self._others if main.there == 1 < f.there and f.moved >= main.earlier and _same(f, main))
+        self._main = next(known, main)
         kept = [self._main]
         for other in self._others:
             # who passes a cupboard may be mixed up with it
+            if other is self._main:
+                continue
             if other.moves or (other.finder.last is not None and not any(_same(other, one) for one in kept)):
                 kept.append(other)
         self._others = kept[1:]

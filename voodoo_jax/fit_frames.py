@@ -22,6 +22,7 @@ from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.settings import FeatureSettings
+from voodoo_jax.shaking import as_measured
 from voodoo_jax.tracks import Tracks
 
 BLOCKS, EVERY = 8, 4  # the chosen frames are cut into so many runs of time; every so many-th is held out
@@ -108,7 +109,7 @@ def fit_frames(
     **Arguments:** `at` which frames (see chosen_frames); `names` of the measurement weights that may be free; `log`
     number of the recording; `markers` named places judge only, otherwise half of the features of a frame do.
     """
-    solve, judge = [], []
+    solve, judge, people = [], [], [as_measured(frame) for frame in people]
     for number, frame in enumerate(people[i] for i in at):
         order = np.random.default_rng(frame.time_ns & 0xFFFFFFFFFFFF).permutation(len(frame.points))[: 2 * points]
         parts = []

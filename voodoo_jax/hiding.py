@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 BIN = 2.0  # degrees: what is seen in a direction is so wide
-NEARER = 0.3  # metres: what hides a place is so much nearer to the sensor
+NEARER = 0.3  # metres: what hides a place is so much nearer to the sensor, and what is seen through it so much farther
 
 
 class Nearest(NamedTuple):
@@ -34,6 +34,13 @@ class Nearest(NamedTuple):
         """Which points their sensor would not see, for something is before them."""
         distance, bins = _directions(points, sensor, self.origins)
         return self.distance[bins] < distance - NEARER
+
+    def empty(
+        self, points: Float32[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"]
+    ) -> Bool[np.ndarray, " point"]:
+        """Through which places their sensor sees something behind them."""
+        distance, bins = _directions(points, sensor, self.origins)
+        return np.isfinite(self.distance[bins]) & (self.distance[bins] > distance + NEARER)
 
 
 def _directions(points, sensor, origins):

@@ -1,6 +1,7 @@
 """What a user should know about a tracked recording: what was left out, not known or not plausible; in sentences."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body
 from voodoo_jax.marker_exchange import Exchange
@@ -53,6 +54,13 @@ def notes_on(run: Session, out: Rows, exchanges: list[Exchange]) -> tuple[str, .
         return (*notes, *marker_notes(run.body, run.table, poses, stamps, tracked, exchanges))
     if not run.scene.floor_seen:
         notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")
+    moved = [T for frame in run.people if (T := frame.T_fixed_steady) is not None]
+    if moved:
+        turns = [Rotation.from_matrix(T[:3, :3]).magnitude() for T in moved]
+        notes.append(
+            f"The sensors move, by up to {np.degrees(max(turns)):.0f} degrees, and no transform says so: this was taken"
+            f" out while tracking in {len(moved)} frames (person.steady)."
+        )
     noise = [frame.noise for frame in run.people if frame.noise > 0]
     if noise and np.median(noise) > NOISY:
         notes.append(

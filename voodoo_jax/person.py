@@ -33,9 +33,6 @@ LONG = 10  # frames: what was seen apart from the body so often is a thing of it
 SPEED = 3.0  # metres per second: so fast the body may be where it was not seen for a moment ...
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
-WIDE = 0.25  # metres, standard deviation of the floor's points in every direction
-STEADY = 0.02  # metres: what differs by less is noise
-SHAKEN = 0.12  # metres: so far the floor may be from where it was found
 SURVEY = 15  # frames after which the whole room is looked at, not only what is near the body
 
 
@@ -72,7 +69,6 @@ class PersonFinder:
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
         height, x, y, *walls = self._places(points)
-        height = height - self._tilted(height, x, y)
         keep = (height > s.floor_margin) & ~known
         for distance, wall in zip(walls, self.scene.walls):
             keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
@@ -122,28 +118,6 @@ class PersonFinder:
         """Height above the floor, level coordinates, and distances from the walls; metres."""
         offsets = [self.scene.floor.offset, 0, 0, *(wall.offset for wall in self.scene.walls)]
         return self._axes @ points.T - np.array(offsets, np.float32)[:, None]
-
-    def _tilted(self, height, x, y) -> Float32[np.ndarray, " point"] | float:
-        """How much higher the floor seems to be under each point than it is: a sensor that shakes tilts it."""
-        if not self.scene.floor_seen:
-            return 0.0
-        step = len(height) // 4000 + 1
-        near = np.abs(height[::step]) < SHAKEN
-        level = height[::step][near]
-        if len(level) < 100 or np.mean(level > self.settings.floor_margin) < 0.1:
-            return 0.0
-        places = np.stack([x[::step][near], y[::step][near], np.ones(len(level), np.float32)], 1)
-        if np.linalg.eigvalsh(np.cov(places[:, :2].T))[0] < WIDE**2:
-            return 0.0  # feet, not a floor
-        plane = np.zeros(3, np.float32)
-        for within_ in (SHAKEN, 0.06, 0.03):  # metres
-            on = np.abs(level - places @ plane) < within_
-            if on.sum() < 0.5 * len(level):
-                return 0.0
-            plane = np.linalg.lstsq(places[on], level[on], rcond=None)[0].astype(np.float32)
-        if np.abs(places @ plane).max() < STEADY:
-            return 0.0
-        return plane[0] * x + plane[1] * y + plane[2]
 
     def _without_strays(self, frame: PersonFrame, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""

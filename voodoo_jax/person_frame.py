@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, Int32
+from jaxtyping import Bool, Float32, Float64, Int, Int32
 
 from voodoo_jax.recording import Frame, Pairs, Rays
 
@@ -25,6 +25,7 @@ class PersonFrame:
     doubt: float = (
         1.0  # how much less the points weigh because of it: sum of the weights that they would have, over theirs
     )
+    T_fixed_steady: Float64[np.ndarray, "4 4"] | None = None  # as in Frame
     other: bool = False  # from here on something else is taken for the body than in the frames before
 
     def only(self, keep: np.ndarray) -> "PersonFrame":
@@ -40,7 +41,7 @@ def whole(frame: Frame | PersonFrame) -> PersonFrame:
         return frame
     return PersonFrame(
         frame.time_ns, frame.points, frame.sensor, frame.origins, frame.rays, frame.pairs, frame.part, frame.parts,
-        frame.weight,
+        frame.weight, T_fixed_steady=frame.T_fixed_steady,
     )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Float64, Int32
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class Frame:
     part: Int32[np.ndarray, " point"] | None = None  # index in `parts`, -1: free; None: all free
     parts: tuple[str, ...] = ()  # "body", or names of limbs
     weight: Float32[np.ndarray, " point"] | None = None  # None: all 1, as a depth camera's (2007, sec. 6)
+    T_fixed_steady: Float64[np.ndarray, "4 4"] | None = None  # None: all places are in the fixed frame; see shaking.py
 
 
 @dataclass(frozen=True)

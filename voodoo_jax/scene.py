@@ -100,6 +100,8 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
         points = np.concatenate([np.zeros((0, 3), np.float32), *(f.points for f in frames)])
         return Scene(_lowest(points, up, up_is_sure)[0], (), False)
     seen = _find_floor(points, up, rng)
+    for cloud in clouds if seen is None and len(clouds) > 1 else []:  # where the sensor moves it is no plane in all
+        seen = seen or _find_floor(cloud, up, rng)
     floor, unknown = (seen, False) if seen else _lowest(points, up, up_is_sure)
     walls: list[Plane] = []
     for frame in free:  # one by one: a person who walks is as wide as a wall over several frames together

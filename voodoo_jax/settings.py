@@ -64,6 +64,8 @@ class PersonSettings:
     """Points per frame given to the tracker: a random choice where there are more."""
     ahead: bool = True
     """Tell furniture that the body touches, and seats, by all frames; false: by those before each frame only."""
+    steady: bool = True
+    """Take out how the sensors move of which no transform tells, by floor and walls."""
     noise: float = 0.03
     """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
 

@@ -37,6 +37,7 @@ from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.scene import Plane, Scene, find_scene
 from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.settings import Settings
+from voodoo_jax.shaking import steadied, steady_scene, to_fixed
 from voodoo_jax.spill import spilled
 from voodoo_jax.start import rest_box, rest_height
 from voodoo_jax.tracking import options_from
@@ -46,7 +47,7 @@ from voodoo_jax.uncertainty import covariances
 
 FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)
 LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained
-SCENE_FRAMES = 15  # floor and walls are looked for in every third of so many first frames
+SCENE_FRAMES, SCENE_EVERY = 15, 3  # floor and walls are looked for in every third of so many first frames
 
 
 def find_person(
@@ -55,13 +56,19 @@ def find_person(
     """Floor and walls, and the body's points of every frame. Of the frames, taken one by one, only these are kept."""
     stream: Iterator[Frame] = iter(frames)
     first = list(islice(stream, SCENE_FRAMES))
-    scene = find_scene(first[::3], up, up_is_sure=bool(up[2] > 0.99))
+    sure = bool(up[2] > 0.99)
+    all_frames = chain(first, stream)
+    if settings.person.steady:
+        scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
+        all_frames = steadied(all_frames, planes)
+    else:
+        scene = find_scene(first[::SCENE_EVERY], up, sure)
     scale = settings.start.scale
     # a body's scale need not be its height
     rested = scaled(body, scale) if scale > 0 else body
     low, high = rest_box(rested)
     chooser = Chooser(scene, rest_height(rested), settings.person, float(np.max(high[:2] - low[:2])))
-    found = weighed(chooser(chain(first, stream)), settings.person.noise)
+    found = weighed(chooser(all_frames), settings.person.noise)
     windows = iter(lambda: list(islice(found, WINDOW)), [])
     flat = body.scale_name != "stature"  # a machine may be
     told = chain.from_iterable(_told(window, chooser.finder, flat) for window in windows)
@@ -173,6 +180,7 @@ def track_person(
         run.bodies = [(0, run.body)]
     del out["cost"]
     out["residual"][out["status"] == Status.NO_DATA] = np.nan
+    to_fixed(people, out["rotation"], out["translation"])
     joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)
     for first, end, body in spans(run.bodies, count):
         absent = ~np.asarray(body.present)

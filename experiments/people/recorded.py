@@ -13,14 +13,16 @@ Found = list[tuple[str, float, float]]
 
 
 def write(
-    path: Path, cameras: dict[str, Camera], time_ns: np.ndarray, depth: list[np.ndarray], found: list[Found]
+    path: Path, cameras: dict[str, list[Camera]], time_ns: np.ndarray, depth: list[np.ndarray], found: list[Found]
 ) -> None:
-    """`cameras` "depth" and "colour"; `depth` images in millimetres; `found` names and pixels in the colour camera."""
+    """`cameras` "depth" and "colour", in each frame where they move, or once; `depth` images in millimetres; `found`
+    names and pixels in the colour camera."""
     with path.open("wb") as stream, foxglove_log(stream) as put:
-        for name, camera in cameras.items():
-            put_camera(put, int(time_ns[0]), camera, FIXED_FRAME, f"{name}_optical", f"/{name}/camera_info")
-        for stamp, image, names in zip(time_ns.tolist(), depth, found):
-            put("/depth/image", stamp, depth_image(cameras["depth"], "depth_optical", image))
+        for i, (stamp, image, names) in enumerate(zip(time_ns.tolist(), depth, found)):
+            for name, camera in cameras.items():
+                if i < len(camera):
+                    put_camera(put, stamp, camera[i], FIXED_FRAME, f"{name}_optical", f"/{name}/camera_info")
+            put("/depth/image", stamp, depth_image(cameras["depth"][0], "depth_optical", image))
             put("/colour/detections", stamp, _annotations(stamp, names))
 
 

@@ -1,6 +1,7 @@
 """Which people do what before which camera; one take made, tracked and judged. Worker processes import this."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from experiments.judged import Verdict, judge, read
 from experiments.people.bodies import UNUSUAL, USUAL
 from experiments.people.figure import BONES, Figure, read_meshes
 from experiments.people.motions import RATE, Clip, after_standing, read_clip, there_and_back
+from experiments.people.paths import PATHS, moved
 from experiments.people.poses import chair, exercise, planted, sitting
 from experiments.people.recorded import Found, write, write_truth
 from experiments.people.sight import before, beside, detections, in_camera, marked, pixels
@@ -22,6 +24,7 @@ CLIPS = {"walk": 2, "run": 1, "jump": 2, "kick": 1, "punch": 1, "spinkick": 1, "
 FLOOR = ("crawl", "getup_facedown", "getup_faceup", "roll", "cartwheel")
 POSED = {"exercise": 8, "begins in some pose": 4, "sits down and stands up": 6, "sits all the time": 6}
 SEATED = tuple(POSED)[2:]
+FILMED = ("walk", "kick", "dance_b", "punch", "run", "exercise")  # by a camera that moves
 IN_THE_AIR = ("jump", "spinkick", "run")
 VIEWS = 8  # of each clip by the usual people
 NEAREST, FARTHEST = 2.6, 5.0  # metres, of the middle of where somebody goes
@@ -62,38 +65,47 @@ class Take:
     meshes: Path
     motions: Path
     logs: Path
+    path: str = ""  # of the camera, see paths.py; "": it stands
+    told: bool = True  # the log's transforms tell how it moves
 
 
 def takes(meshes: Path, motions: Path, logs: Path) -> list[Take]:
     """Every clip by usual people from all sides, and by unusual ones before other cameras too; then poses drawn at
     random, people on chairs and on the floor."""
     rng, found, cameras = np.random.default_rng(5), [], list(CAMERAS)
-    files = dict(meshes=meshes, motions=motions, logs=logs)
+    take = partial(Take, meshes=meshes, motions=motions, logs=logs)
     order = rng.permutation(USUAL)
     for clip in CLIPS:
         for view in range(VIEWS):
-            found.append(Take(
+            found.append(take(
                 clip, f"{clip}-{view}", int(order[len(found) % USUAL]), clip,
                 2 * np.pi * view / VIEWS + float(rng.uniform(-0.3, 0.3)), bool(rng.integers(2)),
-                float(rng.uniform(0.75, 1.0)), cameras[0], False, len(found), **files,
+                float(rng.uniform(0.75, 1.0)), cameras[0], False, len(found),
             ))  # fmt: skip
     for who in range(len(UNUSUAL)):
         for turn in range(2):
             clip = ("walk", "punch", "dance_b", "kick")[(who + 2 * turn) % 4]
             camera = cameras[(1 + who % 4) * turn]
-            found.append(Take(
+            found.append(take(
                 "unusual people" if turn == 0 else "the same, other cameras", f"unusual-{who}-{turn}", USUAL + who,
                 clip, (0.2, -0.7, 1.0, -0.3)[(who + turn) % 4], bool(who % 2), 0.9, camera, turn == 1, len(found),
-                **files,
             ))  # fmt: skip
     for what, count in [*POSED.items(), *((clip, 2) for clip in FLOOR)]:
         for k in range(count):
             ahead = what in SEATED
-            found.append(Take(
+            found.append(take(
                 "on the floor" if what in FLOOR else what, f"{what.replace(' ', '-')}-{k}",
                 int(rng.integers(USUAL + len(UNUSUAL))), what,
                 float(rng.uniform(-1.2, 1.2) if ahead else rng.uniform(-np.pi, np.pi)), bool(rng.integers(2)),
-                0.85, cameras[k % len(cameras) if ahead else 0], False, len(found), **files,
+                0.85, cameras[k % len(cameras) if ahead else 0], False, len(found),
+            ))  # fmt: skip
+    for told, count in ((True, 12), (False, 6)):
+        for k in range(count):
+            found.append(take(
+                "moving camera" if told else "camera in a hand, untold", f"{'moving' if told else 'untold'}-{k}",
+                int(rng.integers(USUAL + len(UNUSUAL))), FILMED[(k + k // len(PATHS)) % len(FILMED)],
+                float(rng.uniform(-np.pi, np.pi)), bool(rng.integers(2)), 0.85, cameras[0], False, len(found),
+                path=PATHS[k % len(PATHS)] if told else PATHS[-1], told=told,
             ))  # fmt: skip
     return found
 
@@ -130,15 +142,27 @@ def make(take: Take, path: Path) -> None:
         x, y, _ = turn @ [x, y, 0] + shift
         room = replace(room, boxes=(*room.boxes, Box(float(x), float(y), size, np.pi + take.yaw)))
     colour = replace(_camera(640, 480, 554.3), position=(0.0, 0.06, 1.25))
+    cameras = {"depth": [camera], "colour": [colour]}
+    if take.path:
+        middle, seed = joints.mean(1), int(rng.integers(1 << 31))
+        cameras = {n: moved(c[0], take.path, middle, np.random.default_rng(seed)) for n, c in cameras.items()}
     empty, where = render_room(camera, room), marked(figure)
     depth: list[np.ndarray] = []
     found: list[Found] = []
-    for frame in vertices:
+    for i, frame in enumerate(vertices):
+        if take.path:
+            camera, colour = cameras["depth"][i], cameras["colour"][i]
+            empty = render_room(camera, room)
         depth.append(add_noise(*before(empty, frame, figure.meshes.faces, camera), camera, noise, rng))
         found.append([] if take.furnished else detections(figure, frame, colour, where, rng))
+    if not take.told:
+        first = cameras["depth"][0]
+        seen = [in_camera(j, c) for j, c in zip(joints, cameras["depth"])]
+        joints = np.stack(seen) @ first.rotation.T + np.array(first.position)
+        cameras = {name: path[:1] for name, path in cameras.items()}
     time_ns = START_NS + np.round(np.arange(len(depth)) / RATE * 1e9).astype(np.int64)
     write_truth(path.with_suffix(".truth.npz"), time_ns, joints, figure.dims)
-    write(path, {"depth": camera, "colour": colour}, time_ns, depth, found)
+    write(path, cameras, time_ns, depth, found)
 
 
 def _moves(take: Take, rng: np.random.Generator) -> tuple[Clip, np.ndarray]:

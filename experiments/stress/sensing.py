@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,7 +14,6 @@ from voodoo_jax.simulate import Box, hit_box
 DARK = 0.15  # of their points are left where clothes or hair swallow the light
 EDGES = 0.6  # of the pixels at the edge of something near lie between it and what is behind it
 WAVES = (0.02, 1.5)  # error of a phase camera's distances: amplitude and length, metres
-SHAKE = (0.4, 0.005, 3.0)  # a camera's: degrees, metres, and frames over which it goes on
 HOLES, WIDTH = 25, (1.0, 4.0)  # in a picture, and half their width in degrees
 LEGS = (("hip", "knee", 0.18), ("knee", "talocrural", 0.14))  # joints, and distance from the line between, metres
 
@@ -100,17 +100,29 @@ def flying_pixels(recorded: Recorded) -> Recorded:
     return _each(recorded, one)
 
 
-def shaking(recorded: Recorded) -> Recorded:
-    degrees, metres, frames = SHAKE
+def swaying(recorded: Recorded, degrees: float, metres: float, over: float, told_where: bool) -> Recorded:
+    """A camera that turns and shifts by so much (standard deviations) over so many frames, and says that it stands.
+
+    `told_where`: it stands in a room, and the truth with it; else its own frame is all that there is.
+    """
     rng, count = np.random.default_rng(5), len(recorded.frames)
-    kernel = np.exp(-0.5 * (np.arange(-9, 10) / frames) ** 2)
+    kernel = np.exp(-0.5 * (np.arange(-30, 31) / over) ** 2)
     kernel /= np.linalg.norm(kernel)
-    shake = [np.convolve(rng.standard_normal(count + 18), kernel, "valid") for _ in range(6)]
-    found = []
-    for f, (*turn, x, y, z) in zip(recorded.frames, np.stack(shake, 1)):
-        turned = Rotation.from_rotvec(np.deg2rad(degrees) * np.array(turn)).apply(f.points - f.origins[0])
-        found.append(replace(f, points=(f.origins[0] + turned + metres * np.array([x, y, z])).astype(np.float32)))
-    return replace(recorded, frames=found)
+    sway = np.stack([np.convolve(rng.standard_normal(count + 60), kernel, "valid") for _ in range(6)], 1)
+    frame_of = np.argmin(np.abs(recorded.stamps[:, None] - [f.time_ns for f in recorded.frames]), 1)
+    found, joints = [], recorded.joints.copy()
+    for i, (f, (*turn, x, y, z)) in enumerate(zip(recorded.frames, sway)):
+        way, shift = Rotation.from_rotvec(np.deg2rad(degrees) * np.array(turn)), metres * np.array([x, y, z])
+
+        def place(points, way=way, origin=f.origins[0], shift=shift):
+            flat = np.reshape(points, (-1, 3))
+            return (way.apply(flat - origin) + origin + shift).reshape(np.shape(points)).astype(np.float32)
+
+        moved = with_places(f, place, lambda v, way=way: way.apply(v).astype(np.float32))
+        found.append(replace(moved, origins=f.origins))
+        if not told_where:
+            joints[frame_of == i] = place(recorded.joints[frame_of == i])
+    return replace(recorded, frames=found, joints=joints)
 
 
 def holes(recorded: Recorded) -> Recorded:
@@ -189,7 +201,8 @@ SENSING: dict[str, Callable[[Recorded], Recorded]] = {
     "distances 2 cm wrong in waves": lambda r: at_distances(
         r, 0, lambda d, _: d + WAVES[0] * np.sin(2 * np.pi * d / WAVES[1])
     ),
-    "camera shakes": shaking,
+    "camera shakes": partial(swaying, degrees=0.4, metres=0.005, over=3, told_where=True),
+    "camera in a hand": partial(swaying, degrees=1.3, metres=0.02, over=9, told_where=False),
     "behind a desk": behind_desk,
     "behind a pole": behind_pole,
     "a cupboard behind": lambda r: with_cupboard(r, (0.6, 0.8, 1.9)),

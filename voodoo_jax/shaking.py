@@ -1,0 +1,196 @@
+"""Sensors that move without a transform that says so: floor and walls tell, for these stay. Host side, NumPy.
+
+Points against known planes, as in point-to-plane ICP (Chen and Medioni 1992, doi:10.1016/0262-8856(92)90066-C).
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.clouds import fair_share
+from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.recording import Frame
+from voodoo_jax.scene import Plane, Scene, find_scene
+
+ASKED = 1000  # points of a frame
+FAR, FASTER = 0.2, 0.6  # metres from a plane, of the points on it at first, and how that changes from step to step
+WIDE, FINE = 3.0, 0.005  # times the noise in the end; metres of noise, at least
+LEVEL, UPRIGHT = 0.03, 0.07  # metres of noise of floors and walls, at first
+STEPS = 15
+SETTLED = 0.0005  # metres
+SHAKEN = 0.015  # metres, root mean square, by which the planes seem to have moved: less is noise
+COUNT = 100  # so many measurements all points together count as: their errors are alike
+STIFF = np.array([0.02, 0.02, 0.02, 0.03, 0.03, 0.03])  # radians and metres from frame to frame: what nothing tells
+FORGET = 0.98  # from frame to frame: of where the sensors are thought to be, as far as nothing tells
+FEWEST = 0.05  # of the points on planes: with less nothing is known
+STILL = np.eye(4)
+TIMES = 2  # floor and walls are found anew while that takes out how sensors move
+ALIKE = 0.05, 0.15  # radians and metres: one wall, found twice for its noise
+
+Seen = TypeVar("Seen", Frame, PersonFrame)
+
+
+class Planes(NamedTuple):
+    """What stays where it is."""
+
+    normals: Float64[np.ndarray, "plane 3"]
+    offsets: Float64[np.ndarray, " plane"]  # metres
+    noise: Float64[np.ndarray, " plane"]  # standard deviation, metres
+
+    @classmethod
+    def of(cls, scene: Scene, frames: list[Frame]) -> "Planes":
+        """Floor and walls, as they are seen in that of some frames which shows most."""
+        known: list[Plane] = [scene.floor] if scene.floor_seen else []
+        for wall in scene.walls:
+            if not any(_alike(wall, plane) for plane in known):
+                known.append(wall)
+        normals = np.array([plane.normal for plane in known], float).reshape(-1, 3)
+        offsets = np.array([plane.offset for plane in known], float)
+        noise = np.array([LEVEL if plane is scene.floor else UPRIGHT for plane in known])
+        points = max((_some(frame) for frame in frames), key=len, default=np.zeros((0, 3)))
+        for _ in range(3 if known else 0):
+            off, which = _off(points, normals, offsets)
+            for k in range(len(known)):
+                mine = off[(which == k) & (np.abs(off) < max(WIDE * noise[k], 0.05))]
+                if len(mine):
+                    offsets[k] += np.median(mine)
+                    noise[k] = max(1.5 * float(np.median(np.abs(mine - np.median(mine)))), FINE)
+        if not known:
+            return cls(normals, offsets, noise)
+        off, which = _off(points, normals, offsets)
+        share = np.bincount(which[np.abs(off) < WIDE * noise[which]], minlength=len(known)) / max(len(points), 1)
+        good = (share > FEWEST) & (np.abs(offsets - [plane.offset for plane in known]) < ALIKE[1])
+        return cls(normals[good], offsets[good], noise[good])
+
+
+def steady_scene(
+    frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bool = True, every: int = 3
+) -> tuple[Scene, Planes]:
+    """Floor and walls from some successive frames (of which every so many-th is looked at) in which sensors may move:
+    see scene.find_scene; and what steadies these and later frames."""
+    scene = find_scene(frames[::every], up, up_is_sure)
+    planes = Planes.of(scene, frames[::every])
+    for _ in range(TIMES):
+        steady = list(steadied(frames, planes))
+        if all(frame.T_fixed_steady is None for frame in steady):
+            break
+        scene = find_scene(steady[::every], up, up_is_sure)
+        planes = Planes.of(scene, steady[::every])
+    return scene, planes
+
+
+def _alike(one: Plane, other: Plane) -> bool:
+    return bool(one.normal @ other.normal > np.cos(ALIKE[0]) and abs(one.offset - other.offset) < ALIKE[1])
+
+
+def _some(frame: Frame) -> Float64[np.ndarray, "point 3"]:
+    return frame.points[fair_share(frame.sensor, ASKED)].astype(float)
+
+
+def _off(points, normals, offsets) -> tuple[Float64[np.ndarray, " point"], Int[np.ndarray, " point"]]:
+    """How far points are from the nearest plane, and which one it is."""
+    off = points @ normals.T - offsets
+    which = np.argmin(np.abs(off), 1)
+    return off[np.arange(len(off)), which], which
+
+
+def steadied(frames: Iterable[Frame], planes: Planes) -> Iterator[Frame]:
+    """The frames as if all sensors had stayed where they were when floor and walls were found; no look ahead.
+
+    How they move along a plane and about its normal is not known if there is no other one, and is left as it is.
+    """
+    T = STILL
+    for frame in frames:
+        if len(planes.offsets) and len(frame.points):
+            T = _found(_some(frame), frame.origins.mean(0).astype(float), planes, T)
+        yield frame if np.array_equal(T, STILL) else replace(_placed(frame, T), T_fixed_steady=_inverse(T))
+
+
+def _found(
+    points: Float64[np.ndarray, "point 3"],
+    origin: Float64[np.ndarray, "3"],
+    planes: Planes,
+    start: Float64[np.ndarray, "4 4"],
+) -> Float64[np.ndarray, "4 4"]:
+    """What moves the points onto the planes, beginning with `start`: the identity where nothing has moved."""
+    still = np.array_equal(start, STILL)
+    if not still:
+        start = _turned(FORGET * np.concatenate([Rotation.from_matrix(start[:3, :3]).as_rotvec(), start[:3, 3]]))
+    T, whole, reach = start, np.zeros(6), FAR
+    pivot = _moved(origin[None], T)[0]
+    for step in range(STEPS):
+        there = _moved(points, T)
+        off, which = _off(there, planes.normals, planes.offsets)
+        least = WIDE * planes.noise[which]
+        limit = np.maximum(reach, least)
+        near = np.abs(off) < limit
+        if near.mean() < FEWEST:
+            return start
+        off, normal, noise, limit = off[near], planes.normals[which[near]], planes.noise[which[near]], limit[near]
+        weight = (1 - (off / limit) ** 2) ** 2
+        weight *= COUNT / weight.sum() / noise**2
+        jacobian = np.concatenate([np.cross(there[near] - pivot, normal), normal], 1)
+        weighted = jacobian * weight[:, None]
+        x = np.linalg.solve(weighted.T @ jacobian + np.diag(STIFF**-2.0), -weighted.T @ off - whole / STIFF**2)
+        whole = whole + x
+        T = _turned(whole, pivot) @ start
+        shift = np.sum(normal * (_moved(points[near], T) - points[near]), 1)
+        toward = np.sqrt(np.sum(weight * shift**2) / weight.sum())
+        if step == 0 and still and toward < SHAKEN / 2:
+            return start
+        if (limit <= least[near]).all() and np.abs(jacobian @ x).max() < SETTLED:
+            break
+        reach *= FASTER
+    return T if toward > SHAKEN else STILL
+
+
+def _turned(x: Float64[np.ndarray, "6"], pivot: Float64[np.ndarray, "3"] | float = 0.0) -> Float64[np.ndarray, "4 4"]:
+    """A turn about a point, and a shift."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(x[:3]).as_matrix()
+    T[:3, 3] = x[3:] + pivot - T[:3, :3] @ (pivot + np.zeros(3))
+    return T
+
+
+def _inverse(T: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
+    back = np.eye(4)
+    back[:3, :3] = T[:3, :3].T
+    back[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return back
+
+
+def _moved(points: Float[np.ndarray, "point 3"], T: Float64[np.ndarray, "4 4"]) -> Float[np.ndarray, "point 3"]:
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def _placed(frame: Seen, T: Float64[np.ndarray, "4 4"]) -> Seen:
+    """The frame with all that is in it elsewhere."""
+
+    def place(points):
+        return _moved(points, T).astype(np.float32)
+
+    directions = (frame.rays.directions @ T[:3, :3].T).astype(np.float32)
+    rays = replace(frame.rays, origins=place(frame.rays.origins), directions=directions)
+    pairs = replace(frame.pairs, points=place(frame.pairs.points))
+    return replace(frame, points=place(frame.points), origins=place(frame.origins), rays=rays, pairs=pairs)
+
+
+def as_measured(frame: PersonFrame) -> PersonFrame:
+    """The frame with all that is in it where it was measured, in the fixed frame."""
+    T = frame.T_fixed_steady
+    return frame if T is None else replace(_placed(frame, T), T_fixed_steady=None)
+
+
+def to_fixed(people: list[PersonFrame], rotation: np.ndarray, translation: np.ndarray) -> None:
+    """Moves limbs' poses (quaternions wxyz [frame, limb, 4], places [frame, limb, 3]) to the fixed frame, in place."""
+    for k, frame in enumerate(people):
+        T = frame.T_fixed_steady
+        there = np.isfinite(translation[k]).all(1)
+        if T is not None and there.any():
+            turned = Rotation.from_matrix(T[:3, :3]) * Rotation.from_quat(rotation[k, there], scalar_first=True)
+            rotation[k, there] = turned.as_quat(scalar_first=True)
+            translation[k, there] = _moved(translation[k, there], T)
