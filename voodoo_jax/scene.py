@@ -11,6 +11,7 @@ from voodoo_jax.recording import Frame
 
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
+SLANTED = 0.9  # cosine: a floor that is so far from where it was thought to be is looked for once more
 COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
 
@@ -102,12 +103,22 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
     seen = _find_floor(points, up, rng)
     for cloud in clouds if seen is None and len(clouds) > 1 else []:  # where the sensor moves it is no plane in all
         seen = seen or _find_floor(cloud, up, rng)
+    if seen is not None and seen.normal @ up < SLANTED:  # what is near it, and not so far from `up`, was preferred
+        seen = _find_floor(points, seen.normal, rng) or seen
     floor, unknown = (seen, False) if seen else _lowest(points, up, up_is_sure)
     walls: list[Plane] = []
     for frame in free:  # one by one: a person who walks is as wide as a wall over several frames together
         if len(frame.points) and len(walls) < 6:
             walls += _find_walls(frame, floor, walls, rng)
     return Scene(floor, tuple(walls), seen is not None, unknown)
+
+
+def shows_floor(frame: Frame, up: Float32[np.ndarray, "3"]) -> bool:
+    """Whether a floor is seen in a frame if `up` is right to 40 degrees."""
+    seen = whole(frame)
+    points = seen.points[~assigned(seen)]
+    rng = np.random.default_rng(0)
+    return _find_floor(points[rng.permutation(len(points))[:20_000]], up, rng) is not None
 
 
 def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> list[Plane]:

@@ -34,7 +34,7 @@ from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.programs import program, seconds_of_waiting
 from voodoo_jax.recording import Frame, Recording
-from voodoo_jax.scene import Plane, Scene, find_scene
+from voodoo_jax.scene import Plane, Scene
 from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.settings import Settings
 from voodoo_jax.shaking import steadied, steady_scene, to_fixed
@@ -44,6 +44,7 @@ from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status, Tracks
 from voodoo_jax.trust import doubted, joint_confidence
 from voodoo_jax.uncertainty import covariances
+from voodoo_jax.upright import upright
 
 FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)
 LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained
@@ -56,18 +57,20 @@ def find_person(
     """Floor and walls, and the body's points of every frame. Of the frames, taken one by one, only these are kept."""
     stream: Iterator[Frame] = iter(frames)
     first = list(islice(stream, SCENE_FRAMES))
-    sure = bool(up[2] > 0.99)
-    all_frames = chain(first, stream)
-    if settings.person.steady:
-        scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
-        all_frames = steadied(all_frames, planes)
-    else:
-        scene = find_scene(first[::SCENE_EVERY], up, sure)
     scale = settings.start.scale
     # a body's scale need not be its height
     rested = scaled(body, scale) if scale > 0 else body
     low, high = rest_box(rested)
-    chooser = Chooser(scene, rest_height(rested), settings.person, float(np.max(high[:2] - low[:2])))
+    height, width = rest_height(rested), float(np.max(high[:2] - low[:2]))
+    sure = bool(up[2] > 0.99)
+    scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
+    other = upright(first[:: SCENE_FRAMES // 2], scene, up, sure, (height, width), settings.person)
+    if other is not up:
+        scene, planes = steady_scene(first, other, False, SCENE_EVERY)
+    all_frames = chain(first, stream)
+    if settings.person.steady:
+        all_frames = steadied(all_frames, planes)
+    chooser = Chooser(scene, height, settings.person, width)
     found = weighed(chooser(all_frames), settings.person.noise)
     windows = iter(lambda: list(islice(found, WINDOW)), [])
     flat = body.scale_name != "stature"  # a machine may be

@@ -1,0 +1,58 @@
+"""Which way is up where a log does not say so, or says it as if the camera stood level. Host side, NumPy."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float32
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.person import PersonFinder
+from voodoo_jax.recording import Frame
+from voodoo_jax.scene import Scene, find_scene, shows_floor
+from voodoo_jax.settings import PersonSettings
+
+LIKELIER = 2.0  # times as like a body something must be if another way is up
+
+
+def upright(
+    frames: Sequence[Frame],
+    scene: Scene,
+    up: Float32[np.ndarray, "3"],
+    up_is_sure: bool,
+    body: tuple[float, float],
+    settings: PersonSettings,
+) -> Float32[np.ndarray, "3"]:
+    """`up`, or another direction if with that there is a floor on which something is like a body, as with `up` there is
+    not: the camera may be on its side, on its head, or look down. All are right to some 40 degrees only.
+
+    **Arguments:** `scene` what is found with `up`; `body` its height and width at rest, metres.
+    """
+    usual = _likely(scene, frames, body, settings, enough=0.0 if scene.floor_seen or up_is_sure else np.inf)
+    seen = max(frames, key=lambda frame: len(frame.points), default=None)
+    if usual > 0 and (scene.floor_seen or up_is_sure) or seen is None or not len(seen.points):
+        return up
+    best, likeliest = up, LIKELIER * usual
+    away = np.mean(seen.points - seen.origins[seen.sensor], 0)
+    ahead = away / max(float(np.linalg.norm(away)), 1e-6)
+    turned = [Rotation.from_rotvec(k * np.pi / 2 * ahead).apply(up).astype(np.float32) for k in (1, 2, 3)]
+    for other in (*turned, (-ahead).astype(np.float32)):
+        if shows_floor(seen, other):
+            found = _likely(find_scene([seen], other, up_is_sure=False), frames, body, settings)
+            if found > likeliest:
+                best, likeliest = other, found
+    return best
+
+
+def _likely(
+    scene: Scene, frames: Sequence[Frame], body: tuple[float, float], settings: PersonSettings, enough: float = np.inf
+) -> float:
+    """How like a body something in the frames is, 0..1, or more than `enough`."""
+    height, width = body
+    likely = 0.0
+    for frame in frames:
+        finder = PersonFinder(scene, height, settings, width)
+        finder(frame)
+        likely = max(likely, finder.likely)
+        if likely > enough:
+            break
+    return likely
