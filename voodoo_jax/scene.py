@@ -142,8 +142,8 @@ def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> li
         if wide >= WIDE and _filled(place, floor.height(rest[inside])) >= FILLED and behind <= 0.03:
             plane = Plane(side * plane.normal, side * plane.offset)
             beyond = -plane.height(points)  # where nothing but noise is
-            noise = np.percentile(beyond[(beyond > 0) & (beyond < BEHIND)], 98)
-            found.append(replace(plane, noise=float(noise)))
+            beyond = beyond[(beyond > 0) & (beyond < BEHIND)]
+            found.append(replace(plane, noise=float(np.percentile(beyond, 98)) if len(beyond) else 0.0))
         # else a near person, who may have more points than the wall: look on without them
         rest = rest[~inside]
     return found
@@ -160,6 +160,8 @@ def _filled(place: Float32[np.ndarray, " point"], height: Float32[np.ndarray, " 
 
 def _find_floor(points, up, rng) -> Plane | None:
     """The floor, if it is seen."""
+    if not len(points):
+        return None
     height = points @ up
     low = points[height < np.percentile(height, 70)]
     found = fit_plane(low, lambda n: np.abs(n @ up) > 0.77, rng, 0.03)
