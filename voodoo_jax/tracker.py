@@ -39,6 +39,7 @@ from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.settings import Settings
 from voodoo_jax.shaking import steadied, steady_scene, to_fixed
 from voodoo_jax.spill import spilled
+from voodoo_jax.standing_on import on_its_floor
 from voodoo_jax.start import rest_box, rest_height
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status, Tracks
@@ -64,9 +65,11 @@ def find_person(
     height, width = rest_height(rested), float(np.max(high[:2] - low[:2]))
     sure = bool(up[2] > 0.99)
     scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
-    other = upright(first[:: SCENE_FRAMES // 2], scene, up, sure, (height, width), settings.person)
+    some = first[:: SCENE_FRAMES // 2]
+    other = upright(some, scene, up, sure, (height, width), settings.person)
     if other is not up:
         scene, planes = steady_scene(first, other, False, SCENE_EVERY)
+    scene = on_its_floor(some, scene, (height, width), settings.person)
     all_frames = chain(first, stream)
     if settings.person.steady:
         all_frames = steadied(all_frames, planes)

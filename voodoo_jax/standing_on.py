@@ -1,0 +1,82 @@
+"""Somebody who stands on something level: a treadmill, a stage, a step. Its top is their floor. Host side, NumPy."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float32
+
+from voodoo_jax.cells import cells_of, unique_cells, within
+from voodoo_jax.person import PersonFinder
+from voodoo_jax.recording import Frame
+from voodoo_jax.scene import Scene
+from voodoo_jax.settings import PersonSettings
+
+LOWEST, HIGHEST = 0.08, 0.45  # metres above the floor: of its top
+BIN = 0.02  # metres of height in which points are counted
+EVEN = 0.03  # metres from its top of the points on it
+CELL, LARGE = 0.1, 30  # metres, and cells of its top that are seen, at least
+FLAT = 3.0  # times as many points as in a layer above it
+BESIDE = 0.1  # metres from somebody: may be their own
+FEET = 0.2  # metres above it
+AROUND = 0.2, 0.5  # metres from the feet: there its top is seen ...
+FEW = 0.02  # of as many points as in the direction with most
+SECTORS, SEEN = 8, 6  # ... in so many of so many directions, at least
+
+
+def on_its_floor(frames: Sequence[Frame], scene: Scene, body: tuple[float, float], settings: PersonSettings) -> Scene:
+    """The scene, its floor as high as what somebody stands on, if somebody does in all frames that show a body.
+
+    **Arguments:** `body` its height and width at rest, metres.
+    """
+    frames = [frame for frame in frames if len(frame.points)]
+    for top in _tops(frames[:1], scene):
+        floor = replace(scene.floor, offset=scene.floor.offset + top)
+        raised = replace(scene, floor=floor, floor_seen=True, floor_open=False)
+        stands = [_stands(frame, raised, body, settings) for frame in frames]
+        if True in stands and False not in stands:
+            return raised
+    return scene
+
+
+def _tops(frames: Sequence[Frame], scene: Scene) -> list[float]:
+    """Heights of level things, the largest first."""
+    found = []
+    for frame in frames:
+        height = scene.floor.height(frame.points)
+        count = np.bincount(np.clip(height / BIN, 0, 60).astype(int), minlength=61)
+        layers = [k for k in range(int(LOWEST / BIN), int(HIGHEST / BIN)) if count[k] == count[k - 2 : k + 3].max() > 0]
+        for k in layers:
+            near = np.abs(height - (k + 0.5) * BIN) < EVEN
+            top = float(np.median(height[near]))
+            on = np.abs(height - top) < EVEN
+            above = (height > top + 2 * EVEN) & (height < top + 4 * EVEN)
+            cells = len(unique_cells(cells_of(scene.floor.level(frame.points[on]), CELL))[0])
+            if cells >= LARGE and on.sum() > FLAT * above.sum():
+                found.append((cells, top))
+    return [top for _, top in sorted(found, reverse=True)]
+
+
+def _stands(frame: Frame, raised: Scene, body: tuple[float, float], settings: PersonSettings) -> bool | None:
+    """Whether somebody stands on the raised floor; None: there is nobody."""
+    seen = PersonFinder(raised, body[0], settings, body[1])(frame).points
+    if len(seen) < 30:
+        return None
+    floor = raised.floor
+    feet = seen[floor.height(seen) < FEET]
+    top = frame.points[np.abs(floor.height(frame.points)) < EVEN]
+    top = top[~within(top, seen, BESIDE)]
+    if len(feet) < 5 or not len(top):
+        return False
+    return _around(floor.level(top), np.median(floor.level(feet), 0), floor.normal) >= SEEN
+
+
+def _around(points: Float32[np.ndarray, "point 3"], place: Float32[np.ndarray, "3"], normal) -> int:
+    """In how many directions from a place there are points near it, not just a few."""
+    first, second = np.linalg.svd(normal[None])[2][1:]
+    away = points - place
+    distance = np.linalg.norm(away, axis=1)
+    away = away[(distance > AROUND[0]) & (distance < AROUND[1])]
+    angle = np.arctan2(away @ second, away @ first)
+    count = np.bincount(((angle / np.pi + 1) / 2 * SECTORS).astype(int) % SECTORS, minlength=SECTORS)
+    return int(np.sum(count > FEW * count.max()))
