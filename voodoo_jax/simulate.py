@@ -204,13 +204,15 @@ class Camera:
     position: tuple[float, float, float] = (0.0, 0.0, 1.2)  # metres
     pitch: float = 0.0  # radians downwards
     yaw: float = 0.0  # radians from +x to +y
+    roll: float = 0.0  # radians about where it looks, clockwise as it sees
 
     @property
     def rotation(self) -> Float64[np.ndarray, "3 3"]:
         """Rotation matrix of T_fixed_optical: columns are the optical x (right), y (down), z (forward)."""
         (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (self.pitch, self.yaw))
         forward, right = np.array([cp * cy, cp * sy, -sp]), np.array([sy, -cy, 0.0])
-        return np.stack([right, np.cross(forward, right), forward], -1)
+        level = np.stack([right, np.cross(forward, right), forward], -1)
+        return level @ Rotation.from_euler("z", self.roll).as_matrix() if self.roll else level
 
     def rays(self) -> Float64[np.ndarray, "pixel 3"]:
         """Directions through the pixel centres, row by row, in the fixed frame; one metre of optical z long."""

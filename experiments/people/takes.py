@@ -66,7 +66,9 @@ class Take:
     motions: Path
     logs: Path
     path: str = ""  # of the camera, see paths.py; "": it stands
-    told: bool = True  # the log's transforms tell how it moves
+    told: bool = True  # the log's transforms tell how it moves, or lies
+    roll: float = 0.0  # of the camera, radians
+    stage: float = 0.0  # height of what somebody stands on, metres
 
 
 def takes(meshes: Path, motions: Path, logs: Path) -> list[Take]:
@@ -107,6 +109,14 @@ def takes(meshes: Path, motions: Path, logs: Path) -> list[Take]:
                 float(rng.uniform(-np.pi, np.pi)), bool(rng.integers(2)), 0.85, cameras[0], False, len(found),
                 path=PATHS[k % len(PATHS)] if told else PATHS[-1], told=told,
             ))  # fmt: skip
+    for k in range(12):
+        lies = k < 6
+        found.append(take(
+            "camera on its side or head, untold" if lies else "on a stage", f"{'rolled' if lies else 'stage'}-{k % 6}",
+            int(rng.integers(USUAL + len(UNUSUAL))), FILMED[k % len(FILMED)], float(rng.uniform(-np.pi, np.pi)),
+            bool(rng.integers(2)), 0.85, cameras[0], False, len(found), told=not lies,
+            roll=(k % 3 + 1) * np.pi / 2 if lies else 0.0, stage=0.0 if lies else float(rng.uniform(0.12, 0.4)),
+        ))  # fmt: skip
     return found
 
 
@@ -133,11 +143,20 @@ def make(take: Take, path: Path) -> None:
     turn = Rotation.from_euler("z", np.pi + take.yaw).as_matrix()
     vertices, joints = vertices @ turn.T.astype(np.float32), joints @ turn.T
     camera, noise = CAMERAS[take.camera]
+    camera = replace(camera, roll=take.roll)
+    if take.stage > 0:
+        vertices, joints = vertices + np.float32([0, 0, take.stage]), joints + [0, 0, take.stage]
     shift = _in_view(vertices, camera)
     vertices, joints = vertices + shift.astype(np.float32), joints + shift
     box = Box(float(rng.uniform(2.6, 3.6)), 1.4, (0.5, 0.45, float(rng.uniform(0.4, 1.0))), 0.3)
     wall = max(4.5, vertices[..., 0].max() + float(rng.uniform(0.35, 1.5)))
     room = beside(Room(wall=wall, boxes=FURNISHED if take.furnished else (box,)), vertices, rng)
+    if take.stage > 0:
+        feet = vertices.reshape(-1, 3)[::50]
+        feet = feet[feet[:, 2] < take.stage + 0.25, :2]
+        at = ((feet.max(0) + feet.min(0)) / 2).tolist()
+        deep, wide = (np.ptp(feet, 0) + 2 * rng.uniform(0.1, 0.8, 2)).tolist()
+        room = replace(room, boxes=(*room.boxes, Box(at[0], at[1], (deep, wide, take.stage))))
     for x, y, size in furniture:
         x, y, _ = turn @ [x, y, 0] + shift
         room = replace(room, boxes=(*room.boxes, Box(float(x), float(y), size, np.pi + take.yaw)))
@@ -154,12 +173,12 @@ def make(take: Take, path: Path) -> None:
             camera, colour = cameras["depth"][i], cameras["colour"][i]
             empty = render_room(camera, room)
         depth.append(add_noise(*before(empty, frame, figure.meshes.faces, camera), camera, noise, rng))
-        found.append([] if take.furnished else detections(figure, frame, colour, where, rng))
+        found.append([] if take.furnished or take.roll else detections(figure, frame, colour, where, rng))
     if not take.told:
+        seen = [in_camera(j, cameras["depth"][i % len(cameras["depth"])]) for i, j in enumerate(joints)]
+        cameras = {name: [replace(path[0], roll=0.0)] for name, path in cameras.items()}
         first = cameras["depth"][0]
-        seen = [in_camera(j, c) for j, c in zip(joints, cameras["depth"])]
         joints = np.stack(seen) @ first.rotation.T + np.array(first.position)
-        cameras = {name: path[:1] for name, path in cameras.items()}
     time_ns = START_NS + np.round(np.arange(len(depth)) / RATE * 1e9).astype(np.int64)
     write_truth(path.with_suffix(".truth.npz"), time_ns, joints, figure.dims)
     write(path, cameras, time_ns, depth, found)
