@@ -145,7 +145,8 @@ def make(take: Take, path: Path) -> None:
     camera, noise = CAMERAS[take.camera]
     camera = replace(camera, roll=take.roll)
     if take.stage > 0:
-        vertices, joints = vertices + np.float32([0, 0, take.stage]), joints + [0, 0, take.stage]
+        up = np.array([0, 0, take.stage])
+        vertices, joints = vertices + up.astype(np.float32), joints + up
     shift = _in_view(vertices, camera)
     vertices, joints = vertices + shift.astype(np.float32), joints + shift
     box = Box(float(rng.uniform(2.6, 3.6)), 1.4, (0.5, 0.45, float(rng.uniform(0.4, 1.0))), 0.3)
