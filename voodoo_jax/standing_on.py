@@ -30,7 +30,7 @@ def on_its_floor(frames: Sequence[Frame], scene: Scene, body: tuple[float, float
     **Arguments:** `body` its height and width at rest, metres.
     """
     frames = [frame for frame in frames if len(frame.points)]
-    for top in _tops(frames[:1], scene):
+    for top in _tops(frames[0], scene) if frames else ():
         floor = replace(scene.floor, offset=scene.floor.offset + top)
         raised = replace(scene, floor=floor, floor_seen=True, floor_open=False)
         stands = [_stands(frame, raised, body, settings) for frame in frames]
@@ -39,21 +39,19 @@ def on_its_floor(frames: Sequence[Frame], scene: Scene, body: tuple[float, float
     return scene
 
 
-def _tops(frames: Sequence[Frame], scene: Scene) -> list[float]:
+def _tops(frame: Frame, scene: Scene) -> list[float]:
     """Heights of level things, the largest first."""
-    found = []
-    for frame in frames:
-        height = scene.floor.height(frame.points)
-        count = np.bincount(np.clip(height / BIN, 0, 60).astype(int), minlength=61)
-        layers = [k for k in range(int(LOWEST / BIN), int(HIGHEST / BIN)) if count[k] == count[k - 2 : k + 3].max() > 0]
-        for k in layers:
-            near = np.abs(height - (k + 0.5) * BIN) < EVEN
-            top = float(np.median(height[near]))
-            on = np.abs(height - top) < EVEN
-            above = (height > top + 2 * EVEN) & (height < top + 4 * EVEN)
-            cells = len(unique_cells(cells_of(scene.floor.level(frame.points[on]), CELL))[0])
-            if cells >= LARGE and on.sum() > FLAT * above.sum():
-                found.append((cells, top))
+    found, height = [], scene.floor.height(frame.points)
+    count = np.bincount(np.clip(height / BIN, 0, 60).astype(int), minlength=61)
+    for k in range(int(LOWEST / BIN), int(HIGHEST / BIN)):
+        if count[k] == 0 or count[k] < count[k - 2 : k + 3].max():
+            continue
+        top = float(np.median(height[np.abs(height - (k + 0.5) * BIN) < EVEN]))
+        on = np.abs(height - top) < EVEN
+        above = (height > top + 2 * EVEN) & (height < top + 4 * EVEN)
+        cells = len(unique_cells(cells_of(scene.floor.level(frame.points[on]), CELL))[0])
+        if cells >= LARGE and on.sum() > FLAT * above.sum():
+            found.append((cells, top))
     return [top for _, top in sorted(found, reverse=True)]
 
 
