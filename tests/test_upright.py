@@ -77,7 +77,15 @@ def test_who_is_found_at_once_costs_one_look(rng, monkeypatch):
     finder = voodoo_jax.upright.PersonFinder
     monkeypatch.setattr(voodoo_jax.upright, "PersonFinder", lambda *a: looks.append(a) or finder(*a))
     frames = [frame(np.concatenate([room(rng), figure(2.5, 0.0)]), i) for i in range(3)]
-    assert upright(frames, Scene(FLOOR, (), True), UP, True, BODY, PersonSettings()) is UP and len(looks) == 1
+    for sure, count in ((True, 0), (False, 1)):  # who is sure and has a floor needs none
+        assert upright(frames, Scene(FLOOR, (), True), UP, sure, BODY, PersonSettings()) is UP and len(looks) == count
+
+
+def test_a_child_before_a_wall_does_not_lie_on_it(rng):
+    """Seen from above it would stand on the wall."""
+    clouds = [np.concatenate([room(rng, wall=3.2), figure(2.4 + 0.02 * i, 0.3, 1.05, 0.12)]) for i in range(3)]
+    clouds = [turned(cloud, Rotation.identity()) for cloud in clouds]
+    assert found(clouds, UP, sure=True) is UP and found(clouds, UP) is UP
 
 
 def test_a_floor_is_seen_from_any_side_that_is_told(rng):

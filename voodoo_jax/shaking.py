@@ -23,6 +23,7 @@ LEVEL, UPRIGHT = 0.03, 0.07  # metres of noise of floors and walls, at first
 STEPS = 15
 SETTLED = 0.0005  # metres
 SHAKEN = 0.015  # metres, root mean square, by which the planes seem to have moved: less is noise
+NOISY = 0.4  # of the planes' noise: so much more of it is noise in any case
 COUNT = 100  # so many measurements all points together count as: their errors are alike
 STIFF = np.array([0.02, 0.02, 0.02, 0.03, 0.03, 0.03])  # radians and metres from frame to frame: what nothing tells
 FORGET = 0.98  # from frame to frame: of where the sensors are thought to be, as far as nothing tells
@@ -145,7 +146,7 @@ def _found(
         if (limit <= least[near]).all() and np.abs(jacobian @ x).max() < SETTLED:
             break
         reach *= FASTER
-    return T if toward > SHAKEN else STILL
+    return T if toward > max(SHAKEN, NOISY * float(np.sqrt(np.average(noise**2, weights=weight)))) else STILL
 
 
 def _turned(x: Float64[np.ndarray, "6"], pivot: Float64[np.ndarray, "3"] | float = 0.0) -> Float64[np.ndarray, "4 4"]:

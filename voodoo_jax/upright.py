@@ -1,6 +1,7 @@
 """Which way is up where a log does not say so, or says it as if the camera stood level. Host side, NumPy."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float32
@@ -11,6 +12,7 @@ from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Scene, find_scene, shows_floor
 from voodoo_jax.settings import PersonSettings
 
+LOW = 0.5  # of its height: so low the body may be, if up is where the log says
 LIKELIER = 2.0  # times as like a body something must be if another way is up
 
 
@@ -27,7 +29,10 @@ def upright(
 
     **Arguments:** `scene` what is found with `up`; `body` its height and width at rest, metres.
     """
-    usual = _likely(scene, frames, body, settings, enough=0.0 if scene.floor_seen or up_is_sure else np.inf)
+    if up_is_sure and scene.floor_seen:
+        return up
+    low = replace(settings, min_height=min(settings.min_height, LOW))  # a child's
+    usual = _likely(scene, frames, body, low, enough=0.0 if scene.floor_seen or up_is_sure else np.inf)
     seen = max(frames, key=lambda frame: len(frame.points), default=None)
     if usual > 0 and (scene.floor_seen or up_is_sure) or seen is None or not len(seen.points):
         return up
@@ -35,7 +40,8 @@ def upright(
     away = np.mean(seen.points - seen.origins[seen.sensor], 0)
     ahead = away / max(float(np.linalg.norm(away)), 1e-6)
     turned = [Rotation.from_rotvec(k * np.pi / 2 * ahead).apply(up).astype(np.float32) for k in (1, 2, 3)]
-    for other in (*turned, (-ahead).astype(np.float32)):
+    down = [] if scene.floor_seen else [(-ahead).astype(np.float32)]  # a wall may be taken for a floor then
+    for other in (*turned, *down):
         if shows_floor(seen, other):
             found = _likely(find_scene([seen], other, up_is_sure=False), frames, body, settings)
             if found > likeliest:
