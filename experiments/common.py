@@ -250,6 +250,12 @@ def machine_line(before: dict) -> str:
     return f"Taken on: {words}; load average {before['load_1min']} before, {round(os.getloadavg()[0], 2)} after.\n"
 
 
+def slow_noise(rng: np.random.Generator, count: int, over: float, reach: int) -> np.ndarray:
+    """Normal noise of deviation 1 that changes over so many samples, each drawn from `reach` to both sides."""
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / over) ** 2)
+    return np.convolve(rng.standard_normal(count + 2 * reach), kernel / np.linalg.norm(kernel), "valid")
+
+
 def line_fit(x: list[float], y: list[float]) -> tuple[float, float, float]:
     """Slope, intercept and R^2 of the straight line through points."""
     slope, intercept = np.polyfit(x, y, 1)

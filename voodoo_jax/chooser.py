@@ -5,8 +5,8 @@ the body is followed, too.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -42,7 +42,8 @@ BESIDE = 0.12  # metres: what is nearer to something that is followed is not ano
 NONE = np.zeros(0, int)
 
 
-class Sight(NamedTuple):
+@dataclass(frozen=True)
+class Sight:
     """How a thing was seen in a frame."""
 
     points: Float32[np.ndarray, "point 3"]
@@ -61,6 +62,11 @@ class Sight(NamedTuple):
         around = Nearest.of(others.points, others.sensor, others.origins)
         return cls(seen.points, seen.sensor, cells, np.median(seen.points, 0), around, some)
 
+    @cached_property
+    def everything(self) -> Nearest:
+        """The nearest of all that was seen."""
+        return Nearest.of(self.whole.points, self.whole.sensor, self.whole.origins)
+
     def gone_from(self, before: "Sight") -> float:
         """The share of where it was before in which it is no longer; what something else hides now does not count, nor,
         for a sensor that goes round a thing, what it does not see through."""
@@ -68,7 +74,7 @@ class Sight(NamedTuple):
         points, sensor = before.points[gone], before.sensor[gone]
         here, there = self.whole.origins, before.whole.origins
         if np.linalg.norm(here - there, axis=1).max() > WENT:
-            gone[gone] = Nearest.of(self.whole.points, self.whole.sensor, here).empty(points, sensor)
+            gone[gone] = self.everything.empty(points, sensor)
         else:
             gone[gone] = ~self.around.hides(points, sensor)
         return float(np.mean(gone))

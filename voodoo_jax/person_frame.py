@@ -1,6 +1,8 @@
 """The points of one frame that are taken to be on the body. Host side, NumPy."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int32
@@ -35,6 +37,9 @@ class PersonFrame:
         return replace(self, points=self.points[keep], sensor=self.sensor[keep], part=part, weight=weight)
 
 
+Seen = TypeVar("Seen", Frame, PersonFrame)
+
+
 def whole(frame: Frame | PersonFrame) -> PersonFrame:
     """A frame with all its points."""
     if isinstance(frame, PersonFrame):
@@ -43,6 +48,17 @@ def whole(frame: Frame | PersonFrame) -> PersonFrame:
         frame.time_ns, frame.points, frame.sensor, frame.origins, frame.rays, frame.pairs, frame.part, frame.parts,
         frame.weight, T_fixed_steady=frame.T_fixed_steady,
     )  # fmt: skip
+
+
+def with_places(
+    frame: Seen,
+    place: Callable[[np.ndarray], np.ndarray],
+    direction: Callable[[np.ndarray], np.ndarray] = lambda v: v,
+) -> Seen:
+    """The frame with all that is in it elsewhere: `place` moves points, `direction` turns lines of sight."""
+    rays = replace(frame.rays, origins=place(frame.rays.origins), directions=direction(frame.rays.directions))
+    pairs = replace(frame.pairs, points=place(frame.pairs.points))
+    return replace(frame, points=place(frame.points), origins=place(frame.origins), rays=rays, pairs=pairs)
 
 
 def assigned(frame: Frame | PersonFrame) -> Bool[np.ndarray, " point"]:

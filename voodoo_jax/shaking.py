@@ -5,14 +5,14 @@ Points against known planes, as in point-to-plane ICP (Chen and Medioni 1992, do
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.clouds import fair_share
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.person_frame import PersonFrame, Seen, with_places
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Plane, Scene, find_scene
 
@@ -32,8 +32,6 @@ STILL = np.eye(4)
 TIMES = 2  # floor and walls are found anew while that takes out how sensors move
 ALIKE = 0.05, 0.15  # radians and metres: one wall, found twice for its noise
 
-Seen = TypeVar("Seen", Frame, PersonFrame)
-
 
 class Planes(NamedTuple):
     """What stays where it is."""
@@ -49,19 +47,19 @@ class Planes(NamedTuple):
         for wall in scene.walls:
             if not any(_alike(wall, plane) for plane in known):
                 known.append(wall)
-        normals = np.array([plane.normal for plane in known], float).reshape(-1, 3)
+        if not known:
+            return cls(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+        normals = np.array([plane.normal for plane in known], float)
         offsets = np.array([plane.offset for plane in known], float)
         noise = np.array([LEVEL if plane is scene.floor else UPRIGHT for plane in known])
         points = max((_some(frame) for frame in frames), key=len, default=np.zeros((0, 3)))
-        for _ in range(3 if known else 0):
+        for _ in range(3):
             off, which = _off(points, normals, offsets)
             for k in range(len(known)):
                 mine = off[(which == k) & (np.abs(off) < max(WIDE * noise[k], 0.05))]
                 if len(mine):
                     offsets[k] += np.median(mine)
                     noise[k] = max(1.5 * float(np.median(np.abs(mine - np.median(mine)))), FINE)
-        if not known:
-            return cls(normals, offsets, noise)
         off, which = _off(points, normals, offsets)
         share = np.bincount(which[np.abs(off) < WIDE * noise[which]], minlength=len(known)) / max(len(points), 1)
         good = (share > FEWEST) & (np.abs(offsets - [plane.offset for plane in known]) < ALIKE[1])
@@ -108,7 +106,7 @@ def steadied(frames: Iterable[Frame], planes: Planes) -> Iterator[Frame]:
     for frame in frames:
         if len(planes.offsets) and len(frame.points):
             T = _found(_some(frame), frame.origins.mean(0).astype(float), planes, T)
-        yield frame if np.array_equal(T, STILL) else replace(_placed(frame, T), T_fixed_steady=_inverse(T))
+        yield frame if T is STILL else replace(_placed(frame, T), T_fixed_steady=np.linalg.inv(T))
 
 
 def _found(
@@ -118,7 +116,7 @@ def _found(
     start: Float64[np.ndarray, "4 4"],
 ) -> Float64[np.ndarray, "4 4"]:
     """What moves the points onto the planes, beginning with `start`: the identity where nothing has moved."""
-    still = np.array_equal(start, STILL)
+    still = start is STILL
     if not still:
         start = _turned(FORGET * np.concatenate([Rotation.from_matrix(start[:3, :3]).as_rotvec(), start[:3, 3]]))
     T, whole, reach = start, np.zeros(6), FAR
@@ -157,27 +155,13 @@ def _turned(x: Float64[np.ndarray, "6"], pivot: Float64[np.ndarray, "3"] | float
     return T
 
 
-def _inverse(T: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
-    back = np.eye(4)
-    back[:3, :3] = T[:3, :3].T
-    back[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return back
-
-
 def _moved(points: Float[np.ndarray, "point 3"], T: Float64[np.ndarray, "4 4"]) -> Float[np.ndarray, "point 3"]:
     return points @ T[:3, :3].T + T[:3, 3]
 
 
 def _placed(frame: Seen, T: Float64[np.ndarray, "4 4"]) -> Seen:
     """The frame with all that is in it elsewhere."""
-
-    def place(points):
-        return _moved(points, T).astype(np.float32)
-
-    directions = (frame.rays.directions @ T[:3, :3].T).astype(np.float32)
-    rays = replace(frame.rays, origins=place(frame.rays.origins), directions=directions)
-    pairs = replace(frame.pairs, points=place(frame.pairs.points))
-    return replace(frame, points=place(frame.points), origins=place(frame.origins), rays=rays, pairs=pairs)
+    return with_places(frame, lambda p: _moved(p, T).astype(np.float32), lambda v: (v @ T[:3, :3].T).astype(np.float32))
 
 
 def as_measured(frame: PersonFrame) -> PersonFrame:

@@ -89,8 +89,12 @@ def after_standing(clip: Clip, still: int, eased: int, held: int) -> Clip:
 
 def turned(first: Rotation, last: Rotation, share: np.ndarray) -> Rotation:
     """From one turn to another: where it is after each `share` (0..1) of the time, slow at both ends."""
-    gone = (share * share * (3 - 2 * share))[:, None]
-    return first * Rotation.from_rotvec(gone * (first.inv() * last).as_rotvec())
+    return first * Rotation.from_rotvec(eased(share)[:, None] * (first.inv() * last).as_rotvec())
+
+
+def eased(share: np.ndarray) -> np.ndarray:
+    """How far something has gone after each `share` (0..1) of the time that is slow at both ends."""
+    return share * share * (3 - 2 * share)
 
 
 def there_and_back(clip: Clip, held: int) -> Clip:

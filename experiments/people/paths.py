@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.common import slow_noise
+from experiments.people.motions import eased
 from voodoo_jax.simulate import Camera
 
 PATHS = ("drives up", "goes round", "turns", "in a hand")
@@ -17,32 +19,25 @@ def moved(camera: Camera, path: str, middle: np.ndarray, rng: np.random.Generato
     count = len(middle)
     seen = np.array([middle[max(0, i - LOOKS) : i + LOOKS + 1].mean(0) for i in range(count)])
     share = np.linspace(0, 1, count)
-    eased = share * share * (3 - 2 * share)
     place = np.tile(np.array(camera.position, float), (count, 1))
     pitch, yaw = np.full(count, camera.pitch), np.zeros(count)
     if path == "drives up":
-        place[:, 0] += eased - 1
+        place[:, 0] += eased(share) - 1
         place[:, 1] += 0.3 * np.sin(3 * share)
     elif path == "goes round":
-        whole, angle = seen.mean(0), 1.2 * (eased - 0.5)
+        whole, angle = seen.mean(0), 1.2 * (eased(share) - 0.5)
         away = np.linalg.norm(whole[:2] - place[0, :2])
         place[:, 0] = whole[0] - away * np.cos(angle)
         place[:, 1] = whole[1] - away * np.sin(angle)
     elif path == "turns":
         yaw = 0.16 * np.sin(3 * np.pi * share)
     elif path == "in a hand":
-        place += HAND[0] * np.stack([_smooth(rng, count) for _ in range(3)], 1)
-        pitch = pitch + HAND[1] * _smooth(rng, count)
-        yaw = HAND[2] * _smooth(rng, count)
+        place += HAND[0] * np.stack([slow_noise(rng, count, SLOW, 3 * SLOW) for _ in range(3)], 1)
+        pitch = pitch + HAND[1] * slow_noise(rng, count, SLOW, 3 * SLOW)
+        yaw = HAND[2] * slow_noise(rng, count, SLOW, 3 * SLOW)
     if path in PATHS[:2]:
         yaw = np.arctan2(seen[:, 1] - place[:, 1], seen[:, 0] - place[:, 0])
     return [
         replace(camera, position=(float(x), float(y), float(z)), pitch=float(p), yaw=float(w))
         for (x, y, z), p, w in zip(place, pitch, yaw)
     ]
-
-
-def _smooth(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Normal noise of deviation 1 that changes slowly."""
-    kernel = np.exp(-0.5 * (np.arange(-3 * SLOW, 3 * SLOW + 1) / SLOW) ** 2)
-    return np.convolve(rng.standard_normal(count + 6 * SLOW), kernel / np.linalg.norm(kernel), "valid")

@@ -153,11 +153,7 @@ def make(take: Take, path: Path) -> None:
     wall = max(4.5, vertices[..., 0].max() + float(rng.uniform(0.35, 1.5)))
     room = beside(Room(wall=wall, boxes=FURNISHED if take.furnished else (box,)), vertices, rng)
     if take.stage > 0:
-        feet = vertices.reshape(-1, 3)[::50]
-        feet = feet[feet[:, 2] < take.stage + 0.25, :2]
-        at = ((feet.max(0) + feet.min(0)) / 2).tolist()
-        deep, wide = (np.ptp(feet, 0) + 2 * rng.uniform(0.1, 0.8, 2)).tolist()
-        room = replace(room, boxes=(*room.boxes, Box(at[0], at[1], (deep, wide, take.stage))))
+        room = replace(room, boxes=(*room.boxes, _stage(vertices, take.stage, rng)))
     for x, y, size in furniture:
         x, y, _ = turn @ [x, y, 0] + shift
         room = replace(room, boxes=(*room.boxes, Box(float(x), float(y), size, np.pi + take.yaw)))
@@ -196,6 +192,15 @@ def _moves(take: Take, rng: np.random.Generator) -> tuple[Clip, np.ndarray]:
     clip = after_standing(clip.mirrored() if take.mirrored else clip, STILL, EASED, HELD)
     eased = np.clip((np.arange(len(clip.place)) - STILL) / EASED, 0, 1)
     return clip, eased if take.clip in IN_THE_AIR else np.zeros_like(eased)
+
+
+def _stage(vertices: np.ndarray, height: float, rng: np.random.Generator) -> Box:
+    """What somebody stands on, and some way around it."""
+    feet = vertices.reshape(-1, 3)[::50]
+    feet = feet[feet[:, 2] < height + 0.25, :2]
+    x, y = ((feet.max(0) + feet.min(0)) / 2).tolist()
+    deep, wide = (np.ptp(feet, 0) + 2 * rng.uniform(0.1, 0.8, 2)).tolist()
+    return Box(x, y, (deep, wide, height))
 
 
 def _in_view(vertices: np.ndarray, camera: Camera) -> np.ndarray:

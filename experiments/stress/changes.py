@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.judged import Recorded
-from experiments.stress.sensing import SENSING, at_distances, with_places, with_points
+from experiments.stress.sensing import SENSING, at_distances, with_points
 from voodoo_jax.body import Body
+from voodoo_jax.person_frame import with_places
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.settings import Settings
 from voodoo_jax.tracker import find_person

@@ -7,7 +7,9 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.common import slow_noise
 from experiments.judged import Recorded
+from voodoo_jax.person_frame import with_places
 from voodoo_jax.recording import Frame
 from voodoo_jax.simulate import Box, hit_box
 
@@ -22,15 +24,6 @@ def with_points(frame: Frame, keep: np.ndarray) -> Frame:
     """The frame with some of its points."""
     part, weight = (None if a is None else a[keep] for a in (frame.part, frame.weight))
     return replace(frame, points=frame.points[keep], sensor=frame.sensor[keep], part=part, weight=weight)
-
-
-def with_places(
-    frame: Frame, place: Callable[[np.ndarray], np.ndarray], direction: Callable[[np.ndarray], np.ndarray] = lambda v: v
-) -> Frame:
-    """The frame with all that is in it elsewhere."""
-    rays = replace(frame.rays, origins=place(frame.rays.origins), directions=direction(frame.rays.directions))
-    pairs = replace(frame.pairs, points=place(frame.pairs.points))
-    return replace(frame, points=place(frame.points), origins=place(frame.origins), rays=rays, pairs=pairs)
 
 
 def at_distances(recorded: Recorded, seed: int, seen: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Recorded:
@@ -106,9 +99,7 @@ def swaying(recorded: Recorded, degrees: float, metres: float, over: float, told
     `told_where`: it stands in a room, and the truth with it; else its own frame is all that there is.
     """
     rng, count = np.random.default_rng(5), len(recorded.frames)
-    kernel = np.exp(-0.5 * (np.arange(-30, 31) / over) ** 2)
-    kernel /= np.linalg.norm(kernel)
-    sway = np.stack([np.convolve(rng.standard_normal(count + 60), kernel, "valid") for _ in range(6)], 1)
+    sway = np.stack([slow_noise(rng, count, over, reach=30) for _ in range(6)], 1)
     frame_of = np.argmin(np.abs(recorded.stamps[:, None] - [f.time_ns for f in recorded.frames]), 1)
     found, joints = [], recorded.joints.copy()
     for i, (f, (*turn, x, y, z)) in enumerate(zip(recorded.frames, sway)):
