@@ -63,6 +63,22 @@ def test_who_seems_to_go_backwards_is_looked_at_the_other_way_round_though_that_
     assert end is None and error(sim, found).mean() < 0.03
 
 
+def test_whose_joints_bend_the_wrong_way_is_looked_at_the_other_way_round_though_that_began_worse(tmp_path):
+    down = 0.5 - 0.5 * np.cos(np.arange(COUNT) / COUNT * 2 * np.pi)
+    knee, hip, arm = (np.outer(down, [0.0, angle, 0.0]) for angle in (1.4, -1.0, -1.4))
+    turns = {
+        f"{side}_{joint}": turn for side in "lr" for joint, turn in zip(("knee", "hip", "shoulder"), (knee, hip, arm))
+    }
+    sim, run = in_front(tmp_path / "log.mcap", BODY, turns, COUNT)
+    truth = Poses(sim.rotation, sim.translation)[0]
+    turned = turned_round(truth)
+    for cost, changes in ((1.3, True), (4.0, False)):
+        found, end = way(run, turned, truth, cost)
+        assert (end is not None) == changes and (error(sim, found).mean() < 0.03) == changes
+    found, end = way(run, truth, turned, 1.3)
+    assert end is None and error(sim, found).mean() < 0.03
+
+
 @pytest.mark.parametrize("rate", [10, 30])
 def test_going_ahead_is_counted_and_turning_is_not(rate):
     time = np.arange(0, 3, 1 / rate)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from voodoo_jax.beginning import Beginning
+from voodoo_jax.beginning import RIVAL, Beginning
 from voodoo_jax.body import Body
 from voodoo_jax.crossed_legs import uncrossed
 from voodoo_jax.passage import WRONG_WAY, Rows, bent, rows_of, there_and_back
@@ -21,11 +21,12 @@ GOES_AHEAD = 0.25  # logarithm of what costs are divided by where somebody goes 
 def likelier_way(run: Session, start: Beginning, forward: Rows) -> tuple[Rows, State | None]:
     """A passage that began with `start` and was tracked forwards, with what a pass back makes of it.
 
-    Where the start has a rival that costs hardly more, or the body goes backwards, the rival is tracked there and back
-    too, and what is in less doubt is kept; then the state comes with it that this ends in.
+    Where the start has a rival that costs hardly more, or the body goes backwards or bends its joints the wrong way,
+    the rival is tracked there and back too, and what is in less doubt is kept; then the state comes with it that this
+    ends in.
     """
     found = _whole(run, start.frame, forward)
-    if start.rival is None or (start.close_rival is None and _gone(run, start.frame, found) > -STEP):
+    if start.rival is None or not (start.close_rival is not None or _speaks_for(run, start, found)):
         return found, None
     count = len(forward["status"])
     end, step = run.forwards(start.rival.poses, start.frame, start.frame + count)
@@ -33,6 +34,18 @@ def likelier_way(run: Session, start: Beginning, forward: Rows) -> tuple[Rows, S
     # a few frames hardly tell front from back: all of them do
     doubt = [_doubt(run, start.frame, cost, rows) for cost, rows in ((start.cost, found), (start.rival.cost, other))]
     return (found, None) if doubt[0] <= doubt[1] else (other, end)
+
+
+def _speaks_for(run: Session, start: Beginning, rows: Rows) -> bool:
+    """Whether how a passage goes speaks for the start's rival, though that costs clearly more."""
+    assert start.rival is not None
+    bends = start.rival.cost < RIVAL * start.cost * _odds_of_bends(run, rows)
+    return bends or _gone(run, start.frame, rows) < -STEP
+
+
+def _odds_of_bends(run: Session, rows: Rows) -> float:
+    """How much likelier it is, by the joints that are bent the wrong way, that the body faces the other way."""
+    return float(np.exp(np.mean(bent(run, rows)) / WRONG_WAY))
 
 
 def _whole(run: Session, first: int, forward: Rows) -> Rows:
@@ -45,7 +58,7 @@ def _doubt(run: Session, first: int, trial: float, rows: Rows) -> float:
     the body goes: people walk backwards, but seldom."""
     gone = _gone(run, first, rows)
     likely = GOES_AHEAD * np.sign(gone) * np.clip((abs(gone) - STEP) / STRIDE, 0, 1)
-    return trial * float(np.mean(rows["cost"])) * float(np.exp(np.mean(bent(run, rows)) / WRONG_WAY - likely))
+    return trial * float(np.mean(rows["cost"])) * _odds_of_bends(run, rows) * float(np.exp(-likely))
 
 
 def _gone(run: Session, first: int, rows: Rows) -> float:
