@@ -12,7 +12,8 @@ from tqdm import tqdm
 
 from experiments.common import table, write
 from experiments.judged import HEAD, HONEST_HEAD, Verdict, cells, honest_cells, trials
-from experiments.people.takes import Take, takes, work
+from experiments.people.making import work
+from experiments.people.takes import Take, takes
 
 
 def row(name: str, found: list[tuple[Take, Verdict]]) -> list[str]:

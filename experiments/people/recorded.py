@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 
 from experiments.people.figure import BONES
+from experiments.people.pictures import JPEG, Rig
 from voodoo_jax.io.mcap_sim import depth_image, foxglove_log, put_camera, save_truth
 from voodoo_jax.simulate import FIXED_FRAME, Camera
 
@@ -24,6 +27,17 @@ def write(
                     put_camera(put, stamp, camera[i], FIXED_FRAME, f"{name}_optical", f"/{name}/camera_info")
             put("/depth/image", stamp, depth_image(cameras["depth"][0], "depth_optical", image))
             put("/colour/detections", stamp, _annotations(stamp, names))
+
+
+def write_pairs(path: Path, rig: Rig, time_ns: np.ndarray, pictures: list[list[np.ndarray]]) -> None:
+    """`pictures` of the left and the right camera in each frame; as JPEG."""
+    with path.open("wb") as stream, foxglove_log(stream) as put:
+        for stamp, pair in zip(time_ns.tolist(), pictures):
+            for side, camera, picture in zip(("left", "right"), rig.cameras(), pair):
+                frame = f"{side}_optical"
+                put_camera(put, stamp, camera, FIXED_FRAME, frame, f"/stereo/{side}/camera_info")
+                data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG])[1].tobytes()
+                put(f"/stereo/{side}/image", stamp, CompressedImage(frame_id=frame, data=data, format="jpeg"))
 
 
 def _annotations(stamp: int, names: Found) -> ImageAnnotations:

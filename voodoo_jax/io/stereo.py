@@ -87,7 +87,7 @@ def _problem(topics: dict[str, Topic], tree: TransformTree, pair: Pair) -> str:
 def make_rig(topics: dict[str, Topic], tree: TransformTree, pair: Pair, shape: tuple[int, int] | None):
     """The geometry of a pair for images of `shape` (rows, columns; None: as calibrated). Raises ValueError if the
     calibrations do not fit together."""
-    from voodoo_jax.stereo import posed_rig, projected_rig  # with OpenCV: only for logs with pairs
+    from voodoo_jax.rig import posed_rig, projected_rig  # with OpenCV: only for logs with pairs
 
     both = [calibration_of(topics, name) for name in (pair.left, pair.right)]
     for name, c in zip((pair.left, pair.right), both):
