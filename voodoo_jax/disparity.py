@@ -14,6 +14,7 @@ STEP = 1.5  # pixels of disparity between neighbours that make an edge
 AROUND = (4, 12, 30)  # pixels, within which another disparity is looked for beside edges
 OWN = 0.9  # of what a pixel's own disparity costs: what another one has to be below
 DARKEST, BRIGHTEST = 8, 247  # grey levels: beyond, a camera is at its limits
+SOME = 4  # of so many pixels each way one is asked how bright it is
 OUTLIER = 20.0  # grey levels, of 255, beyond which a difference says nothing
 AGREE = 1.5  # pixels of disparity by which both images' may differ
 STEPS = 4  # of Lucas and Kanade
@@ -39,7 +40,7 @@ def places(image: np.ndarray) -> Float32[np.ndarray, "2 row column"]:
 
 def brightness(left: Grey, right: Grey, raw: Pixels) -> tuple[float, float]:
     """Gain and offset that make the right camera's grey levels the left one's: exposures differ."""
-    v, u = places(raw)
+    left, (v, u), raw = left[::SOME, ::SOME], places(raw)[:, ::SOME, ::SOME], raw[::SOME, ::SOME]
     there = cv2.remap(right, u - raw, v, cv2.INTER_NEAREST)
     both = (raw > NOWHERE) & (np.minimum(left, there) > DARKEST) & (np.maximum(left, there) < BRIGHTEST)
     if both.sum() < 100:
@@ -72,18 +73,21 @@ def sharp(left: Pixels, right: Pixels, raw: Pixels) -> Pixels:
     return found
 
 
-def refined(left: Pixels, right: Pixels, raw: Pixels) -> Pixels:
-    """Lucas-Kanade steps: block matching prefers whole pixels, brightness differences do not; and smoothed surfaces."""
-    a, b = (cv2.GaussianBlur(image, (0, 0), 1.0) for image in (left, right))
-    slope = [cv2.Sobel(x, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8) for x in (a, b)]
-    v, u = places(raw)
-    around = lambda x: cv2.GaussianBlur(x, (0, 0), 3.0)  # noqa: E731
-    smooth = lambda d: cv2.bilateralFilter(d, 9, 1.0, 4.0)  # noqa: E731  mixes nothing across edges of over a pixel
-    d = smooth(raw)
+def refined(left: Pixels, right: Pixels, raw: Pixels, every: int) -> Float32[np.ndarray, "some_row some_column"]:
+    """Lucas-Kanade steps: block matching prefers whole pixels, brightness differences do not; and smoothed surfaces. Of
+    every so many-th row and column."""
+    images = [cv2.GaussianBlur(image, (0, 0), 1.0) for image in (left, right)]
+    slopes = [cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8) for image in images]
+    some = slice(None, None, every)
+    v, u, a, slope, d = (np.ascontiguousarray(x[some, some]) for x in (*places(raw), images[0], slopes[0], raw))
+    around = lambda x: cv2.GaussianBlur(x, (0, 0), 3.0 / every)  # noqa: E731
+    # mixes nothing across edges of over a pixel
+    smooth = lambda d: cv2.bilateralFilter(d, 2 * (4 // every) + 1, 1.0, 4.0 / every)  # noqa: E731
+    d = smooth(d)
     for _ in range(STEPS):
-        moved = cv2.remap(b, u - d, v, cv2.INTER_LINEAR)  # cubic ones pull to whole pixels
-        g = (slope[0] + cv2.remap(slope[1], u - d, v, cv2.INTER_LINEAR)) / 2
-        e = a - moved
+        # cubic interpolation would pull to whole pixels
+        moved, other = (cv2.remap(x, u - d, v, cv2.INTER_LINEAR) for x in (images[1], slopes[1]))
+        g, e = (slope + other) / 2, a - moved
         weight = g / (1 + (2 * e / OUTLIER) ** 2) ** 2  # what is hidden in one of the images differs
         # with the image's noise as damping: where there is no texture the step is small
         d = d - np.clip(around(weight * e) / (around(weight * g) + 1.0), -0.5, 0.5)

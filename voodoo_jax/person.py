@@ -33,7 +33,7 @@ LONG = 10  # frames: what was seen apart from the body so often is a thing of it
 SPEED = 3.0  # metres per second: so fast the body may be where it was not seen for a moment ...
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
-SURVEY = 15  # frames after which the whole room is looked at, not only what is near the body
+SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
 class PersonFinder:
@@ -51,7 +51,8 @@ class PersonFinder:
         self.body_width = body_width or 0.26 * body_height  # as a person's
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
-        self.unseen = self.frames = self.last_ns = 0
+        self.unseen = self.last_ns = 0
+        self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
         self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
@@ -78,10 +79,11 @@ class PersonFinder:
             middle = self._places(np.median(self.last, 0)[None])
             reach = s.reach * self.body_height / 1.75 + self._gone_by(frame)
             near = (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < reach**2
-            if self.frames % SURVEY == 0:
-                distant = points[keep & ~near]
+            if self._surveyed_ns is None:
+                self._surveyed_ns = frame.time_ns
+            if frame.time_ns - self._surveyed_ns >= SURVEY_NS:
+                distant, self._surveyed_ns = points[keep & ~near], frame.time_ns
             keep &= near
-        self.frames += 1
         index = np.flatnonzero(keep)
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
         # not where something else than the body was seen before

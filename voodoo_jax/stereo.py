@@ -55,15 +55,14 @@ class StereoMatcher:
             if mapping is not None:
                 grey = cv2.remap(grey, mapping[..., 0], mapping[..., 1], cv2.INTER_LINEAR)
             images.append(grey)
-        d = self._disparity(*images)
-        k = stride(d.shape[0], d.shape[1], max_points)
-        rows, columns = np.nonzero(d[::k, ::k] > 0)
-        rows, columns = rows * k, columns * k
+        k = stride(*self.shape, max_points)
+        d = self._disparity(images[0], images[1], k)
+        rows, columns = np.nonzero(d > 0)
         z = self.rig.focal * self.rig.baseline / d[rows, columns]
-        x, y = ((at - c) / self.rig.focal for at, c in zip((columns, rows), self.rig.centre))
+        x, y = ((at * k - c) / self.rig.focal for at, c in zip((columns, rows), self.rig.centre))
         return (np.column_stack([x, y, np.ones(len(z))]) * z[:, None]) @ self.rig.left_R_rectified.T
 
-    def _gaps(self, d: Float32[np.ndarray, "row column"]) -> Bool[np.ndarray, "row column"]:
+    def _gaps(self, d: Pixels, every: int) -> Bool[np.ndarray, "row column"]:
         """What lies, in either image, where the rectified image shows nothing."""
         inside = []
         for mapping in self.rig.maps:
@@ -72,12 +71,13 @@ class StereoMatcher:
                 full = cv2.remap(full, mapping[..., 0], mapping[..., 1], cv2.INTER_LINEAR)
             block = np.ones((_BLOCK * self.shrink, _BLOCK * self.shrink), np.uint8)
             inside.append(cv2.erode(full, block, borderType=cv2.BORDER_REPLICATE))
-        v, u = places(d)
+        v, u = places(d) * every
         there = cv2.remap(inside[1], u - d, v, cv2.INTER_LINEAR)
-        return (inside[0] < 0.99) | (np.asarray(there) < 0.99)
+        return (inside[0][::every, ::every] < 0.99) | (np.asarray(there) < 0.99)
 
-    def _disparity(self, left: Grey, right: Grey) -> Float32[np.ndarray, "row column"]:
-        """Pixels from the left to the right image, as if the principal points were the same; 0 where there is none."""
+    def _disparity(self, left: Grey, right: Grey, every: int) -> Float32[np.ndarray, "some_row some_column"]:
+        """Pixels from the left to the right image, as if the principal points were the same; 0 where there is none. Of
+        every so many-th row and column."""
         small = self._shrunk(left), self._shrunk(right)
         blocks = self._matched(*small), self._matched(mirror(small[1]), mirror(small[0]))
         a, b = (image.astype(np.float32) for image in (left, right))
@@ -87,9 +87,9 @@ class StereoMatcher:
         if self.shrink > 1:
             raw = np.where(raw > NOWHERE, raw * self.shrink, NOWHERE).astype(np.float32)
             raw = np.asarray(cv2.resize(raw, left.shape[::-1], interpolation=cv2.INTER_NEAREST))
-        d = refined(a, b, raw)
-        good = (raw > NOWHERE) & (np.abs(d - raw) <= FARTHEST * self.shrink)
-        good &= ~at_edges(raw, self.shrink) & ~self._gaps(d)
+        d, edge = refined(a, b, raw, every), at_edges(raw, self.shrink)[::every, ::every]
+        raw = raw[::every, ::every]
+        good = (raw > NOWHERE) & (np.abs(d - raw) <= FARTHEST * self.shrink) & ~edge & ~self._gaps(d, every)
         return np.where(good, np.maximum(d + self.rig.shift, 0), 0).astype(np.float32)
 
     def _shrunk(self, image: np.ndarray) -> np.ndarray:
