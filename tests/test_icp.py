@@ -21,7 +21,16 @@ from helpers import (
     two_limbs,
 )
 
-from voodoo_jax.icp import Problem, adjacency, frame_normals, icp_step, pulls_at, solve_and_measure, solve_frame
+from voodoo_jax.icp import (
+    Problem,
+    adjacency,
+    frame_normals,
+    icp_step,
+    pulls_of,
+    seen_at,
+    solve_and_measure,
+    solve_frame,
+)
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.correspond import Points, match
 from voodoo_jax.pose import Poses, apply
@@ -71,15 +80,16 @@ def test_what_is_measured_is_what_a_look_from_the_end_sees(solver):
         np.testing.assert_allclose(mine, theirs, atol=1e-5)
     assert seen.good and int(seen.steps) == int(found.steps) > 2
     here = Problem.build(body, points, start, icp_options(solver=solver, steady=0.0))
-    pulls = pulls_at(poses, here)
-    weight = pulls.measured[:, 0, 0]
+    sight = seen_at(poses, here)
+    pulls = pulls_of(sight, poses, here)
+    weight = sight.measured[:, 0, 0]
     np.testing.assert_allclose(seen.limb_weight, weight, rtol=1e-4)
-    np.testing.assert_allclose(seen.residual, np.sqrt(pulls.squares / np.sum(weight)), rtol=1e-3)
-    near = np.any(np.asarray((pulls.found.weight > 0) & (pulls.found.distance < 0.1)), 0)
+    np.testing.assert_allclose(seen.residual, np.sqrt(sight.squares / np.sum(weight)), rtol=1e-3)
+    near = np.any(np.asarray((sight.found.weight > 0) & (sight.found.distance < 0.1)), 0)
     assert 400 < int(seen.close) == near.sum() < 520
     wanted = frame_normals(poses, pulls, here.options.damping)[0]
     np.testing.assert_allclose(normals, wanted, atol=1e-3 * float(jnp.max(jnp.abs(wanted))))
-    held = pulls_at(poses, Problem.build(body, points, start, options))
+    held = pulls_of(sight, poses, Problem.build(body, points, start, options))
     assert float(jnp.max(jnp.abs(frame_normals(poses, held, options.damping)[0] - wanted))) > 1.0
 
 

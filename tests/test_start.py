@@ -227,8 +227,9 @@ def test_frames_without_points_do_not_count_in_trials(trials):
     np.testing.assert_array_equal(plain.state.poses.translation, padded.state.poses.translation)
 
 
-def test_trials_in_pieces_are_the_same(trials):
+def test_trials_in_pieces_are_the_same(trials, monkeypatch):
     """More trials than are tracked at once: 18 of 2 frames each, where 16 fit in, and three where 7 frames do."""
+    monkeypatch.setattr("voodoo_jax.start.FUNNEL", ((2, 4),))  # all that are given up have come equally far
     many = trials(3, 6, 18)
     for chunk, headings in ((128, 9), (7, 18)):
         other = trials(3, 6, headings, chunk)
@@ -245,7 +246,7 @@ def test_trials_that_are_given_up_are_not_the_best(trials, monkeypatch):
     """Who goes on comes out as if all did, the best among them, and one that faces the other way and is as good."""
     monkeypatch.setattr("voodoo_jax.start.STEPS", Settings().solve.max_steps)  # as without others to give up
     some = trials(5, 5, 12)
-    monkeypatch.setattr("voodoo_jax.start.KEPT", 12)
+    monkeypatch.setattr("voodoo_jax.start.FUNNEL", ((2, 12),))
     every = trials(5, 5, 12)
     kept = np.isfinite(some.cost)
     assert kept.sum() == 4 and np.isfinite(every.cost).all()

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
+from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -23,34 +24,31 @@ Cells = Int[np.ndarray, "cell 3"]
 class Box(NamedTuple):
     """A box of cells that are numbered through."""
 
-    low: Int[np.ndarray, "3"]
+    low: Int[np.ndarray, "3 1"]
     span: tuple[int, int, int]
+    steps: Int[np.ndarray, "3"]  # from a cell's number to that of the next one along each axis
 
     @classmethod
     def around(cls, cells: Cells, margin: int) -> "Box":
         """The box that holds some cells, and so many more on every side."""
-        low, high = cells.min(0), cells.max(0)
+        by_axis = cells.T
+        low, high = by_axis.min(1), by_axis.max(1)
         x, y, z = (high - low + (2 * margin + 1)).tolist()
-        return cls(low - margin, (x, y, z))
+        return cls((low - margin)[:, None], (x, y, z), np.array([y * z, z, 1]))
 
     @property
     def size(self) -> int:
         return self.span[0] * self.span[1] * self.span[2]
 
-    @property
-    def steps(self) -> Int[np.ndarray, "3"]:
-        """From a cell's number to that of the next one along each axis."""
-        return np.array([self.span[1] * self.span[2], self.span[2], 1])
-
     def numbers(self, cells: Cells) -> Int[np.ndarray, " cell"]:
-        x, y, z = cells.T - self.low[:, None]
-        return (x * self.span[1] + y) * self.span[2] + z
+        return self.steps @ (cells.T - self.low)
 
-    def inner(self, cells: Cells) -> Int[np.ndarray, "inner 3"]:
-        """Those of the cells that are in the box, and not at its sides."""
-        x, y, z = cells.T - self.low[:, None]
-        a, b, c = self.span
-        return cells[(x > 0) & (x < a - 1) & (y > 0) & (y < b - 1) & (z > 0) & (z < c - 1)]
+    def inner_numbers(self, cells: Cells) -> Int[np.ndarray, " inner"]:
+        """The numbers of those of the cells that are in the box, and not at its sides."""
+        place = cells.T - self.low
+        # what is below the lowest is above the highest, too, as a number without sign
+        inner = (place.view(np.uint64) - np.uint64(1) < (np.array(self.span) - 2)[:, None].astype(np.uint64)).all(0)
+        return (self.steps @ place)[inner]
 
 
 def cells_of(points: Float32[np.ndarray, "point 3"], size: float) -> Int[np.ndarray, "point 3"]:
@@ -77,7 +75,7 @@ def unique_cells(cells: Cells) -> tuple[Int[np.ndarray, "unique 3"], Int[np.ndar
         place = np.empty(len(taken), np.int64)  # of each cell among those found
         place[found] = np.arange(len(found))
         inverse = place[number]
-    return np.stack(np.unravel_index(found, box.span)).T + box.low, inverse
+    return (np.stack(np.unravel_index(found, box.span)) + box.low).T, inverse
 
 
 def touching(cells: Cells, others: Int[np.ndarray, "other 3"]) -> Bool[np.ndarray, " cell"]:
@@ -85,7 +83,7 @@ def touching(cells: Cells, others: Int[np.ndarray, "other 3"]) -> Bool[np.ndarra
     if not len(cells) or not len(others):
         return np.zeros(len(cells), bool)
     box = Box.around(cells, 2)
-    near, number = box.numbers(box.inner(others)), box.numbers(cells)
+    near, number = box.inner_numbers(others), box.numbers(cells)
     if box.size > MODERATE:
         return np.isin(number, np.unique(near)[:, None] + AROUND @ box.steps)
     taken, marked = np.zeros((2, box.size), bool)
@@ -98,9 +96,13 @@ def within(
     points: Float32[np.ndarray, "point 3"], others: Float32[np.ndarray, "other 3"], distance: float
 ) -> Bool[np.ndarray, " point"]:
     """Which points have one of the others nearer than `distance` metres."""
+    if not len(points) or not len(others):
+        return np.zeros(len(points), bool)
     # most are settled by cells: next to each other in small ones, or not even in large ones
     near = touching(cells_of(points, distance / 3.47), cells_of(others, distance / 3.47))
     open_ = np.flatnonzero(~near)
+    if not len(open_):
+        return near
     mine, theirs = cells_of(points[open_], distance), cells_of(others, distance)
     beside = touching(mine, theirs)
     open_ = open_[beside]
@@ -116,18 +118,21 @@ def within(
 def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.ndarray, " point"]:
     """Labels of connected things: points in touching cells of half of `link` metres belong together."""
     # the 26 cells around: a distance between half and the whole of `link`
-    cells, inverse = unique_cells(cells_of(points, link / 2))
+    cells = cells_of(points, link / 2)
+    box = Box.around(cells, 0)
+    if box.size <= MODERATE:
+        number = box.numbers(cells)
+        taken = np.zeros(box.size, bool)
+        taken[number] = True
+        label = np.zeros(box.span, np.int32)
+        ndimage.label(taken.reshape(box.span), np.ones((3, 3, 3), bool), output=label)
+        return label.ravel()[number] - 1
+    cells, inverse = unique_cells(cells)
     box = Box.around(cells, 1)
     number = box.numbers(cells)  # in order
     wanted = number[:, None] + LATER @ box.steps
-    if box.size > MODERATE:
-        place = np.minimum(np.searchsorted(number, wanted), len(number) - 1)
-        there = number[place] == wanted
-    else:
-        table = np.full(box.size, -1, np.int32)
-        table[number] = np.arange(len(number))
-        place = table[wanted]
-        there = place >= 0
+    place = np.minimum(np.searchsorted(number, wanted), len(number) - 1)
+    there = number[place] == wanted
     ends = np.concatenate([[0], np.cumsum(there.sum(1))])
     graph = csr_array((np.ones(ends[-1]), place[there], ends), shape=(len(number),) * 2)
     return connected_components(graph, directed=False)[1][inverse]

@@ -98,7 +98,7 @@ def _force(link: Links, pair: Poses, strength: Float[Array, "2"], solver: str) -
     one = jax.tree.map(lambda x: x[None], link._replace(first=jnp.array(0), second=jnp.array(1)))
     if solver == "coupled":
         # the normal matrix is not used: the compiler drops it
-        unused = jnp.zeros((2, 2, 6, 6), strength.dtype)
+        unused = jnp.zeros((2, 6, 2, 6), strength.dtype)
         return add_links(one, pair, strength, unused, jnp.zeros((2, 6), strength.dtype))[1]
     return jax.vmap(pair_normals)(link_moments(one, pair, strength), jnp.zeros((2, 3, 3), strength.dtype))[1]
 

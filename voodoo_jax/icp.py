@@ -85,8 +85,8 @@ def adjacency(topology: Topology) -> Bool[Array, "limb limb"]:
     return near.at[parents, children].set(True).at[children, parents].set(True)
 
 
-class Pulls(NamedTuple):
-    """All that pulls at the limbs in a pose, each limb's in its own frame."""
+class Seen(NamedTuple):
+    """What was measured, as seen from a pose; sums in each limb's own frame."""
 
     info: StepInfo
     found: Match
@@ -94,6 +94,12 @@ class Pulls(NamedTuple):
     measured: Float[Array, "limb 4 4"]  # sums over points of kernels.procrustes
     second: Float[Array, "limb 3 3"] | None  # None: not asked for
     named: FeatureSums | None
+
+
+class Pulls(NamedTuple):
+    """All that pulls at the limbs in a pose, each limb's in its own frame."""
+
+    seen: Seen
     prior: Float[Array, "limb 4 4"]
     prior_second: Float[Array, "limb 3 3"]
     links: tuple[Links, ...]
@@ -134,9 +140,9 @@ def total_weight(problem: Problem, doubt: Float[Array, ""] | float = 1.0) -> Flo
     return jnp.maximum(total, 1e-6)
 
 
-def pulls_at(poses: Poses, problem: Problem, with_second: bool = True) -> Pulls:
-    """Measurements, bands and prediction as sums, set up in each limb's frame: a solve is for a small motion near the
-    origin, and float32 keeps its digits wherever the person stands (pitfall P28).
+def seen_at(poses: Poses, problem: Problem, with_second: bool = True) -> Seen:
+    """Measurements as sums, set up in each limb's frame: a solve is for a small motion near the origin, and float32
+    keeps its digits wherever the person stands (pitfall P28).
 
     `with_second`: second moments too, which only the coupled solver needs."""
     body, options = problem.body, problem.options
@@ -147,24 +153,29 @@ def pulls_at(poses: Poses, problem: Problem, with_second: bool = True) -> Pulls:
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features)
         limb_weight, squares = limb_weight + named.weight, squares + named.squares
+    quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
+    return Seen(StepInfo(quality, limb_weight), found, of_points, measured, second, named)
 
+
+def pulls_of(seen: Seen, poses: Poses, problem: Problem) -> Pulls:
+    """Measurements that were seen from these poses, with bands and prediction."""
+    body, options, limb_weight = problem.body, problem.options, seen.info.limb_weight
     strength = options.ratio * jnp.maximum(limb_weight, options.floor * total_weight(problem))
     pull, pull_second = pull_to_prediction(poses, problem, limb_weight)
     links = (problem.bands, *corrections(body, poses, options.plausible))
-    quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
-    info = StepInfo(quality, limb_weight)
-    return Pulls(info, found, of_points, measured, second, named, pull, pull_second, links, strength)
+    return Pulls(seen, pull, pull_second, links, strength)
 
 
 def frame_normals(
     poses: Poses, pulls: Pulls, damping: Float[Array, ""]
 ) -> tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]:
     """Normal matrix and right-hand side of all limbs' twists in a frame (see kernels.coupled)."""
-    assert pulls.second is not None  # see pulls_at
-    normals, rhs = jax.vmap(pair_normals)(pulls.measured + pulls.prior, pulls.second + pulls.prior_second)
-    if pulls.named is not None:
+    seen = pulls.seen
+    assert seen.second is not None  # see seen_at
+    normals, rhs = jax.vmap(pair_normals)(seen.measured + pulls.prior, seen.second + pulls.prior_second)
+    if seen.named is not None:
         # the features' own normals: their moments hold motion along a line of sight too
-        normals, rhs = normals + pulls.named.normals, rhs + pulls.named.rhs
+        normals, rhs = normals + seen.named.normals, rhs + seen.named.rhs
     return coupled_normals(pulls.links, poses, normals, rhs, pulls.strength, damping)
 
 
@@ -172,19 +183,19 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     """One ICP step: new poses of all limbs, and what was seen on entry."""
     poses = Poses(quat_normalize(poses.rotation), poses.translation)
     coupled = problem.options.solver == "coupled"
-    pulls = pulls_at(poses, problem, with_second=coupled)
+    pulls = pulls_of(seen_at(poses, problem, with_second=coupled), poses, problem)
     if coupled:
         motion = coupled_step(*frame_normals(poses, pulls, problem.options.damping))
     else:
         motion = _limb_by_limb(poses, pulls)
-    return _moved(poses, motion), pulls.info
+    return _moved(poses, motion), pulls.seen.info
 
 
 def _limb_by_limb(poses: Poses, pulls: Pulls) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
     """Motions of all limbs, each in its own frame: one weighted absolute orientation per limb."""
     held = sum(link_moments(some, poses, pulls.strength) for some in pulls.links)
-    features = 0.0 if pulls.named is None else pulls.named.moments
-    solved = jax.vmap(align)(pulls.measured + features + held + pulls.prior)
+    features = 0.0 if pulls.seen.named is None else pulls.seen.named.moments
+    solved = jax.vmap(align)(pulls.seen.measured + features + held + pulls.prior)
     return solved.rotation, solved.translation
 
 
@@ -197,24 +208,27 @@ class Loop(NamedTuple):
     """How far the loop of a frame has come."""
 
     poses: Poses
-    quality: Float[Array, ""]  # before the last step, square metres
-    previous: Float[Array, ""]  # before the one before
+    quality: Float[Array, ""]  # where the last step began, square metres
     moved: Float[Array, ""]  # by the limb that the last step moved farthest, square metres
     steps: Int[Array, ""]
+    rest: Bool[Array, ""]  # another step would find nothing better: the poses are those to stay in
 
     @classmethod
     def begun(cls, start: Poses) -> "Loop":
         huge = jnp.array(jnp.inf, start.translation.dtype)
-        return cls(start, huge, huge, huge, jnp.array(0, jnp.int32))
+        return cls(start, huge, huge, jnp.array(0, jnp.int32), jnp.array(False))
 
-    def after(self, poses: Poses, quality: Float[Array, ""]) -> "Loop":
-        """One step further."""
+    def after(self, poses: Poses, quality: Float[Array, ""], rest: Bool[Array, ""]) -> "Loop":
+        """One step further, to `poses`, or where it is, if that is to stay in."""
         moved = jnp.max(jnp.sum((poses.translation - self.poses.translation) ** 2, -1))
-        return Loop(poses, quality, self.quality, moved, self.steps + 1)
+        poses = jax.tree.map(lambda old, new: jnp.where(rest, old, new), self.poses, poses)
+        return Loop(poses, quality, moved, self.steps + ~rest, rest)
 
-    def at_rest(self, options: IcpOptions, patient: Bool[Array, ""] | bool) -> Bool[Array, ""]:
-        """Whether going on would find nothing better, see solve_frame."""
-        fallen = self.previous - self.quality
+    def at_rest(
+        self, quality: Float[Array, ""], options: IcpOptions, patient: Bool[Array, ""] | bool
+    ) -> Bool[Array, ""]:
+        """Whether the poses, of this `quality`, are those to stay in: see solve_frame."""
+        fallen = self.quality - quality
         still = jnp.abs(fallen) < options.epsilon
         # pairs that nobody measured may make the measure rise
         extra = options.plausible.limits is not None or options.plausible.collisions is not None
@@ -222,9 +236,6 @@ class Loop(NamedTuple):
             return still
         aimless = (fallen < 0) & (options.epsilon > 0) & (self.moved < MOVED**2) & jnp.logical_not(patient)
         return still | aimless
-
-    def over(self, options: IcpOptions, patient: Bool[Array, ""] | bool) -> Bool[Array, ""]:
-        return (self.steps >= options.max_steps) | ((self.steps >= 2) & self.at_rest(options, patient))
 
 
 def solve_frame(
@@ -245,12 +256,14 @@ def solve_frame(
     bounds its steps at compile time.
     """
 
+    options = problem.options
+
     def unfinished(state):
-        return ~state.over(problem.options, patient)
+        return ~state.rest & (state.steps < options.max_steps)
 
     def body(state):
         poses, info = icp_step(state.poses, problem)
-        return state.after(poses, info.quality)
+        return state.after(poses, info.quality, state.at_rest(info.quality, options, patient))
 
     state = Loop.begun(start)
     if kind == "lax":
@@ -262,7 +275,7 @@ def solve_frame(
         step = lambda state, _: (jax.lax.cond(unfinished(state), body, lambda state: state, state), None)  # noqa: E731
         once_more = jax.checkpoint(step, prevent_cse=False, policy=keep)
         state = jax.lax.scan(once_more, state, length=capacity)[0]
-    return FrameResult(state.poses, state.steps, state.at_rest(problem.options, patient))
+    return FrameResult(state.poses, state.steps, state.rest)
 
 
 class Measured(NamedTuple):
@@ -293,30 +306,32 @@ def solve_and_measure(
 
     def turn(state):
         loop, *_ = state
-        last, found = loop.over(options, patient), loop.poses
-        good = anything & jnp.all(jnp.isfinite(found.rotation)) & jnp.all(jnp.isfinite(found.translation))
-        poses = jax.tree.map(lambda new, old: jnp.where(last & ~good, old, new), found, start)
+        good = anything & jnp.all(jnp.isfinite(loop.poses.rotation)) & jnp.all(jnp.isfinite(loop.poses.translation))
+        poses = jax.tree.map(lambda new, old: jnp.where(good, new, old), loop.poses, start)
         poses = Poses(quat_normalize(poses.rotation), poses.translation)
+        seen = seen_at(poses, problem, with_second=coupled)
+        rest = loop.at_rest(seen.info.quality, options, patient)
+        last = rest | ~good | (loop.steps >= options.max_steps)
         here = eqx.tree_at(lambda p: p.options.steady, problem, jnp.where(last, 0.0, options.steady))
-        pulls = pulls_at(poses, here, with_second=coupled)
+        pulls = pulls_of(seen, poses, here)
         system = frame_normals(poses, pulls, options.damping) if coupled else None
         normals = none if system is None else system[0]
 
         def move():
             motion = _limb_by_limb(poses, pulls) if system is None else coupled_step(*system)
-            return loop.after(_moved(poses, motion), pulls.info.quality), unseen, normals
+            return loop.after(_moved(poses, motion), seen.info.quality, jnp.array(False)), unseen, normals
 
         def measure():
-            weight, off = pulls.measured[:, 0, 0], jnp.zeros_like(unseen.residual)
-            if pulls.named is not None:
-                off = jnp.sqrt(pulls.named.squares / jnp.maximum(jnp.sum(pulls.named.weight), 1e-6))
-            residual = jnp.sqrt(pulls.squares / jnp.maximum(jnp.sum(weight), 1e-6))
-            close = jnp.sum(pulls.found.close(CLOSE))
-            seen = Measured(good, residual, close, off, weight, loop.steps)
+            weight, off = seen.measured[:, 0, 0], jnp.zeros_like(unseen.residual)
+            if seen.named is not None:
+                off = jnp.sqrt(seen.named.squares / jnp.maximum(jnp.sum(seen.named.weight), 1e-6))
+            residual = jnp.sqrt(seen.squares / jnp.maximum(jnp.sum(weight), 1e-6))
+            close = jnp.sum(seen.found.close(CLOSE))
+            found = Measured(good, residual, close, off, weight, loop.steps)
             if system is not None:
-                return loop._replace(poses=poses), seen, normals
-            whole = pulls._replace(second=sums(pulls.found).second)
-            return loop._replace(poses=poses), seen, frame_normals(poses, whole, options.damping)[0]
+                return loop._replace(poses=poses), found, normals
+            whole = pulls._replace(seen=seen._replace(second=sums(seen.found).second))
+            return loop._replace(poses=poses), found, frame_normals(poses, whole, options.damping)[0]
 
         return *jax.lax.cond(last, measure, move), last
 
@@ -324,5 +339,5 @@ def solve_and_measure(
     none = jnp.zeros((6 * len(weight), 6 * len(weight)), weight.dtype)
     unseen = Measured(jnp.array(False), zero, jnp.array(0), zero, weight, jnp.array(0, jnp.int32))
     begun = Loop.begun(start), unseen, none, jnp.array(False)
-    loop, seen, normals, _ = jax.lax.while_loop(lambda state: ~state[3], turn, begun)
-    return loop.poses, seen, normals
+    loop, found, normals, _ = jax.lax.while_loop(lambda state: ~state[3], turn, begun)
+    return loop.poses, found, normals

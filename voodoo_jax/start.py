@@ -16,8 +16,8 @@ from voodoo_jax.scene import Plane
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.tracking import State, Step, at_rest, cost_of
 
-FIRST, KEPT = 2, 4  # frames that are tracked from every start, and how many of the starts go on
-STEPS = 15  # most steps of a frame that is tracked from every start
+FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
+STEPS = 15  # most steps of a frame until then
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
 
@@ -138,20 +138,28 @@ def run_trials(body: Body, starts: Poses, seen: Bool[np.ndarray, " frame"], trac
     """Tracks the first frames from every start pose (leading axis: trial); those without points (not `seen`) do not
     count.
 
-    The first FIRST frames from all of them, the others from the KEPT best, those that face the other way from the best
-    among them; what the rest would cost nobody knows (infinite).
+    The first frame from all of them, the others from fewer and fewer, the best of both ways to face (see FUNNEL); what
+    the rest would cost nobody knows (infinite).
     """
     many, frames = len(starts.translation), np.flatnonzero(seen)
     state, cost, alive = at_rest(on_host(starts)), np.zeros(many), np.arange(many)
-    if len(seen) > FIRST and many > KEPT:
+
+    def go_on(chosen: Int[np.ndarray, " frame"], most: int | None) -> None:
+        nonlocal state
+        after, steps = tracked(jax.tree.map(lambda x: x[alive], state), chosen, most)
+        cost[alive] += np.sum(cost_of(steps), 1)
+        state = jax.tree.map(lambda x, new: _with(x, alive, new), state, after)
+
+    done, (last, fewest) = 0, FUNNEL[-1]
+    for until, kept in FUNNEL if len(seen) > last and many > fewest else ():
         # where a start is wrong, a frame takes all steps and is none the better
-        state, steps = tracked(state, frames[frames < FIRST], STEPS)
-        cost, frames = np.sum(cost_of(steps), 1), frames[frames >= FIRST]
-        alive = _promising(body, np.asarray(state.poses.rotation), cost)
-    after, steps = tracked(jax.tree.map(lambda x: x[alive], state), frames, None)
+        go_on(frames[(frames >= done) & (frames < until)], STEPS)
+        alive = alive[_promising(body, np.asarray(state.poses.rotation)[alive], cost[alive], kept)]
+        done = until
+    go_on(frames[frames >= done], None)
     whole = np.full(many, np.inf)
-    whole[alive] = cost[alive] + np.sum(cost_of(steps), 1)
-    return Trial(jax.tree.map(lambda x, new: _with(x, alive, new), state, after), whole / max(int(np.sum(seen)), 1))
+    whole[alive] = cost[alive]
+    return Trial(state, whole / max(int(np.sum(seen)), 1))
 
 
 def in_pieces(tracked: Callable[[State], tuple[State, Step]], states: State, most: int) -> tuple[State, Step]:
@@ -167,14 +175,14 @@ def _with(whole: np.ndarray, at: Int[np.ndarray, " some"], some: np.ndarray) -> 
 
 
 def _promising(
-    body: Body, rotation: Float[np.ndarray, "trial limb 4"], cost: Float[np.ndarray, " trial"]
+    body: Body, rotation: Float[np.ndarray, "trial limb 4"], cost: Float[np.ndarray, " trial"], kept: int
 ) -> Int[np.ndarray, " kept"]:
-    """The trials to go on with: those that cost least, the first half of them evenly from both ways to face."""
+    """So many trials to go on with: those that cost least, the first half of them evenly from both ways to face."""
     front = facing(on_host(body), rotation)
     turned = front @ front[np.argmin(cost)] < 0
     better = (cost[None] < cost[:, None]) & (turned[None] == turned[:, None])
-    late = np.sum(better, 1) >= KEPT // 2
-    return np.lexsort((cost, late))[:KEPT]
+    late = np.sum(better, 1) >= kept // 2
+    return np.lexsort((cost, late))[:kept]
 
 
 def facing(body: Body, rotation: Float[AnyArray, "*frame limb 4"]) -> Float[Any, "*frame 3"]:

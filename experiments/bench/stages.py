@@ -2,7 +2,8 @@
 
 Stages of a step are nested, each program does what the one before does and more; the difference is the stage. Programs
 run in turns on one core (where the system lets choose). Scaling: frames per second against points, steps, limbs and
-streams at once, one thing changed at a time from 1,000 points, 6 steps, 10 limbs, 1 stream.
+streams at once, and with weights of points that differ, one thing changed at a time from 1,000 points, 6 steps, 10
+limbs, 1 stream, equal weights.
 """
 
 import json
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import tyro
 
 from experiments.bench.peers import library
@@ -108,16 +110,26 @@ def replay_times(log: Path) -> dict[str, float]:
     return found
 
 
+USUAL = {"points": 1000, "steps": STEPS, "limbs": 10, "streams": 1, "weights": 1}
+VALUES = {
+    "points": (500, 1000, 2000, 4000), "steps": (1, 3, 6, 12), "limbs": (5, 10, 20), "streams": (1, 4, 16, 32),
+    "weights": (1, 10, 1000),
+}  # fmt: skip
+
+
 def scaling(work: Work, turns: int) -> list[list[str]]:
     """Rows: what is changed, its value, frames per second (best), seconds to compile."""
-    values = {"points": tuple(work.points), "steps": (1, 3, 12), "limbs": (5, 20), "streams": (4, 16, 32)}
-    usual = {"points": 1000, "steps": STEPS, "limbs": 10, "streams": 1}
-    rows = []
-    for what, value in [(what, value) for what, some in values.items() for value in some]:
-        case = usual | {what: value}
+    rows, known = [], {}
+    for what, value in [(what, value) for what, some in VALUES.items() for value in some]:
+        case = USUAL | {what: value}
+        if tuple(case.values()) in known:
+            rows.append([what, f"{value}", *known[tuple(case.values())]])
+            continue
         given = with_limbs(work, case["limbs"])
         begin = time.perf_counter()
-        run = library.build(given, case["points"], streams=case["streams"], steps=case["steps"])
+        run = library.build(
+            given, case["points"], streams=case["streams"], steps=case["steps"], spread=float(case["weights"])
+        )
         run()
         first, best = time.perf_counter() - begin, float("inf")
         for _ in range(turns):
@@ -125,14 +137,42 @@ def scaling(work: Work, turns: int) -> list[list[str]]:
             run()
             best = min(best, time.perf_counter() - begin)
         frames = len(work.frames(case["points"])) * case["streams"]
-        rows.append([what, f"{value}", f"{frames / best:.0f}", f"{first - best:.1f}"])
+        known[tuple(case.values())] = f"{frames / best:.0f}", f"{first - best:.1f}"
+        rows.append([what, f"{value}", *known[tuple(case.values())]])
     return rows
+
+
+TITLES = {
+    "points": "points of a frame", "steps": "steps of a frame", "limbs": "limbs",
+    "streams": "recordings at once", "weights": "the heaviest points weigh so many times the lightest",
+}  # fmt: skip
+
+
+def plot(rows: list[list[str]], where: Path, title: str) -> None:
+    """What a round of frames costs, one frame of each recording, over what is changed; dashed: in proportion to it."""
+    figure, axes = plt.subplots(1, len(VALUES), figsize=(15, 3.4), layout="constrained", sharey=True)
+    for axis, (what, label) in zip(axes, TITLES.items()):
+        mine = [(float(value), float(fps)) for name, value, fps, _ in rows if name == what]
+        x = [value for value, _ in mine]
+        cost = [1e6 / fps * (value if what == "streams" else 1) for value, fps in mine]
+        axis.plot(x, cost, "o-")
+        if what != "weights":
+            axis.plot(x, [cost[0] * value / x[0] for value in x], "--", color="grey", label="in proportion")
+        axis.set(xscale="log", yscale="log", xlabel=label)
+        axis.set_xticks(x, [f"{value:g}" for value in x])
+        axis.minorticks_off()
+        axis.grid(True, alpha=0.3)
+    axes[0].set_ylabel("microseconds a round")
+    axes[0].legend(fontsize=8)
+    figure.suptitle(title, fontsize=9)
+    figure.savefig(where, dpi=100)
+    plt.close(figure)
 
 
 def main(
     work: tyro.conf.Positional[Path | None] = None, turns: int = 15, out: Path = Path(__file__).parent / "out"
 ) -> None:
-    """Prints tables and writes stages.md and stages.json.
+    """Prints tables and writes stages.md, stages.json and scaling.png.
 
     Args:
         work: arrays of the work; none: made from the demo recording.
@@ -155,6 +195,8 @@ def main(
     ]  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     write(out, "stages", "\n\n".join(parts))
+    one_core = f"one core of {info['cpu']}, limb by limb; else 1,000 points, 6 steps, 10 limbs, 1 recording"
+    plot(rows, out / "scaling.png", f"What a round costs, one frame of each recording ({one_core})")
     result = {"machine": info, "stages": stages, "replay": replay, "scaling": rows}
     (out / "stages.json").write_text(json.dumps(result, indent=1) + "\n")
 

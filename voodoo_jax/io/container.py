@@ -19,6 +19,7 @@ from mcap.summary import Summary
 
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSIONS = ("", "lz4", "zstd")
+KEPT = 48 << 20  # bytes of unpacked chunks that stay in memory for the next pass
 # What mcap 1.6 and its decompressors raise on bad bytes (lz4: RuntimeError; lengths over 2^63: OverflowError).
 READ_ERRORS = (
     McapError,
@@ -59,6 +60,8 @@ class LogFile:
         self.counts: Counter[int] = Counter()
         self.damage: list[str] = []
         self._trouble = ""  # why the index is not used, if that is a sign of damage
+        self._kept: dict[int, list] = {}  # records of the chunk at each place in the file
+        self._room = KEPT
         with open(self.path, "rb") as stream:
             self._summary = self._read_summary(stream)
 
@@ -135,11 +138,19 @@ class LogFile:
             offsets = index.message_index_offsets
             if offsets and ids.isdisjoint(offsets):
                 continue
-            stream.seek(index.chunk_start_offset + 9)
-            try:
-                yield _chunk_records(stream.read(max(min(index.chunk_length - 9, self.size), 0)))
-            except READ_ERRORS as error:
-                bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
+            records = self._kept.get(index.chunk_start_offset)
+            if records is None:
+                stream.seek(index.chunk_start_offset + 9)
+                try:
+                    records = _chunk_records(stream.read(max(min(index.chunk_length - 9, self.size), 0)))
+                except READ_ERRORS as error:
+                    bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
+                    continue
+                size = sum(len(record.data) for record in records if isinstance(record, Message))
+                if size <= self._room:
+                    self._room -= size
+                    self._kept[index.chunk_start_offset] = records
+            yield records
         self._note_chunks(bad, len(summary.chunk_indexes))
 
     def _linear(self, stream: BinaryIO) -> Iterator[list]:

@@ -167,7 +167,7 @@ class LogReader:
         weights = np.array([said.weight(name) for name in self.sensors], np.float32)
         return Frame(
             time_ns=time_ns,
-            points=np.concatenate([np.zeros((0, 3), np.float32), *(m.points.astype(np.float32) for _, m in parts)]),
+            points=np.concatenate([np.zeros((0, 3), np.float32), *(m.points for _, m in parts)], dtype=np.float32),
             sensor=sensor,
             origins=origins.astype(np.float32),
             rays=self._whole.rays.get(i, Rays()),
@@ -197,7 +197,10 @@ class LogReader:
             rays, square = self._directions(topic, content, k, rotation)
             with np.errstate(invalid="ignore", over="ignore"):
                 keep = np.flatnonzero(self._in_range(square * (z * z)) & (z > 0))
-            points = (rays[:, keep] * z[keep] + translation[:, None].astype(np.float32)).T
+            depth, points = z[keep], np.empty((len(keep), 3), np.float32)
+            for axis, place in enumerate(translation.astype(np.float32)):
+                # one by one: all three at once take three times as long
+                np.add(np.take(rays[axis], keep) * depth, place, out=points[:, axis])
         else:
             points = content.points(s.max_points)
             if field := self._plan_parts.field(topic):

@@ -109,13 +109,12 @@ def match_assigned(
     order = jnp.arange(sizes.shape[0])[:, None]
     # points of no limb take the last one's row, with weight zero
     row = order == jnp.minimum(limb, sizes.shape[0] - 1)
-    rows = jnp.concatenate([poses.rotation, poses.translation, sizes], -1)
-    if options.near_side:
-        rows = jnp.concatenate([rows, *_sensors(poses, points)], -1)
-    # each point's row of the table by one product: much faster than a gather
-    mine = jnp.matmul(rows.T, row.astype(x.dtype), precision="highest")
+    columns = [poses.rotation, poses.translation, sizes, *(_sensors(poses, points) if options.near_side else ())]
+    table = jnp.concatenate([some.T for some in columns])
+    # each point's column of the table by one product: much faster than a gather
+    mine = jnp.matmul(table, row.astype(x.dtype), precision="highest")
     # split, not indexed: the derivative is one concatenation then, instead of a sum of padded arrays
-    mine = cut(*(part[0] for part in jax.lax.split(mine, (1,) * rows.shape[1])))
+    mine = cut(*(part[0] for part in jax.lax.split(mine, (1,) * len(table))))
     px, py, pz = cut(*into_limb(mine[:4], mine[4:7], x, y, z))
     size = mine[7:12]
     surface = closest_point(size, px, py, pz, options.refine, options.caps, cut=cut)

@@ -90,11 +90,11 @@ def linked(links: Links, poses: Poses, strength: Float[Array, " limb"]) -> Linke
 
 
 def add_links(links: Links, poses: Poses, strength, h, g):
-    """Adds linked pairs to the normal matrix [limb, limb, 6, 6] and right-hand side [limb, 6]."""
+    """Adds linked pairs to the normal matrix [limb, 6, limb, 6] and right-hand side [limb, 6]."""
     one, two, found = links.first, links.second, linked(links, poses, strength)
     rows, columns = jnp.concatenate([one, two, one, two]), jnp.concatenate([one, two, two, one])
     blocks = jnp.concatenate([found.first, found.second, found.between, jnp.swapaxes(found.between, 1, 2)])
-    h = h.at[rows, columns].add(blocks)
+    h = h.at[rows, :, columns].add(blocks)
     return h, g.at[rows[: 2 * len(one)]].add(jnp.concatenate([found.first_rhs, found.second_rhs]))
 
 
@@ -113,12 +113,13 @@ def coupled_normals(
     """
     count = normals.shape[0]
     limbs = jnp.arange(count)
-    h = jnp.zeros((count, count, 6, 6), normals.dtype).at[limbs, limbs].add(normals)
+    # each block where it lies in the whole matrix: to put it there later takes as long as all the sums
+    h = jnp.zeros((count, 6, count, 6), normals.dtype).at[limbs, :, limbs].add(normals)
     g = rhs
     for some in links:
         h, g = add_links(some, poses, strength, h, g)
-    full = h.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count)
-    own = jax.vmap(lambda k: jnp.trace(h[k, k]) / 6)(limbs)
+    full = h.reshape(6 * count, 6 * count)
+    own = jnp.sum(jnp.diagonal(full).reshape(count, 6), 1) / 6
     return full + jnp.diag(jnp.repeat(damping * own + 1e-9, 6)), g
 
 
@@ -129,7 +130,8 @@ def coupled_step(
 
     **Arguments:** see coupled_normals.
     """
-    factor = checkpoint_name(cho_factor(jax.lax.stop_gradient(full), lower=True)[0], "factor"), True
+    # transposed, which it equals: LAPACK goes by columns, and nothing need be copied
+    factor = checkpoint_name(cho_factor(jax.lax.stop_gradient(full).T, lower=True)[0], "factor"), True
     # so that the derivative is one more solve with the same factor, and that of the factor is not needed
     twist = jax.lax.custom_linear_solve(
         lambda x: full @ x, rhs.reshape(-1), lambda _, b: cho_solve(factor, b), symmetric=True

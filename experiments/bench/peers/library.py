@@ -56,10 +56,20 @@ def links_of(work: Work) -> Links:
     return Links(first, second, one, two, jnp.asarray(work.band_weight, jnp.float32))
 
 
-def track(body: Body, links: Links, icp: IcpOptions, start: Poses, frames: jax.Array, steps: int = STEPS) -> Poses:
-    """All frames [frame, 3, point] of one stream; poses after the last."""
+def track(
+    body: Body,
+    links: Links,
+    icp: IcpOptions,
+    start: Poses,
+    frames: jax.Array,
+    steps: int = STEPS,
+    weight: jax.Array | None = None,
+) -> Poses:
+    """All frames [frame, 3, point] of one stream, their points weighed alike or by `weight` [point]; poses after the
+    last."""
     points = frames.shape[-1]
-    rest = jnp.ones(points), jnp.zeros(points, jnp.int32), jnp.zeros((1, 3))
+    weight = jnp.ones(points) if weight is None else weight
+    rest = weight, jnp.zeros(points, jnp.int32), jnp.zeros((1, 3))
 
     def one(poses, frame):
         problem = Problem(body, links, Points(frame.T, *rest), None, poses, icp)
@@ -70,12 +80,14 @@ def track(body: Body, links: Links, icp: IcpOptions, start: Poses, frames: jax.A
 
 
 def build(
-    work: Work, points: int, solver: Solver = "per_limb", streams: int = 1, steps: int = STEPS
+    work: Work, points: int, solver: Solver = "per_limb", streams: int = 1, steps: int = STEPS, spread: float = 1.0
 ) -> Callable[[], Pose]:
-    """All frames of `streams` streams at once; poses of the first stream after the last frame."""
+    """All frames of `streams` streams at once; poses of the first stream after the last frame. `spread`: times the
+    lightest points' weight, that of the heaviest."""
     body, links, icp, start = body_of(work), links_of(work), options(solver, points), start_of(work)
     frames = jnp.asarray(work.frames(points))
-    one = partial(track, steps=steps)
+    weight = spread ** jax.random.uniform(jax.random.key(0), (points,))
+    one = partial(track, steps=steps, weight=None if spread == 1 else weight)
     if streams > 1:
         start = jax.tree.map(lambda x: jnp.repeat(x[None], streams, 0), start)
         frames = jnp.repeat(frames[None], streams, 0)
