@@ -13,6 +13,7 @@ def way(request, monkeypatch):
     """Both ways to look up cells."""
     if request.param == "sorted":
         monkeypatch.setattr(cells, "MODERATE", 0)
+        monkeypatch.setattr(cells, "LARGE", 0)
 
 
 def cloud(rng, count: int, spread: float = 1.0) -> np.ndarray:
@@ -47,6 +48,7 @@ def test_components_are_the_same_both_ways(rng, monkeypatch):
     points = cloud(rng, 400, 2.0)
     label = components(points, 0.4)
     monkeypatch.setattr(cells, "MODERATE", 0)
+    monkeypatch.setattr(cells, "LARGE", 0)
     np.testing.assert_array_equal(components(points, 0.4), label)
     assert 10 < label.max() < 390
 

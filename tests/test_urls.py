@@ -79,6 +79,27 @@ def test_paths_pass_through(tmp_path):
     assert joined("s3://b/c/", "d") == "s3://b/c/d" and Path(joined("b", "d")) == Path("b/d")
 
 
+def test_a_folder_stands_for_the_logs_in_it(tmp_path, capsys):
+    """And in the folders below, as ROS 2 has them; what was written there, and hidden files, are no logs."""
+    logs, bag = tmp_path / "logs", tmp_path / "logs" / "bag"
+    bag.mkdir(parents=True)
+    for path in (logs / "b.mcap", logs / "a.mcap", bag / "bag_0.mcap"):
+        small_log(path, 8, 0)
+    for path in (logs / "a.voodoo.mcap", logs / ".c.mcap", logs / "notes.txt", bag / "metadata.yaml"):
+        path.write_text("no log")
+    (logs / "d.mcap").mkdir()
+    names = [str(logs / "a.mcap"), str(logs / "b.mcap"), str(bag / "bag_0.mcap")]
+    assert expanded(logs) == names
+    outcomes = replay([logs], logs, small_body(), SETTINGS, quiet=True, compile_cache="")
+    assert [o.path for o in outcomes] == names and all(o.ok for o in outcomes)
+    assert expanded(logs) == names  # with their tracks beside them
+    assert main(["info", str(bag), str(logs / "a.mcap")]) == 0
+    assert capsys.readouterr().out.count(".mcap") == 2
+    for command in ("replay", "info", "fit"):
+        assert main([command, str(logs / "d.mcap")]) == 2
+        assert "without any .mcap log" in capsys.readouterr().err
+
+
 def test_nothing_is_delivered_of_what_failed(store):
     with pytest.raises(KeyError), delivered("memory://results") as folder:
         (folder / "half").write_text("of it")

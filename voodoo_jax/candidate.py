@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
+PEOPLE, OTHERS = 0.15, 0.5  # spread of heights of bodies of a kind: of people, and of animals or machines
+TALLEST = 7 / 3  # times that: what is higher is not the body
 SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
 FEWEST = 50  # points of a thing that may be it
 HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
@@ -18,6 +20,7 @@ def candidate(
     places: Float32[np.ndarray, "3 point"],
     body: tuple[float, float],
     least: float,
+    spread: float = PEOPLE,
 ) -> tuple[int, float, float]:
     """Label of the thing that is about as high as the body and not much wider, the largest of several, the height of
     its top, and how likely it is, 0..1; things of another height, poles, and what is as broad at the top as below are
@@ -25,22 +28,25 @@ def candidate(
 
     **Arguments:** `label` the thing that each point belongs to; `area` that each point stands for, square metres: not
     by points alone, what is near has many; `distance` from its sensor, metres; `places` heights above the floor and
-    level coordinates, metres; `body` its height and width at rest; `least` the lowest top, as a share of the height.
+    level coordinates, metres; `body` its height and width at rest; `least` the lowest top, as a share of the height;
+    `spread` of the heights that it may have, as a share of it.
     """
     (high, wide), height, areas = body, places[0], np.bincount(label, area)
+    most = 1 + TALLEST * spread
+    widest = max(1.5 * high, float(np.hypot(wide, high))) * most / (1 + TALLEST * PEOPLE)
     best, size, highest = -1, 0.0, 0.0
     for k in np.flatnonzero(np.bincount(label) >= FEWEST):
         mine = label == k
         low, top = np.percentile(height[mine], [0.5, 99.5])
-        spread = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
-        tall = least * high <= top <= 1.35 * high
+        extent = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
+        tall = least * high <= top <= most * high
         # as large as the body, or larger: hardly more likely
         likely = areas[k] / (areas[k] + 0.5 * wide * high)
         likely *= min(np.hypot(*np.ptp(places[1:, mine], axis=1)) / (SLIM * wide), 1) ** 2
-        likely /= 1 + ((top - high) / (0.15 * high)) ** 2
+        likely /= 1 + ((top - high) / (spread * high)) ** 2
         head = area[mine & (height > top - HEAD[0] * high)].sum() / (HEAD[1] * wide * high)
         likely /= 1 + max(head / BROAD - 1, 0) ** 2
         likely /= 1 + (np.median(distance[mine]) / NEAR) ** 2
-        if tall and low < 0.5 * top and np.linalg.norm(spread) < 1.5 * high and likely > size:
+        if tall and low < 0.5 * top and np.linalg.norm(extent) < widest and likely > size:
             best, size, highest = int(k), float(likely), float(top)
     return best, highest, size

@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 MODERATE = 1_000_000  # cells of a box: to fill a larger array takes longer than to sort the cells that are taken
+LARGE = 8_000_000  # the same of an array of which only what is near the taken ones is looked at
 FEW = 50_000  # pairs of points that are compared one by one in less time than a search tree is made
 AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)  # a cell and the 26 around it
 LATER = AROUND[14:]  # those of them that come later in order: each pair once
@@ -84,7 +85,7 @@ def touching(cells: Cells, others: Int[np.ndarray, "other 3"]) -> Bool[np.ndarra
         return np.zeros(len(cells), bool)
     box = Box.around(cells, 2)
     near, number = box.inner_numbers(others), box.numbers(cells)
-    if box.size > MODERATE:
+    if box.size > LARGE:
         return np.isin(number, np.unique(near)[:, None] + AROUND @ box.steps)
     taken, marked = np.zeros((2, box.size), bool)
     taken[near] = True

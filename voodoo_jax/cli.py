@@ -43,7 +43,7 @@ class Replay:
     """
 
     logs: Positional[tuple[str, ...]] = ()
-    """MCAP logs with depth images or point clouds: files, or URLs such as s3://bucket/*.mcap."""
+    """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
     out: str = "voodoo-out"
     """Folder for the results, or a URL; made if it is missing."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
@@ -73,7 +73,7 @@ class Info:
     """Show what is in logs and what replay would use of it."""
 
     logs: Positional[tuple[Path, ...]]
-    """MCAP logs."""
+    """MCAP logs, or folders of them."""
     read: ReadSettings = field(default_factory=ReadSettings)
 
 
@@ -97,7 +97,7 @@ class FitCommand:
     """
 
     logs: Positional[tuple[Path, ...]] = ()
-    """MCAP logs."""
+    """MCAP logs, or folders of them."""
     out: Path = Path("body.toml")
     """Body file to write; with several persons -1, -2, ... is added to its name."""
     truth: tuple[Path, ...] = ()
@@ -174,14 +174,20 @@ def run_replay(command: Replay) -> int:
 
 
 def run_info(command: Info) -> int:
-    """0 if every log could be read, 1 if one could not, 2 if none was named."""
+    """0 if every log could be read, 1 if one could not, 2 if none was named or found."""
     if not command.logs:
         print("voodoo-jax info: name at least one log", file=sys.stderr)
         return 2
     from voodoo_jax.io.mcap_log import LogError, survey
+    from voodoo_jax.io.urls import expanded
 
     status = 0
-    for path in command.logs:
+    try:
+        paths = [path for place in command.logs for path in expanded(place)]
+    except ValueError as problem:
+        print(f"voodoo-jax info: {problem}", file=sys.stderr)
+        return 2
+    for path in paths:
         try:
             print(survey(path, command.read))
         except LogError as problem:

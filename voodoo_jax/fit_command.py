@@ -14,6 +14,7 @@ from voodoo_jax.io.atomic import replacing
 from voodoo_jax.io.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.io.fit_report import verdict, write_report
 from voodoo_jax.io.mcap_log import LogError
+from voodoo_jax.io.urls import expanded
 from voodoo_jax.settings import Settings, settings_text
 
 
@@ -24,7 +25,12 @@ def outputs(out: Path, persons: int) -> list[Path]:
 
 def run_fit(command: FitCommand, settings: Settings) -> int:
     """0 if the body was written, 1 if the fit failed, 2 if it could not begin, 130 if it was interrupted."""
-    bodies = outputs(command.out, 1 if command.fit.persons == "one" else len(command.logs))
+    try:
+        logs = [path for place in command.logs for path in expanded(place)]
+    except ValueError as problem:
+        print(f"voodoo-jax fit: {problem}", file=sys.stderr)
+        return 2
+    bodies = outputs(command.out, 1 if command.fit.persons == "one" else len(logs))
     report, state = command.out.with_suffix(".md"), command.out.with_name(f".{command.out.name}.fit-state.npz")
     config = command.out.with_suffix(".config.toml")
     there = [p for p in (*bodies, report, report.with_suffix(".png"), config) if p.exists()]
@@ -46,13 +52,13 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         try:
             command.out.parent.mkdir(parents=True, exist_ok=True)
             body = load_body(command.body or "human")
-            found = fit(body, command.logs, settings, command.fit, command.truth, state=state, say=say)
+            found = fit(body, logs, settings, command.fit, command.truth, state=state, say=say)
         except KeyboardInterrupt:
             print("voodoo-jax fit: interrupted; the same command goes on from the last step", file=sys.stderr)
             return 130
         except (BodyFileError, TruthError, FitError, LogError, ValueError, OSError) as problem:
             print(f"voodoo-jax fit: {problem}", file=sys.stderr)
-            return 1 if isinstance(problem, (FitError, LogError)) and command.logs else 2
+            return 1 if isinstance(problem, (FitError, LogError)) and logs else 2
     for fitted, path in zip(found.bodies, bodies):
         write_body(fitted, path)
     text, drawn = write_report(found, report)

@@ -11,7 +11,7 @@ from typing import Any
 
 from voodoo_jax.body import Body
 from voodoo_jax.compile_cache import keep_compiled, process_runs, use_compile_cache
-from voodoo_jax.io.urls import delivered, fetched, joined
+from voodoo_jax.io.urls import TRACKS, delivered, fetched, joined
 from voodoo_jax.outcomes import Outcome, outcome_of
 from voodoo_jax.pose import on_device
 from voodoo_jax.settings import Settings
@@ -41,7 +41,7 @@ class Job:
 def output_paths(log: str | os.PathLike[str], out: str | os.PathLike[str]) -> tuple[Path, Path]:
     """Where the tracks of a log go: `<stem>.tracks.npz` and `<stem>.voodoo.mcap` in `out`."""
     stem = Path(log).name.removesuffix(".mcap")
-    return Path(out) / f"{stem}.tracks.npz", Path(out) / f"{stem}.voodoo.mcap"
+    return Path(out) / f"{stem}.tracks.npz", Path(out) / f"{stem}{TRACKS}"
 
 
 def output_places(log: str, out: str) -> tuple[str, str, str]:

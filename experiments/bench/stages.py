@@ -144,7 +144,7 @@ def scaling(work: Work, turns: int) -> list[list[str]]:
 
 TITLES = {
     "points": "points of a frame", "steps": "steps of a frame", "limbs": "limbs",
-    "streams": "recordings at once", "weights": "the heaviest points weigh so many times the lightest",
+    "streams": "recordings at once", "weights": "heaviest weight over lightest",
 }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from mcap.summary import Summary
 
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSIONS = ("", "lz4", "zstd")
-KEPT = 48 << 20  # bytes of unpacked chunks that stay in memory for the next pass
+KEPT = 256 << 20  # bytes of unpacked chunks that stay in memory until the next pass
 # What mcap 1.6 and its decompressors raise on bad bytes (lz4: RuntimeError; lengths over 2^63: OverflowError).
 READ_ERRORS = (
     McapError,
@@ -61,7 +61,6 @@ class LogFile:
         self.damage: list[str] = []
         self._trouble = ""  # why the index is not used, if that is a sign of damage
         self._kept: dict[int, list] = {}  # records of the chunk at each place in the file
-        self._room = KEPT
         with open(self.path, "rb") as stream:
             self._summary = self._read_summary(stream)
 
@@ -134,11 +133,12 @@ class LogFile:
     def _indexed(self, stream: BinaryIO, summary: Summary, wanted: Callable) -> Iterator[list]:
         ids = {i for i, c in self.channels.items() if wanted(self.schemas.get(c.schema_id), c)}
         bad: list[str] = []
+        keep, room = not self._kept, KEPT  # what one pass keeps the next one takes
         for index in sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
             offsets = index.message_index_offsets
             if offsets and ids.isdisjoint(offsets):
                 continue
-            records = self._kept.get(index.chunk_start_offset)
+            records = self._kept.pop(index.chunk_start_offset, None)
             if records is None:
                 stream.seek(index.chunk_start_offset + 9)
                 try:
@@ -146,9 +146,8 @@ class LogFile:
                 except READ_ERRORS as error:
                     bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
                     continue
-                size = sum(len(record.data) for record in records if isinstance(record, Message))
-                if size <= self._room:
-                    self._room -= size
+                room -= sum(len(record.data) for record in records if isinstance(record, Message))
+                if keep and room >= 0:
                     self._kept[index.chunk_start_offset] = records
             yield records
         self._note_chunks(bad, len(summary.chunk_indexes))

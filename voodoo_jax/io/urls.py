@@ -1,4 +1,4 @@
-"""Logs and results in object stores: URLs such as s3://bucket/a.mcap, through fsspec. Paths pass through unchanged.
+"""Which logs are meant; logs and results in object stores: URLs such as s3://bucket/a.mcap, through fsspec.
 
 A log is read from a local copy: it is gone through two to three times and by its index at its end, and every byte is
 needed once at least, so that random access over the network would fetch it twice.
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 URL_HELP = 'pip install "voodoo_jax[urls]"'
+TRACKS = ".voodoo.mcap"  # how the names of MCAP files of tracks end
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
@@ -35,8 +36,14 @@ def file_system(url: str) -> tuple[Any, str]:
 
 
 def expanded(place: str | os.PathLike[str]) -> list[str]:
-    """The place as text; for a URL with *, ? or [ all that it matches. Raises ValueError if nothing does."""
+    """The place as text; for a folder the logs in it and in the folders below, in order of their names, but for tracks
+    that were written there; for a URL with *, ? or [ all that it matches. Raises ValueError if there are none."""
     place = os.fspath(place)
+    if os.path.isdir(place):
+        inside = sorted(str(path) for path in Path(place).rglob("*.mcap") if path.is_file())
+        if logs := [path for path in inside if not path.endswith(TRACKS) and not Path(path).name.startswith(".")]:
+            return logs
+        raise ValueError(f"'{place}' is a folder without any .mcap log in it; name the logs, or the folder they are in")
     if not is_url(place) or not any(mark in place for mark in "*?["):
         return [place]
     system, path = file_system(place)
