@@ -3,8 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-PEOPLE, OTHERS = 0.15, 0.5  # spread of heights of bodies of a kind: of people, and of animals or machines
-TALLEST = 7 / 3  # times that: what is higher is not the body
+LOOSE = 0.5  # of its height, or more: so high an animal or a machine may be as well
 SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
 FEWEST = 50  # points of a thing that may be it
 HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
@@ -20,7 +19,7 @@ def candidate(
     places: Float32[np.ndarray, "3 point"],
     body: tuple[float, float],
     least: float,
-    spread: float = PEOPLE,
+    loose: float = 0.0,
 ) -> tuple[int, float, float]:
     """Label of the thing that is about as high as the body and not much wider, the largest of several, the height of
     its top, and how likely it is, 0..1; things of another height, poles, and what is as broad at the top as below are
@@ -29,24 +28,28 @@ def candidate(
     **Arguments:** `label` the thing that each point belongs to; `area` that each point stands for, square metres: not
     by points alone, what is near has many; `distance` from its sensor, metres; `places` heights above the floor and
     level coordinates, metres; `body` its height and width at rest; `least` the lowest top, as a share of the height;
-    `spread` of the heights that it may have, as a share of it.
+    `loose`: it may as well be so much smaller or larger, as a share of that.
     """
-    (high, wide), height, areas = body, places[0], np.bincount(label, area)
-    most = 1 + TALLEST * spread
-    widest = max(1.5 * high, float(np.hypot(wide, high))) * most / (1 + TALLEST * PEOPLE)
+    height, areas = places[0], np.bincount(label, area)
     best, size, highest = -1, 0.0, 0.0
     for k in np.flatnonzero(np.bincount(label) >= FEWEST):
         mine = label == k
         low, top = np.percentile(height[mine], [0.5, 99.5])
         extent = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
-        tall = least * high <= top <= most * high
+        high, wide = np.array(body) * np.clip(top / body[0], 1 - loose, 1 + loose)
+        tall = least * high <= top <= 1.35 * high
         # as large as the body, or larger: hardly more likely
         likely = areas[k] / (areas[k] + 0.5 * wide * high)
         likely *= min(np.hypot(*np.ptp(places[1:, mine], axis=1)) / (SLIM * wide), 1) ** 2
-        likely /= 1 + ((top - high) / (spread * high)) ** 2
+        likely /= 1 + ((top - high) / (0.15 * high)) ** 2
         head = area[mine & (height > top - HEAD[0] * high)].sum() / (HEAD[1] * wide * high)
         likely /= 1 + max(head / BROAD - 1, 0) ** 2
         likely /= 1 + (np.median(distance[mine]) / NEAR) ** 2
-        if tall and low < 0.5 * top and np.linalg.norm(extent) < widest and likely > size:
+        if (
+            tall
+            and low < 0.5 * top
+            and np.linalg.norm(extent) < max(1.5 * high, np.hypot(wide, high))
+            and likely > size
+        ):
             best, size, highest = int(k), float(likely), float(top)
     return best, highest, size

@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.candidate import PEOPLE
 from voodoo_jax.cells import Cells, cells_of, touching
 from voodoo_jax.clouds import fair_share
 from voodoo_jax.hiding import Nearest
@@ -144,10 +143,10 @@ class Chooser:
         body_height: float,
         settings: PersonSettings,
         body_width: float = 0.0,
-        spread: float = PEOPLE,
+        loose: float = 0.0,
     ):
         self.settings = settings
-        self._main = Follower(PersonFinder(scene, body_height, settings, body_width, spread))
+        self._main = Follower(PersonFinder(scene, body_height, settings, body_width, loose))
         self._others: list[Follower] = []
         self._known = False
         self._seen = 0  # frames

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from scipy.spatial import KDTree
 
-from voodoo_jax.candidate import PEOPLE, candidate
+from voodoo_jax.candidate import candidate
 from voodoo_jax.cells import Counted, cells_of, components, touching, within
 from voodoo_jax.clouds import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
@@ -41,7 +41,7 @@ class PersonFinder:
     together with where it was. Places where other things were seen several times count as background from then on.
 
     Where nobody knows the floor, it is as far under the body as this is high: `scene` is what is known by now.
-    `spread`: of the heights that the body may have, as a share of it.
+    `loose`: the body may as well be so much smaller or larger, as a share of its height.
 
     Points that are assigned already pass all tests; what they touch is the body, of whatever height.
     """
@@ -52,9 +52,9 @@ class PersonFinder:
         body_height: float,
         settings: PersonSettings,
         body_width: float = 0.0,
-        spread: float = PEOPLE,
+        loose: float = 0.0,
     ):
-        self.scene, self.settings, self.body_height, self.spread = scene, settings, body_height, spread
+        self.scene, self.settings, self.body_height, self.loose = scene, settings, body_height, loose
         self._given = scene
         self.body_width = body_width or 0.26 * body_height  # as a person's
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
@@ -86,7 +86,7 @@ class PersonFinder:
             # flat distance only: somebody who sits down or jumps is still here
             middle = self._places(np.median(self.last, 0)[None])
             # an animal is longer than it is high, and may be larger than thought
-            largest = max(self.body_height, self.body_width) * (1 + self.spread - PEOPLE)
+            largest = max(self.body_height, self.body_width) * (1 + self.loose)
             reach = s.reach * largest / 1.75 + self._gone_by(frame)
             near = (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < reach**2
             if self._surveyed_ns is None:
@@ -122,7 +122,7 @@ class PersonFinder:
 
     def another(self, settings: PersonSettings) -> "PersonFinder":
         """One that follows nothing yet, for the same sensors."""
-        other = PersonFinder(self._given, self.body_height, settings, self.body_width, self.spread)
+        other = PersonFinder(self._given, self.body_height, settings, self.body_width, self.loose)
         other._spacing, other._gap = dict(self._spacing), dict(self._gap)
         return other
 
@@ -258,7 +258,7 @@ class PersonFinder:
         area = (distance * angle) ** 2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
         places = self._places(points)[:3]
-        best, top, self.likely = candidate(points, label, area, distance, places, body, least, self.spread)
+        best, top, self.likely = candidate(points, label, area, distance, places, body, least, self.loose)
         if self.scene.floor_open and 0 < top < WHOLE * self.body_height:
             self._lower_floor(self.body_height - top)
         return best

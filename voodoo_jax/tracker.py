@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Float32
 
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
-from voodoo_jax.candidate import OTHERS, PEOPLE
+from voodoo_jax.candidate import LOOSE
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.chooser import Chooser
 from voodoo_jax.flat_faces import without_faces
@@ -74,9 +74,9 @@ def find_person(
     all_frames = chain(first, stream)
     if settings.person.steady:
         all_frames = steadied(all_frames, planes)
-    # how tall an animal or a machine is nobody knows, unless it is said
-    spread = PEOPLE if scale > 0 or body.scale_name == "stature" else OTHERS
-    chooser = Chooser(scene, height, settings.person, width, spread)
+    # how large an animal or a machine is nobody knows, unless it is said
+    loose = 0.0 if scale > 0 or body.scale_name == "stature" else LOOSE
+    chooser = Chooser(scene, height, settings.person, width, loose)
     found = weighed(chooser(all_frames), settings.person.noise)
     windows = iter(lambda: list(islice(found, WINDOW)), [])
     flat = body.scale_name != "stature"  # a machine may be
