@@ -2,11 +2,17 @@
 
 import numpy as np
 
+from voodoo_jax.candidate import Build
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Plane
 
 ORIGIN = np.array([[0.0, 0.0, 1.2]], np.float32)
 FLOOR = Plane(np.array([0, 0, 1], np.float32), 0.0)
+
+
+def build_of(height: float = 1.75) -> Build:
+    """As high and as wide as people are."""
+    return Build(height, 0.26 * height)
 
 
 def frame(points, i: int = 0) -> Frame:

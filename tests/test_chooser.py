@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_rooms import FLOOR, ORIGIN, box, figure, frame
+from small_rooms import FLOOR, ORIGIN, box, build_of, figure, frame
 
 from voodoo_jax.candidate import candidate
 from voodoo_jax.chooser import ENOUGH, HELD, PATIENCE, Chooser, Follower
@@ -21,7 +21,7 @@ AHEAD, ONLINE = PersonSettings(), PersonSettings(ahead=False)
 
 
 def chosen(clouds, settings=AHEAD) -> tuple[list[np.ndarray], Chooser]:
-    chooser = Chooser(SCENE, 1.75, settings)
+    chooser = Chooser(SCENE, build_of(1.75), settings)
     return [f.points for f in chooser(frame(c, i) for i, c in enumerate(clouds))], chooser
 
 
@@ -36,7 +36,7 @@ def waits_then_walks(still: int, moving: int):
 
 
 def test_without_looking_ahead_the_coats_are_likelier():
-    assert not of_person(PersonFinder(SCENE, 1.75, AHEAD)(frame(next(waits_then_walks(1, 0)))).points)
+    assert not of_person(PersonFinder(SCENE, build_of(1.75), AHEAD)(frame(next(waits_then_walks(1, 0)))).points)
 
 
 @pytest.mark.parametrize("still", [0, 40])
@@ -55,7 +55,7 @@ def test_who_may_not_wait_changes_over_once_it_is_known():
 def test_the_frame_says_so_from_which_on_something_else_is_taken():
     changed = {}
     for settings in (AHEAD, ONLINE):
-        chooser = Chooser(SCENE, 1.75, settings)
+        chooser = Chooser(SCENE, build_of(1.75), settings)
         got = list(chooser(frame(c, i) for i, c in enumerate(waits_then_walks(40, 60))))
         changed[settings.ahead] = [i for i, f in enumerate(got) if f.other]
         right = [of_person(f.points) for f in got]
@@ -72,7 +72,7 @@ def test_nobody_moves():
     """The likeliest is taken, as if nothing else were there; frames come out before the log ends."""
     clouds = [np.concatenate([COATS, figure(3.0, 0.6, 1.6)])] * (HELD + 5)
     frames = iter([frame(c, i) for i, c in enumerate(clouds)])
-    out = Chooser(SCENE, 1.75, AHEAD)(frames)
+    out = Chooser(SCENE, build_of(1.75), AHEAD)(frames)
     first = next(out)
     assert sum(1 for _ in frames) == 5 and not of_person(first.points)
 
@@ -110,7 +110,7 @@ class Told(PersonFinder):
     """Finds what is within some distances ahead of the sensor."""
 
     def __init__(self, near: float, far: float):
-        super().__init__(SCENE, 1.75, AHEAD)
+        super().__init__(SCENE, build_of(1.75), AHEAD)
         self.near, self.far = near, far
 
     def __call__(self, frame):
@@ -193,7 +193,7 @@ def test_of_what_more_is_seen_from_the_second_frame_on_has_not_moved():
 def test_who_was_mixed_up_with_something_is_found_again():
     """What is followed as another thing ends up at the likeliest one, as somebody may who passes close by it."""
     person = [figure(3.0, 0.6 + 0.03 * max(0, i - 8), 1.6) for i in range(60)]
-    chooser = Chooser(SCENE, 1.75, AHEAD)
+    chooser = Chooser(SCENE, build_of(1.75), AHEAD)
     clouds = iter([frame(np.concatenate([COATS, p]), i) for i, p in enumerate(person)])
     for _ in range(6):
         chooser._follow(next(clouds))
@@ -217,7 +217,7 @@ def test_assigned_points_need_no_choice():
     points = np.concatenate([COATS, person]).astype(np.float32)
     part = np.where((np.arange(len(points)) >= len(COATS)) & (points[:, 2] > 1.4), 0, -1).astype(np.int32)
     seen = Frame(0, points, np.zeros(len(points), np.int32), ORIGIN, part=part, parts=("head",))
-    got = next(Chooser(SCENE, 1.75, AHEAD)(iter([seen] * 3)))
+    got = next(Chooser(SCENE, build_of(1.75), AHEAD)(iter([seen] * 3)))
     assert of_person(got.points)
 
 
@@ -236,10 +236,10 @@ def test_as_broad_at_the_top_as_below_is_less_likely():
     label = np.repeat([0, 1], [len(cupboard), len(person) + len(head)])
     area = np.full(len(points), 0.02**2)
     places = np.stack([points[:, 2], points[:, 0], points[:, 1]])
-    assert candidate(points, label, area, area, places, (1.75, 0.455), 0.65)[0] == 1
+    assert candidate(points, label, area, area, places, build_of(1.75), 0.65)[0] == 1
     alone = label == 0
     assert (
-        candidate(points[alone], label[alone], area[alone], area[alone], places[:, alone], (1.75, 0.455), 0.65)[0] == 0
+        candidate(points[alone], label[alone], area[alone], area[alone], places[:, alone], build_of(1.75), 0.65)[0] == 0
     )
 
 
@@ -252,5 +252,5 @@ def test_who_may_not_wait_gets_frames_one_by_one():
             asked.append(i)
             yield frame(figure(2.5, 0.0), i)
 
-    stream = Chooser(SCENE, 1.75, ONLINE)(source())
+    stream = Chooser(SCENE, build_of(1.75), ONLINE)(source())
     assert len(next(stream).points) > 100 and asked == [0]

@@ -6,7 +6,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from small_rooms import FLOOR, box, figure, frame, grid, room
+from small_rooms import FLOOR, box, build_of, figure, frame, grid, room
 
 import voodoo_jax as vj
 from voodoo_jax.io.mcap_log import open_log
@@ -15,7 +15,7 @@ from voodoo_jax.scene import Plane, Scene, find_scene
 from voodoo_jax.settings import PersonSettings
 from voodoo_jax.standing_on import on_its_floor
 
-BODY, UP = (1.75, 0.455), np.array([0, 0, 1], np.float32)
+BODY, UP = build_of(), np.array([0, 0, 1], np.float32)
 ROOM = Scene(FLOOR, (Plane(np.array([-1, 0, 0], np.float32), -4.5),), True)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from small_rooms import FLOOR, box, figure, frame, room
+from small_rooms import FLOOR, box, build_of, figure, frame, room
 
 import voodoo_jax.upright
 from voodoo_jax.recording import Frame
@@ -11,7 +11,7 @@ from voodoo_jax.scene import Scene, find_scene, shows_floor
 from voodoo_jax.settings import PersonSettings
 from voodoo_jax.upright import upright
 
-BODY, UP = (1.75, 0.455), np.array([0, 0, 1], np.float32)
+BODY, UP = build_of(), np.array([0, 0, 1], np.float32)
 
 
 def turned(points, way: Rotation) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Which of several things is likeliest to be the body, where nobody knows yet. Host side, NumPy."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
@@ -11,15 +13,27 @@ NEAR = 4.0  # metres from the sensor: who is farther away is less likely to be m
 BROAD = 1.5  # times that area: what is even broader at the top is less likely to be the body
 
 
+class Build(NamedTuple):
+    """How large a body is at rest."""
+
+    height: float  # metres
+    width: float  # level, from end to end, metres
+    loose: float = 0.0  # it may as well be so much smaller or larger, as a share of that
+
+    @property
+    def reach(self) -> float:
+        """Its height or width, whichever is larger, in the largest size that is as likely; metres."""
+        return max(self.height, self.width) * (1 + self.loose)
+
+
 def candidate(
     points: Float32[np.ndarray, "point 3"],
     label: Int[np.ndarray, " point"],
     area: Float[np.ndarray, " point"],
     distance: Float[np.ndarray, " point"],
     places: Float32[np.ndarray, "3 point"],
-    body: tuple[float, float],
+    body: Build,
     least: float,
-    loose: float = 0.0,
 ) -> tuple[int, float, float]:
     """Label of the thing that is about as high as the body and not much wider, the largest of several, the height of
     its top, and how likely it is, 0..1; things of another height, poles, and what is as broad at the top as below are
@@ -27,8 +41,7 @@ def candidate(
 
     **Arguments:** `label` the thing that each point belongs to; `area` that each point stands for, square metres: not
     by points alone, what is near has many; `distance` from its sensor, metres; `places` heights above the floor and
-    level coordinates, metres; `body` its height and width at rest; `least` the lowest top, as a share of the height;
-    `loose`: it may as well be so much smaller or larger, as a share of that.
+    level coordinates, metres; `least` the lowest top, as a share of the body's height.
     """
     height, areas = places[0], np.bincount(label, area)
     best, size, highest = -1, 0.0, 0.0
@@ -36,7 +49,8 @@ def candidate(
         mine = label == k
         low, top = np.percentile(height[mine], [0.5, 99.5])
         extent = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
-        high, wide = np.array(body) * np.clip(top / body[0], 1 - loose, 1 + loose)
+        own = np.clip(top / body.height, 1 - body.loose, 1 + body.loose)
+        high, wide = own * body.height, own * body.width
         tall = least * high <= top <= 1.35 * high
         # as large as the body, or larger: hardly more likely
         likely = areas[k] / (areas[k] + 0.5 * wide * high)

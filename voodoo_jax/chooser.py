@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Int
 
+from voodoo_jax.candidate import Build
 from voodoo_jax.cells import Cells, cells_of, touching
 from voodoo_jax.clouds import fair_share
 from voodoo_jax.hiding import Nearest
@@ -137,16 +138,9 @@ class Chooser:
     likeliest then.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        body_height: float,
-        settings: PersonSettings,
-        body_width: float = 0.0,
-        loose: float = 0.0,
-    ):
+    def __init__(self, scene: Scene, body: Build, settings: PersonSettings):
         self.settings = settings
-        self._main = Follower(PersonFinder(scene, body_height, settings, body_width, loose))
+        self._main = Follower(PersonFinder(scene, body, settings))
         self._others: list[Follower] = []
         self._known = False
         self._seen = 0  # frames

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from scipy.spatial import KDTree
 
-from voodoo_jax.candidate import candidate
+from voodoo_jax.candidate import Build, candidate
 from voodoo_jax.cells import Counted, cells_of, components, touching, within
 from voodoo_jax.clouds import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
@@ -41,22 +41,12 @@ class PersonFinder:
     together with where it was. Places where other things were seen several times count as background from then on.
 
     Where nobody knows the floor, it is as far under the body as this is high: `scene` is what is known by now.
-    `loose`: the body may as well be so much smaller or larger, as a share of its height.
 
     Points that are assigned already pass all tests; what they touch is the body, of whatever height.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        body_height: float,
-        settings: PersonSettings,
-        body_width: float = 0.0,
-        loose: float = 0.0,
-    ):
-        self.scene, self.settings, self.body_height, self.loose = scene, settings, body_height, loose
-        self._given = scene
-        self.body_width = body_width or 0.26 * body_height  # as a person's
+    def __init__(self, scene: Scene, body: Build, settings: PersonSettings):
+        self.scene, self.settings, self.body, self._given = scene, settings, body, scene
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = self.last_ns = 0
@@ -85,9 +75,7 @@ class PersonFinder:
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here
             middle = self._places(np.median(self.last, 0)[None])
-            # an animal is longer than it is high, and may be larger than thought
-            largest = max(self.body_height, self.body_width) * (1 + self.loose)
-            reach = s.reach * largest / 1.75 + self._gone_by(frame)
+            reach = s.reach * self.body.reach / 1.75 + self._gone_by(frame)
             near = (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < reach**2
             if self._surveyed_ns is None:
                 self._surveyed_ns = frame.time_ns
@@ -122,7 +110,7 @@ class PersonFinder:
 
     def another(self, settings: PersonSettings) -> "PersonFinder":
         """One that follows nothing yet, for the same sensors."""
-        other = PersonFinder(self._given, self.body_height, settings, self.body_width, self.loose)
+        other = PersonFinder(self._given, self.body, settings)
         other._spacing, other._gap = dict(self._spacing), dict(self._gap)
         return other
 
@@ -230,7 +218,7 @@ class PersonFinder:
         return taken & ~doubtful
 
     def _is_low(self, thing) -> bool:
-        return self.scene.floor.top(thing) < 0.5 * self.body_height
+        return self.scene.floor.top(thing) < 0.5 * self.body.height
 
     def _is_left(self, thing, body, last) -> bool:
         """Whether a low thing is still, and beside the body: furniture that it has left."""
@@ -248,19 +236,19 @@ class PersonFinder:
         floor = self.scene.floor
         apart = np.median(thing, 0) - np.median(body, 0)
         apart -= (apart @ floor.normal) * floor.normal
-        return floor.height(thing).min() > 0.6 * self.body_height and bool(np.linalg.norm(apart) < 0.3)
+        return floor.height(thing).min() > 0.6 * self.body.height and bool(np.linalg.norm(apart) < 0.3)
 
     def _candidate(self, seen: PersonFrame, label) -> int:
         """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""
-        points, sensor, body = seen.points, seen.sensor, (self.body_height, self.body_width)
+        points, sensor = seen.points, seen.sensor
         angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(seen.origins))])[sensor]
         distance = self._distances(seen)
         area = (distance * angle) ** 2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
         places = self._places(points)[:3]
-        best, top, self.likely = candidate(points, label, area, distance, places, body, least, self.loose)
-        if self.scene.floor_open and 0 < top < WHOLE * self.body_height:
-            self._lower_floor(self.body_height - top)
+        best, top, self.likely = candidate(points, label, area, distance, places, self.body, least)
+        if self.scene.floor_open and 0 < top < WHOLE * self.body.height:
+            self._lower_floor(self.body.height - top)
         return best
 
     def _lower_floor(self, by: float) -> None:

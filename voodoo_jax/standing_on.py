@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32
 
+from voodoo_jax.candidate import Build
 from voodoo_jax.cells import cells_of, unique_cells, within
 from voodoo_jax.person import PersonFinder
 from voodoo_jax.recording import Frame
@@ -24,11 +25,8 @@ FEW = 0.02  # of as many points as in the direction with most
 SECTORS, SEEN = 8, 6  # ... in so many of so many directions, at least
 
 
-def on_its_floor(frames: Sequence[Frame], scene: Scene, body: tuple[float, float], settings: PersonSettings) -> Scene:
-    """The scene, its floor as high as what somebody stands on, if somebody does in all frames that show a body.
-
-    **Arguments:** `body` its height and width at rest, metres.
-    """
+def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: PersonSettings) -> Scene:
+    """The scene, its floor as high as what somebody stands on, if somebody does in all frames that show a body."""
     frames = [frame for frame in frames if len(frame.points)]
     for top in _tops(frames[0], scene) if frames else ():
         floor = replace(scene.floor, offset=scene.floor.offset + top)
@@ -55,9 +53,9 @@ def _tops(frame: Frame, scene: Scene) -> list[float]:
     return [top for _, top in sorted(found, reverse=True)]
 
 
-def _stands(frame: Frame, raised: Scene, body: tuple[float, float], settings: PersonSettings) -> bool | None:
+def _stands(frame: Frame, raised: Scene, body: Build, settings: PersonSettings) -> bool | None:
     """Whether somebody stands on the raised floor; None: there is nobody."""
-    seen = PersonFinder(raised, body[0], settings, body[1])(frame).points
+    seen = PersonFinder(raised, body, settings)(frame).points
     if len(seen) < 30:
         return None
     floor = raised.floor

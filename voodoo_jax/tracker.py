@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Float32
 
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, joint_centres, scaled
-from voodoo_jax.candidate import LOOSE
+from voodoo_jax.candidate import LOOSE, Build
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.chooser import Chooser
 from voodoo_jax.flat_faces import without_faces
@@ -63,20 +63,20 @@ def find_person(
     # a body's scale need not be its height
     rested = scaled(body, scale) if scale > 0 else body
     low, high = rest_box(rested)
-    height, width = rest_height(rested), float(np.max(high[:2] - low[:2]))
+    # how large an animal or a machine is nobody knows, unless it is said
+    loose = 0.0 if scale > 0 or body.scale_name == "stature" else LOOSE
+    build = Build(rest_height(rested), float(np.max(high[:2] - low[:2])), loose)
     sure = bool(up[2] > 0.99)
     scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
     some = first[:: SCENE_FRAMES // 2]
-    other = upright(some, scene, up, sure, (height, width), settings.person)
+    other = upright(some, scene, up, sure, build, settings.person)
     if other is not up:
         scene, planes = steady_scene(first, other, False, SCENE_EVERY)
-    scene = on_its_floor(some, scene, (height, width), settings.person)
+    scene = on_its_floor(some, scene, build, settings.person)
     all_frames = chain(first, stream)
     if settings.person.steady:
         all_frames = steadied(all_frames, planes)
-    # how large an animal or a machine is nobody knows, unless it is said
-    loose = 0.0 if scale > 0 or body.scale_name == "stature" else LOOSE
-    chooser = Chooser(scene, height, settings.person, width, loose)
+    chooser = Chooser(scene, build, settings.person)
     found = weighed(chooser(all_frames), settings.person.noise)
     windows = iter(lambda: list(islice(found, WINDOW)), [])
     flat = body.scale_name != "stature"  # a machine may be

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.candidate import Build
 from voodoo_jax.person import PersonFinder
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Scene, find_scene, shows_floor
@@ -21,13 +22,13 @@ def upright(
     scene: Scene,
     up: Float32[np.ndarray, "3"],
     up_is_sure: bool,
-    body: tuple[float, float],
+    body: Build,
     settings: PersonSettings,
 ) -> Float32[np.ndarray, "3"]:
     """`up`, or another direction if with that there is a floor on which something is like a body, as with `up` there is
     not: the camera may be on its side, on its head, or look down. All are right to some 40 degrees only.
 
-    **Arguments:** `scene` what is found with `up`; `body` its height and width at rest, metres.
+    **Arguments:** `scene` what is found with `up`.
     """
     if up_is_sure and scene.floor_seen:
         return up
@@ -50,13 +51,12 @@ def upright(
 
 
 def _likely(
-    scene: Scene, frames: Sequence[Frame], body: tuple[float, float], settings: PersonSettings, enough: float = np.inf
+    scene: Scene, frames: Sequence[Frame], body: Build, settings: PersonSettings, enough: float = np.inf
 ) -> float:
     """How like a body something in the frames is, 0..1, or more than `enough`."""
-    height, width = body
     likely = 0.0
     for frame in frames:
-        finder = PersonFinder(scene, height, settings, width)
+        finder = PersonFinder(scene, body, settings)
         finder(frame)
         likely = max(likely, finder.likely)
         if likely > enough:
