@@ -59,11 +59,7 @@ def candidate(
         head = area[mine & (height > top - HEAD[0] * high)].sum() / (HEAD[1] * wide * high)
         likely /= 1 + max(head / BROAD - 1, 0) ** 2
         likely /= 1 + (np.median(distance[mine]) / NEAR) ** 2
-        if (
-            tall
-            and low < 0.5 * top
-            and np.linalg.norm(extent) < max(1.5 * high, np.hypot(wide, high))
-            and likely > size
-        ):
+        fits = np.linalg.norm(extent) < max(1.5 * high, np.hypot(wide, high))  # animals are longer than they are high
+        if tall and low < 0.5 * top and fits and likely > size:
             best, size, highest = int(k), float(likely), float(top)
     return best, highest, size

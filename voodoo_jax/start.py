@@ -153,10 +153,10 @@ def run_trials(body: Body, starts: Poses, seen: Bool[np.ndarray, " frame"], trac
     done, (last, fewest) = 0, FUNNEL[-1]
     for until, kept in FUNNEL if len(seen) > last and many > fewest else ():
         # where a start is wrong, a frame takes all steps and is none the better
-        go_on(frames[(frames >= done) & (frames < until)], STEPS)
+        go_on(frames[done:until], STEPS)
         alive = alive[_promising(body, np.asarray(state.poses.rotation)[alive], cost[alive], kept)]
         done = until
-    go_on(frames[frames >= done], None)
+    go_on(frames[done:], None)
     whole = np.full(many, np.inf)
     whole[alive] = cost[alive]
     return Trial(state, whole / max(int(np.sum(seen)), 1))

@@ -111,35 +111,37 @@ def replay_times(log: Path) -> dict[str, float]:
 
 
 USUAL = {"points": 1000, "steps": STEPS, "limbs": 10, "streams": 1, "weights": 1}
-VALUES = {
-    "points": (500, 1000, 2000, 4000), "steps": (1, 3, 6, 12), "limbs": (5, 10, 20), "streams": (1, 4, 16, 32),
-    "weights": (1, 10, 1000),
+VALUES = {  # points: those of the work
+    "points": (), "steps": (1, 3, 6, 12), "limbs": (5, 10, 20), "streams": (1, 4, 16, 32), "weights": (1, 10, 1000),
 }  # fmt: skip
 
 
 def scaling(work: Work, turns: int) -> list[list[str]]:
     """Rows: what is changed, its value, frames per second (best), seconds to compile."""
+    values: dict[str, tuple[int, ...]] = VALUES | {"points": tuple(work.points)}
     rows, known = [], {}
-    for what, value in [(what, value) for what, some in VALUES.items() for value in some]:
+    for what, value in [(what, value) for what, some in values.items() for value in some]:
         case = USUAL | {what: value}
-        if tuple(case.values()) in known:
-            rows.append([what, f"{value}", *known[tuple(case.values())]])
-            continue
-        given = with_limbs(work, case["limbs"])
-        begin = time.perf_counter()
-        run = library.build(
-            given, case["points"], streams=case["streams"], steps=case["steps"], spread=float(case["weights"])
-        )
-        run()
-        first, best = time.perf_counter() - begin, float("inf")
-        for _ in range(turns):
-            begin = time.perf_counter()
-            run()
-            best = min(best, time.perf_counter() - begin)
-        frames = len(work.frames(case["points"])) * case["streams"]
-        known[tuple(case.values())] = f"{frames / best:.0f}", f"{first - best:.1f}"
-        rows.append([what, f"{value}", *known[tuple(case.values())]])
+        key = tuple(case.values())
+        if key not in known:  # the usual one is in every row
+            known[key] = rate(work, case, turns)
+        fps, compile_s = known[key]
+        rows.append([what, f"{value}", f"{fps:.0f}", f"{compile_s:.1f}"])
     return rows
+
+
+def rate(work: Work, case: dict[str, int], turns: int) -> tuple[float, float]:
+    """Frames per second (best) and seconds to compile of one case."""
+    begin = time.perf_counter()
+    given, spread = with_limbs(work, case["limbs"]), float(case["weights"])
+    run = library.build(given, case["points"], streams=case["streams"], steps=case["steps"], spread=spread)
+    run()
+    first, best = time.perf_counter() - begin, float("inf")
+    for _ in range(turns):
+        begin = time.perf_counter()
+        run()
+        best = min(best, time.perf_counter() - begin)
+    return len(work.frames(case["points"])) * case["streams"] / best, first - best
 
 
 TITLES = {

@@ -146,8 +146,10 @@ class LogFile:
                 except READ_ERRORS as error:
                     bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
                     continue
-                room -= sum(len(record.data) for record in records if isinstance(record, Message))
-                if keep and room >= 0:
+                if keep:
+                    room -= sum(len(record.data) for record in records if isinstance(record, Message))
+                    keep = room >= 0
+                if keep:
                     self._kept[index.chunk_start_offset] = records
             yield records
         self._note_chunks(bad, len(summary.chunk_indexes))

@@ -86,8 +86,8 @@ def build(
     lightest points' weight, that of the heaviest."""
     body, links, icp, start = body_of(work), links_of(work), options(solver, points), start_of(work)
     frames = jnp.asarray(work.frames(points))
-    weight = spread ** jax.random.uniform(jax.random.key(0), (points,))
-    one = partial(track, steps=steps, weight=None if spread == 1 else weight)
+    weight = None if spread == 1 else spread ** jax.random.uniform(jax.random.key(0), (points,))
+    one = partial(track, steps=steps, weight=weight)
     if streams > 1:
         start = jax.tree.map(lambda x: jnp.repeat(x[None], streams, 0), start)
         frames = jnp.repeat(frames[None], streams, 0)
