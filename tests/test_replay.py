@@ -26,6 +26,7 @@ from voodoo_jax.io.mcap_log import open_log, read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.pose import Poses
 from voodoo_jax.replay import output_paths, replay
+from voodoo_jax.result_folders import folders_within
 from voodoo_jax.settings import Settings
 from voodoo_jax.simulate import (
     TOF_NOISE,
@@ -204,15 +205,19 @@ def test_results_do_not_depend_on_chunks(many_run, wave_log, tmp_path):
         np.testing.assert_array_equal(short.arrays("wave")[name], many_run.arrays("wave")[name])
 
 
-def test_same_names_are_refused_before_any_work(tmp_path):
-    (tmp_path / "a").mkdir()
-    first, second = tmp_path / "demo.mcap", tmp_path / "a" / "demo.mcap"
+def test_same_files_are_refused_before_any_work(tmp_path):
+    first, second = tmp_path / "demo.mcap", tmp_path / "demo"
     for path in (first, second):
         shutil.copy(DEMO, path)
     refused = run(tmp_path / "out", first, second)
     assert refused.status == 2 and "demo.tracks.npz" in refused.errors and not (tmp_path / "out").exists()
     with pytest.raises(ValueError, match="different folders"):
         replay([first, second], tmp_path / "out", quiet=True)
+
+
+def test_folders_of_logs_of_one_name():
+    logs = ["/x/mon/walk.mcap", "/x/tue/walk.mcap", "/x/walk.mcap", "/x/tue/run.mcap", "s3://x/bow.mcap", "/bow.mcap"]
+    assert folders_within(logs) == dict(zip(logs, ["mon", "tue", "", "", "s3/x", ""]))
 
 
 def test_output_names():

@@ -100,6 +100,26 @@ def test_a_folder_stands_for_the_logs_in_it(tmp_path, capsys):
         assert "without any .mcap log" in capsys.readouterr().err
 
 
+def test_logs_of_one_name_have_folders_of_their_own(tmp_path, capsys):
+    """And the same log named twice is one."""
+    for place in ("mon/walk.mcap", "tue/walk.mcap", "tue/run.mcap"):
+        (tmp_path / "logs" / place).parent.mkdir(parents=True, exist_ok=True)
+        small_log(tmp_path / "logs" / place, 8, len(place))
+    (tmp_path / "logs/mon/walk.mcap").write_bytes(b"no log")
+    logs, out = [tmp_path / "logs", tmp_path / "logs/tue/run.mcap"], tmp_path / "out"
+    outcomes = replay(logs, out, small_body(), SETTINGS, compile_cache="")
+    assert [o.name for o in outcomes] == ["mon/walk.mcap", "run.mcap", "tue/walk.mcap"]
+    assert [bool(o.npz) for o in outcomes] == [False, True, True]
+    assert "mon/walk.mcap: FAILED" in capsys.readouterr().out
+    assert sorted(str(path.relative_to(out)) for path in out.rglob("*.npz")) == [
+        "run.tracks.npz",
+        "tue/walk.tracks.npz",
+    ]
+    again = replay(logs, out, small_body(), SETTINGS, quiet=True, compile_cache="")
+    assert [o.skipped for o in again] == [False, True, True]
+    assert len((out / "replay.jsonl").read_text().splitlines()) == 3
+
+
 def test_nothing_is_delivered_of_what_failed(store):
     with pytest.raises(KeyError), delivered("memory://results") as folder:
         (folder / "half").write_text("of it")

@@ -169,7 +169,7 @@ def run_replay(command: Replay) -> int:
         f"results in {command.out}"
     )
     if failed:
-        print("not tracked: " + ", ".join(Path(o.path).name for o in failed), file=sys.stderr)
+        print("not tracked: " + ", ".join(o.name for o in failed), file=sys.stderr)
     return 1 if failed else 0
 
 

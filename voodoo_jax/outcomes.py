@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.io.urls import fetched
+from voodoo_jax.io.urls import fetched, joined
 from voodoo_jax.tracks import Tracks
 
 
@@ -30,6 +30,12 @@ class Outcome:
     error: str = ""
     notes: tuple[str, ...] = field(default=())
     skipped: bool = False  # an earlier run had done it already
+    folder: str = ""  # of its results within that of all, of one of several logs of one name
+
+    @property
+    def name(self) -> str:
+        """What the log is called among those that were done with it."""
+        return joined(self.folder, Path(self.path).name)
 
     @property
     def ok(self) -> bool:
@@ -52,7 +58,7 @@ class Outcome:
             return read_tracks_npz(path)
 
     def __str__(self) -> str:
-        name = Path(self.path).name
+        name = self.name
         if not self.npz:
             return f"{name}: FAILED: {self.error}"
         line = f"{name}: {self.frames} frames, {100 * self.tracked:.1f} % tracked, "

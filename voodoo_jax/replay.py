@@ -2,7 +2,6 @@
 
 import os
 import time
-from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -15,9 +14,10 @@ from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
 from voodoo_jax.body import Body
 from voodoo_jax.compile_cache import cache_folder
-from voodoo_jax.io.urls import byte_size, expanded, file_system, is_url
+from voodoo_jax.io.urls import byte_size, expanded, file_system, is_url, joined
 from voodoo_jax.jobs import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.outcomes import Outcome, outcome_of_arrays
+from voodoo_jax.result_folders import folders_within
 from voodoo_jax.settings import Settings
 from voodoo_jax.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.workers import Report, Results, default_workers, in_process, in_workers
@@ -42,7 +42,8 @@ def replay(
     shard: str = "",
     compile_cache: str = "off",
 ) -> list[Outcome]:
-    """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`.
+    """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, of logs of one
+    name into folders of their own in it (see result_folders.py).
 
     A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
     under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
@@ -67,8 +68,8 @@ def replay(
     if workers < 0:
         raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
     number, count = parse_shard(shard)
-    places = [_absolute(place) for log in logs for place in expanded(log)]
-    _check_names(places)
+    places = list(dict.fromkeys(_absolute(place) for log in logs for place in expanded(log)))
+    within = folders_within(places)
     out, settings, body = _absolute(out), settings or Settings(), body or load_on_host("human")
     if not is_url(out):
         Path(out).mkdir(parents=True, exist_ok=True)
@@ -84,7 +85,7 @@ def replay(
         picture=picture,
         compile_cache=cache_folder(compile_cache),
     )
-    jobs = {log: replace(job, log=log, size=max(1, byte_size(log))) for log in places}
+    jobs = {log: replace(job, log=log, out=joined(out, within[log]), size=max(1, byte_size(log))) for log in places}
     done: dict[str, Outcome] = {}
     save = partial(write_summary, folder=out, name=summary_name(number, count))
     with ThreadPoolExecutor(8) as several:  # a store's answers take long
@@ -92,8 +93,8 @@ def replay(
             if found is not None and found.picture == "due":
                 jobs[log] = replace(jobs[log], only_picture=True)
             elif found is not None:
-                done[log] = found
-                _say(found, quiet)
+                done[log] = replace(found, folder=within[log])
+                _say(done[log], quiet)
     left = largest_first([log for log in places if log not in done], {log: jobs[log].size for log in places})
     ordered, saved = [jobs[log] for log in left], time.monotonic()
     sizes = [job.size for job in ordered]
@@ -109,7 +110,7 @@ def replay(
             bar.set_description(f"{len(done)}/{len(places)} logs")
             with closing(results):
                 for which, outcome in results:
-                    done[outcome.path] = outcome
+                    done[outcome.path] = outcome = replace(outcome, folder=within[outcome.path])
                     report(which, 1.0)
                     bar.set_description(f"{len(done)}/{len(places)} logs")
                     _say(outcome, quiet)
@@ -167,14 +168,6 @@ def _absolute(place: str | os.PathLike[str]) -> str:
         path = file_system(place)[1]
         return path if place.startswith("file://") else place
     return os.path.abspath(os.path.expanduser(place))
-
-
-def _check_names(logs: list[str]) -> None:
-    names = Counter(output_paths(log, "")[0].name for log in logs)
-    if twice := sorted(name for name, count in names.items() if count > 1):
-        raise ValueError(
-            f"several logs would write {', '.join(twice)}: replay logs of the same name into different folders"
-        )
 
 
 def _parameters(settings: Settings, smooth_seconds: float) -> tuple[tuple[str, str], ...]:

@@ -57,8 +57,8 @@ def expanded(place: str | os.PathLike[str]) -> list[str]:
 
 
 def joined(folder: str, name: str) -> str:
-    """A file in a folder, either of them a path or a URL."""
-    return f"{folder.rstrip('/')}/{name}" if is_url(folder) else str(Path(folder) / name)
+    """A file in a folder, either of them a path or a URL; the folder if the name is empty."""
+    return f"{folder.rstrip('/')}/{name}".rstrip("/") if is_url(folder) else str(Path(folder) / name)
 
 
 def byte_size(place: str) -> int:
