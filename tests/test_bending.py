@@ -67,7 +67,12 @@ def test_how_round_limbs_are_turned_about_their_axes_does_not_matter(seed):
     about = Rotation.from_rotvec(np.array([0, 0, 1.0]) * rng.uniform(-3, 3, (len(ROUND), 1)))
     turned[0, ROUND] = (Rotation.from_quat(q[0, ROUND], scalar_first=True) * about).as_quat(scalar_first=True)
     hinges = [BODY.topology.joints.index(j) for j in ("l_knee", "r_knee", "l_elbow", "r_elbow", "l_hip", "r_hip")]
-    np.testing.assert_allclose(wrong_bend(BODY, turned)[:, hinges], wrong_bend(BODY, q)[:, hinges], atol=1e-5)
+    # limbs' axes are a little off the lines from joint to joint, and that is turned, too
+    axes = Rotation.from_quat(rotations()[0, ROUND], scalar_first=True).apply([0, 0, -1.0])
+    tilt = float(np.arccos(axes[:, 2].min()))
+    assert tilt < np.radians(3)
+    both = wrong_bend(BODY, turned)[:, hinges], wrong_bend(BODY, q)[:, hinges]
+    np.testing.assert_allclose(*both, atol=2 * tilt + 1e-5)
 
 
 def test_the_whole_body_may_lie_or_face_anywhere_and_frames_without_poses_give_zero():

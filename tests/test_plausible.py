@@ -109,7 +109,7 @@ def test_a_forearm_through_the_chest_is_found_and_pushed_out():
     poses = bent(body, l_shoulder=(-45, -20, 0), l_elbow=(0, -90, 0))
     depth = check(body, poses).depth
     inside = dict(zip(body.topology.limbs, np.asarray(depth)))
-    assert inside["l_forearm"] == inside["chest"] > 0.015 and inside["r_forearm"] == 0
+    assert inside["l_forearm"] == inside["chest"] > 0.015 and inside["r_forearm"] < 1e-6
     links = contact_links(body, poses, jnp.ones(()), jnp.asarray(0.01))
     assert float(links.weights.max()) == 1
 

@@ -23,6 +23,7 @@ from voodoo_jax.start import Trial, in_pieces, run_trials
 from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, at_rest, track_visits
 from voodoo_jax.tracks import Status
 
+THING_FRAMES = 2  # times the frames of a start: a held thing has few points to tell where it points
 FEW_POINTS = 20  # fewer on the body: nothing to track by
 Visit = Callable[..., tuple[State, Step]]  # as track_visits
 TRACKS = 16  # starts that are tried at once: all headings, and the poses that were lost
@@ -123,7 +124,8 @@ class Session:
         joint = t.children.index(t.limbs.index(thing))
         bodies = [pointing(self.body, joint, axis) for axis in directions(self.settings.start.directions)]
         starts = [hung_on(b, state.poses, limbs) for b in bodies]
-        trial = self.trials(self.body, self.people[at : at + self.settings.start.frames], starts)
+        frames = min(THING_FRAMES * self.settings.start.frames, self.length)
+        trial = self.trials(self.body, self.people[at : at + frames], starts)
         self.body = bodies[int(np.argmin(trial.cost))]
 
     def trials(self, body: Body, frames: list[PersonFrame], starts: list[Poses]) -> Trial:
