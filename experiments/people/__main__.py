@@ -2,7 +2,8 @@
 
 BODIES.npz as bodies.py writes it; MOTIONS the folder pybullet_data/data/motions of the package pybullet; LOGS a folder
 for the logs, which are made where they are missing (with numba installed: some minutes). Nothing is given, the settings
-are the defaults, and none of them was chosen on these logs. Writes people.md.
+are the defaults, and none of them was chosen on these logs, if the bodies are of another seed than those that the
+built-in human has its shape from (12 in people.md). Writes people.md.
 """
 
 from pathlib import Path
@@ -29,6 +30,7 @@ def main(
     motions: tyro.conf.Positional[Path],
     logs: tyro.conf.Positional[Path],
     only: str = "",
+    seed: int = 6,
     processes: int = 2,
     out: Path = Path(__file__).parent,
 ) -> None:
@@ -39,11 +41,12 @@ def main(
         motions: folder with humanoid3d_*.txt.
         logs: folder for the logs; those that are there are taken as they are.
         only: the logs whose names begin so.
+        seed: of how people turn and where they are; with 5, and bodies of their own seed, the logs that tuned the body.
         processes: how many work at once.
         out: folder for people.md.
     """
     logs.mkdir(parents=True, exist_ok=True)
-    jobs = [take for take in takes(bodies, motions, logs) if take.name.startswith(only)]
+    jobs = [take for take in takes(bodies, motions, logs, seed) if take.name.startswith(only)]
     rows: dict[str, list[tuple[Take, Verdict]]] = {}
     for take, verdict in zip(jobs, tqdm(trials(work, jobs, processes), total=len(jobs), leave=False, disable=None)):
         rows.setdefault(take.row, []).append((take, verdict))

@@ -56,10 +56,10 @@ class Take:
     stage: float = 0.0  # height of what somebody stands on, metres
 
 
-def takes(meshes: Path, motions: Path, logs: Path) -> list[Take]:
+def takes(meshes: Path, motions: Path, logs: Path, seed: int) -> list[Take]:
     """Every clip by usual people from all sides, and by unusual ones before other cameras too; then poses drawn at
-    random, people on chairs and on the floor."""
-    rng, found, cameras = np.random.default_rng(5), [], list(CAMERAS)
+    random, people on chairs and on the floor. Other seeds turn and place them otherwise."""
+    rng, found, cameras = np.random.default_rng(seed), [], list(CAMERAS)
     take = partial(Take, meshes=meshes, motions=motions, logs=logs)
     order = rng.permutation(USUAL)
     for clip in CLIPS:
