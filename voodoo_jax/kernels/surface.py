@@ -143,7 +143,7 @@ def closest_point(
     limb frame, metres; `refine`
     iterations towards the exact closest point of an elliptic cross-section. 0 keeps the polar angle of the point:
     exact for round limbs; for the built-in human, within 10 cm of a limb, the distance is off by 0.3 mm on average,
-    2 mm at 95 %, 17 mm at worst (deep inside the pelvis). 8 iterations: to 0.2 mm for a
+    2 mm at 95 %, 23 mm at worst (deep inside the pelvis). 8 iterations: to 0.2 mm for a
     human's limbs, 1 mm for short tapering ones (tests/test_surface.py); `caps` false: the side alone, an open tube that
     has no inside; `rims` rim_factors of the size, where they are known already; `cut` see kernels.nearest.cuts.
 
