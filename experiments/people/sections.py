@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.people.figure import BONES, Figure, read_meshes
 from experiments.people.motions import PARENT, Clip
+from voodoo_jax.batch import V1_NAMES
 from voodoo_jax.body import Body, joint_centres
 from voodoo_jax.io.body_file import load_on_host
 
@@ -26,7 +27,6 @@ TRUNK, LEG, ARM = (
     ("upperleg", "lowerleg"),
     ("upperarm", "lowerarm"),
 )
-CALLED = {"wrist": "radiocarpal", "ankle": "talocrural"}  # the meshes' joints: the body's
 
 
 def standing(figure: Figure) -> tuple[np.ndarray, np.ndarray]:
@@ -80,7 +80,7 @@ def drawn(axes: Axes, body: Body, people: list[tuple[np.ndarray, np.ndarray]], o
     for k, name in enumerate(BONES):
         if name.startswith("r_") or (axis == 0 and name[2:] in ("elbow", "wrist")):
             continue
-        centre = centres[next((name[:2] + v for k, v in CALLED.items() if k in name), name)] - hips
+        centre = centres[V1_NAMES.get(name, name)] - hips
         axes.plot(joints[k, axis], joints[k, 2], "o", color="tab:blue", markersize=5)
         axes.plot(centre[axis], centre[2], "x", color="tab:red", markersize=7)
     axes.set(aspect="equal", xlabel=("ahead", "to the left")[axis] + ", statures", ylabel="height, statures")
@@ -102,8 +102,9 @@ def main(bodies: tyro.conf.Positional[Path], body: str = "human", out: Path = Pa
     parts = [starts(TRUNK), leg, starts(ARM) & left]
     people = [standing(Figure(meshes, k)) for k in range(len(meshes.vertices))]
     figure, axes = plt.subplots(1, 2, figsize=(9, 11), layout="constrained")
+    limbs = load_on_host(body)
     for axis, shown in enumerate((parts[:2], parts)):
-        drawn(axes[axis], load_on_host(body), people, shown, axis)
+        drawn(axes[axis], limbs, people, shown, axis)
     figure.savefig(out / "sections.png", dpi=70)
 
 
