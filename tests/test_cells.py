@@ -5,7 +5,16 @@ import pytest
 from scipy.spatial import KDTree
 
 from voodoo_jax import cells
-from voodoo_jax.cells import Counted, cells_of, components, touching, unique_cells, within
+from voodoo_jax.cells import (
+    Counted,
+    about,
+    cells_of,
+    components,
+    number_around,
+    touching,
+    unique_cells,
+    within,
+)
 
 
 @pytest.fixture(params=["array", "sorted"])
@@ -63,3 +72,17 @@ def test_counted_cells(rng):
     assert (seen.at(points + np.float32(20)) == 0).all()
     seen.clear()
     assert len(seen) == 0
+
+
+def test_number_around_counts_what_is_in_touching_cells(rng, way):
+    some = cells_of(cloud(rng, 400, 0.5), 0.3)
+    expected = (np.abs(some[:, None] - some[None]).max(2) <= 1).sum(1)
+    assert expected.min() < 4 and expected.max() > 20
+    np.testing.assert_array_equal(number_around(some), expected)
+
+
+def test_what_is_about_as_near(rng, way):
+    points, others = cloud(rng, 2000), cloud(rng, 300, 1.5)
+    distance, found = KDTree(others).query(points)[0], about(points, others, 0.3)
+    assert found[distance < 0.2].all() and not found[distance > 0.7].any()
+    assert 100 < found.sum() < 1900

@@ -33,6 +33,7 @@ from voodoo_jax.icp import (
 )
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.correspond import Points, match
+from voodoo_jax.kernels.coupled import stretched
 from voodoo_jax.pose import Poses, apply
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
@@ -223,3 +224,29 @@ def test_a_body_that_is_a_constant_of_the_program_does_not_slow_it():
         return program.lower(*given[len(constant) :]).compile().as_text().count(" conditional(")
 
     assert branches() > 0 and branches(*given) == branches()
+
+
+def test_steps_that_go_the_same_way_are_made_one():
+    """Of limbs whose steps are 0.4, 0.9 and -0.5 of the last: the sum of all that follow, twice as far, as asked."""
+    rng = np.random.default_rng(5)
+    before, share = rng.normal(size=(3, 6)), np.array([[0.4], [0.9], [-0.5]])
+    found = np.asarray(stretched(jnp.asarray(share * before), jnp.asarray(before), jnp.asarray(2.0)))
+    np.testing.assert_allclose(found, share * before * [[1 / 0.6], [2.0], [1.0]], rtol=1e-5)
+    step = jnp.asarray(0.4 * before)
+    for most, last in ((1.0, before), (2.0, np.zeros((3, 6)))):
+        np.testing.assert_array_equal(stretched(step, jnp.asarray(last), jnp.asarray(most)), step)
+
+
+@pytest.mark.parametrize("name", ["human", "dog"])
+def test_longer_steps_end_sooner_and_nearer_to_the_truth(name):
+    body, xyz, start = scene(name, 1000)
+    plain, longer = (
+        solve(body, points_of(body, xyz), start, icp_options(stretch=s, epsilon=1e-7, max_steps=99, prior=1e-3))
+        for s in (1.0, 2.0)
+    )
+    assert plain.converged and longer.converged
+    assert int(longer.steps) < 0.85 * int(plain.steps)
+    off = [
+        np.median(np.linalg.norm(middles(body, f.poses) - middles(body, body.rest), axis=1)) for f in (plain, longer)
+    ]
+    assert off[1] < off[0] < 0.004

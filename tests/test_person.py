@@ -145,6 +145,21 @@ def test_flying_pixels_go_and_the_surface_stays(rng):
     assert not without_strays(points[:4], np.zeros(3, np.float32), spacing).any()
 
 
+def test_flying_pixels_are_those_that_a_search_tree_finds(rng):
+    """But for a few in a hundred: a wall, a thing before it, and pixels between them, unevenly thinned."""
+    spacing, u, v = 0.006, *np.meshgrid(np.arange(-0.5, 0.5, 0.006), np.arange(-0.4, 0.4, 0.006))
+    depth = np.where((np.abs(u) < 0.1) & (v < 0.3), 2.5 + 0.3 * u, 4.0 + rng.normal(0, 0.02, u.shape))
+    edge = np.abs(np.abs(u) - 0.1) < 0.006
+    depth[edge] = rng.uniform(2.5, 4.0, edge.sum())
+    points = (np.stack([np.ones_like(u), u, v], -1) * depth[..., None]).reshape(-1, 3).astype(np.float32)
+    points = points[rng.uniform(size=len(points)) < np.linspace(0.1, 1, len(points))]
+    near = 0.02 + 3 * spacing * np.linalg.norm(points, axis=1)
+    expected = cKDTree(points).query(points, k=4)[0][:, 3] < near
+    found = without_strays(points, np.zeros(3, np.float32), spacing)
+    assert 200 < (~expected).sum() < 0.2 * len(points)
+    assert (found != expected).sum() < 0.04 * (~expected).sum()
+
+
 @pytest.mark.parametrize("link", [0.06, 0.12, 0.3])
 def test_components_against_brute_force(rng, link):
     """Cells make the limit fuzzy: nearer than half of `link` is always one thing, farther than twice the cell's

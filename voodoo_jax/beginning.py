@@ -68,7 +68,7 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
     low = _lowest(run, run.people[at])
     for frame in _later(run, at) if not found[0].clear(sure) else ():
         found.append(_trial(run, frame, _sized(run, frame, low)))
-        if found[-1].clear(sure):
+        if found[-1].clear(0.0):  # who was in doubt is not easily sure again
             break
     clearest = min(found, key=lambda b: b.cost)
     best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]

@@ -6,9 +6,9 @@ that: nobody sees how far a round thigh is turned about its axis, so a tracked o
 
 import numpy as np
 from jaxtyping import Float, Float32
-from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, tree_order
+from voodoo_jax.body import Body, Topology, tree_order
+from voodoo_jax.pose import quat_conjugate, quat_multiply, rotate, unrotate
 
 ROUND = 0.8  # a limb whose smaller axis is more than this share of the larger one is round
 TWISTS = 13  # of a round limb that are tried, over the range that its joint allows
@@ -23,35 +23,50 @@ def wrong_bend(body: Body, rotation: Float32[np.ndarray, "frame limb 4"]) -> Flo
     """
     t, limits = body.topology, np.asarray(body.limits, float)
     there = np.all(np.isfinite(rotation), -1)
-    turns = np.where(there[..., None], rotation, [1.0, 0, 0, 0])
-    world = [Rotation.from_quat(turns[:, limb], scalar_first=True) for limb in range(body.limb_count)]
-    anchors = [
-        Rotation.from_quat(np.asarray(a.rotation), scalar_first=True) for a in (body.parent_anchor, body.child_anchor)
-    ]
+    world = np.where(there[..., None], rotation, [1.0, 0, 0, 0])
+    to_parent, to_child = (np.asarray(a.rotation, float) for a in (body.parent_anchor, body.child_anchor))
     sizes = np.asarray(body.sizes, float)[:, :4].reshape(-1, 2, 2)
     is_round = np.all(sizes.min(-1) > ROUND * sizes.max(-1), -1)
-    free = {0: np.zeros(1)}  # limb -> twists that it may have
-    out = np.zeros((len(turns), len(t.joints)))
-    for j in tree_order(t):
-        parent, child = t.parents[j], t.children[j]
-        frame = world[parent] * anchors[0][j]
-        towards = frame.inv().apply((world[child] * anchors[1][j]).apply([0.0, 0.0, 1.0]))
-        swing = _swing(towards)
-        if is_round[child]:
-            # without any twist, and free to have one
-            world[child] = frame * Rotation.from_rotvec(np.pad(swing, ((0, 0), (0, 1)))) * anchors[1][j].inv()
-        low, high = np.clip(limits[j, 2], -np.pi, np.pi)
-        free[child] = np.linspace(low, high, TWISTS) if is_round[child] else np.zeros(1)
-        c, s = np.cos(free[parent]), np.sin(free[parent])
-        seen = np.stack([c * swing[:, :1] + s * swing[:, 1:], c * swing[:, 1:] - s * swing[:, :1]], -1)
-        off = np.linalg.norm(seen - np.clip(seen, limits[j, :2, 0], limits[j, :2, 1]), axis=-1)
-        out[:, j] = np.where(there[:, parent] & there[:, child], off.min(1), 0.0)
+    # twists that a limb may have, one if it is not round
+    low, high = np.zeros((2, len(sizes)))
+    children, parents = np.array(t.children, int), np.array(t.parents, int)
+    low[children], high[children] = np.where(is_round[children], np.clip(limits[:, 2].T, -np.pi, np.pi), 0.0)
+    out = np.zeros((len(world), len(t.joints)))
+    for joints in _outwards(t):
+        parent, child = parents[joints], children[joints]
+        frame = quat_multiply(world[:, parent], to_parent[joints])
+        axis = rotate(quat_multiply(world[:, child], to_child[joints]), np.array([0.0, 0.0, 1.0]))
+        swing = _swing(unrotate(frame, axis))
+        # a round limb without any twist, and free to have one
+        plain = quat_multiply(quat_multiply(frame, _turned(swing)), quat_conjugate(to_child[joints]))
+        world[:, child] = np.where(is_round[child, None], plain, world[:, child])
+        twist = low[parent] + (high - low)[parent] * np.linspace(0, 1, TWISTS)[:, None, None]
+        c, s = np.cos(twist), np.sin(twist)
+        x, y = swing[..., 0], swing[..., 1]
+        seen = np.stack([c * x + s * y, c * y - s * x], -1)
+        off = np.linalg.norm(seen - np.clip(seen, limits[joints, :2, 0], limits[joints, :2, 1]), axis=-1)
+        out[:, joints] = np.where(there[:, parent] & there[:, child], off.min(0), 0.0)
     return out
 
 
-def _swing(towards: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 2"]:
-    """Rotation vector in the x-y plane that turns the z axis to a unit vector."""
-    level = np.linalg.norm(towards[:, :2], axis=1)
-    angle = np.arctan2(level, towards[:, 2])
-    share = np.where(level > 1e-9, angle / np.maximum(level, 1e-9), 0.0)
-    return np.stack([-towards[:, 1] * share, towards[:, 0] * share], 1)
+def _outwards(topology: Topology) -> list[list[int]]:
+    """Joints as far from the root as each other, the nearest first."""
+    depth, levels = {0: 0}, {}
+    for joint in tree_order(topology):
+        depth[topology.children[joint]] = depth[topology.parents[joint]] + 1
+        levels.setdefault(depth[topology.children[joint]], []).append(joint)
+    return [levels[k] for k in sorted(levels)]
+
+
+def _turned(swing: Float[np.ndarray, "frame joint 2"]) -> Float[np.ndarray, "frame joint 4"]:
+    """Unit quaternions wxyz of rotation vectors in the x-y plane."""
+    half = np.linalg.norm(swing, axis=-1, keepdims=True) / 2
+    return np.concatenate([np.cos(half), np.sinc(half / np.pi) / 2 * swing, np.zeros_like(half)], -1)
+
+
+def _swing(towards: Float[np.ndarray, "frame joint 3"]) -> Float[np.ndarray, "frame joint 2"]:
+    """Rotation vectors in the x-y plane that turn the z axis to unit vectors."""
+    x, y, z = towards[..., 0], towards[..., 1], towards[..., 2]
+    level = np.hypot(x, y)
+    share = np.where(level > 1e-9, np.arctan2(level, z) / np.maximum(level, 1e-9), 0.0)
+    return np.stack([-y * share, x * share], -1)

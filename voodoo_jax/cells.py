@@ -6,20 +6,22 @@ Where all cells fit into a box of moderate size, a cell is looked up in an array
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Bool, Float32, Int, Int32
 from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+SMALL = 300_000  # cells of a box: to go through all of it takes less time than to number what is near the taken ones
 MODERATE = 1_000_000  # cells of a box: to fill a larger array takes longer than to sort the cells that are taken
 LARGE = 8_000_000  # the same of an array of which only what is near the taken ones is looked at
 FEW = 50_000  # pairs of points that are compared one by one in less time than a search tree is made
 AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)  # a cell and the 26 around it
 LATER = AROUND[14:]  # those of them that come later in order: each pair once
 
-Cells = Int[np.ndarray, "cell 3"]
+MARGIN = 3  # cells around those that are asked about: one for what touches them, two for what is farther away
+Cells = Int[np.ndarray, "cell 3"]  # fastest by coordinate in memory
 
 
 class Box(NamedTuple):
@@ -42,20 +44,23 @@ class Box(NamedTuple):
         return self.span[0] * self.span[1] * self.span[2]
 
     def numbers(self, cells: Cells) -> Int[np.ndarray, " cell"]:
-        return self.steps @ (cells.T - self.low)
+        return self._numbers(cells.T - self.low)
 
-    def inner_numbers(self, cells: Cells) -> Int[np.ndarray, " inner"]:
-        """The numbers of those of the cells that are in the box, and not at its sides."""
-        place = cells.T - self.low
-        # what is below the lowest is above the highest, too, as a number without sign
-        inner = (place.view(np.uint64) - np.uint64(1) < (np.array(self.span) - 2)[:, None].astype(np.uint64)).all(0)
-        return (self.steps @ place)[inner]
+    def inner_numbers(self, cells: Cells) -> Int[np.ndarray, " cell"]:
+        """The numbers of the cells, of those outside that of the nearest one which is not at the box's sides."""
+        place = np.maximum(cells.T - self.low, 1)
+        return self._numbers(np.minimum(place, np.array(self.span, place.dtype)[:, None] - 2, out=place))
+
+    def _numbers(self, place: Int[np.ndarray, "3 cell"]) -> Int[np.ndarray, " cell"]:
+        x, y, z = place if self.size < 2**31 else place.astype(np.int64)
+        return (x * self.span[1] + y) * self.span[2] + z
 
 
 def cells_of(points: Float32[np.ndarray, "point 3"], size: float) -> Int[np.ndarray, "point 3"]:
     """Which cell of a grid each point is in; cells are `size` metres wide."""
     # by coordinate in memory: several times as fast to go through
-    return np.floor(np.ascontiguousarray(points.T) / np.float32(size)).astype(np.int64).T
+    place = np.divide(points.T, np.float32(size), order="C")
+    return np.floor(place, out=place).astype(np.int32).T
 
 
 def unique_cells(cells: Cells) -> tuple[Int[np.ndarray, "unique 3"], Int[np.ndarray, " cell"]]:
@@ -83,14 +88,49 @@ def touching(cells: Cells, others: Int[np.ndarray, "other 3"]) -> Bool[np.ndarra
     """Which cells are among the others, or next to one of them, across a corner too."""
     if not len(cells) or not len(others):
         return np.zeros(len(cells), bool)
-    box = Box.around(cells, 2)
+    box = Box.around(cells, MARGIN)
     near, number = box.inner_numbers(others), box.numbers(cells)
     if box.size > LARGE:
         return np.isin(number, np.unique(near)[:, None] + AROUND @ box.steps)
-    taken, marked = np.zeros((2, box.size), bool)
+    taken = np.zeros(box.size, bool)
     taken[near] = True
-    marked[np.flatnonzero(taken)[:, None] + AROUND @ box.steps] = True
-    return marked[number]
+    if box.size > SMALL:
+        marked = np.zeros(box.size, bool)
+        marked[np.flatnonzero(taken)[:, None] + AROUND @ box.steps] = True
+        return marked[number]
+    for step in box.steps.tolist():
+        marked = taken.copy()
+        marked[step:] |= taken[:-step]
+        marked[:-step] |= taken[step:]
+        taken = marked
+    return taken[number]
+
+
+def number_around(cells: Cells) -> Int32[np.ndarray, " cell"]:
+    """How often the cells that are the same as each, or touch it, occur."""
+    box = Box.around(cells, 1)
+    number = box.numbers(cells)
+    if box.size > MODERATE:
+        unique, inverse, count = np.unique(number, return_inverse=True, return_counts=True)
+        wanted = unique[:, None] + AROUND @ box.steps
+        place = np.minimum(np.searchsorted(unique, wanted), len(unique) - 1)
+        return np.sum(count[place] * (unique[place] == wanted), 1)[inverse].astype(np.int32)
+    count = np.zeros(box.size, np.uint16)  # small numbers: less to go through
+    np.add.at(count, number.astype(np.intp), np.uint16(1))  # of these types it is done at once
+    for step in box.steps.tolist():
+        total = count.copy()
+        total[step:] += count[:-step]
+        total[:-step] += count[step:]
+        count = total
+    return count[number].astype(np.int32)
+
+
+def about(
+    points: Float32[np.ndarray, "point 3"], others: Float32[np.ndarray, "other 3"], distance: float
+) -> Bool[np.ndarray, " point"]:
+    """Which points have one of the others nearer than about `distance` metres: all that are nearer than two thirds of
+    it, none farther than two and a third times."""
+    return touching(cells_of(points, distance / 1.5), cells_of(others, distance / 1.5))
 
 
 def within(
@@ -182,5 +222,5 @@ HALF, MASK = 1 << 20, (1 << 21) - 1  # three coordinates in one number; beyond a
 
 
 def _codes(cells: Cells) -> Int[np.ndarray, " cell"]:
-    x, y, z = (cells + HALF & MASK).T
+    x, y, z = (cells.T + HALF & MASK).astype(np.int64)
     return x << 42 | y << 21 | z

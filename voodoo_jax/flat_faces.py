@@ -7,6 +7,7 @@ from itertools import compress
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
@@ -119,7 +120,9 @@ def _even_patches(rest: Resting) -> list[tuple[Face, float]]:
         if len(face) < SMALL:
             left = np.delete(left, best)
             continue
-        label = connected_components(KDTree(points[face]).sparse_distance_matrix(KDTree(points[face]), link))[1]
+        pairs = KDTree(points[face]).query_pairs(link, output_type="ndarray")
+        linked = coo_array((np.ones(len(pairs), bool), pairs.T), shape=(len(face),) * 2)
+        label = connected_components(linked, directed=False)[1]
         face = face[label == np.argmax(np.bincount(label, area[left[face]]))]
         if len(face) >= SMALL:
             found.append((_face(points[face]), float(area[left[face]].sum())))

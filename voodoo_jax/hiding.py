@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 BIN = 2.0  # degrees: what is seen in a direction is so wide
+AZIMUTHS, ELEVATIONS, PER_RADIAN = int(360 / BIN) + 1, int(180 / BIN) + 1, np.float32(180 / np.pi / BIN)
 NEARER = 0.3  # metres: what hides a place is so much nearer to the sensor, and what is seen through it so much farther
 
 
@@ -13,7 +14,7 @@ class Nearest(NamedTuple):
     """How far off the nearest thing is in each direction from each sensor, metres; infinite: nothing is seen."""
 
     origins: Float32[np.ndarray, "sensor 3"]
-    distance: Float[np.ndarray, "sensor azimuth elevation"]
+    distance: Float[np.ndarray, " bin"]  # of all sensors, see _directions
 
     @classmethod
     def of(
@@ -23,7 +24,7 @@ class Nearest(NamedTuple):
         origins: Float32[np.ndarray, "sensor 3"],
     ) -> "Nearest":
         """From the points that each sensor sees, metres."""
-        found = np.full((len(origins), int(360 / BIN) + 1, int(180 / BIN) + 1), np.inf)
+        found = np.full(len(origins) * AZIMUTHS * ELEVATIONS, np.inf, np.float32)
         distance, bins = _directions(points, sensor, origins)
         np.minimum.at(found, bins, distance)
         return cls(origins, found)
@@ -44,8 +45,9 @@ class Nearest(NamedTuple):
 
 
 def _directions(points, sensor, origins):
-    """Distances of points from their sensors, and the bins of their directions."""
-    away = points - origins[sensor]
-    azimuth = np.degrees(np.arctan2(away[:, 1], away[:, 0])) + 180
-    elevation = np.degrees(np.arctan2(away[:, 2], np.hypot(away[:, 0], away[:, 1]))) + 90
-    return np.linalg.norm(away, axis=1), (sensor, (azimuth / BIN).astype(int), (elevation / BIN).astype(int))
+    """Distances of points from their sensors, and the bins of their directions, numbered through."""
+    x, y, z = np.subtract(points.T, origins.T[:, sensor], order="C")  # by coordinate: faster to go through
+    level = np.sqrt(x * x + y * y)
+    azimuth = ((np.arctan2(y, x) + np.float32(np.pi)) * PER_RADIAN).astype(np.int32)
+    elevation = ((np.arctan2(z, level) + np.float32(np.pi / 2)) * PER_RADIAN).astype(np.int32)
+    return np.sqrt(level * level + z * z), (sensor * AZIMUTHS + azimuth) * ELEVATIONS + elevation

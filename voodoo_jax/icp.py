@@ -14,13 +14,21 @@ from jaxtyping import Array, Bool, Float, Int
 from voodoo_jax.body import Body, Links, Topology, bands
 from voodoo_jax.kernels.bands import link_moments, prior_moments
 from voodoo_jax.kernels.correspond import Match, MatchOptions, Points, match, sums
-from voodoo_jax.kernels.coupled import coupled_normals, coupled_step, link_tables, pair_normals
+from voodoo_jax.kernels.coupled import (
+    as_motions,
+    coupled_normals,
+    coupled_twists,
+    link_tables,
+    pair_normals,
+    stretched,
+)
 from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
 from voodoo_jax.kernels.procrustes import align
 from voodoo_jax.pose import Poses, apply, compose, quat_normalize
 
 MOVED = 0.003  # metres: a step that moves no limb farther may be the last where it gains nothing
+NEAR = 10.0  # times epsilon by which the quality measure may still change where the start was near
 CLOSE = 0.1  # metres: a point nearer to its limb is explained
 STEADY_RADIUS = 0.1  # metres: about what a limb's own points hold its rotation with
 
@@ -39,6 +47,7 @@ class IcpOptions(eqx.Module):
     epsilon: Float[Array, ""]  # stop when the quality measure changes by less, square metres; 0: never
     max_steps: Int[Array, ""]
     damping: Float[Array, ""]  # Levenberg-Marquardt damping of the coupled solver
+    stretch: Float[Array, ""]  # times as far as a step asks for a limb goes at most, see kernels.coupled.stretched
     plausible: PlausibleOptions
     solver: Literal["per_limb", "coupled"] = eqx.field(static=True)
 
@@ -61,6 +70,10 @@ class Problem(eqx.Module):
         if options.solver == "coupled":  # before the loop, out of which no compiler takes what gradients repeat
             links = links._replace(tables=link_tables(links))
         return cls(body, links, points, features, predicted, options)
+
+
+# normal matrix and right-hand side of all limbs' twists, see kernels.coupled
+System = tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]
 
 
 class StepInfo(NamedTuple):
@@ -166,10 +179,8 @@ def pulls_of(seen: Seen, poses: Poses, problem: Problem) -> Pulls:
     return Pulls(seen, pull, pull_second, links, strength)
 
 
-def frame_normals(
-    poses: Poses, pulls: Pulls, damping: Float[Array, ""]
-) -> tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]:
-    """Normal matrix and right-hand side of all limbs' twists in a frame (see kernels.coupled)."""
+def frame_normals(poses: Poses, pulls: Pulls, damping: Float[Array, ""]) -> System:
+    """The normal equations of all limbs' twists in a frame (see kernels.coupled)."""
     seen = pulls.seen
     assert seen.second is not None  # see seen_at
     normals, rhs = jax.vmap(pair_normals)(seen.measured + pulls.prior, seen.second + pulls.prior_second)
@@ -181,14 +192,29 @@ def frame_normals(
 
 def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
     """One ICP step: new poses of all limbs, and what was seen on entry."""
-    poses = Poses(quat_normalize(poses.rotation), poses.translation)
+    after, _, info = _step(Loop.begun(poses), problem)
+    return after, info
+
+
+def _step(state: "Loop", problem: Problem) -> tuple[Poses, Float[Array, "limb 6"], StepInfo]:
+    """Where the next step of a loop leads, what it asked for, and what was seen on entry."""
+    poses = Poses(quat_normalize(state.poses.rotation), state.poses.translation)
     coupled = problem.options.solver == "coupled"
     pulls = pulls_of(seen_at(poses, problem, with_second=coupled), poses, problem)
-    if coupled:
-        motion = coupled_step(*frame_normals(poses, pulls, problem.options.damping))
-    else:
-        motion = _limb_by_limb(poses, pulls)
-    return _moved(poses, motion), pulls.seen.info
+    system = frame_normals(poses, pulls, problem.options.damping) if coupled else None
+    return *_stepped(state, poses, pulls, system, problem.options), pulls.seen.info
+
+
+def _stepped(
+    state: "Loop", poses: Poses, pulls: Pulls, system: System | None, options: IcpOptions
+) -> tuple[Poses, Float[Array, "limb 6"]]:
+    """Where pulls lead from some poses, and what the step asked for: further than that where the last one led the same
+    way, and to what is no worse. `system` None: limb by limb."""
+    if system is None:
+        return _moved(poses, _limb_by_limb(poses, pulls)), state.asked
+    asked = coupled_twists(*system)
+    most = jnp.where(pulls.seen.info.quality <= state.quality, options.stretch, 1.0)
+    return _moved(poses, as_motions(stretched(asked, state.asked, most))), asked
 
 
 def _limb_by_limb(poses: Poses, pulls: Pulls) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
@@ -209,6 +235,7 @@ class Loop(NamedTuple):
 
     poses: Poses
     quality: Float[Array, ""]  # where the last step began, square metres
+    asked: Float[Array, "limb 6"]  # by the last step: turns and shifts of limbs, see coupled_twists; zero: nothing yet
     moved: Float[Array, ""]  # by the limb that the last step moved farthest, square metres
     steps: Int[Array, ""]
     rest: Bool[Array, ""]  # another step would find nothing better: the poses are those to stay in
@@ -216,24 +243,27 @@ class Loop(NamedTuple):
     @classmethod
     def begun(cls, start: Poses) -> "Loop":
         huge = jnp.array(jnp.inf, start.translation.dtype)
-        return cls(start, huge, huge, jnp.array(0, jnp.int32), jnp.array(False))
+        asked = jnp.zeros((*start.translation.shape[:-1], 6), start.translation.dtype)
+        return cls(start, huge, asked, huge, jnp.array(0, jnp.int32), jnp.array(False))
 
-    def after(self, poses: Poses, quality: Float[Array, ""], rest: Bool[Array, ""]) -> "Loop":
+    def after(
+        self, poses: Poses, asked: Float[Array, "limb 6"], quality: Float[Array, ""], rest: Bool[Array, ""]
+    ) -> "Loop":
         """One step further, to `poses`, or where it is, if that is to stay in."""
         moved = jnp.max(jnp.sum((poses.translation - self.poses.translation) ** 2, -1))
         poses = jax.tree.map(lambda old, new: jnp.where(rest, old, new), self.poses, poses)
-        return Loop(poses, quality, moved, self.steps + ~rest, rest)
+        return Loop(poses, quality, asked, moved, self.steps + ~rest, rest)
 
     def at_rest(
         self, quality: Float[Array, ""], options: IcpOptions, patient: Bool[Array, ""] | bool
     ) -> Bool[Array, ""]:
         """Whether the poses, of this `quality`, are those to stay in: see solve_frame."""
         fallen = self.quality - quality
-        still = jnp.abs(fallen) < options.epsilon
         # pairs that nobody measured may make the measure rise
         extra = options.plausible.limits is not None or options.plausible.collisions is not None
         if extra or options.solver != "coupled":
-            return still
+            return jnp.abs(fallen) < options.epsilon
+        still = jnp.abs(fallen) < options.epsilon * jnp.where(patient, 1.0, NEAR)
         aimless = (fallen < 0) & (options.epsilon > 0) & (self.moved < MOVED**2) & jnp.logical_not(patient)
         return still | aimless
 
@@ -245,11 +275,13 @@ def solve_frame(
     capacity: int = 64,
     patient: Bool[Array, ""] | bool = True,
 ) -> FrameResult:
-    """Repeats the step until the quality measure changes by less than epsilon, or max_steps is reached (sec. 3.2).
+    """Repeats the step until the quality measure changes by less than epsilon (from a near start, not `patient`, by ten
+    times that), or max_steps is reached (sec. 3.2).
 
-    From a near start (not `patient`) the coupled solver stops where the measure rises and no limb moves much any more,
-    too: points then change limbs to and fro, and going on takes more than twice the steps and finds nothing better. Not
-    where pairs that nobody measured may make it rise; with epsilon 0 all max_steps are taken.
+    The coupled solver goes further than a step asks where steps go the same way (see kernels.coupled.stretched). From a
+    near start it stops where the measure rises and no limb moves much any more, too: points then change
+    limbs to and fro, and going on takes more than twice the steps and finds nothing better. Not where pairs that nobody
+    measured may make it rise; with epsilon 0 all max_steps are taken.
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed too: every step
     keeps little more than the poses that it began with, and is done once more on the way back (pitfall P9). `capacity`
@@ -262,8 +294,8 @@ def solve_frame(
         return ~state.rest & (state.steps < options.max_steps)
 
     def body(state):
-        poses, info = icp_step(state.poses, problem)
-        return state.after(poses, info.quality, state.at_rest(info.quality, options, patient))
+        poses, asked, info = _step(state, problem)
+        return state.after(poses, asked, info.quality, state.at_rest(info.quality, options, patient))
 
     state = Loop.begun(start)
     if kind == "lax":
@@ -318,8 +350,8 @@ def solve_and_measure(
         normals = none if system is None else system[0]
 
         def move():
-            motion = _limb_by_limb(poses, pulls) if system is None else coupled_step(*system)
-            return loop.after(_moved(poses, motion), seen.info.quality, jnp.array(False)), unseen, normals
+            after = loop.after(*_stepped(loop, poses, pulls, system, options), seen.info.quality, jnp.array(False))
+            return after, unseen, normals
 
         def measure():
             weight, off = seen.measured[:, 0, 0], jnp.zeros_like(unseen.residual)

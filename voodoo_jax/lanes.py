@@ -68,7 +68,7 @@ def visit_lanes(asked: list[tuple], lanes: int) -> list[tuple[State, Step]]:
 
 
 def _nobody(visits: Visits) -> Visits:
-    return Visits(visits.frame, np.full_like(visits.track, NOBODY))
+    return visits._replace(track=np.full_like(visits.track, NOBODY))
 
 
 @cache
@@ -114,10 +114,12 @@ def in_lockstep(
     def turn(states, visit):
         tracked = lambda: jax.vmap(one)(body, options, states, (points, seconds, features), visit)  # noqa: E731
         nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(tracked)[1])
-        return jax.lax.cond(jnp.any(visit.track != NOBODY), tracked, lambda: (states, nothing))
+        return jax.lax.cond(jnp.any(visit[1] != NOBODY), tracked, lambda: (states, nothing))
 
-    by_turn = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), visits)
+    by_turn = visits.frame.T, visits.track.T
     states, (steps, normals) = jax.lax.scan(turn, states, by_turn)
     steps, normals = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), (steps, normals))
-    found = jax.vmap(covariances_of)(body, options, normals)
+    # the same branch for all lanes, or it were none
+    wanted = jax.vmap(covariances_of, (0, 0, 0, None))(body, options, normals, jnp.any(visits.sure))
+    found = jnp.where(visits.sure[:, None, None, None, None], wanted, 0.0)
     return states, steps._replace(covariance=found)

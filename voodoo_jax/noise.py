@@ -16,7 +16,7 @@ from voodoo_jax.person_frame import PersonFrame
 MOST, ASKED = 3000, 150  # points that neighbours are looked for among, and points whose neighbours are looked at
 NEIGHBOURS = 9  # of a point, itself among them: a plane has three numbers
 FEWEST = 60  # points of a sensor from which its noise can be told
-EVERY = 5  # frames after which it is measured again
+EVERY = 8  # frames after which it is measured again
 
 
 def range_noise(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:
@@ -59,7 +59,7 @@ def weighed(frames: Iterable[PersonFrame], usual: float) -> Iterator[PersonFrame
             mine = frame.sensor == sensor
             points, origin = frame.points[mine], frame.origins[sensor]
             # of all together: by its own distance, a point that errs towards the sensor would weigh more
-            square = float(np.median(np.sum((points - origin).T ** 2, 0)))
+            square = float(np.median(np.sum((points[:: len(points) // ASKED + 1] - origin) ** 2, 1)))
             if sensor not in growth or number % EVERY == 0:
                 found = range_noise(points, origin) / max(square, 1e-6)
                 if np.isfinite(found):

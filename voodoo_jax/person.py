@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.candidate import Build, candidate
-from voodoo_jax.cells import Counted, cells_of, components, touching, within
+from voodoo_jax.cells import Counted, about, cells_of, components, touching, within
 from voodoo_jax.clouds import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
@@ -57,6 +57,7 @@ class PersonFinder:
         self._spacing: dict[int, float] = {}  # of each sensor: angle between neighbouring points, radians,
         self._gap: dict[int, float] = {}  # and across which there is another one in any direction
         self._background = Counted(CELL)
+        self._learns = False  # in this frame, from what is beside the body: in every other one
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
 
     def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
@@ -67,22 +68,7 @@ class PersonFinder:
         if self.last is not None and len(sure):
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
-        height, x, y, *walls = self._places(points)
-        keep = (height > s.floor_margin) & ~known
-        for distance, wall in zip(walls, self.scene.walls):
-            keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
-        distant = points[:0]
-        if self.last is not None:
-            # flat distance only: somebody who sits down or jumps is still here
-            middle = self._places(np.median(self.last, 0)[None])
-            reach = s.reach * self.body.reach / 1.75 + self._gone_by(frame)
-            near = (x - middle[1]) ** 2 + (y - middle[2]) ** 2 < reach**2
-            if self._surveyed_ns is None:
-                self._surveyed_ns = frame.time_ns
-            if frame.time_ns - self._surveyed_ns >= SURVEY_NS:
-                distant, self._surveyed_ns = points[keep & ~near], frame.time_ns
-            keep &= near
-        index = np.flatnonzero(keep)
+        index, distant = self._free(frame, known)
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
         # not where something else than the body was seen before
         index = index[self._background.at(points[index]) < 3]
@@ -107,6 +93,32 @@ class PersonFinder:
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         return frame.only(index)
+
+    def _free(
+        self, frame: PersonFrame, known: Bool[np.ndarray, " point"]
+    ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
+        """Indices of the points that are off floor and walls, not `known` already, and near where the body was; and,
+        where it is time to look at the whole room, the points that are farther off."""
+        points, s = frame.points, self.settings
+        near = np.ones(len(points), bool)
+        survey = False
+        if self.last is not None:
+            # flat distance only: somebody who sits down or jumps is still here; of its points a share tells the middle
+            level = self._axes[1:3]
+            x, y = level @ points.T - (level @ np.median(self.last[::4], 0))[:, None]
+            near = x * x + y * y < (s.reach * self.body.reach / 1.75 + self._gone_by(frame)) ** 2
+            self._surveyed_ns = frame.time_ns if self._surveyed_ns is None else self._surveyed_ns
+            survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
+        asked = np.arange(len(points)) if survey else np.flatnonzero(near)
+        height, _, _, *walls = self._places(points[asked])
+        keep = (height > s.floor_margin) & ~known[asked]
+        for distance, wall in zip(walls, self.scene.walls):
+            keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
+        index = asked[keep]
+        if not survey:
+            return index, points[:0]
+        self._surveyed_ns = frame.time_ns
+        return index[near[index]], points[index[~near[index]]]
 
     def another(self, settings: PersonSettings) -> "PersonFinder":
         """One that follows nothing yet, for the same sensors."""
@@ -191,7 +203,7 @@ class PersonFinder:
 
     def _followed(self, points, label, count, last) -> Bool[np.ndarray, " thing"]:
         """Which things hang together with where the body was."""
-        near = np.bincount(label, within(points, last, self.settings.move))
+        near = np.bincount(label, about(points, last, self.settings.move))
         taken = near > np.maximum(5, 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
@@ -277,7 +289,10 @@ class PersonFinder:
         elif self.last is None or not len(others) or not len(mine):
             return
         else:
-            far, times = ~within(others, mine, 0.25), 1.0
+            self._learns = not self._learns
+            if not self._learns:
+                return
+            far, times = ~within(others, mine, 0.25), 2.0
         self._background.add(cells_of(others[far], CELL), times)
 
 

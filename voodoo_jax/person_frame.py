@@ -1,6 +1,7 @@
 """The points of one frame that are taken to be on the body. Host side, NumPy."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -34,7 +35,9 @@ class PersonFrame:
         """The frame with some of its points: a mask or indices."""
         part = None if self.part is None else self.part[keep]
         weight = None if self.weight is None else self.weight[keep]
-        return replace(self, points=self.points[keep], sensor=self.sensor[keep], part=part, weight=weight)
+        other = copy(self)  # dataclasses.replace takes as long as all else here
+        vars(other).update(points=self.points[keep], sensor=self.sensor[keep], part=part, weight=weight)
+        return other
 
 
 Seen = TypeVar("Seen", Frame, PersonFrame)

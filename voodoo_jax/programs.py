@@ -101,7 +101,7 @@ class Program(Generic[P, R]):
         if _odd(arrays):
             return None
         static = tuple(None if eqx.is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
-        shapes = tuple((x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in arrays)
+        shapes = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)
         key = (tree, static, shapes, tuple(getattr(jax.config, name, None) for name in CONTEXT))
         try:
             found = self.ready.get(key)

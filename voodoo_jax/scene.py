@@ -12,6 +12,7 @@ from voodoo_jax.recording import Frame
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
 SLANTED = 0.9  # cosine: a floor that is so far from where it was thought to be is looked for once more
+MANY, SUBSET = 30_000, 2000  # points among which a floor is looked for, and by which planes are compared
 COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
 
@@ -69,17 +70,18 @@ def fit_plane(
     normals, at = normals[keep], sample[good][keep][:, 0]
     if not len(normals):
         return None
-    subset = points[rng.permutation(len(points))[:4000]]
-    near = np.abs(subset @ normals.T - np.sum(normals * at, 1)) < tolerance
-    best = int(np.argmax(near.sum(0)))
+    subset = points[rng.integers(0, len(points), SUBSET)] if len(points) > SUBSET else points
+    near = np.abs(normals @ subset.T - np.sum(normals * at, 1)[:, None]) < tolerance
+    best = int(np.argmax(near.view(np.uint8).sum(1, dtype=np.uint32)))
     normal, offset = normals[best], float(normals[best] @ at[best])
     for _ in range(3):
-        inside = np.abs(points @ normal - offset) < tolerance
-        if inside.sum() < 20:
+        inside = points[np.abs(points @ normal - offset) < tolerance]
+        if len(inside) < 20:
             return None
-        middle = points[inside].mean(0)
-        _, _, axes = np.linalg.svd(points[inside][:: max(1, int(inside.sum()) // 3000)] - middle, full_matrices=False)
-        normal = axes[2] * np.sign(axes[2] @ normal or 1.0)
+        middle = inside.mean(0)
+        off = (inside - middle).astype(float)
+        across = np.linalg.eigh(off.T @ off)[1][:, 0].astype(np.float32)
+        normal = across * np.sign(across @ normal or 1.0)
         offset = float(normal @ middle)
     plane = Plane(normal.astype(np.float32), offset)
     return plane, np.abs(plane.height(points)) < tolerance
@@ -95,8 +97,8 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
     free = [f.only(~assigned(f)) if assigned(f).any() else f for f in map(whole, frames)]
     clouds = [f.points for f in free if len(f.points)]
     points = np.concatenate(clouds) if clouds else np.zeros((0, 3), np.float32)
-    if len(points) > 60_000:
-        points = points[rng.permutation(len(points))[:60_000]]
+    if len(points) > MANY:
+        points = points[rng.permutation(len(points))[:MANY]]
     if not len(points):  # the person's own lowest points are as near to the floor as one can know
         points = np.concatenate([np.zeros((0, 3), np.float32), *(f.points for f in frames)])
         return Scene(_lowest(points, up, up_is_sure)[0], (), False)

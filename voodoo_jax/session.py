@@ -147,7 +147,7 @@ class Session:
             if most is not None:
                 steps = jax.device_put(np.minimum(np.asarray(steps), np.int32(most)))
                 options = eqx.tree_at(lambda o: o.icp.max_steps, options, steps)
-            visit = partial(self._visited, body, options, (chunk.points, seconds, features), chosen)
+            visit = partial(self._visited, body, options, (chunk.points, seconds, features), chosen, sure=False)
             return in_pieces(visit, states, max(1, min(TRACKS, self.length // max(len(chosen), 1))))
 
         return run_trials(body, jax.tree.map(lambda *leaves: np.stack(leaves), *starts), seen, tracked)
@@ -160,19 +160,32 @@ class Session:
         track_visits.prepare(*self._asked(self.body, self.options, measured, np.arange(1), nobody))
 
     def _visited(
-        self, body: Body, options: TrackOptions, measured: tuple, chosen: Int[np.ndarray, " frame"], states: State
+        self,
+        body: Body,
+        options: TrackOptions,
+        measured: tuple,
+        chosen: Int[np.ndarray, " frame"],
+        states: State,
+        sure: bool = True,
     ) -> tuple[State, Step]:
         """Tracks some of the frames that are `measured` (points, seconds, features; padded) from each of the states
         (leading axis: track); the states after them, and a Step for each (leading axes: track and frame). On the host.
+        `sure`: whether covariances are wanted.
         """
         count = len(states.seen)
-        after, step = on_host(self.visit(*self._asked(body, options, measured, chosen, states)))
+        after, step = on_host(self.visit(*self._asked(body, options, measured, chosen, states, sure)))
         used = slice(count * len(chosen))
         step = jax.tree.map(lambda x: x[used].reshape(count, len(chosen), *x.shape[1:]), step)
         return jax.tree.map(lambda x: x[:count], after), step
 
     def _asked(
-        self, body: Body, options: TrackOptions, measured: tuple, chosen: Int[np.ndarray, " frame"], states: State
+        self,
+        body: Body,
+        options: TrackOptions,
+        measured: tuple,
+        chosen: Int[np.ndarray, " frame"],
+        states: State,
+        sure: bool = True,
     ) -> tuple:
         """What track_visits takes, always of the same shapes."""
         count = len(states.seen)
@@ -181,7 +194,7 @@ class Session:
         frame[used], track[used] = np.tile(chosen, count), np.repeat(np.arange(count), len(chosen))
         full = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[:1], TRACKS - count, 0)]), on_host(states))
         points, seconds, features = measured
-        return body, options, full, points, seconds, Visits(frame, track), features
+        return body, options, full, points, seconds, Visits(frame, track, np.array(sure)), features
 
     def chunk(self, state: State, at: int, most: int) -> tuple[State, Step, int]:
         """Tracks up to one chunk of frames from `at`, at most so many, not past the next change of the body, or to

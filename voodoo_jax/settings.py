@@ -89,7 +89,7 @@ class StartSettings:
     later: tuple[float, ...] = (0.5, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0)
     """Where the beginning is in doubt, times after it, in seconds, at which a clearer pose to start from is looked for;
     from there the body is followed back to the beginning (with track.both_ways only)."""
-    sure: float = 0.00012
+    sure: float = 0.00014
     """Mean squared distance beyond what noise makes, square metres, below which a start is in no doubt."""
 
 
@@ -125,6 +125,8 @@ class SolveSettings:
     """Levenberg-Marquardt damping of the coupled solver, as a share of the diagonal."""
     max_steps: int = 30
     """Most ICP steps per frame (the papers: 6 online, 3 to 15 in general)."""
+    stretch: float = 2.0
+    """Where a limb's steps go the same way it goes up to so many times as far in one (coupled); 1: never farther."""
     epsilon: float = 1e-7
     """Stop when the mean squared distance changes by less, square metres (coupled: or rises); 0: take all steps."""
     ratio: float = 0.6

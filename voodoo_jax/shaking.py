@@ -21,6 +21,7 @@ FAR, FASTER = 0.2, 0.6  # metres from a plane, of the points on it at first, and
 WIDE, FINE = 3.0, 0.005  # times the noise in the end; metres of noise, at least
 LEVEL, UPRIGHT = 0.03, 0.07  # metres of noise of floors and walls, at first
 STEPS = 15
+CALM, EVERY = 30, 3  # after so many frames in which nothing has moved, one of so many is asked
 SETTLED = 0.0005  # metres
 SHAKEN = 0.015  # metres, root mean square, by which the planes seem to have moved: less is noise
 NOISY = 0.4  # of the planes' noise: so much more of it is noise in any case
@@ -102,9 +103,12 @@ def steadied(frames: Iterable[Frame], planes: Planes) -> Iterator[Frame]:
 
     How they move along a plane and about its normal is not known if there is no other one, and is left as it is.
     """
-    T = STILL
+    T, calm = STILL, 0  # frames since they moved
     for frame in frames:
-        if len(planes.offsets) and len(frame.points):
+        calm = calm + 1 if T is STILL else 0
+        # who holds a camera never stands still for so long
+        asked = calm < CALM or calm % EVERY == 0
+        if asked and len(planes.offsets) and len(frame.points):
             T = _found(_some(frame), frame.origins.mean(0).astype(float), planes, T)
         yield frame if T is STILL else replace(_placed(frame, T), T_fixed_steady=np.linalg.inv(T))
 
@@ -117,11 +121,13 @@ def _found(
 ) -> Float64[np.ndarray, "4 4"]:
     """What moves the points onto the planes, beginning with `start`: the identity where nothing has moved."""
     still = start is STILL
+    if still and not _moving(points[::2], origin, planes):
+        return start
     if not still:
         start = _turned(FORGET * np.concatenate([Rotation.from_matrix(start[:3, :3]).as_rotvec(), start[:3, 3]]))
     T, whole, reach = start, np.zeros(6), FAR
     pivot = _moved(origin[None], T)[0]
-    for step in range(STEPS):
+    for _ in range(STEPS):
         there = _moved(points, T)
         off, which = _off(there, planes.normals, planes.offsets)
         least = WIDE * planes.noise[which]
@@ -130,21 +136,48 @@ def _found(
         if near.mean() < FEWEST:
             return start
         off, normal, noise, limit = off[near], planes.normals[which[near]], planes.noise[which[near]], limit[near]
-        weight = (1 - (off / limit) ** 2) ** 2
-        weight *= COUNT / weight.sum() / noise**2
-        jacobian = np.concatenate([np.cross(there[near] - pivot, normal), normal], 1)
-        weighted = jacobian * weight[:, None]
-        x = np.linalg.solve(weighted.T @ jacobian + np.diag(STIFF**-2.0), -weighted.T @ off - whole / STIFF**2)
+        x, jacobian, weight = _step(there[near] - pivot, normal, off, noise, limit, whole)
         whole = whole + x
         T = _turned(whole, pivot) @ start
         shift = np.sum(normal * (_moved(points[near], T) - points[near]), 1)
         toward = np.sqrt(np.sum(weight * shift**2) / weight.sum())
-        if step == 0 and still and toward < SHAKEN / 2:
-            return start
         if (limit <= least[near]).all() and np.abs(jacobian @ x).max() < SETTLED:
             break
         reach *= FASTER
     return T if toward > max(SHAKEN, NOISY * float(np.sqrt(np.average(noise**2, weights=weight)))) else STILL
+
+
+def _moving(points: Float64[np.ndarray, "point 3"], origin: Float64[np.ndarray, "3"], planes: Planes) -> bool:
+    """Whether a first step says that sensors which stood where they were thought to be may have moved."""
+    off, which = _off(points, planes.normals, planes.offsets)
+    limit = np.maximum(FAR, WIDE * planes.noise)[which]
+    near = np.flatnonzero(np.abs(off) < limit)
+    if len(near) < FEWEST * len(points):
+        return False
+    which = which[near]
+    x, jacobian, weight = _step(
+        points[near] - origin, planes.normals[which], off[near], planes.noise[which], limit[near], np.zeros(6)
+    )
+    return bool(weight @ (jacobian @ x) ** 2 >= (SHAKEN / 2) ** 2 * weight.sum())
+
+
+def _step(
+    arms: Float64[np.ndarray, "point 3"],
+    normal: Float64[np.ndarray, "point 3"],
+    off: Float64[np.ndarray, " point"],
+    noise: Float64[np.ndarray, " point"],
+    limit: Float64[np.ndarray, " point"],
+    whole: Float64[np.ndarray, "6"],
+) -> tuple[Float64[np.ndarray, "6"], Float64[np.ndarray, "point 6"], Float64[np.ndarray, " point"]]:
+    """The turn and shift that bring points, from their pivot, nearer to planes that they are `off`; how far each goes
+    for each of its numbers, and the weight of each. `whole`: how far all has gone already."""
+    weight = (1 - (off / limit) ** 2) ** 2
+    weight *= COUNT / weight.sum() / noise**2
+    (ax, ay, az), (nx, ny, nz) = arms.T, normal.T
+    jacobian = np.stack([ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx, nx, ny, nz])
+    weighted = jacobian * weight
+    x = np.linalg.solve(weighted @ jacobian.T + np.diag(STIFF**-2.0), -weighted @ off - whole / STIFF**2)
+    return x, jacobian.T, weight
 
 
 def _turned(x: Float64[np.ndarray, "6"], pivot: Float64[np.ndarray, "3"] | float = 0.0) -> Float64[np.ndarray, "4 4"]:

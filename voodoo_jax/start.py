@@ -65,15 +65,18 @@ def measured_height(
 
 
 def place(
-    body: Body, at: Float32[np.ndarray, "3"], up: Float32[np.ndarray, "3"], heading: Float32[np.ndarray, "3"]
+    body: Body, at: Float32[np.ndarray, "3"], up: Float32[np.ndarray, "3"], heading: Float32[np.ndarray, "*start 3"]
 ) -> Poses:
-    """The rest pose standing on `at` (fixed frame, metres), its z axis along `up`, its x axis towards `heading`."""
+    """The rest pose standing on `at` (fixed frame, metres), its z axis along `up`, its x axis towards `heading`; for
+    each of them (leading axes)."""
     z = up / np.linalg.norm(up)
-    x = heading - (heading @ z) * z
-    x = x / np.linalg.norm(x)
-    q = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], 1)).as_quat(scalar_first=True)
-    root = Poses(q.astype(np.float32), np.asarray(at, np.float32))
-    return compose(root[None], on_host(body.rest))
+    x = heading - (heading @ z)[..., None] * z
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    axes = np.stack([x, np.cross(z, x), np.broadcast_to(z, x.shape)], -1)
+    q = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat(scalar_first=True).astype(np.float32)
+    q = q.reshape(*x.shape[:-1], 1, 4)
+    root = Poses(q, np.broadcast_to(np.asarray(at, np.float32), (*q.shape[:-1], 3)))
+    return compose(root, on_host(body.rest))
 
 
 def _spacings(frames: list[PersonFrame]) -> list[float]:
@@ -114,12 +117,10 @@ def standing_places(body: Body, frames: list[PersonFrame], floor: Plane, heading
     thickness = float(np.max(np.asarray(body.sizes)[:, 0]))
     several = np.count_nonzero(seen) > 1
     foot = foot - 0.8 * thickness * (np.average(directions, axis=0, weights=seen) if several else towards)
-    out = []
-    for k in range(headings):
-        angle = 2 * np.pi * k / headings
-        direction = np.cos(angle) * towards + np.sin(angle) * np.cross(up, towards)
-        out.append(place(body, foot.astype(np.float32), up, direction.astype(np.float32)))
-    return out
+    angle = 2 * np.pi * np.arange(headings)[:, None] / headings
+    direction = np.cos(angle) * towards + np.sin(angle) * np.cross(up, towards)
+    poses = place(body, foot.astype(np.float32), up, direction.astype(np.float32))
+    return [poses[k] for k in range(headings)]
 
 
 class Trial(NamedTuple):

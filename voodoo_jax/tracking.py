@@ -106,6 +106,7 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
         epsilon=number(solve.epsilon),
         max_steps=whole(solve.max_steps),
         damping=number(solve.damping),
+        stretch=number(solve.stretch),
         plausible=PlausibleOptions(
             number(solve.limits) if solve.limits > 0 else None,
             number(solve.collisions) if solve.collisions > 0 else None,
@@ -248,6 +249,7 @@ class Visits(NamedTuple):
 
     frame: Int[AnyArray, " visit"]
     track: Int[AnyArray, " visit"]  # NOBODY: nothing is done
+    sure: Bool[AnyArray, ""] = np.array(True)  # whether covariances are asked for: they take as long as ten visits
 
 
 NOBODY = -1
@@ -281,17 +283,23 @@ def track_visits(
         states = jax.tree.map(lambda x, new: x.at[track].set(new), states, state)
         return states, out
 
-    states, (steps, normals) = jax.lax.scan(one, states, visits)
-    return states, steps._replace(covariance=covariances_of(body, options, normals))
+    states, (steps, normals) = jax.lax.scan(one, states, (visits.frame, visits.track))
+    return states, steps._replace(covariance=covariances_of(body, options, normals, visits.sure))
 
 
 def covariances_of(
-    body: Body, options: TrackOptions, normals: Float[Array, "visit limb6 limb6"]
+    body: Body, options: TrackOptions, normals: Float[Array, "visit limb6 limb6"], sure: Bool[AnyArray, ""]
 ) -> Float[Array, "visit limb 6 6"]:
-    """Covariance of each limb's twist from the normal matrices of many visits, see kernels.coupled."""
-    if options.icp.plausible.collisions is None:
-        return jax.vmap(lambda full: tree_covariance(body.topology, full))(normals)
-    return jax.lax.map(twist_covariance, normals)  # any limb may push any other one
+    """Covariance of each limb's twist from the normal matrices of many visits, see kernels.coupled; zero where nobody
+    asks (not `sure`)."""
+    count, limbs = normals.shape[0], normals.shape[1] // 6
+
+    def found():
+        if options.icp.plausible.collisions is None:
+            return jax.vmap(lambda full: tree_covariance(body.topology, full))(normals)
+        return jax.lax.map(twist_covariance, normals)  # any limb may push any other one
+
+    return jax.lax.cond(sure, found, lambda: jnp.zeros((count, limbs, 6, 6), normals.dtype))
 
 
 def track_chunk(

@@ -17,6 +17,8 @@ from jaxtyping import Array, Float
 from voodoo_jax.body import Links, LinkTables, Topology, tree_order
 from voodoo_jax.pose import Poses, matrix, quat_exp
 
+TURN_RADIUS = 0.1  # metres: what turns by one radian moves by so much
+
 
 def _cross(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     """Matrix of the cross product: _cross(v) w = v x w."""
@@ -123,10 +125,9 @@ def coupled_normals(
     return full + jnp.diag(jnp.repeat(damping * own + 1e-9, 6)), g
 
 
-def coupled_step(
-    full: Float[Array, "limb6 limb6"], rhs: Float[Array, "limb 6"]
-) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
-    """Motions of all limbs, each in its own frame: unit quaternions and shifts (metres).
+def coupled_twists(full: Float[Array, "limb6 limb6"], rhs: Float[Array, "limb 6"]) -> Float[Array, "limb 6"]:
+    """The step that the normal equations ask for: turns and shifts of all limbs, each in its own frame, radians and
+    metres.
 
     **Arguments:** see coupled_normals.
     """
@@ -136,7 +137,26 @@ def coupled_step(
     twist = jax.lax.custom_linear_solve(
         lambda x: full @ x, rhs.reshape(-1), lambda _, b: cho_solve(factor, b), symmetric=True
     )
-    twist = checkpoint_name(twist.reshape(rhs.shape), "factor")
+    return checkpoint_name(twist.reshape(rhs.shape), "factor")
+
+
+def stretched(
+    twist: Float[Array, "limb 6"], before: Float[Array, "limb 6"], most: Float[Array, ""]
+) -> Float[Array, "limb 6"]:
+    """A step, longer for limbs whose last one went the same way: where each is a constant share of the one before, all
+    together are one that is 1 / (1 - share) times as long (Aitken's extrapolation; of vectors: Irons and Tuck 1969,
+    doi:10.1002/nme.1620010306).
+
+    **Arguments:** `before` what the last step asked for, zero: nothing is known; `most` times as long it gets, at most.
+    """
+    metres = jnp.array([TURN_RADIUS**2] * 3 + [1.0] * 3, twist.dtype)
+    along, square = jnp.sum(metres * twist * before, -1), jnp.sum(metres * before * before, -1)
+    share = jnp.clip(along / (square + 1e-12), 0.0, 1.0 - 1.0 / most)
+    return twist / (1.0 - share)[:, None]
+
+
+def as_motions(twist: Float[Array, "limb 6"]) -> tuple[Float[Array, "limb 4"], Float[Array, "limb 3"]]:
+    """Motions of all limbs, each in its own frame: unit quaternions and shifts (metres)."""
     # a first step from far away may ask for more than the linearisation is good for
     turn = twist[:, :3]
     angle = jnp.sqrt(jnp.sum(turn * turn, -1, keepdims=True) + 1e-12)
