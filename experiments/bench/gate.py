@@ -33,12 +33,16 @@ def fallen(found: dict[str, float], baseline: dict[str, float], slack: float = S
     ]
 
 
-def check(found: dict[str, float], path: Path = BASELINE) -> int:
+def check(found: dict[str, float], processor: str, path: Path = BASELINE) -> int:
     """Prints what has fallen; the exit status: 1 if anything has, or if there was nothing to compare."""
-    baseline = json.loads(path.read_text())["ratios"]
+    kept = json.loads(path.read_text())
+    baseline = kept["ratios"]
     if not found.keys() & baseline.keys():
         print(f"nothing to compare with {path.name}")
         return 1
     bad = fallen(found, baseline)
     print("\n".join(["slower than the baseline:", *bad] if bad else ["no ratio has fallen"]))
+    if bad and kept["machine"]["cpu"] != processor:
+        # how fast NumPy is against compiled code depends on the processor by a third
+        print(f"the baseline is of {kept['machine']['cpu']}, this is {processor}: compare with the code before, here")
     return int(bool(bad))
