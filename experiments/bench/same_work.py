@@ -141,7 +141,7 @@ def main(
     plot(found, out / "same_work.png", f"6 steps a frame, 10 limbs; {info['cpu']}, {info['cores']} cores")
     if set_baseline:
         BASELINE.write_text(json.dumps({"machine": info, "ratios": shares}, indent=1) + "\n")
-    return check(shares, info["cpu"]) if gate else 0
+    return check(shares, str(info["cpu"])) if gate else 0
 
 
 if __name__ == "__main__":
