@@ -6,7 +6,7 @@ Where all cells fit into a box of moderate size, a cell is looked up in an array
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, Int32
+from jaxtyping import Bool, Float32, Int, Int32, Shaped
 from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
@@ -98,12 +98,7 @@ def touching(cells: Cells, others: Int[np.ndarray, "other 3"]) -> Bool[np.ndarra
         marked = np.zeros(box.size, bool)
         marked[np.flatnonzero(taken)[:, None] + AROUND @ box.steps] = True
         return marked[number]
-    for step in box.steps.tolist():
-        marked = taken.copy()
-        marked[step:] |= taken[:-step]
-        marked[:-step] |= taken[step:]
-        taken = marked
-    return taken[number]
+    return _spread(taken, box, np.logical_or)[number]
 
 
 def number_around(cells: Cells) -> Int32[np.ndarray, " cell"]:
@@ -117,12 +112,18 @@ def number_around(cells: Cells) -> Int32[np.ndarray, " cell"]:
         return np.sum(count[place] * (unique[place] == wanted), 1)[inverse].astype(np.int32)
     count = np.zeros(box.size, np.uint16)  # small numbers: less to go through
     np.add.at(count, number.astype(np.intp), np.uint16(1))  # of these types it is done at once
+    return _spread(count, box, np.add)[number].astype(np.int32)
+
+
+def _spread(cells: Shaped[np.ndarray, " box"], box: Box, joined: np.ufunc) -> Shaped[np.ndarray, " box"]:
+    """Each cell of a box joined with the 26 around it, axis by axis; cells at the box's sides have some of the other
+    side."""
     for step in box.steps.tolist():
-        total = count.copy()
-        total[step:] += count[:-step]
-        total[:-step] += count[step:]
-        count = total
-    return count[number].astype(np.int32)
+        out = cells.copy()
+        joined(out[step:], cells[:-step], out=out[step:])
+        joined(out[:-step], cells[step:], out=out[:-step])
+        cells = out
+    return cells
 
 
 def about(

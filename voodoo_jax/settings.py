@@ -128,7 +128,8 @@ class SolveSettings:
     stretch: float = 2.0
     """Where a limb's steps go the same way it goes up to so many times as far in one (coupled); 1: never farther."""
     epsilon: float = 1e-7
-    """Stop when the mean squared distance changes by less, square metres (coupled: or rises); 0: take all steps."""
+    """Stop when the mean squared distance changes by less, square metres (coupled, from where it was expected: by less
+    than ten times that, or rises); 0: take all steps."""
     ratio: float = 0.6
     """r: weight of a joint's bands over the measured weight of the limb (the papers: 0.4 to 0.7)."""
     floor: float = 0.03
