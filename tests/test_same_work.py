@@ -66,11 +66,14 @@ def test_the_gate_tells_a_regression(bench, tmp_path, capsys):
     found = gate.ratios(rates, 1000)
     assert found == {"library_batch/c_both@1000": 0.4, "library_batch/numpy@1000": 10.0}
     baseline = tmp_path / "baseline.json"
-    for was, status in ((0.5, 0), (0.6, 1)):
-        baseline.write_text(json.dumps({"ratios": found | {"library_batch/c_both@1000": was, "other@1": 9.0}}))
-        assert gate.check(found, baseline) == status
-    assert "library_batch/c_both@1000: 0.400, was 0.600" in capsys.readouterr().out
-    assert gate.check({}, baseline) == 1
+    for was, status, here, elsewhere in ((0.5, 0, "B", False), (0.6, 1, "A", False), (0.6, 1, "B", True)):
+        kept = found | {"library_batch/c_both@1000": was, "other@1": 9.0}
+        baseline.write_text(json.dumps({"ratios": kept, "machine": {"cpu": "A"}}))
+        assert gate.check(found, here, baseline) == status
+        said = capsys.readouterr().out
+        assert ("library_batch/c_both@1000: 0.400, was 0.600" in said) == bool(status)
+        assert ("the baseline is of A, this is B" in said) == elsewhere
+    assert gate.check({}, "A", baseline) == 1
 
 
 def test_the_committed_baseline_holds_the_gates_ratios(bench):
