@@ -126,14 +126,6 @@ def _spread(cells: Shaped[np.ndarray, " box"], box: Box, joined: np.ufunc) -> Sh
     return cells
 
 
-def about(
-    points: Float32[np.ndarray, "point 3"], others: Float32[np.ndarray, "other 3"], distance: float
-) -> Bool[np.ndarray, " point"]:
-    """Which points have one of the others nearer than about `distance` metres: all that are nearer than two thirds of
-    it, none farther than two and a third times."""
-    return touching(cells_of(points, distance / 1.5), cells_of(others, distance / 1.5))
-
-
 def within(
     points: Float32[np.ndarray, "point 3"], others: Float32[np.ndarray, "other 3"], distance: float
 ) -> Bool[np.ndarray, " point"]:
@@ -143,7 +135,9 @@ def within(
     # most are settled by cells: next to each other in small ones, or not even in large ones
     near = touching(cells_of(points, distance / 3.47), cells_of(others, distance / 3.47))
     open_ = np.flatnonzero(~near)
-    if not len(open_):
+    if len(open_) * len(others) < FEW:
+        if len(open_):
+            near[open_] = cdist(points[open_], others).min(1) < distance
         return near
     mine, theirs = cells_of(points[open_], distance), cells_of(others, distance)
     beside = touching(mine, theirs)

@@ -38,7 +38,7 @@ HELD = 300  # frames of points that wait until it is known which thing is the bo
 PATIENCE = 60  # frames: who may not wait does not take another thing for the body before
 LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
 WENT = 0.05  # metres from where it was: a sensor that sees other sides of things
-MANY = 8_000  # points of a frame by which it is asked what hides what
+MANY = 20_000  # points of a frame by which it is asked what hides what
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 NONE = np.zeros(0, int)
 

@@ -8,16 +8,16 @@ from voodoo_jax.cells import cells_of, number_around
 
 CELL = 0.59  # of a radius: three cells next to each other have the area of the circle
 BAND = 1.5  # times the smallest radius: so large a one is counted in the same cells
-HARDLY, SURELY = 3, 6  # points around, itself among them: with fewer it has no three neighbours, with more it has
+HARDLY, SURELY = 2, 12  # points around, itself among them: with fewer it has no three neighbours, with more it has
 PAIRS = 2_000_000  # of points that are compared one by one in less time than a search tree is made
-ASKED = 150  # points whose neighbours are looked at
+ASKED, FEWER = 2000, 300  # points whose nearest neighbours are looked at, and whose neighbours in all directions
 AROUND = 100  # neighbours of a point among which the nearest in every direction is looked for
 
 
 def point_spacing(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:
     """Angle between neighbouring points as seen from the sensor, radians (median)."""
     rays = _directions(points, origin)
-    return float(np.median(KDTree(rays).query(rays[:: len(rays) // ASKED + 1], k=2)[0][:, 1]))
+    return float(np.median(KDTree(rays).query(rays[:: max(1, len(rays) // ASKED)], k=2)[0][:, 1]))
 
 
 def point_gap(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:
@@ -27,7 +27,7 @@ def point_gap(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray
         return 0.0
     rays = _directions(points, origin)
     places = rays @ np.linalg.svd(rays.mean(0)[None])[2][1:].T
-    distance, index = map(np.asarray, KDTree(places).query(places[:: len(places) // ASKED + 1], k=AROUND))
+    distance, index = map(np.asarray, KDTree(places).query(places[:: len(places) // FEWER + 1], k=AROUND))
     apart = places[index[:, 1:]] - places[index[:, :1]]
     line = np.floor(np.arctan2(apart[..., 1], apart[..., 0]) / (np.pi / 4) + 0.5).astype(int) % 4  # four lines
     nearest = np.stack([np.min(np.where(line == k, distance[:, 1:], np.inf), 1) for k in range(4)])

@@ -14,7 +14,6 @@ from voodoo_jax.settings import PersonSettings
 WINDOW = 1800  # frames by which furniture is told from the body at once
 AWAY = 0.55  # metres from the body's axis: not part of it
 MOVED = 0.4  # metres by which the body must come nearer to a thing or go farther from it, to be told from it
-SOME = 500  # points that tell where the axis is
 CELL = 0.1  # metres, of the grid in which furniture is looked for
 BLOCK = 4_000_000  # cells times frames that are compared at once
 HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was a body that touched the thing
@@ -70,9 +69,8 @@ def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -
         return frames
     axis = np.full((len(frames), 3), np.nan, np.float32)
     for i in seen:
-        some = frames[i].points[:: len(frames[i].points) // SOME + 1]
-        height = some @ up
-        axis[i] = np.median(some[height > np.percentile(height, 60)], 0)
+        height = frames[i].points @ up
+        axis[i] = np.median(frames[i].points[height > np.percentile(height, 60)], 0)
         axis[i] -= (axis[i] @ up) * up
     if np.linalg.norm(np.ptp(axis[seen], 0)) <= MOVED:  # then no cell's distance changes by more
         return frames

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.candidate import Build, candidate
-from voodoo_jax.cells import Counted, about, cells_of, components, touching, within
+from voodoo_jax.cells import Counted, cells_of, components, touching, within
 from voodoo_jax.clouds import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
@@ -203,7 +203,7 @@ class PersonFinder:
 
     def _followed(self, points, label, count, last) -> Bool[np.ndarray, " thing"]:
         """Which things hang together with where the body was."""
-        near = np.bincount(label, about(points, last, self.settings.move))
+        near = np.bincount(label, within(points, last, self.settings.move))
         taken = near > np.maximum(5, 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
