@@ -9,7 +9,6 @@ from voodoo_jax.cells import (
     Counted,
     cells_of,
     components,
-    number_around,
     touching,
     unique_cells,
     within,
@@ -71,10 +70,3 @@ def test_counted_cells(rng):
     assert (seen.at(points + np.float32(20)) == 0).all()
     seen.clear()
     assert len(seen) == 0
-
-
-def test_number_around_counts_what_is_in_touching_cells(rng, way):
-    some = cells_of(cloud(rng, 400, 0.5), 0.3)
-    expected = (np.abs(some[:, None] - some[None]).max(2) <= 1).sum(1)
-    assert expected.min() < 4 and expected.max() > 20
-    np.testing.assert_array_equal(number_around(some), expected)

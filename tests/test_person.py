@@ -146,7 +146,7 @@ def test_flying_pixels_go_and_the_surface_stays(rng):
 
 
 def test_flying_pixels_are_those_that_a_search_tree_finds(rng):
-    """But for a few in a hundred: a wall, a thing before it, and pixels between them, unevenly thinned."""
+    """A wall, a thing before it, and pixels between them, unevenly thinned."""
     spacing, u, v = 0.006, *np.meshgrid(np.arange(-0.5, 0.5, 0.006), np.arange(-0.4, 0.4, 0.006))
     depth = np.where((np.abs(u) < 0.1) & (v < 0.3), 2.5 + 0.3 * u, 4.0 + rng.normal(0, 0.02, u.shape))
     edge = np.abs(np.abs(u) - 0.1) < 0.006
@@ -157,7 +157,7 @@ def test_flying_pixels_are_those_that_a_search_tree_finds(rng):
     expected = cKDTree(points).query(points, k=4)[0][:, 3] < near
     found = without_strays(points, np.zeros(3, np.float32), spacing)
     assert 200 < (~expected).sum() < 0.2 * len(points)
-    assert (found != expected).sum() < 0.01 * (~expected).sum()
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("link", [0.06, 0.12, 0.3])

@@ -6,7 +6,7 @@ Where all cells fit into a box of moderate size, a cell is looked up in an array
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, Int32, Shaped
+from jaxtyping import Bool, Float32, Int
 from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
@@ -89,41 +89,21 @@ def touching(cells: Cells, others: Int[np.ndarray, "other 3"]) -> Bool[np.ndarra
     if not len(cells) or not len(others):
         return np.zeros(len(cells), bool)
     box = Box.around(cells, MARGIN)
-    near, number = box.inner_numbers(others), box.numbers(cells)
+    other, number = box.inner_numbers(others), box.numbers(cells)
     if box.size > LARGE:
-        return np.isin(number, np.unique(near)[:, None] + AROUND @ box.steps)
+        return np.isin(number, np.unique(other)[:, None] + AROUND @ box.steps)
     taken = np.zeros(box.size, bool)
-    taken[near] = True
+    taken[other] = True
     if box.size > SMALL:
         marked = np.zeros(box.size, bool)
         marked[np.flatnonzero(taken)[:, None] + AROUND @ box.steps] = True
         return marked[number]
-    return _spread(taken, box, np.logical_or)[number]
-
-
-def number_around(cells: Cells) -> Int32[np.ndarray, " cell"]:
-    """How often the cells that are the same as each, or touch it, occur."""
-    box = Box.around(cells, 1)
-    number = box.numbers(cells)
-    if box.size > MODERATE:
-        unique, inverse, count = np.unique(number, return_inverse=True, return_counts=True)
-        wanted = unique[:, None] + AROUND @ box.steps
-        place = np.minimum(np.searchsorted(unique, wanted), len(unique) - 1)
-        return np.sum(count[place] * (unique[place] == wanted), 1)[inverse].astype(np.int32)
-    count = np.zeros(box.size, np.uint16)  # small numbers: less to go through
-    np.add.at(count, number.astype(np.intp), np.uint16(1))  # of these types it is done at once
-    return _spread(count, box, np.add)[number].astype(np.int32)
-
-
-def _spread(cells: Shaped[np.ndarray, " box"], box: Box, joined: np.ufunc) -> Shaped[np.ndarray, " box"]:
-    """Each cell of a box joined with the 26 around it, axis by axis; cells at the box's sides have some of the other
-    side."""
-    for step in box.steps.tolist():
-        out = cells.copy()
-        joined(out[step:], cells[:-step], out=out[step:])
-        joined(out[:-step], cells[step:], out=out[:-step])
-        cells = out
-    return cells
+    for step in box.steps.tolist():  # axis by axis; cells at the box's sides get some of the other side
+        near = taken.copy()
+        near[step:] |= taken[:-step]
+        near[:-step] |= taken[step:]
+        taken = near
+    return taken[number]
 
 
 def within(

@@ -1,15 +1,9 @@
 """Points of one frame: how dense they are, flying pixels, a fair choice. Host side, NumPy."""
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, UInt32
+from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
-from voodoo_jax.cells import cells_of, number_around
-
-CELL = 0.59  # of a radius: three cells next to each other have the area of the circle
-BAND = 1.5  # times the smallest radius: so large a one is counted in the same cells
-HARDLY, SURELY = 2, 12  # points around, itself among them: with fewer it has no three neighbours, with more it has
-PAIRS = 2_000_000  # of points that are compared one by one in less time than a search tree is made
 ASKED, FEWER = 2000, 300  # points whose nearest neighbours are looked at, and whose neighbours in all directions
 AROUND = 100  # neighbours of a point among which the nearest in every direction is looked for
 
@@ -46,44 +40,17 @@ def without_strays(
         return np.zeros(len(points), bool)
     xyz = np.ascontiguousarray(points.T)  # by coordinate: several times as fast to go through
     near = 0.02 + 3 * spacing * _length(xyz - origin[:, None])
-    around = _number_around(points, near)
-    kept = around > SURELY
-    open_ = np.flatnonzero((around >= HARDLY) & ~kept)
-    if len(open_) * len(points) <= PAIRS:
-        kept[open_] = _number_within(xyz, open_, near[open_]) > 3  # itself among them
-    else:
-        kept[open_] = KDTree(points).query(points[open_], k=4)[0][:, 3] < near[open_]
+    # points come row by row: those before and after in the list are most often neighbours, and spare the search
+    others = np.zeros(len(points), np.uint8)
+    for step in (1, 2, 3):
+        apart = _length(xyz[:, step:] - xyz[:, :-step])
+        others[step:] += apart < near[step:]
+        others[:-step] += apart < near[:-step]
+    kept = others >= 3
+    rest = np.flatnonzero(~kept)
+    tree = KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # sooner made than it is asked
+    kept[rest] = tree.query(points[rest], k=4, distance_upper_bound=1.01 * float(near.max()))[0][:, 3] < near[rest]
     return kept
-
-
-def _number_around(
-    points: Float32[np.ndarray, "point 3"], near: Float32[np.ndarray, " point"]
-) -> Int[np.ndarray, " point"]:
-    """How many points are in a box about as wide as two distances `near` around each of them, by cells of such widths
-    that no point's is more than a little off."""
-    low, high = float(near.min()), float(near.max())
-    bands = 1 + int(np.log(high / low) / np.log(BAND))
-    if bands == 1:
-        return number_around(cells_of(points, CELL * float(np.sqrt(low * high))))
-    around = np.zeros(len(points), np.int32)
-    which = np.minimum(np.log(near / low) * (bands / np.log(high / low)), bands - 1).astype(int)
-    for band in np.flatnonzero(np.bincount(which)):
-        mine = which == band
-        cells = cells_of(points, CELL * low * float((high / low) ** ((band + 0.5) / bands)))
-        around[mine] = number_around(cells)[mine]
-    return around
-
-
-def _number_within(
-    xyz: Float32[np.ndarray, "3 point"], asked: Int[np.ndarray, " asked"], distance: Float32[np.ndarray, " asked"]
-) -> UInt32[np.ndarray, " asked"]:
-    """How many points are nearer than a distance to each of some of them, by all pairs."""
-    xyz = xyz - xyz.mean(1, keepdims=True)  # digits
-    square = np.sum(xyz * xyz, 0)
-    # |a - b|^2 < d^2 as b^2 - 2 a b < d^2 - a^2: one product of matrices
-    left = np.stack([*(-2 * xyz[:, asked]), np.ones(len(asked), np.float32)], 1) @ np.stack([*xyz, square])
-    nearer = left < (distance * distance - square[asked])[:, None]
-    return nearer.view(np.uint8).sum(1, dtype=np.uint32)  # several times as fast as to count them
 
 
 def _directions(
