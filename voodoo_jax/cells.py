@@ -112,18 +112,14 @@ def within(
     """Which points have one of the others nearer than `distance` metres."""
     if not len(points) or not len(others):
         return np.zeros(len(points), bool)
-    # most are settled by cells: next to each other in small ones, or not even in large ones
+    # most are settled by cells: next to each other in small ones, or, if many are left, not even in large ones
     near = touching(cells_of(points, distance / 3.47), cells_of(others, distance / 3.47))
-    open_ = np.flatnonzero(~near)
-    if len(open_) * len(others) < FEW:
-        if len(open_):
-            near[open_] = cdist(points[open_], others).min(1) < distance
-        return near
-    mine, theirs = cells_of(points[open_], distance), cells_of(others, distance)
-    beside = touching(mine, theirs)
-    open_ = open_[beside]
+    open_, close = np.flatnonzero(~near), others
+    if len(open_) * len(others) >= FEW:
+        mine, theirs = cells_of(points[open_], distance), cells_of(others, distance)
+        beside = touching(mine, theirs)
+        open_, close = open_[beside], others[touching(theirs, mine[beside])]
     if len(open_):
-        close = others[touching(theirs, mine[beside])]
         if len(open_) * len(close) < FEW:
             near[open_] = cdist(points[open_], close).min(1) < distance
         else:
