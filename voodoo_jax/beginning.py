@@ -14,7 +14,7 @@ from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.session import FEW_POINTS, Session, first_run
 from voodoo_jax.settings import StartSettings
 from voodoo_jax.stances import STANCES, in_stance
-from voodoo_jax.start import facing, opposite, sized, standing_places
+from voodoo_jax.start import facing, opposite, sized, standing_places, unlikely
 
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
 MUCH_BETTER = 0.5  # of its cost, where the fresh start is in doubt, too
@@ -35,7 +35,7 @@ class Beginning(NamedTuple):
     frame: int
     body: Body  # with its size
     poses: Poses
-    cost: float  # see tracking.cost_of
+    cost: float  # see tracking.cost_of and start.unlikely
     noise: float = 0.0  # of the points that it was tried on, metres, at least USUAL
     rival: "Beginning | None" = None  # faces the other way
 
@@ -204,8 +204,9 @@ def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest:
         places.append(Poses(last.rotation, last.translation + shift))
     noise = _noise(frames)
     trial = run.trials(body, frames, places)
+    odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # of a size that is known nobody doubts
     found = [
-        Beginning(at, body, jax.tree.map(lambda leaf, k=k: leaf[k], trial.state.poses), float(trial.cost[k]), noise)
+        Beginning(at, body, jax.tree.map(lambda x, k=k: x[k], trial.state.poses), odds * float(trial.cost[k]), noise)
         for k in opposite(body, trial, FAR_RIVAL)
     ]
     return found[0]._replace(rival=found[1] if len(found) > 1 else None)

@@ -18,6 +18,7 @@ from voodoo_jax.tracking import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
 STEPS = 15  # most steps of a frame until then
+TALL, TALLER = 2.0, 0.1  # metres: stature of which hardly anybody is, and how much more makes one e times as unlikely
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
 
@@ -198,6 +199,12 @@ def opposite(body: Body, trial: Trial, near: float) -> list[int]:
     best = int(np.argmin(cost))
     rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))
     return [best, *rivals[np.argsort(cost[rivals])][:1].tolist()]
+
+
+def unlikely(body: Body) -> float:
+    """What a start's cost is multiplied by for its size, 1 at least: nobody is 2.4 m tall, though a body of that size
+    may explain points as well as a smaller one with an arm raised."""
+    return float(np.exp(max(0.0, float(body.scale) - TALL) / TALLER)) if body.scale_name == "stature" else 1.0
 
 
 def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSettings) -> Body:
