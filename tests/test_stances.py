@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
+from voodoo_jax import beginning
+from voodoo_jax.beginning import Beginning, begin
 from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.io.body_file import human, load_body
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.pose import Poses, apply
+from voodoo_jax.session import Session
 from voodoo_jax.settings import Settings
 from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
 from voodoo_jax.stances import STANCES, in_stance
-from voodoo_jax.start import Trial, opposite
-from voodoo_jax.tracker import track
-from voodoo_jax.tracking import at_rest
+from voodoo_jax.start import Trial, opposite, unlikely
+from voodoo_jax.tracker import find_person, track
+from voodoo_jax.tracking import at_rest, options_from
 
 BODY = scaled(human(), 1.75)
 
@@ -75,3 +78,43 @@ def test_somebody_with_raised_arms_is_found(tmp_path):
     error = np.linalg.norm(tracks.joints - sim.joints, axis=-1)
     assert tracks.tracked.all() and error.mean() < 0.06
     assert float(tracks.body.scale) == pytest.approx(1.75, rel=0.08)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """Somebody of 1.75 m who stands, before they are started."""
+    sim = simulate(BODY, placed(_motion(BODY, np.arange(8) / 30, {}), 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
+    recording, settings = read_log(write_simulation(sim, tmp_path_factory.mktemp("stands") / "log.mcap")), Settings()
+    body = human()
+    scene, people = find_person(recording, recording.up, body, settings)
+    options = options_from(settings.solve, settings.track, settings.features)
+    return lambda: Session(body, options, people, scene, settings)
+
+
+def test_who_sat_before_the_chair_was_taken_away_sits(session, monkeypatch):
+    """Where that costs hardly more than to stand or to raise an arm."""
+
+    def trial(run, at, body, before=None, rest=None):
+        if rest is None:
+            return Beginning(at, body, body.rest, 10e-4)
+        sits = centre(rest, "l_knee")[0] > centre(rest, "l_hip")[0] + 0.2
+        return Beginning(at, rest, rest.rest, 11e-4 if sits else 9e-4)
+
+    monkeypatch.setattr("voodoo_jax.beginning._trial", trial)
+    run = session()
+    assert begin(run, 0).cost == 10e-4 and run.stances == {}
+    run = session()
+    run.stances = {0: STANCES[3]}
+    assert begin(run, 0).cost == 11e-4 and run.stances == {0: STANCES[3]}
+
+
+def test_nobody_is_two_and_a_half_metres_tall(session):
+    """What a start costs tells of the size, too; not where the size is known, nor of a dog."""
+    assert [unlikely(scaled(BODY, size)) for size in (1.2, 1.75, 2.0)] == [1, 1, 1]
+    assert unlikely(scaled(BODY, 2.1)) == pytest.approx(np.e, rel=1e-3) and unlikely(scaled(BODY, 2.5)) > 100
+    assert unlikely(scaled(load_body("dog"), 3.0)) == 1
+    run, giant = session(), scaled(human(), 2.3)
+    costs = [beginning._trial(run, 0, giant).cost]
+    run.body = giant
+    costs.append(beginning._trial(run, 0, giant).cost)
+    assert costs[0] == pytest.approx(unlikely(giant) * costs[1], rel=1e-5)

@@ -13,7 +13,7 @@ from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.session import FEW_POINTS, Session, first_run
 from voodoo_jax.settings import StartSettings
-from voodoo_jax.stances import STANCES, in_stance
+from voodoo_jax.stances import STANCES, Stance, in_stance
 from voodoo_jax.start import facing, opposite, sized, standing_places, unlikely
 
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
@@ -72,9 +72,11 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
             break
     clearest = min(found, key=lambda b: b.cost)
     best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]
-    posed = _in_stances(run, best.frame) if best.unexplained > sure else None
-    if posed is not None and posed.cost < LIKELIER * best.cost:
-        best = posed
+    earlier = run.stances.pop(at, None)
+    posed, stance = _in_stances(run, best.frame, earlier) if best.unexplained > sure else (None, None)
+    # who sat before what is at rest was taken away did not stand up by that
+    if posed is not None and posed.cost < (LIKELIER if earlier is None else 1 / LIKELIER) * best.cost:
+        best, run.stances[at] = posed, stance
     else:
         # who bends or walks is taller than they look
         taller = [b.body for b in found if b.cost < ALIKE * best.cost and _scale(b.body) > 1.01 * _scale(best.body)]
@@ -134,8 +136,9 @@ def fresh(
     return run.through(best.poses, run.people[at:end])[0].poses
 
 
-def _in_stances(run: Session, at: int) -> Beginning | None:
-    """The best start from frame `at` with arms raised or sitting; None for a body that can do neither."""
+def _in_stances(run: Session, at: int, likely: Stance | None) -> tuple[Beginning, Stance] | tuple[None, None]:
+    """The best start from frame `at` with arms raised or sitting, and which of these; None for a body that can do
+    neither. `likely` the one that it began in when it was tracked before."""
     found, seen = [], _sized(run, at)
     for stance in STANCES:
         # where the size is known, so is what the highest point is
@@ -143,8 +146,9 @@ def _in_stances(run: Session, at: int) -> Beginning | None:
             body = seen if size == 1.0 else scaled(seen, float(seen.scale) * size)
             posed = in_stance(body, stance)
             if posed is not None:
-                found.append(_trial(run, at, body, rest=posed))
-    return min(found, key=lambda b: b.cost, default=None)
+                found.append((_trial(run, at, body, rest=posed), stance))
+    odds = lambda stance: 1.0 if likely is None or stance is likely else 1 / LIKELIER  # noqa: E731
+    return min(found, key=lambda f: f[0].cost * odds(f[1]), default=(None, None))
 
 
 def _sized(run: Session, at: int, low: float = np.inf) -> Body:

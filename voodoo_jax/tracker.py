@@ -40,6 +40,7 @@ from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.settings import Settings
 from voodoo_jax.shaking import steadied, steady_scene, to_fixed
 from voodoo_jax.spill import spilled
+from voodoo_jax.stances import Stance
 from voodoo_jax.standing_on import on_its_floor
 from voodoo_jax.start import rest_box, rest_height
 from voodoo_jax.tracking import options_from
@@ -176,8 +177,10 @@ def track_person(
     options = options_from(settings.solve, settings.track, settings.features)
     steady = settings.track.both_ways and not from_markers and not changes  # looks ahead, at one body
     furniture: tuple[str, ...] = ()
+    stances: dict[int, Stance] = {}
     for looks in range(LOOKS if steady and settings.person.ahead else 0, -1, -1):
         run = Session(body, options, people, scene, settings, changes, visit)
+        run.stances = stances
         out = blank(body, people)
         follow(run, at, enough, out, None if furniture else progress)
         left = without_leftovers(people, run.bodies, out) if looks else None
