@@ -73,10 +73,10 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
     clearest = min(found, key=lambda b: b.cost)
     best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]
     earlier = run.stances.pop(at, None)
-    posed, stance = _in_stances(run, best.frame, earlier) if best.unexplained > sure else (None, None)
+    posed = _in_stances(run, best.frame, earlier) if best.unexplained > sure else None
     # who sat before what is at rest was taken away did not stand up by that
-    if posed is not None and posed.cost < (LIKELIER if earlier is None else 1 / LIKELIER) * best.cost:
-        best, run.stances[at] = posed, stance
+    if posed is not None and posed[0].cost < (LIKELIER if earlier is None else 1 / LIKELIER) * best.cost:
+        best, run.stances[at] = posed
     else:
         # who bends or walks is taller than they look
         taller = [b.body for b in found if b.cost < ALIKE * best.cost and _scale(b.body) > 1.01 * _scale(best.body)]
@@ -136,7 +136,7 @@ def fresh(
     return run.through(best.poses, run.people[at:end])[0].poses
 
 
-def _in_stances(run: Session, at: int, likely: Stance | None) -> tuple[Beginning, Stance] | tuple[None, None]:
+def _in_stances(run: Session, at: int, likely: Stance | None) -> tuple[Beginning, Stance] | None:
     """The best start from frame `at` with arms raised or sitting, and which of these; None for a body that can do
     neither. `likely` the one that it began in when it was tracked before."""
     found, seen = [], _sized(run, at)
@@ -148,7 +148,7 @@ def _in_stances(run: Session, at: int, likely: Stance | None) -> tuple[Beginning
             if posed is not None:
                 found.append((_trial(run, at, body, rest=posed), stance))
     odds = lambda stance: 1.0 if likely is None or stance is likely else 1 / LIKELIER  # noqa: E731
-    return min(found, key=lambda f: f[0].cost * odds(f[1]), default=(None, None))
+    return min(found, key=lambda f: f[0].cost * odds(f[1]), default=None)
 
 
 def _sized(run: Session, at: int, low: float = np.inf) -> Body:
