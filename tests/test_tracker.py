@@ -1,6 +1,7 @@
 """A whole recording: people who come late, leave and return, frames without points, empty recordings."""
 
 from dataclasses import replace
+from itertools import cycle
 from threading import Thread
 
 import jax
@@ -15,7 +16,7 @@ from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.pose import Poses
 from voodoo_jax.programs import forget
-from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.recording import Frame, Rays, Recording
 from voodoo_jax.session import Session, first_run
 from voodoo_jax.settings import Settings, TrackSettings
 from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
@@ -121,21 +122,32 @@ def test_progress_counts_every_frame_once(recording, nobody):
     assert sum(done) > len(log) + len(frames)  # and once more backwards where somebody was
 
 
-@pytest.mark.parametrize(("sensors", "parts"), [(1, False), (2, True)])
-def test_what_is_prepared_is_what_is_used(recording, sensors, parts):
+FEATURES, MANY = {("face",), ("left_hand", "face")}, {("skin",) * 9}
+
+
+@pytest.mark.parametrize(
+    ("sensors", "parts", "names"),
+    [(1, False, set()), (2, True, set()), (1, False, FEATURES), (1, False, {("skin",) * 9})],
+)
+def test_what_is_prepared_is_what_is_used(recording, sensors, parts, names):
     """Whatever is known of a log before it is read suffices to compile what tracks it."""
     body, settings = human(), Settings()
+    said = cycle(sorted(names) or [()])
+    ahead = lambda f, name: np.tile((f.points.mean(0) - f.origins[0])[None], (len(name), 1))  # noqa: E731
     frames = [
         replace(
             f,
             origins=np.repeat(f.origins[:1], sensors, 0),
             part=np.full(len(f.points), -1, np.int32) if parts else None,
             parts=("body",) if parts else (),
+            rays=Rays(
+                name, np.tile(f.origins[:1], (len(name), 1)), ahead(f, name), np.full(len(name), 1e-6, np.float32)
+            ),
         )
-        for f in recording
+        for f, name in zip(recording, said)
     ]
     forget()
-    for thread in prepare(body, settings, sensors, False, parts):
+    for thread in prepare(body, settings, sensors, names, parts):
         thread.join()
     made = [set(p.ready) for p in (track_visits, looked_at)]
     assert [len(keys) for keys in made] == [1, 1]

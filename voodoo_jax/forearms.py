@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Body, scaled, with_proportions
-from voodoo_jax.io.body_file import human
+from voodoo_jax.io.body_file import load_on_host
 from voodoo_jax.passage import Rows
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses, apply, on_host, unrotate
@@ -50,7 +50,8 @@ def with_forearms(body: Body, people: list[PersonFrame], names: FeatureNames, ro
     found = stretch(body, people, names, rows) if _is_usual(body) else None
     if found is None:
         return body
-    longer = lengthened(found) * float(body.scale) / float(body.sizes[body.topology.limbs.index("l_forearm"), 4])
+    length = np.asarray(body.sizes)[body.topology.limbs.index("l_forearm"), 4]
+    longer = lengthened(found) * float(body.scale) / float(length)
     return with_proportions(body, dict.fromkeys(("l_forearm", "r_forearm"), 1.0 + longer))
 
 
@@ -96,7 +97,7 @@ def _gap(body: Body, poses: Poses, joint: int) -> Float[np.ndarray, " frame"]:
 @cache
 def _usual() -> Body:
     """The default body, read once for all logs; on the host, for arrays of a traced call must not be kept."""
-    return on_host(human())
+    return load_on_host("human")
 
 
 def _is_usual(body: Body) -> bool:

@@ -40,7 +40,7 @@ def jumps(body: Body, rows: Rows) -> list[int]:
     carries = np.array(sorted(set(body.topology.parents)), int)
     if len(rows["cost"]) < 2:
         return []
-    lengths = np.asarray(body.sizes[carries, 4])
+    lengths = np.asarray(body.sizes)[carries, 4]
     ends = limb_ends(rows["rotation"][:, carries], rows["translation"][:, carries], lengths)
     gone = np.max(np.linalg.norm(np.diff(ends, axis=1), axis=-1), 0)  # [frame - 1, limb]
     usual = np.pad(gone, ((1, 1), (0, 0)))

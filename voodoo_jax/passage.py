@@ -60,7 +60,7 @@ def there_and_back(run: Session, first: int, forward: Rows) -> Rows:
     if poses is None:
         poses = pose_at(forth, -1)
     back = rows_of(run, run.backwards(poses, first, first + count), first, count)
-    both = combined(pass_of(run, forth), pass_of(run, back), np.asarray(run.body.sizes[:, 4]))
+    both = combined(pass_of(run, forth), pass_of(run, back), np.asarray(run.body.sizes)[:, 4])
     pick = lambda old, new: np.where(both.backward.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731
     found = {name: pick(forth[name], back[name]) for name in forth}
     found |= {"rotation": both.rotation, "translation": both.translation, "passes_apart": both.apart}

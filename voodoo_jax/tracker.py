@@ -34,7 +34,7 @@ from voodoo_jax.person import PersonFinder
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.pose import Poses
 from voodoo_jax.programs import program, seconds_of_waiting
-from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.recording import Frame, Rays, Recording
 from voodoo_jax.scene import Plane, Scene
 from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.settings import Settings
@@ -93,21 +93,26 @@ def _told(window: list[PersonFrame], finder: PersonFinder, flat: bool) -> list[P
     return left if flat else without_faces(left, floor)
 
 
-def prepare(body: Body, settings: Settings, sensors: int, names: bool, parts: bool) -> list[Thread]:
-    """Begins to compile or load, in the threads returned, what recordings of so many sensors are tracked with: while
-    they are read. `names`, `parts`: whether there are named features, and points that are assigned to limbs."""
+def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, ...]], parts: bool) -> list[Thread]:
+    """Begins to compile or load, in the threads returned, what recordings of so many depth sensors are tracked with:
+    while they are read. `names` of the features that frames have at once; `parts`: whether points have limbs assigned.
+    """
     if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         return []  # that may be this thread's alone
     changes = loaded(settings.changes)
     body = prepared(body, changes)
     nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
-    frame = PersonFrame(0, nothing, none, np.zeros((sensors, 3), np.float32), part=none if parts else None)
+    origins, part = np.zeros((max(1, sensors), 3), np.float32), none if parts else None
+    # most names at once, and each of them: both decide about the program
+    said = [max(names, key=len, default=()), *((name,) for name in sorted({name for some in names for name in some}))]
+    rays = (Rays(some, *np.zeros((2, len(some), 3), np.float32)) for some in said)
+    frames = [PersonFrame(0, nothing, none, origins, each, part=part) for each in rays]
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
     options = options_from(settings.solve, settings.track, settings.features)
-    run = Session(body, options, [frame], scene, settings, changes)
-    chunk = _padded(blank(body, [frame]), slice(0), settings.track.chunk)
+    run = Session(body, options, frames, scene, settings, changes)
+    chunk = _padded(blank(body, frames), slice(0), settings.track.chunk)
     threads = [Thread(target=looked_at.prepare, args=(body, *chunk))]
-    if not names:  # how many a frame has decides about the program
+    if sensors:  # markers alone have another program
         threads.insert(0, Thread(target=run.prepare))
     for thread in threads:
         thread.start()
@@ -137,8 +142,9 @@ def track(
     """
     settings = settings or Settings()
     if first := recording.frames[:1]:
-        named = any(len(f.rays.names) + len(f.pairs.names) for f in recording)
-        prepare(body, settings, len(first[0].origins), named, first[0].part is not None)
+        sensors = len(first[0].origins) if any(len(f.points) for f in recording) else 0
+        names = {(*f.rays.names, *f.pairs.names) for f in recording}
+        prepare(body, settings, sensors, names, first[0].part is not None)
     scene, people = find_person(recording, recording.up, body, settings)
     return track_person(body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress)
 

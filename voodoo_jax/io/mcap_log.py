@@ -84,6 +84,13 @@ class LogReader:
         return len(self._plan)
 
     @property
+    def named_at_once(self) -> set[tuple[str, ...]]:
+        """Names of the features of each frame that has any."""
+        rays, pairs = self._whole.rays, self._whole.pairs
+        both = ((rays.get(i, Rays()), pairs.get(i, Pairs())) for i in rays.keys() | pairs.keys())
+        return {(*r.names, *p.names) for r, p in both}
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was left out, missing or damaged, one sentence each."""
         return tuple(self._notes + self._losses())
