@@ -19,7 +19,7 @@ from voodoo_jax.start import facing, opposite, sized, standing_places, unlikely
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
 MUCH_BETTER = 0.5  # of its cost, where the fresh start is in doubt, too
 CLEARER = 0.5  # a later start is taken where it costs less than this share of the first
-LIKELIER = 0.8  # arms raised, or sitting, where that costs less than this share of standing
+LIKELIER = 0.8  # to stand, or else what was found before, is left where something else costs less than this share of it
 RIVAL = 1.1  # a start that faces the other way is looked at where it costs less than so much more than the best
 FAR_RIVAL = 3.0  # and if it costs less than so much more where something else speaks for it
 ALIKE = 3.0  # starts that cost less than so much more than the best may tell the size
@@ -72,11 +72,12 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
             break
     clearest = min(found, key=lambda b: b.cost)
     best = clearest if clearest.cost < CLEARER * found[0].cost else found[0]
+    # who sat before what is at rest was taken away did not stand up by that; else people stand
     earlier = run.stances.pop(at, None)
-    posed = _in_stances(run, best.frame, earlier) if best.unexplained > sure else None
-    # who sat before what is at rest was taken away did not stand up by that
-    if posed is not None and posed[0].cost < (LIKELIER if earlier is None else 1 / LIKELIER) * best.cost:
-        best, run.stances[at] = posed
+    posed = _in_stances(run, best.frame) if best.unexplained > sure else []
+    best, stance = min([(best, None), *posed], key=lambda b: b[0].cost * (LIKELIER if b[1] is earlier else 1.0))
+    if stance is not None:
+        run.stances[at] = stance
     else:
         # who bends or walks is taller than they look
         taller = [b.body for b in found if b.cost < ALIKE * best.cost and _scale(b.body) > 1.01 * _scale(best.body)]
@@ -136,9 +137,8 @@ def fresh(
     return run.through(best.poses, run.people[at:end])[0].poses
 
 
-def _in_stances(run: Session, at: int, likely: Stance | None) -> tuple[Beginning, Stance] | None:
-    """The best start from frame `at` with arms raised or sitting, and which of these; None for a body that can do
-    neither. `likely` the one that it began in when it was tracked before."""
+def _in_stances(run: Session, at: int) -> list[tuple[Beginning, Stance]]:
+    """Starts from frame `at` with arms raised or sitting; none for a body that can do neither."""
     found, seen = [], _sized(run, at)
     for stance in STANCES:
         # where the size is known, so is what the highest point is
@@ -147,8 +147,7 @@ def _in_stances(run: Session, at: int, likely: Stance | None) -> tuple[Beginning
             posed = in_stance(body, stance)
             if posed is not None:
                 found.append((_trial(run, at, body, rest=posed), stance))
-    odds = lambda stance: 1.0 if likely is None or stance is likely else 1 / LIKELIER  # noqa: E731
-    return min(found, key=lambda f: f[0].cost * odds(f[1]), default=None)
+    return found
 
 
 def _sized(run: Session, at: int, low: float = np.inf) -> Body:

@@ -54,7 +54,7 @@ def jumps(body: Body, rows: Rows) -> list[int]:
 def _mended(run: Session, first: int, rows: Rows, at: int) -> Rows:
     """The rows with the cheaper one of the sides of the jump into frame `at` carried on over the other one, up to where
     both are the same; the same rows if none explains more."""
-    lengths = np.asarray(run.body.sizes[:, 4])
+    lengths = np.asarray(run.body.sizes)[:, 4]
     low, high = max(0, at - MOST), min(len(rows["cost"]), at + MOST)
     before, after = pose_at(rows, at - 1), pose_at(rows, at)
     ahead = rows_of(run, run.forwards(before, first + at - 1, first + high)[1], first + at - 1, high - at + 1)
