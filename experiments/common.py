@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -42,6 +42,17 @@ LIMBS = (
     *((f"{side}_{upper}", f"{side}_{lower}")
       for upper, lower in (("elbow", "radiocarpal"), ("knee", "talocrural")) for side in "lr"),
 )  # fmt: skip
+
+
+class Compared(Protocol):
+    """What tracks are compared with: a truth by itself, or a log that has one."""
+
+    @property
+    def stamps(self) -> np.ndarray: ...  # [time] nanoseconds
+    @property
+    def names(self) -> tuple[str, ...]: ...  # joint names, as bodies call them
+    @property
+    def joints(self) -> np.ndarray: ...  # [time, joint, 3] metres, fixed frame; NaN: no truth
 
 
 @dataclass(frozen=True)
@@ -131,22 +142,22 @@ def score(log: Log, tracks: Tracks) -> Score:
     known = error[np.isfinite(error)]
     rate = 1e9 / float(np.median(np.diff(log.stamps)))
     joints = {n: 100 * float(e) for n, e in zip(log.names, np.nanmean(error, 0))}
-    return Score(100 * float(known.mean()), 100 * float((known < 0.1).mean()), _grade(error, log.names, rate), joints)
+    return Score(100 * float(known.mean()), 100 * float((known < 0.1).mean()), grade(error, log.names, rate), joints)
 
 
-def scored(log: Log) -> np.ndarray:
+def scored(log: Compared) -> np.ndarray:
     """[time] Which times of the truth are scored."""
     return log.stamps >= log.stamps[0] + int(SKIP * 1e9)
 
 
-def nearest(log: Log, tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
+def nearest(log: Compared, tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     """[time] The tracks' frame nearest to each time of the truth, and whether it is near enough to be that frame."""
     found = np.abs(tracks.time_ns[None] - log.stamps[:, None]).argmin(1)
     # farther than half a frame at 30 Hz: a stamp of another frame
     return found, np.abs(tracks.time_ns[found] - log.stamps) < 17_000_000
 
 
-def errors(log: Log, tracks: Tracks) -> np.ndarray:
+def errors(log: Compared, tracks: Tracks) -> np.ndarray:
     """[time, joint] Distances from the truth, metres: 1 where there is no answer, NaN where there is no truth."""
     frame, near = nearest(log, tracks)
     found = tracks.joints[frame][:, [tracks.body.topology.centres.index(n) for n in log.names]].astype(float)
@@ -159,12 +170,19 @@ def errors(log: Log, tracks: Tracks) -> np.ndarray:
 
 def off(error: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
     """[time] Where the trunk or two limbs are more than 20 cm off."""
-    mean = lambda group: np.nanmean(error[:, [names.index(n) for n in group if n in names]], 1)  # noqa: E731
-    limbs = np.stack([mean(limb) for limb in LIMBS if set(limb) <= set(names)], 1)
-    return (mean(GROUPS["trunk"]) > 0.2) | ((limbs > 0.2).sum(1) >= 2)
+    far = [_mean_of(error, names, limb) > 0.2 for limb in LIMBS if set(limb) <= set(names)]
+    return (_mean_of(error, names, GROUPS["trunk"]) > 0.2) | (np.sum(far, 0) >= 2)
 
 
-def _grade(error: np.ndarray, names: tuple[str, ...], rate: float) -> int:
+def _mean_of(error: np.ndarray, names: tuple[str, ...], group: tuple[str, ...]) -> np.ndarray:
+    """[time] Mean over the joints of a group with a truth; NaN where there is none."""
+    some = error[:, [names.index(n) for n in group if n in names]]
+    known = np.isfinite(some)
+    total, count = np.where(known, some, 0).sum(1), known.sum(1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def grade(error: np.ndarray, names: tuple[str, ...], rate: float) -> int:
     """0: trunk or two limbs over 20 cm off for over 1 s or at the end; 1: a joint over 15 cm off for over 0.5 s."""
     bad = off(error, names)
     if longest(bad) > rate or bad[-max(1, int(0.3 * rate)) :].all():

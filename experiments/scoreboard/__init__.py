@@ -1,0 +1,1 @@
+"""Every promise that the project makes, measured: python -m experiments.scoreboard RECORDINGS"""

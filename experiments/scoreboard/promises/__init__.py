@@ -1,0 +1,15 @@
+"""The promises, one file each, in the order in which the table shows them."""
+
+from importlib import import_module
+
+from experiments.scoreboard.board import Promise
+
+NAMES = (
+    "demo", "fusion", "depth_only", "online", "every_third_frame", "sizes", "confidence", "covariance", "markers",
+    "stereo",
+)  # fmt: skip
+
+
+def all_promises() -> list[Promise]:
+    """All of them."""
+    return [import_module(f"experiments.scoreboard.promises.{name}").PROMISE for name in NAMES]

@@ -1,0 +1,74 @@
+"""Measures promises: all their jobs on a few processes, each job once."""
+
+import math
+import time
+import traceback
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+from tqdm import tqdm
+
+from experiments.scoreboard.board import Data, Job, Measured, Promise
+from voodoo_jax.compile_cache import cache_folder, keep_compiled, use_compile_cache
+
+JOBS_PER_PROCESS = 60  # then a fresh one: JAX keeps what it compiled, some 20 MB a program
+
+
+class Done(NamedTuple):
+    """What came of a job."""
+
+    value: Any
+    seconds: float
+    problem: str  # empty: none
+
+
+def _work(job: Job) -> Done:
+    use_compile_cache(cache_folder(""))
+    began = time.perf_counter()
+    try:
+        value, problem = job.run(), ""
+    except Exception as error:  # one job that fails costs its promises only
+        value, problem = None, f"{type(error).__name__}: {error}"
+        traceback.print_exc()
+    keep_compiled()
+    return Done(value, time.perf_counter() - began, problem)
+
+
+def _all(jobs: list[Job], processes: int, title: str) -> dict[Job, Done]:
+    """Outcomes of all jobs, the long ones first so that both cores are busy to the end."""
+    jobs = sorted(jobs, key=lambda job: -getattr(job, "seconds", 1.0))
+    done: dict[Job, Done] = {}
+    if not jobs:
+        return done
+    pool = ProcessPoolExecutor(min(processes, len(jobs)), get_context("spawn"), max_tasks_per_child=JOBS_PER_PROCESS)
+    with pool, tqdm(total=len(jobs), desc=title, unit="job", disable=None) as bar:
+        waiting: dict[Future[Done], Job] = {pool.submit(_work, job): job for job in jobs}
+        for future in as_completed(waiting):
+            done[waiting[future]] = future.result()
+            bar.update(1)
+    return done
+
+
+def measure(promises: Sequence[Promise], data: Data, processes: int) -> list[Measured]:
+    """What is found for each promise. Those about time and memory are measured after the others, one job at a time."""
+    wanted = {p.name: list(p.jobs(data)) for p in promises}
+    beside = list(dict.fromkeys(job for p in promises if not p.alone for job in wanted[p.name]))
+    done = _all(beside, processes, "scoreboard")
+    for p in promises:
+        if p.alone:
+            done |= _all([job for job in wanted[p.name] if job not in done], 1, p.name)
+    return [_measured(p, [done[job] for job in wanted[p.name]]) for p in promises]
+
+
+def _measured(promise: Promise, done: list[Done]) -> Measured:
+    seconds = sum(d.seconds for d in done)
+    if not done:
+        return Measured(promise, {}, 0.0, f"left out: {promise.data} not there")
+    if bad := next((d.problem for d in done if d.problem), ""):
+        return Measured(promise, {f.name: math.nan for f in promise.figures}, seconds, bad)
+    values = promise.measure([d.value for d in done])
+    if missing := {f.name for f in promise.figures} - values.keys():
+        raise ValueError(f"promise '{promise.name}' has no value for {', '.join(sorted(missing))}")
+    return Measured(promise, {f.name: float(values[f.name]) for f in promise.figures}, seconds)
