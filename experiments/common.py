@@ -29,6 +29,7 @@ from voodoo_jax.tracks import Tracks
 
 DEMO = Path(__file__).parents[1] / "voodoo_jax" / "data"  # the recording that the package brings along
 SKIP = 0.5  # seconds of the truth's beginning that are not scored: the tracker finds the body there
+NEAR_NS = 17_000_000  # half a frame at 30 Hz: farther away is the stamp of another frame
 GROUPS = {
     "head": ("skullbase",),
     "trunk": ("vc7", "l_shoulder", "r_shoulder", "l_hip", "r_hip"),
@@ -153,8 +154,7 @@ def scored(log: Compared) -> np.ndarray:
 def nearest(log: Compared, tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     """[time] The tracks' frame nearest to each time of the truth, and whether it is near enough to be that frame."""
     found = np.abs(tracks.time_ns[None] - log.stamps[:, None]).argmin(1)
-    # farther than half a frame at 30 Hz: a stamp of another frame
-    return found, np.abs(tracks.time_ns[found] - log.stamps) < 17_000_000
+    return found, np.abs(tracks.time_ns[found] - log.stamps) < NEAR_NS
 
 
 def errors(log: Compared, tracks: Tracks) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
-from experiments.common import Log, Score, errors, human, load_dims, load_truth, nearest, off, score, scored
+from experiments.common import NEAR_NS, Log, Score, errors, human, load_dims, load_truth, nearest, off, score, scored
 from voodoo_jax.body import Body, segment_lengths
 from voodoo_jax.compile_cache import cache_folder, keep_compiled, use_compile_cache
 from voodoo_jax.io.mcap_log import open_log
@@ -48,7 +48,7 @@ class Recorded:
         joints = np.where(self.there[:, None, None], self.joints, np.nan)
         stamps = np.array([f.time_ns for f in self.frames], np.int64)
         first = int(np.argmax(self.there))
-        kept = np.abs(stamps[None] - self.stamps[:, None]).min(1) < 17_000_000
+        kept = np.abs(stamps[None] - self.stamps[:, None]).min(1) < NEAR_NS
         kept[:first] = False
         return Log(
             self.name, self.name, self.fixed_frame, scene, people, self.stamps[kept], self.names, joints[kept]

@@ -76,9 +76,7 @@ class Promise:
     data: str  # what it is measured on
     figures: tuple[Figure, ...]
     jobs: Callable[[Data], Sequence[Job]]  # none: what it needs is not there
-    measure: Callable[
-        [Sequence[Any]], Mapping[str, float]
-    ]  # outcomes in the order of the jobs to values by figure name
+    measure: Callable[[list[Any]], Mapping[str, float]]  # outcomes in the order of the jobs to values by figure
     alone: bool = False  # measures time or memory: its jobs run one at a time, with nothing else beside
 
 

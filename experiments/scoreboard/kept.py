@@ -26,9 +26,9 @@ worse than here by more than its tolerance.
 LIBRARIES = ("jax", "jaxlib", "numpy", "scipy", "opencv-python-headless")
 
 
-def load(path: Path = FILE) -> dict[str, Any]:
+def load() -> dict[str, Any]:
     """The file as it is; empty where there is none."""
-    return json.loads(path.read_text()) if path.exists() else {}
+    return json.loads(FILE.read_text()) if FILE.exists() else {}
 
 
 def figures(kept: dict[str, Any], quick: bool) -> dict[str, dict[str, float]]:
@@ -58,10 +58,10 @@ def merged(kept: dict[str, Any], found: Sequence[Measured], quick: bool, everyth
     return {**kept, mode: old, f"{mode}_measured_on": {"machine": where, "versions": versions}}
 
 
-def write(kept: dict[str, Any], promises: Sequence[Promise], file: Path = FILE, page: Path = PAGE) -> None:
+def write(kept: dict[str, Any], promises: Sequence[Promise]) -> None:
     """Both files. The page shows the full measurement, and the quick one, by which CI judges, below."""
-    file.write_text(json.dumps(kept, indent=1) + "\n")
-    page.write_text(page_text(kept, promises))
+    FILE.write_text(json.dumps(kept, indent=1) + "\n")
+    PAGE.write_text(page_text(kept, promises))
 
 
 def page_text(kept: dict[str, Any], promises: Sequence[Promise]) -> str:

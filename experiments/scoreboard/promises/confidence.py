@@ -6,7 +6,7 @@ from experiments.scoreboard.board import Figure, Promise
 from experiments.scoreboard.tracked import Outcome, TrackLog
 from experiments.trust.__main__ import rank
 
-HARDER = dict(step=5)  # every fifth frame: enough goes wrong there to tell good from bad
+STEP = 5  # every fifth frame: enough goes wrong there to tell good from bad
 
 
 def said_and_right(logs: list[Outcome]) -> tuple[np.ndarray, np.ndarray]:
@@ -35,6 +35,6 @@ PROMISE = Promise(
         Figure("right trusted more than wrong, %", 95.0, "more", 1.5, 1),
         Figure("wrong unsaid, logs", 0, tolerance=0, digits=0),
     ),
-    jobs=lambda data: [TrackLog(log) for log in data.logs()] + [TrackLog(log, **HARDER) for log in data.logs()],
+    jobs=lambda data: [TrackLog(log) for log in data.logs()] + [TrackLog(log, step=STEP) for log in data.logs()],
     measure=measure,
 )

@@ -1,0 +1,66 @@
+"""What a frame more costs in memory."""
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from experiments.common import DEMO
+from experiments.scoreboard.board import Figure, Promise
+
+# the demo there and back again and again, so that nobody jumps; results are kept as the command keeps them
+PROGRAM = """
+import resource, sys
+from dataclasses import replace
+import numpy as np
+import voodoo_jax as vj
+frames = list(vj.read_log({log!r}).frames)
+recording = vj.read_log({log!r})
+step = int(np.median(np.diff([f.time_ns for f in frames])))
+def played():
+    for k in range({count}):
+        turn, at = divmod(k, len(frames))
+        yield replace(frames[at if turn % 2 == 0 else -1 - at], time_ns=frames[0].time_ns + k * step)
+from voodoo_jax.tracker import find_person, track_person
+scene, people = find_person(played(), recording.up, vj.human(), vj.Settings())
+tracks = track_person(vj.human(), scene, people, vj.Settings(), "", recording.fixed_frame)
+assert tracks.tracked.mean() > 0.9
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+class Used(NamedTuple):
+    """What a process needed."""
+
+    frames: int
+    peak: float  # largest resident memory, bytes
+
+
+@dataclass(frozen=True)
+class TrackFrames:
+    """A process of its own tracks so many frames."""
+
+    frames: int
+
+    def run(self) -> Used:
+        program = PROGRAM.format(log=str(DEMO / "demo.mcap"), count=self.frames)
+        out = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+        return Used(self.frames, 1024 * float(out.split()[-1]))
+
+
+def measure(found: list[Used]) -> dict[str, float]:
+    """Growth from the short to the long recording."""
+    short, long = found
+    growth = (long.peak - short.peak) / (long.frames - short.frames)
+    return {"memory, kB a frame": growth / 1e3, "memory of the short one, GB": short.peak / 1e9}
+
+
+PROMISE = Promise(
+    name="memory",
+    sentence="An hour of log needs little more memory than its results.",
+    data="the demo, played there and back again and again",
+    figures=(Figure("memory, kB a frame", 12.0, digits=1), Figure("memory of the short one, GB", 1.3)),
+    jobs=lambda data: [TrackFrames(400), TrackFrames(1600 if data.quick else 3600)],
+    measure=measure,
+    alone=True,
+)
