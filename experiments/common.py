@@ -95,6 +95,14 @@ def load_logs(recordings: Path, body: Body, settings: Settings, every: int = 1, 
     return [load_log(p, body, settings, frames) for p in tqdm(files, "read", unit="log", leave=False, disable=None)]
 
 
+def halves(files: list[Path]) -> tuple[list[Path], list[Path]]:
+    """The recordings of every other person, and those of the others; people in the order of their statures."""
+    stature = {file: round(load_dims(file)["stature"], 3) for file in files}
+    people = sorted(set(stature.values()))
+    first, second = ([f for f in files if people.index(stature[f]) % 2 == k] for k in (0, 1))
+    return first, second
+
+
 def load_log(path: Path, body: Body, settings: Settings, frames: int = 0) -> Log:
     """One recording, its first `frames` frames (0: all)."""
     reader = open_log(path, settings.read)

@@ -14,8 +14,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from experiments.common import MEAN_HEAD, Log, Score, human, load_logs, log_files, mean_row, score, table, write
-from experiments.halves.__main__ import halves
+from experiments.common import MEAN_HEAD, Log, Score, halves, human, load_logs, log_files, mean_row, score, table, write
 from voodoo_jax.body import Body
 from voodoo_jax.fit_body import Fit, Seen, fit_tracked
 from voodoo_jax.fit_frames import Truth
