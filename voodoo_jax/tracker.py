@@ -14,6 +14,7 @@ from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.candidate import LOOSE, Build
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.chooser import Chooser
+from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.flat_faces import without_faces
 from voodoo_jax.following import Progress, blank, follow
 from voodoo_jax.forearms import with_forearms
@@ -130,6 +131,7 @@ def looked_at(
                      "joint_covariance": of_joints}  # fmt: skip
 
 
+@users_cache()
 def track(
     body: Body, recording: Recording, settings: Settings | None = None, progress: Progress | None = None
 ) -> Tracks:
