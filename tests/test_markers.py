@@ -78,6 +78,7 @@ def check(tracks, body, joints, mean=0.02, frames=slice(None)):
     chosen = [i for i, n in enumerate(body.topology.centres) if n[2:] in {d[2:] for d in DRAWN}]
     assert error[:, chosen].mean() < mean and error[:, chosen].mean(1).max() < 0.03
     assert tracks.tracked[frames].all() and tracks.explained[frames].mean() > 0.9
+    assert tracks.joint_confidence is not None and tracks.joint_confidence[frames][:, chosen].mean() > 0.9
     true, found = segment_lengths(body), segment_lengths(tracks.body)
     assert max(abs(found[k] - true[k]) for k in true) < 0.015
     assert abs(float(tracks.body.scale) - 1.62) < 0.05
@@ -134,6 +135,7 @@ def test_legs_that_no_marker_tells_of_go_with_the_pelvis(moving, tmp_path):
     tracks = track(human(), recorded(tmp_path, upper))
     ankles = [tracks.body.topology.centres.index(f"{s}_talocrural") for s in "lr"]
     off = np.linalg.norm((tracks.joints - joints)[:, ankles].mean(1)[:, :2], axis=-1)
+    assert tracks.joint_confidence is not None and tracks.joint_confidence[:, ankles].max() < 0.11
     assert tracks.tracked.all() and off.mean() < 0.25 and off.max() < 0.4, (off.mean(), off.max())
 
 

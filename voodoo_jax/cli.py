@@ -38,7 +38,7 @@ CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags ove
 class Replay:
     """Track a person (or another body) in recorded logs.
 
-    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove or Rerun) for each
+    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
     log. Nothing about the person need be given: start, place and size are found.
     """
 
