@@ -30,6 +30,7 @@ from voodoo_jax.tracker import track
 RATE = 60.0
 LENGTHS = {"l_thigh": 1.06, "r_thigh": 1.06, "l_forearm": 1.08, "r_forearm": 1.08, "chest": 0.96}
 Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
+LEG = "THI", "KNE", "TIB", "ANK", "HEE", "TOE"
 DRAWN = "l_shoulder", "l_elbow", "l_radiocarpal", "l_hip", "l_knee", "l_talocrural"
 
 
@@ -77,6 +78,7 @@ def check(tracks, body, joints, mean=0.02, frames=slice(None)):
     chosen = [i for i, n in enumerate(body.topology.centres) if n[2:] in {d[2:] for d in DRAWN}]
     assert error[:, chosen].mean() < mean and error[:, chosen].mean(1).max() < 0.03
     assert tracks.tracked[frames].all() and tracks.explained[frames].mean() > 0.9
+    assert tracks.joint_confidence is not None and tracks.joint_confidence[frames][:, chosen].mean() > 0.9
     true, found = segment_lengths(body), segment_lengths(tracks.body)
     assert max(abs(found[k] - true[k]) for k in true) < 0.015
     assert abs(float(tracks.body.scale) - 1.62) < 0.05
@@ -124,6 +126,17 @@ def test_all_markers_gone_for_a_while(moving, tmp_path):
     tracks = track(human(), recording)
     assert tracks.tracked[:60].all() and not tracks.tracked[60:100].any() and tracks.tracked[100:].all()
     check(tracks, body, joints, frames=np.r_[:60, 100:150])
+
+
+def test_legs_that_no_marker_tells_of_go_with_the_pelvis(moving, tmp_path):
+    """They hang from it at rest; without that they are drawn along behind, held by nothing but their hips' bands."""
+    _, frames, joints = moving
+    upper = [{n: p for n, p in f.items() if n[1:] not in LEG} for f in frames]
+    tracks = track(human(), recorded(tmp_path, upper))
+    ankles = [tracks.body.topology.centres.index(f"{s}_talocrural") for s in "lr"]
+    off = np.linalg.norm((tracks.joints - joints)[:, ankles].mean(1)[:, :2], axis=-1)
+    assert tracks.joint_confidence is not None and tracks.joint_confidence[:, ankles].max() < 0.11
+    assert tracks.tracked.all() and off.mean() < 0.25 and off.max() < 0.4, (off.mean(), off.max())
 
 
 def test_too_few_markers_are_said(moving, tmp_path):

@@ -5,7 +5,16 @@ import pytest
 
 from voodoo_jax.io.body_file import human
 from voodoo_jax.tracks import Status, expected_share
-from voodoo_jax.trust import ONE_PASS, THERE_AND_BACK, clues, doubted, joint_confidence, probability
+from voodoo_jax.trust import (
+    ONE_PASS,
+    THERE_AND_BACK,
+    UNMARKED,
+    clues,
+    doubted,
+    joint_confidence,
+    marker_confidence,
+    probability,
+)
 
 TOPOLOGY = human().topology
 CENTRES, LIMBS = len(TOPOLOGY.centres), len(TOPOLOGY.limbs)
@@ -59,6 +68,20 @@ def test_one_pass_is_enough_and_nothing_measured_says_nothing():
     some = joint_confidence(TOPOLOGY, found, joints())
     assert np.isnan(some[2:4]).all() and np.isfinite(some[[0, 1, 4, 5]]).all()
     assert np.isnan(expected_share(some)[2:4]).all()
+
+
+def test_little_is_said_of_joints_on_limbs_without_a_marker():
+    found, bare = rows(), TOPOLOGY.limbs.index("l_shank")
+    found["limb_weight"] = np.full((6, LIMBS), 2.0, np.float32)
+    found["limb_weight"][3:, bare] = 0.0
+    found["status"][5] = Status.NO_DATA
+    plain, said = (f(TOPOLOGY, found, joints()) for f in (joint_confidence, marker_confidence))
+    on = np.array(TOPOLOGY.centre_limbs) == bare
+    assert on.any() and (plain[3:5] > UNMARKED).all() and said.dtype == np.float32
+    np.testing.assert_array_equal(said[3:5][:, on], np.float32(UNMARKED))
+    np.testing.assert_array_equal(said[3:][:, ~on], plain[3:][:, ~on])
+    np.testing.assert_array_equal(said[:3], plain[:3])
+    assert np.isnan(said[5]).all()
 
 
 @pytest.mark.parametrize("frames", [0, 1])

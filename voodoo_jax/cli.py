@@ -38,7 +38,7 @@ CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags ove
 class Replay:
     """Track a person (or another body) in recorded logs.
 
-    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove or Rerun) for each
+    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
     log. Nothing about the person need be given: start, place and size are found.
     """
 
@@ -140,20 +140,29 @@ def run_replay(command: Replay) -> int:
         print("voodoo-jax replay: --smooth averages over later frames too; leave it out with --online", file=sys.stderr)
         return 2
     gc.disable()  # all that is imported stays, and need not be gone through again and again
-    from voodoo_jax.compile_cache import cache_folder, use_compile_cache
+    from voodoo_jax.compile_cache import CacheError, safe_folder, use_compile_cache
     from voodoo_jax.io.body_file import BodyFileError, load_on_host
     from voodoo_jax.replay import replay
 
     gc.enable()
-    if problem := use_compile_cache(cache_folder(command.compile_cache)):
+
+    def without_cache(problem: str) -> None:
         print(f"voodoo-jax replay: {problem}; it goes on without", file=sys.stderr)
+
+    try:
+        cache = safe_folder(command.compile_cache, without_cache)
+    except CacheError as problem:
+        print(f"voodoo-jax replay: {problem}", file=sys.stderr)
+        return 2
+    if problem := use_compile_cache(cache):
+        without_cache(problem)
     try:
         body = load_on_host(body_name(command))
         settings = online(command.settings) if command.online else command.settings
         outcomes = replay(
             command.logs, command.out, body, settings, smooth_seconds=command.smooth, picture=command.picture,
             again=command.again, workers=command.workers, engine=command.engine, shard=command.shard,
-            compile_cache=command.compile_cache,
+            compile_cache=cache or "off",
         )  # fmt: skip
     except FileExistsError:
         print(f"voodoo-jax replay: --out '{command.out}' is a file; name a folder", file=sys.stderr)

@@ -2,6 +2,10 @@
 
 jax writes an entry in place, so that a process that is killed meanwhile leaves half of one for good. Here each process
 writes into a folder of its own and links whole entries to the shared one.
+
+An entry is a program that is run, so whoever can write one can run code as this user. A folder is used only if it is
+this user's and nobody else can write in it; files are opened without following links, and read only if they are this
+user's, too.
 """
 
 import atexit
@@ -10,11 +14,13 @@ import os
 import platform
 import shutil
 import socket
+import stat
 import tempfile
 import threading
 import time
+import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -23,8 +29,17 @@ LOCK = "lock-"
 PATIENCE = 300.0  # seconds that a process waits for what another one compiles
 DIGEST = 32  # bytes of checksum before an entry of `keep`
 OLD_SECONDS = 2 * 86_400  # a process's folder of another machine that is older was left by a killed one
+OTHERS = stat.S_IWGRP | stat.S_IWOTH  # mode bits: somebody else can write
+# absent on Windows; a pipe in place of a file must not keep a process waiting
+OPENED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
 _own: dict[str, tuple[Path, Path]] = {}  # folder as asked for -> the shared one, this process's own
 _turn, _aside = threading.Lock(), 0  # how many threads compile without jax's cache
+_first = threading.Lock()  # two threads that begin to track
+_warned: set[str] = set()  # what has been said
+
+
+class CacheError(ValueError):
+    """The folder that somebody named for compiled programs is not safe."""
 
 
 def cache_folder(asked: str) -> str:
@@ -34,8 +49,72 @@ def cache_folder(asked: str) -> str:
     if asked:
         return "" if asked == "off" else str(Path(asked).expanduser().absolute())
     home = os.environ.get("XDG_CACHE_HOME", "")
-    base = Path(home) if os.path.isabs(home) else Path.home() / ".cache"
+    try:
+        base = Path(home) if os.path.isabs(home) else Path.home() / ".cache"
+    except RuntimeError:  # no HOME, and a user whom the system does not know, as in containers
+        return str(Path(tempfile.gettempdir()) / f"voodoo_jax-{os.geteuid() if os.name == 'posix' else 'cache'}")
     return str(base / "voodoo_jax")
+
+
+def refused(folder: str) -> str:
+    """Why a folder must not be used, in a sentence, or nothing; makes it, for this user alone, where it is missing.
+    Raises OSError where that does not work."""
+    Path(folder).mkdir(mode=0o700, parents=True, exist_ok=True)
+    shared = _shared(folder)
+    shared.mkdir(mode=0o700, exist_ok=True)
+    if os.name != "posix":
+        return ""
+    other = "name a folder of your own (--compile-cache or VOODOO_JAX_COMPILE_CACHE; off for none)"
+    for place in (Path(folder), shared):
+        # a link is somebody's, too
+        if {os.lstat(place).st_uid, os.stat(place).st_uid} != {os.geteuid()}:
+            return f"no compile cache in {place}: it is another user's, who could run code as you; {other}"
+        if os.stat(place).st_mode & OTHERS:
+            return (
+                f"no compile cache in {place}: other users can write in it, so they could run code as you; close it to "
+                f"them (chmod go-w '{place}'), empty it if somebody may have written there, or {other}"
+            )
+    # not the owners and groups of folders above: who exchanges a folder still cannot make files of this user
+    for place in Path(folder).resolve().parents:
+        mode = os.stat(place).st_mode
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            return f"no compile cache in {folder}: anybody can exchange what is in {place}; {other}"
+    return ""
+
+
+def _warn(problem: str) -> None:
+    if problem not in _warned:
+        _warned.add(problem)
+        warnings.warn(f"{problem}. It goes on without, and compiles for half a minute.", RuntimeWarning, stacklevel=4)
+
+
+def safe_folder(asked: str, say: Callable[[str], None] = _warn) -> str:
+    """As cache_folder, but where that folder must not be used: a CacheError if it was asked for, and else none, and
+    `say` why."""
+    folder = cache_folder(asked)
+    try:
+        problem = refused(folder) if folder else ""
+    except OSError:  # use_compile_cache tells
+        return folder
+    if problem and asked:
+        raise CacheError(problem)
+    if problem:
+        say(problem)
+    return "" if problem else folder
+
+
+@contextmanager
+def users_cache() -> Iterator[None]:
+    """For functions that are called from Python: compiles with the user's cache as the command does. It stays in use
+    afterwards; what is wrong with it is said once, as a warning."""
+    with _first:
+        problem = "" if _own else use_compile_cache(cache_folder(""))
+    if problem:
+        _warn(problem)
+    try:
+        yield
+    finally:
+        keep_compiled()
 
 
 def use_compile_cache(folder: str) -> str:
@@ -55,8 +134,9 @@ def use_compile_cache(folder: str) -> str:
     if jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
         return ""
     try:
-        shared = Path(folder) / _machine()
-        shared.mkdir(parents=True, exist_ok=True)
+        if problem := refused(folder):
+            return problem
+        shared = _shared(folder)
         _sweep(shared)
         own = Path(tempfile.mkdtemp(prefix=f"run-{socket.gethostname()}-{os.getpid()}-", dir=shared))
         _link_all(shared, own)
@@ -129,7 +209,7 @@ def kept(name: str) -> bytes | None:
     for shared, own in _own.values():
         for folder in (own, shared):
             with suppress(OSError):
-                data = _entry(folder, name).read_bytes()
+                data = _read(_entry(folder, name))
                 if hashlib.sha256(data[DIGEST:]).digest() == data[:DIGEST]:
                     return zlib.decompress(data[DIGEST:])
                 spoiled(name)
@@ -143,7 +223,7 @@ def keep(name: str, data: bytes) -> None:
             entry = _entry(own, name)
             partial = entry.with_name(f".{name}.tmp")
             packed = zlib.compress(data, 1)
-            partial.write_bytes(hashlib.sha256(packed).digest() + packed)
+            _write(partial, hashlib.sha256(packed).digest() + packed)
             os.replace(partial, entry)
             _link(entry, _entry(shared, name))
 
@@ -164,7 +244,7 @@ def alone(name: str) -> Iterator[None]:
                 import fcntl  # not on Windows
 
                 lock = shared / f"{LOCK}{name}"
-                stream = stack.enter_context(open(lock, "w"))
+                stream = stack.enter_context(os.fdopen(os.open(lock, OPENED | os.O_RDWR | os.O_CREAT, 0o600), "r+"))
                 stack.callback(lock.unlink, missing_ok=True)
                 until = time.monotonic() + PATIENCE
                 while time.monotonic() < until:
@@ -190,14 +270,47 @@ def _link_all(source: Path, target: Path) -> None:
 
 
 def _link(source: Path, target: Path) -> None:
+    if not _trusted(os.lstat(source)):
+        if source.parent.name.startswith("run-"):  # jax wrote it here, where nobody else can, by a generous umask
+            os.chmod(source, 0o600)
+        else:
+            return
     try:
         os.link(source, target)
     except FileExistsError:
         pass
     except OSError:  # a file system without links
         partial = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-        shutil.copyfile(source, partial)
+        _write(partial, _read(source))
         os.replace(partial, target)
+
+
+def _trusted(status: os.stat_result) -> bool:
+    """Whether a file is an ordinary one, this user's, and nobody else can write it."""
+    if os.name != "posix":
+        return True
+    return stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid() and not status.st_mode & OTHERS
+
+
+def _read(path: Path) -> bytes:
+    """What is in a file that can be trusted. Raises OSError for others."""
+    with os.fdopen(os.open(path, OPENED | os.O_RDONLY | getattr(os, "O_BINARY", 0)), "rb") as stream:
+        if not _trusted(os.fstat(stream.fileno())):
+            raise PermissionError(f"{path} is not this user's alone")
+        return stream.read()
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Makes a file anew, this user's alone. Raises OSError."""
+    path.unlink(missing_ok=True)
+    made = os.open(path, OPENED | os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o600)
+    with os.fdopen(made, "wb") as stream:
+        stream.write(data)
+
+
+def _shared(folder: str) -> Path:
+    """Where in a cache folder the programs for this machine are."""
+    return Path(folder) / _machine()
 
 
 def _machine() -> str:
@@ -226,11 +339,11 @@ def _sweep(shared: Path) -> None:
     """Removes what killed processes have left."""
     for lock in shared.glob(f"{LOCK}*"):
         with suppress(OSError):
-            if time.time() - lock.stat().st_mtime > OLD_SECONDS:
+            if time.time() - lock.lstat().st_mtime > OLD_SECONDS:
                 lock.unlink()
     for folder in shared.glob("run-*-*-*"):
         host, pid = folder.name.removeprefix("run-").rsplit("-", 2)[:2]
         with suppress(OSError, ValueError):
             here = host == socket.gethostname() and not process_runs(int(pid))
-            if here or time.time() - folder.stat().st_mtime > OLD_SECONDS:
+            if here or time.time() - folder.lstat().st_mtime > OLD_SECONDS:
                 shutil.rmtree(folder, ignore_errors=True)

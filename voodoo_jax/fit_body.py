@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
 
 from voodoo_jax.body import Body, joint_centres, scaled
+from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.fit_frames import Truth, chosen_frames, feature_names, fit_frames, held_out, read_truth, with_weight
 from voodoo_jax.fit_loop import (
     FitError,
@@ -94,6 +95,7 @@ TruthLike = Truth | str | os.PathLike[str] | None
 Log = str | os.PathLike[str] | Recording
 
 
+@users_cache()
 def fit(
     body: Body,
     logs: Sequence[Log],

@@ -13,7 +13,7 @@ from typing import Literal
 from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
 from voodoo_jax.body import Body
-from voodoo_jax.compile_cache import cache_folder
+from voodoo_jax.compile_cache import safe_folder
 from voodoo_jax.io.urls import byte_size, expanded, file_system, is_url, joined
 from voodoo_jax.jobs import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.outcomes import Outcome, outcome_of_arrays
@@ -40,7 +40,7 @@ def replay(
     workers: int = 1,
     engine: Literal["local", "batch", "ray"] = "local",
     shard: str = "",
-    compile_cache: str = "off",
+    compile_cache: str = "",
 ) -> list[Outcome]:
     """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, of logs of one
     name into folders of their own in it (see result_folders.py).
@@ -53,7 +53,7 @@ def replay(
     draws `<stem>.png` too; `again` does finished logs anew; `workers` processes, 1: in this one, 0: as many as are good
     for this machine; `engine` "batch": in this one, several logs as one batch on all of JAX's devices; "ray": on a Ray
     cluster; `shard` "2/8": the second of eight parts of the logs only; `compile_cache` folder for compiled programs,
-    "": the user's.
+    "": the user's, "off": none.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
@@ -83,7 +83,7 @@ def replay(
         recipe=recipe_key(body, settings, smooth_seconds),
         parameters=_parameters(settings, smooth_seconds),
         picture=picture,
-        compile_cache=cache_folder(compile_cache),
+        compile_cache=safe_folder(compile_cache),
     )
     jobs = {log: replace(job, log=log, out=joined(out, within[log]), size=max(1, byte_size(log))) for log in places}
     done: dict[str, Outcome] = {}

@@ -90,6 +90,7 @@ class Session:
         self.named = few & self.table.enough(ENOUGH)  # frames that named points alone tell of
         if self.by_markers:
             self.capacity, self.sized = 8, True
+            self.options = replace(options, by_features=True)
 
     def can_start(self, at: int) -> bool:
         """Whether the frames from `at` on hold something to start from."""

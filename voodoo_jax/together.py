@@ -7,6 +7,7 @@ import jax
 from tqdm.auto import tqdm
 
 from voodoo_jax.body import Body
+from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.lanes import in_lanes, usual_lanes
 from voodoo_jax.recording import Recording
 from voodoo_jax.session import Visit
@@ -15,6 +16,7 @@ from voodoo_jax.tracker import find_person, track_person
 from voodoo_jax.tracks import Tracks
 
 
+@users_cache()
 def track_many(
     bodies: Body | Sequence[Body],
     recordings: Recording | Sequence[Recording],

@@ -14,6 +14,7 @@ from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.candidate import LOOSE, Build
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.chooser import Chooser
+from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.flat_faces import without_faces
 from voodoo_jax.following import Progress, blank, follow
 from voodoo_jax.forearms import with_forearms
@@ -45,7 +46,7 @@ from voodoo_jax.standing_on import on_its_floor
 from voodoo_jax.start import rest_box, rest_height
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status, Tracks
-from voodoo_jax.trust import doubted, joint_confidence
+from voodoo_jax.trust import doubted, joint_confidence, marker_confidence
 from voodoo_jax.uncertainty import covariances
 from voodoo_jax.upright import upright
 
@@ -130,6 +131,7 @@ def looked_at(
                      "joint_covariance": of_joints}  # fmt: skip
 
 
+@users_cache()
 def track(
     body: Body, recording: Recording, settings: Settings | None = None, progress: Progress | None = None
 ) -> Tracks:
@@ -205,7 +207,9 @@ def track_person(
         for name in ("rotation", "translation", "limb_covariance"):
             out[name][first:end, absent] = np.nan
         _look_at(body, out, joints, first, end, settings.track.chunk)
-    if not run.by_markers:
+    if run.by_markers:  # a set for legs alone is none to doubt as a whole
+        out["joint_confidence"] = marker_confidence(run.body.topology, out, joints, settings.track.both_ways)
+    else:
         out["joint_confidence"] = joint_confidence(run.body.topology, out, joints, settings.track.both_ways)
         out["status"] = doubted(out["status"], out["joint_confidence"], settings.track.lost_confidence)
     compiling = seconds_of_waiting() - waited

@@ -12,7 +12,7 @@ from voodoo_jax.body import Body, Topology, tree_order
 from voodoo_jax.icp import IcpOptions, Problem, solve_and_measure
 from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.coupled import tree_covariance, twist_covariance
-from voodoo_jax.kernels.features import FeatureOptions, Features
+from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions
 from voodoo_jax.pose import (
     AnyArray,
@@ -43,6 +43,9 @@ class TrackOptions(eqx.Module):
     still_speed: Float[Array, ""]  # metres per second; limbs that are slower are held where they are
     hidden_rest: Float[Array, ""]  # seconds in which a hidden limb goes most of the way back to its rest pose
     hidden_weight: Float[Array, ""]  # measured weight at which a limb counts as half hidden
+    # whether the recording has features alone: then they tell which limbs are seen. Static: with depth there is nothing
+    # to compile for it
+    by_features: bool = eqx.field(static=True, default=False)
 
 
 class State(NamedTuple):
@@ -231,9 +234,13 @@ def track_frame(
     explained = seen.close / jnp.maximum(count, 1)
     step = Step(poses, seen.residual, explained, seen.feature_residual, seen.limb_weight, seen.steps, count)
     # by how many points there are, however noisy
-    share = (seen.limb_weight * (1.0 if points.doubt is None else points.doubt)) ** 2
+    weight, told = seen.limb_weight * (1.0 if points.doubt is None else points.doubt), count > 0
+    if options.by_features and features is not None:
+        weight = weight + feature_sums(body, poses, features, options.icp.features).weight
+        told = told | jnp.any(features.weight > 0)
+    share = weight**2
     shown = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
-    return State(poses, spin, velocity, jnp.where(count > 0, shown, state.seen), cloud), step, normals
+    return State(poses, spin, velocity, jnp.where(told, shown, state.seen), cloud), step, normals
 
 
 def _nothing(state: State) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:

@@ -18,6 +18,9 @@ from voodoo_jax.tracks import Status, expected_share
 CLOSE = 0.10  # metres
 SIGNS = ("joint_covariance", "residual", "explained", "limb_weight", "passes_apart")  # arrays of Tracks that tell
 CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
+# of a joint whose limb no marker tells of: nothing of a frame shows how far it hangs off. Of knees and ankles in a walk
+# on a treadmill 12 % were within 10 cm, of joints of a recording without its legs', arms' or shanks' markers 39 %
+UNMARKED = 0.1
 
 
 class Trust(NamedTuple):
@@ -84,6 +87,24 @@ def joint_confidence(
     twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
     told = np.isin(rows["status"], (Status.TRACKED, Status.LOST))
     return np.where(told[:, None], np.where(np.isfinite(twice), twice, once), np.nan).astype(np.float32)
+
+
+def marker_confidence(
+    topology: Topology,
+    rows: Mapping[str, np.ndarray],
+    joints: Float32[np.ndarray, "frame joint 3"],
+    ahead: bool = True,
+) -> Float32[np.ndarray, "frame joint"]:
+    """As joint_confidence, for recordings of named points alone, whose `limb_weight` is the number of those near their
+    places on each limb.
+
+    The logistic function was fitted to depth and is too sure of limbs without any: at most UNMARKED is said of a joint
+    whose own limb has none in the frame, even if a neighbour's markers hold it.
+    """
+    found = joint_confidence(topology, rows, joints, ahead)
+    unmarked = rows["limb_weight"][:, np.array(topology.centre_limbs, int)] <= 0
+    # not np.fmin: where there is none, there is none
+    return np.where(unmarked, np.minimum(found, np.float32(UNMARKED)), found)
 
 
 def doubted(

@@ -1,4 +1,4 @@
-"""Tracks as an MCAP file that Foxglove and Rerun show: frames, poses, the body, quality, and how it was made.
+"""Tracks as an MCAP file that Foxglove shows: frames, poses, the body, quality, and how it was made.
 
 Frames: `voodoo/<limb>` (the limb frame of body.py) and `voodoo/joint/<name>`, both in the tracks' fixed frame.
 """
