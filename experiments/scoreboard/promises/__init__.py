@@ -7,6 +7,7 @@ from experiments.scoreboard.board import Promise
 NAMES = (
     "demo", "fusion", "depth_only", "online", "every_third_frame", "sizes", "confidence", "covariance", "markers",
     "stereo", "people", "real_markers", "real_sensors",
+    "several_sensors", "held_things", "stillness", "animals",
 )  # fmt: skip
 
 
