@@ -79,6 +79,7 @@ class Promise:
     measure: Callable[
         [Sequence[Any]], Mapping[str, float]
     ]  # outcomes in the order of the jobs to values by figure name
+    details: Callable[[Sequence[Any]], list[str]] | None = None  # outcomes to lines that say what is behind the figures
     alone: bool = False  # measures time or memory: its jobs run one at a time, with nothing else beside
 
 
@@ -90,6 +91,7 @@ class Measured:
     values: Figures  # empty: not measured
     seconds: float = 0.0  # of all its jobs
     why: str = ""  # why it was not measured
+    details: tuple[str, ...] = ()  # what is behind the figures
 
 
 def verdict(figure: Figure, value: float) -> str:
