@@ -1,6 +1,6 @@
 """How the scoreboard scores people, turns and cases, on examples made by hand."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +8,35 @@ import pytest
 
 import voodoo_jax as vj
 from experiments.scoreboard.board import Data
-from experiments.scoreboard.cases import Check, Either, Found, Near, Nobody, Place, Refused, make, wrong_unsaid
+from experiments.scoreboard.cases import (
+    CaseFound,
+    Check,
+    Either,
+    Found,
+    Near,
+    Nobody,
+    Place,
+    Refused,
+    make,
+    wrong_unsaid,
+)
+from experiments.scoreboard.kept import merged, page_text
 from experiments.scoreboard.people_score import Counts, counted, figures, score_people
 from experiments.scoreboard.promises import field_cases, real_sensors
+from experiments.scoreboard.run import measure
 from voodoo_jax.tracks import Status
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A case that is judged already."""
+
+    name: str
+    wrong: str
+
+    def run(self) -> CaseFound:
+        return CaseFound(self.name, self.wrong, 0)
+
 
 START, STEP = 1_700_000_000_000_000_000, 66_666_667
 NAMES = vj.human().topology.centres
@@ -138,6 +163,13 @@ def test_a_case_is_made_by_its_script_or_lies_there(tmp_path):
 def test_cases_that_are_not_there_are_not_measured(tmp_path):
     assert field_cases.jobs(Data(None)) == [] and field_cases.jobs(Data(tmp_path)) == []
     assert real_sensors.jobs(Data(tmp_path)) == []
+
+
+def test_what_is_behind_the_figures_is_shown_on_the_page():
+    promise = replace(field_cases.PROMISE, jobs=lambda data: [Asked("a", ""), Asked("b", "0 % tracked")])
+    (found,) = measure([promise], Data(None), 1)
+    assert found.values["cases wrong"] == 1 and found.details == ("b: 0 % tracked",)
+    assert "field_cases:\n\n* b: 0 % tracked\n" in page_text(merged({}, [found], False, True), [promise])
 
 
 def test_where_somebody_faces_who_turns():

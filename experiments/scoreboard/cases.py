@@ -18,7 +18,7 @@ import numpy as np
 import voodoo_jax as vj
 from experiments.scoreboard.tracked import Known, Outcome, compared, read_known
 
-TIMEOUT = 120.0  # seconds in which a case has to make its logs: the longest takes 10
+TIMEOUT = 900.0  # seconds, by which a script that hangs is told from a busy machine: the longest works for some 20
 SAME_FRAME = 17_000_000  # nanoseconds: half a frame at 30 Hz
 HONEST = 0.15  # the mean confidence of joints may be above the share within 10 cm by so much
 UPPER = ("skullbase", "vc7", *(f"{side}_{name}" for side in "lr" for name in ("shoulder", "elbow", "radiocarpal")))
@@ -72,7 +72,7 @@ def folder_found(path: Path) -> Found:
     with tempfile.TemporaryDirectory() as out:
         outcomes = vj.replay_logs([path], out, quiet=True)
         people = tuple(vj.read_tracks(Path(out) / one.npz) for one in outcomes if one.npz)
-    refused = " ".join(unnamed(one.error, path) for one in outcomes if one.error)
+    refused = " ".join(one.error for one in outcomes if one.error)
     return Found(people, tuple(note for one in outcomes for note in one.notes), refused, len(outcomes))
 
 
