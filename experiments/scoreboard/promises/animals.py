@@ -21,7 +21,7 @@ class Dog:
 
 
 def jobs(data: Data) -> list[Dog]:
-    """Six of each kind; quick: two that turn."""
+    """Six of each kind; quick: two that turn, whose figures are far better than those of all."""
     if data.quick:
         return [Dog("turns", seed) for seed in (1, 3)]
     return [Dog(what, seed) for what in EFFORT for seed in range(len(SIZES))]
