@@ -1,5 +1,6 @@
 """Bodies that are no people."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,8 @@ class Dog:
     seed: int
     seconds = 12.0
 
-    def run(self) -> Found:
-        return work(Take(self.what, self.seed))
+    def run(self) -> tuple[str, Found]:
+        return self.what, work(Take(self.what, self.seed))
 
 
 def jobs(data: Data) -> list[Dog]:
@@ -27,21 +28,29 @@ def jobs(data: Data) -> list[Dog]:
     return [Dog(what, seed) for what in EFFORT for seed in range(len(SIZES))]
 
 
+def measure(found: Sequence[tuple[str, Found]]) -> dict[str, float]:
+    """Means over all dogs, and over those that turn, which are seen best."""
+    dogs = [dog for _, dog in found]
+    return {
+        "joints, cm": float(np.mean([dog.error_cm for dog in dogs])),
+        "joints of those that turn, cm": float(np.mean([dog.error_cm for what, dog in found if what == "turns"])),
+        "within 10 cm, %": float(np.mean([dog.within for dog in dogs])),
+        "said to be tracked, %": float(np.mean([dog.tracked for dog in dogs])),
+        "withers, cm": float(np.mean([dog.withers_cm for dog in dogs])),
+    }
+
+
 PROMISE = Promise(
     name="animals",
-    sentence="Simulated dogs of unknown size: mostly tracked, 11 cm and 81 % within 10 cm; those that turn 2.7 cm.",
+    sentence="Simulated dogs of unknown size: mostly tracked, 10.9 cm, 80.6 % within 10 cm; those that turn 2.7 cm.",
     data="24 dogs that stand, trot by, turn and come up",
     figures=(
         Figure("joints, cm", 11.0, tolerance=1.0, digits=1),
+        Figure("joints of those that turn, cm", 2.75, tolerance=0.25),
         Figure("within 10 cm, %", 80.0, "more", 3.0, 1),
-        Figure("said to be tracked, %", None),
+        Figure("said to be tracked, %", None, digits=1),
         Figure("withers, cm", None, digits=1),
     ),
     jobs=jobs,
-    measure=lambda dogs: {
-        "joints, cm": float(np.mean([d.error_cm for d in dogs])),
-        "within 10 cm, %": float(np.mean([d.within for d in dogs])),
-        "said to be tracked, %": float(np.mean([d.tracked for d in dogs])),
-        "withers, cm": float(np.mean([d.withers_cm for d in dogs])),
-    },
+    measure=measure,
 )
