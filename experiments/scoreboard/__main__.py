@@ -48,6 +48,8 @@ def main(
     for one in found:
         if one.why:
             print(f"{one.promise.name}: {one.why}")
+        if one.details:
+            print("\n  ".join([f"{one.promise.name}:", *one.details]))
     worse = fallen(found, before)
     print("\n".join(["Fallen since the committed scoreboard:", *worse] if worse else ["No promise has fallen."]))
     print(f"{len(found)} promises in {time.perf_counter() - began:.0f} s")

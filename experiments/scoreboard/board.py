@@ -77,6 +77,7 @@ class Promise:
     figures: tuple[Figure, ...]
     jobs: Callable[[Data], Sequence[Job]]  # none: what it needs is not there
     measure: Callable[[list[Any]], Mapping[str, float]]  # outcomes in the order of the jobs to values by figure
+    details: Callable[[list[Any]], list[str]] | None = None  # outcomes to lines that say what is behind the figures
     alone: bool = False  # measures time or memory: its jobs run one at a time, with nothing else beside
 
 
@@ -88,6 +89,7 @@ class Measured:
     values: Figures  # empty: not measured
     seconds: float = 0.0  # of all its jobs
     why: str = ""  # why it was not measured
+    details: tuple[str, ...] = ()  # what is behind the figures
 
 
 def verdict(figure: Figure, value: float) -> str:

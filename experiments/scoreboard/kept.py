@@ -53,6 +53,8 @@ def merged(kept: dict[str, Any], found: Sequence[Measured], quick: bool, everyth
         if one.values:
             number = {k: None if math.isnan(v) else round(v, 6) for k, v in one.values.items()}
             old[one.promise.name] = {**stamp, "seconds": round(one.seconds, 1), "figures": number}
+            if one.details:
+                old[one.promise.name]["details"] = list(one.details)
     versions = {name: version(name) for name in LIBRARIES}
     where = {k: v for k, v in machine().items() if k != "load_1min"}
     return {**kept, mode: old, f"{mode}_measured_on": {"machine": where, "versions": versions}}
@@ -85,6 +87,11 @@ def page_text(kept: dict[str, Any], promises: Sequence[Promise]) -> str:
         where = ", ".join(f"{k} {v}" for k, v in (*on["machine"].items(), *on["versions"].items()))
         head = ["promise", "figure", "limit", "measured", "verdict", "commit", "date"]
         parts.append(f"## {title}\n\n{table(head, lines, left=2)}\nMeasured on: {where}.\n")
+        parts += [
+            f"{name}:\n\n" + "".join(f"* {line}\n" for line in one["details"])
+            for name, one in values.items()
+            if "details" in one
+        ]
     parts.append(
         "## What the promises say\n\n" + "".join(f"* **{p.name}**: {p.sentence} ({p.data})\n" for p in promises)
     )

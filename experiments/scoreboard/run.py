@@ -68,7 +68,9 @@ def _measured(promise: Promise, done: list[Done]) -> Measured:
         return Measured(promise, {}, 0.0, f"left out: {promise.data} not there")
     if bad := next((d.problem for d in done if d.problem), ""):
         return Measured(promise, {f.name: math.nan for f in promise.figures}, seconds, bad)
-    values = promise.measure([d.value for d in done])
+    outcomes = [d.value for d in done]
+    values = promise.measure(outcomes)
     if missing := {f.name for f in promise.figures} - values.keys():
         raise ValueError(f"promise '{promise.name}' has no value for {', '.join(sorted(missing))}")
-    return Measured(promise, {f.name: float(values[f.name]) for f in promise.figures}, seconds)
+    details = () if promise.details is None else tuple(promise.details(outcomes))
+    return Measured(promise, {f.name: float(values[f.name]) for f in promise.figures}, seconds, details=details)

@@ -6,7 +6,8 @@ from experiments.scoreboard.board import Promise
 
 NAMES = (
     "demo", "fusion", "depth_only", "online", "every_third_frame", "sizes", "confidence", "covariance", "markers",
-    "stereo", "speed", "start_up", "memory",
+    "stereo", "people", "real_markers", "real_sensors", "field_cases", "several_sensors", "held_things", "stillness",
+    "animals", "speed", "start_up", "memory",
 )  # fmt: skip
 
 
