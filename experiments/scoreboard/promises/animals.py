@@ -42,12 +42,12 @@ def measure(found: Sequence[tuple[str, Found]]) -> dict[str, float]:
 
 PROMISE = Promise(
     name="animals",
-    sentence="Simulated dogs of unknown size: mostly tracked, 10.9 cm, 80.6 % within 10 cm; those that turn 2.7 cm.",
+    sentence="Simulated dogs of unknown size: mostly tracked, 11 cm, 80 % within 10 cm; those that turn 2.7 cm.",
     data="24 dogs that stand, trot by, turn and come up",
     figures=(
-        Figure("joints, cm", 11.0, tolerance=1.0, digits=1),
+        Figure("joints, cm", 11.5, tolerance=1.0, digits=1),
         Figure("joints of those that turn, cm", 2.75, tolerance=0.25),
-        Figure("within 10 cm, %", 80.0, "more", 3.0, 1),
+        Figure("within 10 cm, %", 79.0, "more", 3.0, 1),
         Figure("said to be tracked, %", None, digits=1),
         Figure("withers, cm", None, digits=1),
     ),

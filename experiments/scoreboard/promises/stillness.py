@@ -23,10 +23,10 @@ def measure(found: Sequence[float]) -> dict[str, float]:
 
 PROMISE = Promise(
     name="stillness",
-    sentence="Simulated people who stand still tremble by 0.6 mm at 2.5 m and 1.2 mm at 3.5 m (r.m.s.).",
+    sentence="Simulated people who stand still tremble by 0.9 mm at 2.5 m and 1.2 mm at 3.5 m (r.m.s.).",
     data="three simulated people at both distances",
     figures=(
-        Figure("at 2.5 m, mm", 0.65, tolerance=0.1),
+        Figure("at 2.5 m, mm", 0.95, tolerance=0.1),
         Figure("at 3.5 m, mm", 1.25, tolerance=0.15),
     ),
     jobs=jobs,
