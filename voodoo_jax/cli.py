@@ -89,9 +89,9 @@ class Demo:
 class FitCommand:
     """Fit a body's sizes (or joints, bands, weights of measurements) to recorded logs.
 
-    Tracks the logs, changes the body until measurements that the poses were not solved on lie on it, and tracks the logs
-    again. The body file is written only if the fitted body is better, beyond noise, in time that was held back from the
-    fit; a report (.md, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
+    Tracks the logs, changes the body until measurements that the poses were not solved on lie on it, and tracks them
+    again. The body file is written only if the fitted body is better, beyond noise, in time held back from the fit; a
+    report (.md, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
     not tell stays as it was. Weights of measurements and options of the solve, if they were fitted, go into a settings
     file (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: the size is found anew, the
     proportions are kept. Ctrl-C stops it; the same command goes on from there.

@@ -24,7 +24,8 @@ def outputs(out: Path, persons: int) -> list[Path]:
 
 
 def run_fit(command: FitCommand, settings: Settings) -> int:
-    """0 if the fit was made, whether it found a better body or not, 1 if the fit failed, 2 if it could not begin, 130 if it was interrupted."""
+    """0 if the fit was made, whether it found a better body or not; 1 if it failed, 2 if it could not begin, 130 if it
+    was interrupted."""
     try:
         logs = [path for place in command.logs for path in expanded(place)]
     except ValueError as problem:

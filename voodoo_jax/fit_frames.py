@@ -24,7 +24,7 @@ from voodoo_jax.settings import FeatureSettings
 from voodoo_jax.shaking import as_measured
 from voodoo_jax.tracks import Tracks
 
-RUNS = 16  # a log is cut into so many runs of time; every second one is held back, and judges
+RUNS, EVERY = 16, 3  # a log is cut into so many runs of time; every third is fitted to, the others judge
 FEWEST = 8  # frames to fit to
 HALF_FRAME_NS = 17_000_000  # a truth further away in time belongs to another frame
 ALIKE = 0.2  # radians: a limb in frames whose angles differ by less is seen alike
@@ -72,7 +72,7 @@ def runs(count: int) -> Int[np.ndarray, " frame"]:
 
 def held_back(count: int) -> Bool[np.ndarray, " frame"]:
     """Which of a log's frames nothing is fitted to: whole runs of time, for neighbours are alike."""
-    return runs(count) % 2 == 1
+    return runs(count) % EVERY > 0
 
 
 def chosen_frames(tracks: Tracks, people: list[PersonFrame], count: int) -> np.ndarray:

@@ -29,8 +29,8 @@ PRIORS = {
     "scale": 0.02, "lengths": 0.045, "radii": 0.13, "anchors": 0.009, "bands.weight": 0.7, "bands.axes": 0.3,
     "solve": 0.5, "features": 0.7,
 }  # fmt: skip
-# Lengths of one person found from different recordings, and from poses of rendered people whose lengths were known,
-# miss by this share of the priors' deviations because people are no cylinders (experiments/fit): less is no finding.
+# Sizes found miss by this share of the priors' deviations because people are no cylinders (2.5 % of a length: fits of
+# rendered people that began from right bodies moved by 0.5 to 4 %, see experiments/fit): less is no finding.
 SYSTEMATIC = 0.55
 HEIGHT = 0.005  # logarithm: the height is measured on the standing person before a fit, to half a percent
 WORDS = {  # what people say -> patterns of names; "segments": see segment_limbs
@@ -165,7 +165,7 @@ def _people() -> Body:
 
 
 def _is_person(body: Body) -> bool:
-    """Whether what is known of people's proportions holds for a body: it has a person's limbs, and maybe things held."""
+    """Whether what is known of people's proportions holds for a body: it has a person's limbs; it may hold things."""
     limbs = [limb for i, limb in enumerate(body.topology.limbs) if i not in body.topology.held]
     return body.scale_name == "stature" and limbs == list(_people().topology.limbs)
 

@@ -18,8 +18,8 @@ class FitSettings:
     """one: all logs show the same person; each: every log another one, with a body of its own. Bands, measurement
     weights and settings are common to all logs either way."""
     frames: int = 24
-    """Frames of each log that are fitted to, spread over the well tracked ones of every other run of time; the runs
-    between are held back and judge."""
+    """Frames of each log that are fitted to, spread over the well tracked ones of every third run of time; the others
+    are held back and judge."""
     points: int = 256
     """Points of a frame that its pose is solved on; as many others judge."""
     steps: int = 30
@@ -29,7 +29,7 @@ class FitSettings:
     rounds: int = 1
     """After each round but the last the logs are tracked anew with the body found so far: wrong sizes make wrong poses,
     which no step from there leaves. Say 3 where the body is far off, by a tenth and more; else it gains nothing."""
-    noise: float = 0.025
+    noise: float = 0.035
     """How far a person's surface is from the body's cylinders (standard deviation, metres); smaller trusts the log more
     and the priors less. The default is what lengths of rendered people of known sizes ask for (experiments/fit)."""
     looseness: float = 1.0

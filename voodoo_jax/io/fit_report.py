@@ -36,8 +36,8 @@ def report_text(fit: "Fit") -> str:
     head = ["log", "runs of time", "points off, before, cm", "after, cm", "joints off, before, cm", "after, cm"]
     out += [
         "## Before and after\n",
-        "The whole log tracked with the body before and with the fitted one; every second run of time was held back from "
-        "the fit, and judges.\n",
+        "The whole log tracked with the body before and with the fitted one; two of three runs of time were held back "
+        "from the fit, and judge.\n",
         _table(head, rows),
     ]
     for k, (start, body) in enumerate(zip(fit.starts, fit.fitted)):
