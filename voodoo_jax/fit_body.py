@@ -99,7 +99,8 @@ def fit(
     state: str | os.PathLike[str] | None = None,
     say: Callable[[str, Progress | None], None] | None = None,
 ) -> Fit:
-    """Tunes a body to recordings, or to their truth where one is given.
+    """Tunes a body to recordings, or to their truth where one is given; the Fit's `body` is the better one of the body
+    before and the fitted one (see fit_judge), `better` says which.
 
     **Arguments:** `logs` paths or recordings; `truths` one for each log: then joint centres are what is fitted to;
     `loss` a function (body, options, frames) to make small instead, with the priors added (see fit_user); `state` a

@@ -47,7 +47,7 @@ class Part(NamedTuple):
 
     name: str
     body: Body  # before the fit
-    frames: FitFrames  # those that are fitted to have weight, those held out have none
+    frames: FitFrames  # those that are fitted to have weight, padding has none
     person: int
 
 
