@@ -89,9 +89,10 @@ class Demo:
 class FitCommand:
     """Fit a body's sizes (or joints, bands, weights of measurements) to recorded logs.
 
-    Tracks the logs, then changes the body until measurements that the poses were not solved on lie on it. Writes the
-    body file, and beside it a report (.md, .png) that says what changed, how sure that is, and whether it helps in
-    frames that were held out; weights of measurements and options of the solve, if they were fitted, go into a settings
+    Tracks the logs, changes the body until measurements that the poses were not solved on lie on it, and tracks them
+    again. The body file is written only if the fitted body is better, beyond noise, in time held back from the fit; a
+    report (.md, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
+    not tell stays as it was. Weights of measurements and options of the solve, if they were fitted, go into a settings
     file (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: the size is found anew, the
     proportions are kept. Ctrl-C stops it; the same command goes on from there.
     """
@@ -99,7 +100,9 @@ class FitCommand:
     logs: Positional[tuple[Path, ...]] = ()
     """MCAP logs, or folders of them."""
     out: Path = Path("body.toml")
-    """Body file to write; with several persons -1, -2, ... is added to its name."""
+    """Body file to write if it is better; with several persons -1, -2, ... is added to its name."""
+    keep_anyway: bool = False
+    """Write the fitted body even if it is no better."""
     truth: tuple[Path, ...] = ()
     """Fit joint centres to these .npz files instead (time_ns, joints, joint_names), one for each log."""
     overwrite: bool = False

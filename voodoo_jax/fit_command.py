@@ -1,4 +1,4 @@
-"""`voodoo-jax fit`: logs in, body file and report out."""
+"""`voodoo-jax fit`: logs in, a report and, if it is better, a body file out."""
 
 import sys
 from pathlib import Path
@@ -12,7 +12,7 @@ from voodoo_jax.fit_loop import FitError
 from voodoo_jax.fit_progress import Progress
 from voodoo_jax.io.atomic import replacing
 from voodoo_jax.io.body_file import BodyFileError, load_body, write_body
-from voodoo_jax.io.fit_report import verdict, write_report
+from voodoo_jax.io.fit_report import write_report
 from voodoo_jax.io.mcap_log import LogError
 from voodoo_jax.io.urls import expanded
 from voodoo_jax.settings import Settings, settings_text
@@ -24,7 +24,8 @@ def outputs(out: Path, persons: int) -> list[Path]:
 
 
 def run_fit(command: FitCommand, settings: Settings) -> int:
-    """0 if the body was written, 1 if the fit failed, 2 if it could not begin, 130 if it was interrupted."""
+    """0 if the fit was made, whether it found a better body or not; 1 if it failed, 2 if it could not begin, 130 if it
+    was interrupted."""
     try:
         logs = [path for place in command.logs for path in expanded(place)]
     except ValueError as problem:
@@ -59,15 +60,23 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         except (BodyFileError, TruthError, FitError, LogError, ValueError, OSError) as problem:
             print(f"voodoo-jax fit: {problem}", file=sys.stderr)
             return 1 if isinstance(problem, (FitError, LogError)) and logs else 2
-    for fitted, path in zip(found.bodies, bodies):
-        write_body(fitted, path)
-    text, drawn = write_report(found, report)
-    files = [*bodies, text, drawn]
-    if found.tuned != settings:
+    files = list(write_report(found, report))
+    written = found.better or command.keep_anyway
+    if written:
+        for fitted, path in zip(found.fitted, bodies):
+            write_body(fitted, path)
+        files = [*bodies, *files]
+    else:
+        # an older fit's file beside a report that says otherwise would be taken for this one's
+        for path in (*bodies, config):
+            path.unlink(missing_ok=True)
+    if written and found.tuned != settings:
         with replacing(config) as partial:
             partial.write_text(settings_text(found.tuned), encoding="utf-8")
         files.append(config)
     state.unlink(missing_ok=True)
-    print(verdict(found.judged))
+    print(found.verdict.why)
+    if not found.better:
+        print("The fitted body is written all the same." if written else "No body is written; --keep-anyway writes it.")
     print(f"written: {', '.join(map(str, files))}")
     return 0

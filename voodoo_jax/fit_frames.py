@@ -1,4 +1,4 @@
-"""The frames that a fit looks at, chosen from tracked recordings: one part of each to solve on, one to judge by.
+"""The frames that a fit looks at, chosen from tracked recordings: some of a frame's points to solve on, some to fit to.
 
 Host side. Which frames and points are chosen depends on the recording alone: the same on every run.
 """
@@ -8,7 +8,6 @@ import zipfile
 from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +24,8 @@ from voodoo_jax.settings import FeatureSettings
 from voodoo_jax.shaking import as_measured
 from voodoo_jax.tracks import Tracks
 
-BLOCKS, EVERY = 8, 4  # the chosen frames are cut into so many runs of time; every so many-th is held out
+RUNS, EVERY = 16, 3  # a log is cut into so many runs of time; every third is fitted to, the others judge
+FEWEST = 8  # frames to fit to
 HALF_FRAME_NS = 17_000_000  # a truth further away in time belongs to another frame
 ALIKE = 0.2  # radians: a limb in frames whose angles differ by less is seen alike
 WELL = 1.5  # times the median residual: frames above it are not well tracked
@@ -65,24 +65,29 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
     return Truth(stamps, names, joints)
 
 
+def runs(count: int) -> Int[np.ndarray, " frame"]:
+    """Which run of time each of a log's frames is in."""
+    return np.arange(count) * RUNS // max(count, 1)
+
+
+def held_back(count: int) -> Bool[np.ndarray, " frame"]:
+    """Which of a log's frames nothing is fitted to: whole runs of time, for neighbours are alike."""
+    return runs(count) % EVERY > 0
+
+
 def chosen_frames(tracks: Tracks, people: list[PersonFrame], count: int) -> np.ndarray:
-    """Up to `count` well tracked frames, evenly spread. Raises ValueError if there are fewer than eight."""
+    """Up to `count` well tracked frames that are not held back, evenly spread. Raises ValueError if there are few."""
     residual = np.where(tracks.tracked, tracks.residual, np.inf)
-    seen = np.array([len(f.points) >= 60 for f in people], bool)
+    seen = np.array([len(f.points) >= 60 for f in people], bool) & ~held_back(len(people))
     good = (
         np.flatnonzero((residual <= WELL * np.median(residual[tracks.tracked])) & seen) if tracks.tracked.any() else []
     )
-    if len(good) < BLOCKS:
+    if len(good) < FEWEST:
         raise ValueError(
-            f"{tracks.source}: only {len(good)} frames are tracked well enough to fit to, {BLOCKS} are needed; "
+            f"{tracks.source}: only {len(good)} frames are tracked well enough to fit to, {FEWEST} are needed; "
             "look at the log with voodoo-jax replay --picture"
         )
     return np.unique(np.asarray(good)[np.linspace(0, len(good) - 1, count).round().astype(int)])
-
-
-def held_out(count: int) -> Bool[np.ndarray, " frame"]:
-    """Which of the chosen frames no parameter is fitted to: whole runs of time, for neighbours are alike."""
-    return (np.arange(count) * BLOCKS // max(count, 1)) % EVERY == EVERY - 2
 
 
 def feature_names(people: list[PersonFrame], topology: Topology, settings: FeatureSettings) -> tuple[str, ...]:
@@ -104,7 +109,7 @@ def fit_frames(
     log: int = 0,
     markers: bool = False,
 ) -> FitFrames:
-    """Frames of one recording, padded to `count`, each with up to `points` points to solve on and as many to judge by.
+    """Frames of one recording, padded to `count`, each with up to `points` points to solve on and as many to fit to.
 
     **Arguments:** `at` which frames (see chosen_frames); `names` of the measurement weights that may be free; `log`
     number of the recording; `markers` named places judge only, otherwise half of the features of a frame do.
@@ -203,8 +208,3 @@ def _some_pairs(pairs: Pairs, rows: list[int]) -> Pairs:
 
 def _unweighted(frame: PersonFrame) -> PersonFrame:
     return replace(frame, rays=replace(frame.rays, weights=None), pairs=replace(frame.pairs, weights=None))
-
-
-def with_weight(frames: FitFrames, mask: Bool[np.ndarray, " frame"]) -> FitFrames:
-    """The same frames, of which only some count."""
-    return eqx.tree_at(lambda f: f.weight, frames, frames.weight * jnp.asarray(mask, jnp.float32))

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float64
+from jaxtyping import Array, Bool, Float64
 
 from voodoo_jax.body import Body
 from voodoo_jax.fit_objective import (
@@ -29,7 +29,7 @@ from voodoo_jax.fit_objective import (
     normals,
     placed,
 )
-from voodoo_jax.fit_parameters import HEIGHT, Changes, Parameters, changed, height_of
+from voodoo_jax.fit_parameters import HEIGHT, Changes, Parameters, changed, height_of, height_ratio
 from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Rest
 from voodoo_jax.icp import IcpOptions
@@ -37,6 +37,8 @@ from voodoo_jax.pose import Poses
 from voodoo_jax.quick import quickly
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
+PARTS = 4  # parts of a recording that the spread of the sizes is looked at over
+KNOWN = 0.1  # information of the data over that of data and prior: with less a size is not determined
 FEWEST = 6  # frames of a log that must be at rest
 
 
@@ -45,7 +47,7 @@ class Part(NamedTuple):
 
     name: str
     body: Body  # before the fit
-    frames: FitFrames  # those that are fitted to have weight, those held out have none
+    frames: FitFrames  # those that are fitted to have weight, padding has none
     person: int
 
 
@@ -94,9 +96,10 @@ def compiled_normals() -> Callable[..., Normals]:
 
 @eqx.filter_jit
 def _height_off(body: Body, x, maps) -> tuple[Array, Array]:
-    """Logarithm of the changed body's height over the body's, and its derivative."""
+    """Logarithm of the changed body's height over what was measured, and its derivative."""
     free = Parameters((), np.zeros(0), maps, True)
-    return jax.value_and_grad(lambda x: jnp.log(height_of(changed(body, free.changes(x))) / height_of(body)))(x)
+    measured = height_ratio(body) * body.scale
+    return jax.value_and_grad(lambda x: jnp.log(height_of(changed(body, free.changes(x))) / measured))(x)
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,8 @@ class Search:
     objective: Objective
     rows: tuple[np.ndarray, ...]
     sd: Float64[np.ndarray, " all"]
+    centre: Float64[np.ndarray, " all"]  # of the priors
+    held: Bool[np.ndarray, " all"]  # what stays where it is: the recordings do not tell
     noise: float = POINT_SD  # standard deviation of a point, metres
     features: tuple[str, ...] = ()  # names of the measured features
 
@@ -124,6 +129,9 @@ class Search:
         off, slope = _height_off(part.body, jnp.asarray(x[self.rows[part.person]], jnp.float32), maps)
         return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
 
+    def _prior(self, x: Float64[np.ndarray, " all"]) -> float:
+        return 0.5 * float(np.sum(((x - self.centre) / self.sd) ** 2))
+
     def _share(self, part: Part, good: np.ndarray) -> float:
         """What the deviations of a recording's frames count."""
         # frames that do not come to rest weigh nothing; the others stand in for them, so that losses compare
@@ -135,7 +143,7 @@ class Search:
 
     def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Poses, ...] = ()) -> Place:
         """All frames solved at x, and the loss; FitError if nothing is at rest."""
-        loss = 0.5 * float(np.sum((x / self.sd) ** 2))
+        loss = self._prior(x)
         all_found = []
         for part, start in zip(self.parts, starts or tuple(p.frames.poses for p in self.parts)):
             found = compiled_placed()(part.body, self.options, part.frames, start, *self._inputs(x, part))
@@ -152,14 +160,15 @@ class Search:
         rest, costs = zip(*((np.asarray(f.converged), np.asarray(f.cost, np.float64)) for f in all_found))
         return Place(loss, rest, costs, tuple(f.rest.poses for f in all_found), tuple(all_found))
 
-    def step(self, x: Float64[np.ndarray, " all"], here: Place) -> Step:
-        """What a step from x needs."""
-        slope, curve = x / self.sd**2, np.zeros((len(x), len(x)))
+    def step(self, x: Float64[np.ndarray, " all"], here: Place, without: int = -1) -> Step:
+        """What a step from x needs; `without` one of PARTS parts of every recording."""
+        slope, curve = (x - self.centre) / self.sd**2, np.zeros((len(x), len(x)))
         for part, found, good in zip(self.parts, here.found, here.at_rest):
-            rows, share = self.rows[part.person], self._share(part, good)
+            there = good & (np.arange(len(good)) * PARTS // len(good) != without)
+            rows, share = self.rows[part.person], self._share(part, there)
             sums = compiled_normals()(part.body, self.options, part.frames, found, *self._inputs(x, part))
-            slope[rows] += share * np.asarray(sums.slope, np.float64).sum(0)
-            curve[np.ix_(rows, rows)] += share * np.asarray(sums.curve, np.float64).sum(0)
+            slope[rows] += share * np.asarray(sums.slope, np.float64)[there].sum(0)
+            curve[np.ix_(rows, rows)] += share * np.asarray(sums.curve, np.float64)[there].sum(0)
             if self.objective == "held":
                 off, by_x = self.height(x, part)
                 slope[rows] += off * by_x
@@ -188,7 +197,7 @@ class Search:
 
     def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
         """By how much the loss is smaller at `other`, in frames that are at rest at both."""
-        out = 0.5 * float(np.sum((x / self.sd) ** 2) - np.sum((other / self.sd) ** 2))
+        out = self._prior(x) - self._prior(other)
         for k, part in enumerate(self.parts):
             both = here.at_rest[k] & there.at_rest[k]
             out += self._share(part, both) * float((here.costs[k] - there.costs[k])[both].sum())
@@ -218,7 +227,9 @@ def run_search(
         here = search.place(progress.x, starts)
         sums = search.step(progress.x, here)
         full = sums.curve + np.diag(1 / search.sd**2)
-        step = -np.linalg.solve(full + progress.damping * np.diag(np.diag(full)), sums.slope)
+        full = (full + progress.damping * np.diag(np.diag(full)))[np.ix_(~search.held, ~search.held)]
+        step = np.zeros(len(progress.x))
+        step[~search.held] = -np.linalg.solve(full, sums.slope[~search.held])
         # at most one and a half usual deviations at once: matches change on the way
         step *= min(1.0, 1.5 / max(float(np.max(np.abs(step) / search.sd)), 1e-9))
         share, gain, there = _along(search, progress.x, step, here, starts)
@@ -230,7 +241,9 @@ def run_search(
             place = there
         else:
             progress = replace(progress, damping=max(progress.damping, 1e-2) * 10, done=progress.damping > 1)
-        progress = replace(progress, step=progress.step + 1, losses=(*progress.losses, place.loss))
+        # what was gained in frames that are at rest both times: losses of other frames do not compare
+        loss = progress.losses[-1] - max(gain, 0.0)
+        progress = replace(progress, step=progress.step + 1, losses=(*progress.losses, loss))
         if say is not None:
             say(progress)
     return progress, place
@@ -262,5 +275,21 @@ def _along(
 
 
 def deviations(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:
-    """Standard deviation of every parameter after the fit, from the Gauss-Newton matrix and the priors."""
+    """Standard deviation of every parameter after the fit, from the Gauss-Newton matrix and the priors; of what is held
+    as if it were free."""
     return np.sqrt(np.diag(np.linalg.inv(search.step(x, place).curve + np.diag(1 / search.sd**2))))
+
+
+def spread(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:
+    """How much every parameter hangs on the part of the recordings that it is found from: standard deviation by
+    leaving out each part in turn (jackknife), by one step from x."""
+    found = []
+    for part in range(PARTS):
+        sums = search.step(x, place, part)
+        found.append(-np.linalg.solve(sums.curve + np.diag(1 / search.sd**2), sums.slope))
+    return np.sqrt((PARTS - 1) * np.var(found, axis=0))
+
+
+def undetermined(sd: Float64[np.ndarray, " all"], prior_sd: Float64[np.ndarray, " all"]) -> Bool[np.ndarray, " all"]:
+    """What the recordings do not tell: less than KNOWN of all that is known of it afterwards comes from them."""
+    return 1 - (sd / prior_sd) ** 2 < KNOWN

@@ -29,8 +29,8 @@ POINT_SD, PER_LIMB = 0.02, 1.0  # metres; independent measurements of each limb 
 FEW = 10.0  # points of a limb with which it counts half
 RAY_SD = 0.03  # metres: a detector's point from the body's, across the line of sight
 JOINT_SD = 0.03  # metres: tracked joints from the truth
+NEWTON = 3  # Newton steps after the ICP steps; with fewer a third of the frames is not at rest
 SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) count nothing
-CAP = 0.001  # metres from a limb's end
 ROBUST = 0.06  # metres at which a residual begins to count less
 
 
@@ -86,14 +86,13 @@ def _robust(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
 
 
 def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: Poses) -> Float[Array, " residual"]:
-    """Held-back points from the side of the limbs that their sensor sees; a vector each, so that no root is taken."""
+    """Held-back points from the side of the limbs that is seen; a vector each, so that no root is taken."""
     matching = eqx.tree_at(lambda o: o.robust_scale, options.match, jnp.full_like(options.match.robust_scale, jnp.inf))
     at, sizes = jax.lax.stop_gradient((poses, body.sizes))
     limbs = _closest(sizes, at, frame, options, body)
     found = match_assigned(body.sizes, poses, frame.held, limbs, matching)
-    # what is beyond a limb's end is on its cap, or on what hangs there: the side that is fitted is not near
-    length, z = jnp.append(sizes[:, 4], 0.0)[limbs], jax.lax.stop_gradient(found.model[2])
-    there = (found.weight[0] > 0) & (z > CAP) & (z < length - CAP)
+    # points beyond an end count too: without them a limb that is too short costs nothing, and a longer one always gains
+    there = found.weight[0] > 0
     gap = jnp.stack([jnp.where(there, p - c, 0.0) for p, c in zip(found.data, found.model)], -1)
     # a limb counts as PER_LIMB independent measurements, however many points show it, but less if these are few
     count = jax.ops.segment_sum(there.astype(gap.dtype), limbs, body.limb_count + 1)
@@ -156,7 +155,7 @@ def placed(
 
     def one(inputs):
         frame, start = inputs
-        found = resting(start, frame_problem(new, changed_to, frame, by), newton=2)
+        found = resting(start, frame_problem(new, changed_to, frame, by), newton=NEWTON)
         r = frame_residuals(new, changed_to, frame, found.poses, objective)
         good = (found.off < SETTLED) & (frame.weight > 0) & jnp.all(jnp.isfinite(r))
         return Placed(found, jnp.where(good, jnp.sum(r * r) / 2, 0.0), good)

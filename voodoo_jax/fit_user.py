@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from voodoo_jax.body import Body
 from voodoo_jax.fit_loop import FitError, Search
-from voodoo_jax.fit_objective import SETTLED, FitFrames, UserLoss
+from voodoo_jax.fit_objective import NEWTON, SETTLED, FitFrames, UserLoss
 from voodoo_jax.fit_parameters import changed, changed_options
 from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Solution, solution
@@ -29,7 +29,7 @@ def solve_frames(body: Body, options: IcpOptions, frames: FitFrames) -> Solution
 
     def one(frame: FitFrames) -> Solution:
         problem = Problem.build(body, frame.points, frame.poses, options, frame.features)
-        return solution(frame.poses, problem, newton=2, tolerance=SETTLED)
+        return solution(frame.poses, problem, newton=NEWTON, tolerance=SETTLED)
 
     return one_by_one(one, frames, batch=8)
 
@@ -42,10 +42,11 @@ def minimised(
     Raises FitError where the loss is not a finite number at the start.
     """
     sd = jnp.asarray(search.sd, jnp.float32)
+    centre = jnp.asarray(search.centre / search.sd, jnp.float32)
 
     def function(z: Float[Array, " all"], _) -> tuple[Float[Array, ""], None]:
         # in units of the priors' deviations: BFGS begins with steps alike in all directions
-        total = 0.5 * jnp.sum(z * z)
+        total = 0.5 * jnp.sum((z - centre) ** 2)
         for part in search.parts:
             by = search.free.changes((z * sd)[search.rows[part.person]])
             total = total + loss(changed(part.body, by), changed_options(search.options, by), part.frames)

@@ -24,7 +24,7 @@ from voodoo_jax.settings import Settings
 
 def tuned(body: Body, found: Fit) -> Body:
     """The body with the bands that a fit found."""
-    return eqx.tree_at(lambda b: (b.weights, b.axes), body, (found.body.weights, found.body.axes))
+    return eqx.tree_at(lambda b: (b.weights, b.axes), body, (found.fitted[0].weights, found.fitted[0].axes))
 
 
 def tracked(logs: list[Log], body: Body, settings: Settings) -> list[Score]:
@@ -60,7 +60,7 @@ def main(
     rows = [[f"default, half {k}", *mean_row(found)] for k, found in zip("AB", before)]
     numbers = []
     for k in (0, 1):
-        seen = [Seen(log.track(body, Settings()), log.people) for log in own[k]]
+        seen = [Seen(log.track(body, Settings()), log.people, log.scene) for log in own[k]]
         truths = [Truth(log.stamps, log.names, log.joints) for log in own[k]]
         found = fit_tracked(seen, Settings(), replace(fit_options, free=free), truths)
         numbers.append(dict(zip(found.names, np.exp(found.x))))

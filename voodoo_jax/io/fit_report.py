@@ -10,7 +10,7 @@ from voodoo_jax.body import segment_lengths
 from voodoo_jax.io.atomic import replacing
 
 if TYPE_CHECKING:
-    from voodoo_jax.fit_body import Fit, Judged
+    from voodoo_jax.fit_body import Fit
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
@@ -22,67 +22,50 @@ def _cm(value: float) -> str:
     return f"{100 * value:.2f}" if np.isfinite(value) else "-"
 
 
-def verdict(judged: "tuple[Judged, ...]") -> str:
-    """Whether the fit helps in frames that it has not seen: a plain sentence."""
-    both = [(j.joints_before, j.joints_after) for j in judged]
-    known = any(np.isfinite(a[j.held]).any() for j, (a, _) in zip(judged, both))
-    pairs = both if known else [(j.before, j.after) for j in judged]
-    before, after = (np.concatenate([p[k][j.held] for j, p in zip(judged, pairs)]) for k in (0, 1))
-    there = np.isfinite(before) & np.isfinite(after)
-    what = "mean joint error" if known else "distance of the judging measurements"
-    if there.sum() < 3:
-        return "Too few held-out frames came to rest to say whether the fit helps."
-    change = after[there] - before[there]
-    spread = 2 * float(change.std(ddof=1)) / np.sqrt(there.sum())
-    size = f"{_cm(float(before[there].mean()))} to {_cm(float(after[there].mean()))} cm ({what}, {there.sum()} frames)"
-    if change.mean() < -spread:
-        return f"In frames that were held out the fit helps: {size}."
-    if change.mean() > spread:
-        return f"In frames that were held out the fit does harm: {size}. Better keep the body as it was."
-    return f"In frames that were held out the fit makes no clear difference: {size}."
-
-
 def report_text(fit: "Fit") -> str:
     """The report as Markdown."""
-    out = ["# Fit of a body\n", verdict(fit.judged) + "\n"]
-    rest = sum(int(np.isfinite(j.after).sum()) for j in fit.judged)
-    frames = sum(len(j.after) for j in fit.judged)
+    out = ["# Fit of a body\n", fit.verdict.why + "\n"]
     ended = "stopped by itself" if fit.finished else "was ended by its limit of steps: more may gain something"
-    out.append(
-        f"{len(fit.losses) - 1} steps, loss {fit.losses[0]:.1f} to {fit.losses[-1]:.1f}; it {ended}. "
-        f"{rest} of {frames} frames came to rest before and after; the others count nothing.\n"
-    )
+    out.append(f"{len(fit.losses) - 1} steps, loss {fit.losses[0]:.1f} to {fit.losses[-1]:.1f}; it {ended}.\n")
     rows = []
     for j in fit.judged:
-        for word, mask in (("fitted", ~j.held), ("held out", j.held)):
+        for word, mask in (("fitted", ~j.held), ("held back", j.held)):
             columns = [v[mask] for v in (j.before, j.after, j.joints_before, j.joints_after)]
             values = [float(np.nanmean(v)) if np.isfinite(v).any() else float("nan") for v in columns]
             rows.append([f"{j.name}, {word}", str(int(np.isfinite(j.after[mask]).sum())), *map(_cm, values)])
-    head = ["frames", "at rest", "before, cm", "after, cm", "joints before, cm", "joints after, cm"]
-    out += ["## Before and after\n", _table(head, rows)]
-    for k, (start, body) in enumerate(zip(fit.starts, fit.bodies)):
-        if len(fit.bodies) > 1:
+    head = ["log", "runs of time", "points off, before, cm", "after, cm", "joints off, before, cm", "after, cm"]
+    out += [
+        "## Before and after\n",
+        "The whole log tracked with the body before and with the fitted one; two of three runs of time were held back "
+        "from the fit, and judge.\n",
+        _table(head, rows),
+    ]
+    for k, (start, body) in enumerate(zip(fit.starts, fit.fitted)):
+        if len(fit.fitted) > 1:
             names = ", ".join(j.name for j in fit.judged if j.person == k)
             out.append(f"### Person {k + 1} ({names})\n")
         was, now = segment_lengths(start), segment_lengths(body)
         rows = [[start.scale_name, _cm(float(start.scale)), _cm(float(body.scale))]]
         rows += [[name, _cm(was[name]), _cm(now[name])] for name in was]
-        out.append(_table(["length", "before, cm", "after, cm"], rows))
+        out.append(_table(["length", "before, cm", "fitted, cm"], rows))
     rows = []
-    for name, x, sd, prior in zip(fit.names, fit.x, fit.sd, fit.prior_sd):
-        share = "not determined" if sd > 0.9 * prior else "partly" if sd > 0.6 * prior else "yes"
-        interval = f"{100 * (x - 1.96 * sd):+.1f} .. {100 * (x + 1.96 * sd):+.1f}" if np.isfinite(sd) else "-"
-        rows.append([name, f"{100 * x:+.1f}", interval, f"{100 * prior:.1f}", share if np.isfinite(sd) else "-"])
+    for name, x, sd, apart, prior, stays in zip(fit.names, fit.x, fit.sd, fit.spread, fit.prior_sd, fit.stays):
+        interval, parts, share = "-", "-", "-"
+        if np.isfinite(sd):
+            interval = f"{100 * (x - 1.96 * sd):+.1f} .. {100 * (x + 1.96 * sd):+.1f}"
+            parts, share = f"{100 * apart:.1f}", f"{100 * (1 - (sd / prior) ** 2):.0f} %"
+        rows.append([name, "stays" if stays else f"{100 * x:+.1f}", interval, f"{100 * prior:.1f}", parts, share])
     out.append("## Parameters\n")
     out.append(
         "Changes in percent (logarithms times 100; anchors: percent of the scale). The intervals are those of the "
         "Gauss-Newton matrix with the priors: what the model and its noise allow. That a person is no cylinder is not "
-        "in them.\n"
+        "in them. Between parts: how much a change hangs on the part of the logs that it is found from. From the data: "
+        "their share of what is known of a parameter.\n"
     )
-    out.append(_table(["parameter", "change", "95 % interval", "prior's deviation", "determined by the data"], rows))
-    weak = fit.undetermined()
-    if weak:
-        out.append(f"The data say next to nothing about: {', '.join(weak)}. Their values are the priors'.\n")
+    head = ["parameter", "change", "95 % interval", "prior's deviation", "between parts", "from the data"]
+    out.append(_table(head, rows))
+    if weak := fit.undetermined():
+        out.append(f"The data say too little about: {', '.join(weak)}. They stay as they were.\n")
     return "\n".join(out)
 
 

@@ -6,7 +6,11 @@ from experiments.scoreboard.tracked import Outcome, TrackLog, accuracy
 
 def measure(logs: list[Outcome]) -> dict[str, float]:
     """Accuracy, and logs that are wrong unsaid: a person taken for their back is."""
-    return {**accuracy(logs), "worst log, cm": max(o.error_cm for o in logs), "wrong unsaid, logs": sum(o.wrong_unsaid for o in logs)}
+    return {
+        **accuracy(logs),
+        "worst log, cm": max(o.error_cm for o in logs),
+        "wrong unsaid, logs": sum(o.wrong_unsaid for o in logs),
+    }
 
 
 PROMISE = Promise(
