@@ -32,7 +32,7 @@ from voodoo_jax.tracks import Tracks
 SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
 SURE = 2.0  # a size that moved by less than so many of its spreads between parts of the recordings stays
 # Bands are so many times stiffer than in tracking where points judge sizes: tracks with lengths 8 % too long and with
-# the usual ones then differ beyond noise in 16 of 18 recordings, and in 15 with the bands of tracking (experiments/fit).
+# the usual ones then differ beyond noise in 16 of 18 recordings, in 15 with the bands of tracking (experiments/fit).
 JUDGED = 4.0
 FEW_MORE = 4  # steps beside what stays
 MOVED = 0.2  # deviations of what was found: a round that changes nothing by more is the last
