@@ -274,14 +274,14 @@ def test_wrong_lengths_are_mended_and_right_ones_left_alone(tmp_path, capsys):
     # scaled once more, as by an error in the code, it would not pass: what is written comes that near
     assert off(with_proportions(found.body, dict.fromkeys(BODY.topology.limbs, 1.05))) > 0.035
 
-    words = ["fit", str(log), "--out", str(tmp_path / "body.toml"), "--noise", "0.01"]
+    words = ["fit", str(log), "--out", str(tmp_path / "out" / "body.toml"), "--noise", "0.01"]
     assert main(words) == 0
     out = capsys.readouterr().out
     assert "stays as it was" in out and "--keep-anyway" in out
-    assert {p.name for p in tmp_path.iterdir()} == {"log.mcap", "body.md", "body.png"}
-    assert "stays as it was" in (tmp_path / "body.md").read_text()
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"body.md", "body.png"}
+    assert "stays as it was" in (tmp_path / "out" / "body.md").read_text()
     assert main([*words, "--overwrite", "--keep-anyway"]) == 0
-    assert "written all the same" in capsys.readouterr().out and (tmp_path / "body.toml").exists()
+    assert "written all the same" in capsys.readouterr().out and (tmp_path / "out" / "body.toml").exists()
 
 
 def test_no_batch_of_matrices_goes_to_lapack():
