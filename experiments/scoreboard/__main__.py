@@ -41,7 +41,7 @@ def main(
     chosen = [p for p in everything if any(fnmatch(p.name, pattern) for pattern in only)]
     if not chosen:
         raise SystemExit(f"no promise is named {' or '.join(only)}; there are: {', '.join(p.name for p in everything)}")
-    found = measure(chosen, Data(recordings, quick), processes)
+    found = measure(chosen, Data(recordings and recordings.resolve(), quick), processes)
     old = kept.load()
     before = kept.figures(old, quick)
     print(kept.shown(found, before))

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from experiments.common import DEMO
@@ -10,10 +11,18 @@ from experiments.scoreboard.board import Figure, Promise
 
 # the demo there and back again and again, so that nobody jumps; results are kept as the command keeps them
 PROGRAM = """
-import resource, sys
+import threading, time
 from dataclasses import replace
 import numpy as np
 import voodoo_jax as vj
+peak = 0
+def watch():
+    global peak
+    while True:  # memory of its own: not pages of the file in which points wait, which the system may drop
+        words = open("/proc/self/status").read().split()
+        peak = max(peak, int(words[words.index("RssAnon:") + 1]))
+        time.sleep(0.05)
+threading.Thread(target=watch, daemon=True).start()
 frames = list(vj.read_log({log!r}).frames)
 recording = vj.read_log({log!r})
 step = int(np.median(np.diff([f.time_ns for f in frames])))
@@ -25,7 +34,7 @@ from voodoo_jax.tracker import find_person, track_person
 scene, people = find_person(played(), recording.up, vj.human(), vj.Settings())
 tracks = track_person(vj.human(), scene, people, vj.Settings(), "", recording.fixed_frame)
 assert tracks.tracked.mean() > 0.9
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print(peak)
 """
 
 
@@ -33,7 +42,7 @@ class Used(NamedTuple):
     """What a process needed."""
 
     frames: int
-    peak: float  # largest resident memory, bytes
+    peak: float  # largest resident memory of its own (without pages of files), bytes
 
 
 @dataclass(frozen=True)
@@ -58,9 +67,11 @@ def measure(found: list[Used]) -> dict[str, float]:
 PROMISE = Promise(
     name="memory",
     sentence="An hour of log needs little more memory than its results.",
-    data="the demo, played there and back again and again",
+    data="the demo, played there and back again and again (on Linux)",
     figures=(Figure("memory, kB a frame", 12.0, digits=1), Figure("memory of the short one, GB", 1.3)),
-    jobs=lambda data: [TrackFrames(400), TrackFrames(1600 if data.quick else 3600)],
+    jobs=lambda data: (
+        [] if not Path("/proc/self/status").exists() else [TrackFrames(400), TrackFrames(1600 if data.quick else 3600)]
+    ),
     measure=measure,
     alone=True,
 )
