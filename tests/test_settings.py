@@ -5,7 +5,7 @@ from dataclasses import asdict, fields, replace
 
 import pytest
 
-from voodoo_jax import cli
+from voodoo_jax import cli, commands
 from voodoo_jax.settings import (
     Change,
     PersonSettings,
@@ -126,7 +126,7 @@ def given(monkeypatch):
 
     monkeypatch.setattr(cli, "run_replay", stop)
 
-    def run(*words: str) -> cli.Replay:
+    def run(*words: str) -> commands.Replay:
         with pytest.raises(Got) as caught:
             cli.main(["replay", "a.mcap", "b.mcap", "--out", "o", *words])
         return caught.value.args[0]

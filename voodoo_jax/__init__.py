@@ -7,8 +7,9 @@ vj.show(tracks, recording)
 """
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
+
+from voodoo_jax._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from voodoo_jax.body import Body as Body
@@ -75,11 +76,6 @@ _PUBLIC = {
     "write_tracks": ("io.tracks_file", "write_tracks_npz"),
 }
 __all__ = sorted(_PUBLIC)
-
-try:
-    __version__ = version("voodoo_jax")
-except PackageNotFoundError:  # run from a source tree that is not installed
-    __version__ = "0"
 
 
 def __getattr__(name: str) -> Any:

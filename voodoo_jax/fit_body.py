@@ -3,23 +3,24 @@
 import hashlib
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool, Float64, Int
+from jaxtyping import Int
 
 from voodoo_jax.body import Body, scaled
 from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.fit_frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
-from voodoo_jax.fit_judge import Judged, Verdict, is_size, judged_by, verdict_on
+from voodoo_jax.fit_judge import Verdict, is_size, judged_by, verdict_on
 from voodoo_jax.fit_loop import FitError, Part, Search, deviations, run_search, spread, undetermined
 from voodoo_jax.fit_objective import UserLoss
 from voodoo_jax.fit_parameters import parameters, usual_lengths
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
+from voodoo_jax.fit_result import Fit
 from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.fit_user import minimised
@@ -37,44 +38,6 @@ SURE = 2.0  # a size that moved by less than so many of its spreads between part
 JUDGED = 4.0
 FEW_MORE = 4  # steps beside what stays
 MOVED = 0.2  # deviations of what was found: a round that changes nothing by more is the last
-
-
-@dataclass(frozen=True)
-class Fit:
-    """What a fit found. `x`, `sd`, `prior_sd` as in Parameters: logarithms of factors, or shares of the scale."""
-
-    body: Body  # of the first person: the fitted one where that is better, else the one before
-    bodies: tuple[Body, ...]  # of every person
-    fitted: tuple[Body, ...]  # what was found, better or not
-    starts: tuple[Body, ...]  # before the fit
-    verdict: Verdict
-    names: tuple[str, ...]
-    x: Float64[np.ndarray, " all"]
-    sd: Float64[np.ndarray, " all"]  # NaN where the loss is the user's own
-    spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see fit_loop.spread; NaN likewise
-    prior_sd: Float64[np.ndarray, " all"]
-    stays: Bool[np.ndarray, " all"]  # what the recordings do not tell, and what therefore stayed
-    losses: tuple[float, ...]
-    finished: bool  # stopped by itself
-    judged: tuple[Judged, ...]
-    settings: FitSettings
-    tuned: Settings  # the settings with what was found of the solve's options and of the features' weights
-
-    @property
-    def better(self) -> bool:
-        """Whether the fitted body is better than the one before; if not, `body` is the one before."""
-        return self.verdict.better
-
-    @property
-    def report(self) -> str:
-        """The report as Markdown."""
-        from voodoo_jax.io.fit_report import report_text
-
-        return report_text(self)
-
-    def undetermined(self) -> list[str]:
-        """Parameters that the data do not tell: they stayed where they were."""
-        return [name for name, stays in zip(self.names, self.stays) if stays]
 
 
 class Seen(NamedTuple):

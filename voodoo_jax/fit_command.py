@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tqdm.auto import tqdm
 
-from voodoo_jax.cli import FitCommand
+from voodoo_jax.commands import FitCommand
 from voodoo_jax.fit_body import fit
 from voodoo_jax.fit_frames import TruthError
 from voodoo_jax.fit_loop import FitError

@@ -68,7 +68,7 @@ def count_waiting(seconds: float) -> None:
 @cache
 def code_fingerprint() -> str:
     """Of this package's version and sources: what another version computes is not the same."""
-    from voodoo_jax import __version__
+    from voodoo_jax._version import __version__
 
     digest, root = hashlib.sha256(__version__.encode()), Path(__file__).parent
     for file in sorted(root.rglob("*.py")):

@@ -255,3 +255,11 @@ def _words(error: BaseException) -> str:
     if isinstance(error, CRCValidationError):
         return "checksum does not match, bytes were changed"
     return str(error).strip().rstrip(".") or f"broken off ({type(error).__name__})"
+
+
+def guarded(log: LogFile, wanted: Callable[[Schema | None, Channel], bool]) -> Iterator[Item]:
+    """The messages of a log; what goes wrong below the level of chunks (a failing disk) comes out as LogError."""
+    try:
+        yield from log.messages(wanted)
+    except READ_ERRORS as error:
+        raise LogError(f"'{log.path}' cannot be read: {error}. Check the disk, and copy the file again.") from error

@@ -4,13 +4,9 @@ from typing import Any
 
 from voodoo_jax.io.contents import Colour, Image, frame_name, pb_stamp, ros_stamp
 from voodoo_jax.io.packed_depth import packed_depth
+from voodoo_jax.io.pictures import PIXELS
 
 COLOUR_KIND = "colour image"
-# Bytes per pixel of the encodings that can be unpacked. ROS calls UYVY yuv422, and YUYV yuv422_yuy2.
-PIXELS = {
-    "rgb8": 3, "bgr8": 3, "8uc3": 3, "rgba8": 4, "bgra8": 4, "8uc4": 4, "mono8": 1, "8uc1": 1,
-    "yuv422": 2, "uyvy": 2, "yuyv": 2, "yuv422_yuy2": 2,
-}  # fmt: skip
 
 
 def colour_image(stamp_ns: int, frame: str, encoding: str, rows: int, columns: int, step: int, data: Any) -> Colour:

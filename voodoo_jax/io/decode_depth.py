@@ -16,7 +16,8 @@ from voodoo_jax.io.contents import (
     xyz,
     xyzw,
 )
-from voodoo_jax.io.decode_colour import PIXELS, colour_image
+from voodoo_jax.io.decode_colour import colour_image
+from voodoo_jax.io.pictures import PIXELS
 from voodoo_jax.io.transforms import Transform
 
 # Signed and unsigned are swapped between the two: ROS INT8=1, UINT8=2; Foxglove UINT8=1, INT8=2.

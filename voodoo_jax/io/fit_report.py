@@ -10,7 +10,7 @@ from voodoo_jax.body import segment_lengths
 from voodoo_jax.io.atomic import replacing
 
 if TYPE_CHECKING:
-    from voodoo_jax.fit_body import Fit
+    from voodoo_jax.fit_result import Fit
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:

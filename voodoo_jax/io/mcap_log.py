@@ -15,12 +15,12 @@ from jaxtyping import Bool, Float, Float32, Int32
 
 from voodoo_jax.io import camera
 from voodoo_jax.io.cameras import bare, calibration_of
-from voodoo_jax.io.container import LogError
+from voodoo_jax.io.container import LogError, guarded
 from voodoo_jax.io.contents import Cloud, Image, many, stride
 from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
 from voodoo_jax.io.packed_depth import unpacked
 from voodoo_jax.io.plan import Plan, make_plan
-from voodoo_jax.io.scan import Scan, guarded
+from voodoo_jax.io.scan import Scan
 from voodoo_jax.io.stereo import StereoReader
 from voodoo_jax.io.survey import LogSurvey, TopicSurvey, survey
 from voodoo_jax.io.transforms import HOLD_NS

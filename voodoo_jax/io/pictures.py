@@ -5,7 +5,12 @@ import numpy as np
 from jaxtyping import UInt8
 
 from voodoo_jax.io.contents import Colour
-from voodoo_jax.io.decode_colour import PIXELS
+
+# Bytes per pixel of the encodings that can be unpacked. ROS calls UYVY yuv422, and YUYV yuv422_yuy2.
+PIXELS = {
+    "rgb8": 3, "bgr8": 3, "8uc3": 3, "rgba8": 4, "bgra8": 4, "8uc4": 4, "mono8": 1, "8uc1": 1,
+    "yuv422": 2, "uyvy": 2, "yuyv": 2, "yuv422_yuy2": 2,
+}  # fmt: skip
 
 _TO_BGR = {
     "rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR, "8uc4": cv2.COLOR_BGRA2BGR,

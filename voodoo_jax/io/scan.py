@@ -2,13 +2,12 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from mcap.records import Channel, Schema
 
-from voodoo_jax.io.container import READ_ERRORS, Item, LogError, LogFile
+from voodoo_jax.io.container import LogError, LogFile, guarded
 from voodoo_jax.io.contents import Calibration, Features, Image, many
 from voodoo_jax.io.decode import (
     DECODE_ERRORS,
@@ -28,14 +27,6 @@ from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
 from voodoo_jax.io.uses import decide_uses
 from voodoo_jax.settings import ReadSettings
-
-
-def guarded(log: LogFile, wanted: Callable[[Schema | None, Channel], bool]) -> Iterator[Item]:
-    """The messages of a log; what goes wrong below the level of chunks (a failing disk) comes out as LogError."""
-    try:
-        yield from log.messages(wanted)
-    except READ_ERRORS as error:
-        raise LogError(f"'{log.path}' cannot be read: {error}. Check the disk, and copy the file again.") from error
 
 
 class Scan:

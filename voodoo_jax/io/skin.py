@@ -123,8 +123,8 @@ def add_rays(a: Rays, b: Rays) -> Rays:
 
 def _find(scan: "Scan", names: set[str], wanted: set[tuple[str, int]], counted: Counter) -> dict:
     """(rows, columns) of the image and pixels [region, 2], by (topic, number of the message)."""
+    from voodoo_jax.io.container import guarded
     from voodoo_jax.io.pictures import pixels  # with OpenCV: only where skin is asked for
-    from voodoo_jax.io.scan import guarded
     from voodoo_jax.skin import SkinFinder
 
     finders = {name: SkinFinder() for name in names}

@@ -1,0 +1,114 @@
+"""What each command takes: one dataclass a command, its fields are the flags. Imports nothing heavy."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg, subcommand
+
+from voodoo_jax.fit_settings import FitSettings
+from voodoo_jax.settings import ReadSettings, Settings
+
+BODY_HELP = (
+    "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
+)
+PRESET_BODIES = {"default": "human", "knoop2007": "human10"}
+PRESET_HELP = (
+    "Settings to start from: default, or knoop2007, the paper's chain and values (with its body of ten limbs)."
+)
+CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Track a person (or another body) in recorded logs.
+
+    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
+    log. Nothing about the person need be given: start, place and size are found.
+    """
+
+    logs: Positional[tuple[str, ...]] = ()
+    """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
+    out: str = "voodoo-out"
+    """Folder for the results, or a URL; made if it is missing."""
+    body: Annotated[str, arg(help=BODY_HELP)] = ""
+    preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    online: bool = False
+    """No look into the future, as on a robot: one pass in time, and no furniture told by later frames."""
+    smooth: float = 0.0
+    """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
+    picture: bool = False
+    """Also write <log>.png: cloud and tracked body side by side."""
+    again: bool = False
+    """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""
+    workers: int = 0
+    """Processes that track one log each; 1: in this one, 0: as many as there are cores, memory and logs for."""
+    shard: str = ""
+    """Only a part of the logs, for array jobs: 2/8 is the second of eight. The same logs make the same parts."""
+    engine: Literal["local", "batch", "ray"] = "local"
+    """local: processes here; batch: many logs at once in one, for GPUs; ray: the cluster here, or RAY_ADDRESS."""
+    compile_cache: str = ""
+    """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
+    settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+
+
+@dataclass(frozen=True)
+class Info:
+    """Show what is in logs and what replay would use of it."""
+
+    logs: Positional[tuple[Path, ...]]
+    """MCAP logs, or folders of them."""
+    read: ReadSettings = field(default_factory=ReadSettings)
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Track the person in the recording that comes with the package, and compare with the truth."""
+
+    out: Path = Path("demo-out")
+    """Folder for the results; made if it is missing."""
+
+
+@dataclass(frozen=True)
+class FitCommand:
+    """Fit a body's sizes (or joints, bands, weights of measurements) to recorded logs.
+
+    Tracks the logs, changes the body until measurements that the poses were not solved on lie on it, and tracks them
+    again. The body file is written only if the fitted body is better, beyond noise, in time held back from the fit; a
+    report (.md, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
+    not tell stays as it was. Weights of measurements and options of the solve, if they were fitted, go into a settings
+    file (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: the size is found anew, the
+    proportions are kept. Ctrl-C stops it; the same command goes on from there.
+    """
+
+    logs: Positional[tuple[Path, ...]] = ()
+    """MCAP logs, or folders of them."""
+    out: Path = Path("body.toml")
+    """Body file to write if it is better; with several persons -1, -2, ... is added to its name."""
+    keep_anyway: bool = False
+    """Write the fitted body even if it is no better."""
+    truth: tuple[Path, ...] = ()
+    """Fit joint centres to these .npz files instead (time_ns, joints, joint_names), one for each log."""
+    overwrite: bool = False
+    """Replace files that exist."""
+    body: Annotated[str, arg(help=BODY_HELP)] = ""
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    fit: Annotated[FitSettings, arg(name="")] = field(default_factory=FitSettings)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Print the settings with their meanings, as a file for --config."""
+
+    preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+
+
+Command = (
+    Annotated[Demo, subcommand("demo")]
+    | Annotated[Replay, subcommand("replay")]
+    | Annotated[Info, subcommand("info")]
+    | Annotated[FitCommand, subcommand("fit")]
+    | Annotated[Config, subcommand("config")]
+)

@@ -1,0 +1,42 @@
+"""What a fit found, and how each recording was judged before and after."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from voodoo_jax.body import Body
+from voodoo_jax.fit_judge import Judged, Verdict
+from voodoo_jax.fit_settings import FitSettings
+from voodoo_jax.settings import Settings
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit found. `x`, `sd`, `prior_sd` as in Parameters: logarithms of factors, or shares of the scale."""
+
+    body: Body  # of the first person: the fitted one where that is better, else the one before
+    bodies: tuple[Body, ...]  # of every person
+    fitted: tuple[Body, ...]  # what was found, better or not
+    starts: tuple[Body, ...]  # before the fit
+    verdict: Verdict
+    names: tuple[str, ...]
+    x: Float64[np.ndarray, " all"]
+    sd: Float64[np.ndarray, " all"]  # NaN where the loss is the user's own
+    spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see fit_loop.spread; NaN likewise
+    prior_sd: Float64[np.ndarray, " all"]
+    stays: Bool[np.ndarray, " all"]  # what the recordings do not tell, and what therefore stayed
+    losses: tuple[float, ...]
+    finished: bool  # stopped by itself
+    judged: tuple[Judged, ...]
+    settings: FitSettings
+    tuned: Settings  # the settings with what was found of the solve's options and of the features' weights
+
+    @property
+    def better(self) -> bool:
+        """Whether the fitted body is better than the one before; if not, `body` is the one before."""
+        return self.verdict.better
+
+    def undetermined(self) -> list[str]:
+        """Parameters that the data do not tell: they stayed where they were."""
+        return [name for name, stays in zip(self.names, self.stays) if stays]
