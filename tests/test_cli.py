@@ -11,7 +11,8 @@ import logs
 import pytest
 
 from voodoo_jax.cli import main
-from voodoo_jax.settings import Settings, read_settings
+from voodoo_jax.config.options import Settings
+from voodoo_jax.config.toml import read_settings
 
 DEMO = str(files("voodoo_jax") / "data" / "demo.mcap")
 

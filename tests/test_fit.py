@@ -12,18 +12,18 @@ from experiments.fit.__main__ import exercise
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.cli import main
+from voodoo_jax.config.fit_options import FitSettings
+from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.fit_body import fit
 from voodoo_jax.fit_frames import TruthError, held_back, read_truth
 from voodoo_jax.fit_judge import ERROR, Judged, verdict_on
 from voodoo_jax.fit_loop import undetermined
 from voodoo_jax.fit_parameters import Changes, changed, height_of, parameters, usual_lengths
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
-from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.one_by_one import one_by_one
-from voodoo_jax.settings import FeatureSettings, Settings
 from voodoo_jax.simulate import Room, simulate
 
 BODY = human()

@@ -7,11 +7,11 @@ from colour_logs import foxglove_compressed, foxglove_raw, ros_compressed, ros_i
 from logs import PERIOD, START, K, Log, definition, depth_log, serialise
 from mcap.records import Channel, Schema
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.decode import Decoder
 from voodoo_jax.io.mcap_log import LogError, read_log, survey
 from voodoo_jax.io.pictures import pixels
 from voodoo_jax.io.stereo import picture_of
-from voodoo_jax.settings import ReadSettings
 
 U, V = np.meshgrid(np.arange(32), np.arange(24))
 IMAGE = np.stack([4 * U, 8 * V, 200 - 3 * U], -1).astype(np.uint8)  # blue, green, red

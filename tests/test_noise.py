@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from voodoo_jax.config.options import Settings
 from voodoo_jax.following import blank
 from voodoo_jax.io.body_file import human
 from voodoo_jax.noise import FEWEST, range_noise, weighed
@@ -12,7 +13,6 @@ from voodoo_jax.notes import notes_on
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.scene import Plane, Scene
 from voodoo_jax.session import Session
-from voodoo_jax.settings import Settings
 from voodoo_jax.tracking import options_from
 
 ORIGIN = np.array([0.3, -0.2, 1.2], np.float32)

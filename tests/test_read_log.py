@@ -27,9 +27,9 @@ from logs import (
     ros_tf,
 )
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io import camera
 from voodoo_jax.io.mcap_log import LogError, open_log, read_log, survey
-from voodoo_jax.settings import ReadSettings
 
 RNG = np.random.default_rng(0)
 CLOUD = RNG.uniform([-1, -1, 0.5], [1, 1, 3], (60, 3))

@@ -6,7 +6,7 @@ from dataclasses import asdict, fields, replace
 import pytest
 
 from voodoo_jax import cli, commands
-from voodoo_jax.settings import (
+from voodoo_jax.config.options import (
     Change,
     PersonSettings,
     Settings,
@@ -14,11 +14,9 @@ from voodoo_jax.settings import (
     SolveSettings,
     StartSettings,
     TrackSettings,
-    _help_texts,
-    preset,
-    read_settings,
-    settings_text,
-)  # fmt: skip
+)
+from voodoo_jax.config.presets import preset
+from voodoo_jax.config.toml import _help_texts, read_settings, settings_text
 
 CHANGED = replace(
     Settings(),

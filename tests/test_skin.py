@@ -6,9 +6,9 @@ import pytest
 from colour_logs import ros_compressed, ros_info, ros_raw
 from logs import PERIOD, START, Log, depth_log, detections, ros_tf
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io import camera
 from voodoo_jax.io.mcap_log import read_log, survey
-from voodoo_jax.settings import ReadSettings
 from voodoo_jax.skin import SkinFinder
 
 SKIN, BROWN = (115, 140, 200), (88, 104, 124)  # blue, green, red

@@ -6,9 +6,9 @@ from colour_logs import Board, foxglove_compressed, picture, ros_compressed, ros
 from logs import HALF, PERIOD, START, Log, depth_log, ros_tf
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.mcap_log import LogError, read_log, survey
 from voodoo_jax.io.stereo import partners
-from voodoo_jax.settings import ReadSettings
 
 SIZE = (240, 320)
 K = np.array([[400.0, 0.0, 159.5], [0.0, 400.0, 119.5], [0.0, 0.0, 1.0]])

@@ -17,7 +17,7 @@ import voodoo_jax as vj
 from voodoo_jax import lanes
 from voodoo_jax.batch import pad_frames
 from voodoo_jax.cli import main
-from voodoo_jax.settings import TrackSettings
+from voodoo_jax.config.options import TrackSettings
 from voodoo_jax.tracking import NOBODY, Visits, at_rest, options_from, track_visits
 from voodoo_jax.turns import in_turns
 

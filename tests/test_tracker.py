@@ -11,6 +11,7 @@ import pytest
 
 from voodoo_jax.beginning import fresh
 from voodoo_jax.body import joint_centres, scaled
+from voodoo_jax.config.options import Settings, TrackSettings
 from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
@@ -18,7 +19,6 @@ from voodoo_jax.pose import Poses
 from voodoo_jax.programs import forget
 from voodoo_jax.recording import Frame, Rays, Recording
 from voodoo_jax.session import Session, first_run
-from voodoo_jax.settings import Settings, TrackSettings
 from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
 from voodoo_jax.start import facing, place
 from voodoo_jax.tracker import find_person, looked_at, prepare, track

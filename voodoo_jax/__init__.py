@@ -15,8 +15,12 @@ if TYPE_CHECKING:
     from voodoo_jax.body import Body as Body
     from voodoo_jax.body import joint_centres as joint_centres
     from voodoo_jax.changes import attach as attach
+    from voodoo_jax.config.fit_options import FitSettings as FitSettings
+    from voodoo_jax.config.options import Change as Change
+    from voodoo_jax.config.options import Settings as Settings
+    from voodoo_jax.config.presets import online as online
+    from voodoo_jax.config.presets import preset as preset
     from voodoo_jax.fit_body import fit as fit
-    from voodoo_jax.fit_settings import FitSettings as FitSettings
     from voodoo_jax.fit_solution import solution as solution
     from voodoo_jax.fit_user import solve_frames as solve_frames
     from voodoo_jax.io.body_file import human as human
@@ -31,10 +35,6 @@ if TYPE_CHECKING:
     from voodoo_jax.picture import show as show
     from voodoo_jax.recording import Recording as Recording
     from voodoo_jax.replay import replay
-    from voodoo_jax.settings import Change as Change
-    from voodoo_jax.settings import Settings as Settings
-    from voodoo_jax.settings import online as online
-    from voodoo_jax.settings import preset as preset
     from voodoo_jax.smoothing import smooth as smooth
     from voodoo_jax.together import track_many as track_many
     from voodoo_jax.tracker import track as track
@@ -47,19 +47,19 @@ if TYPE_CHECKING:
 # No name may be that of a module here: importing the module would take its place.
 _PUBLIC = {
     "Body": ("body", "Body"),
-    "Change": ("settings", "Change"),
-    "FitSettings": ("fit_settings", "FitSettings"),
+    "Change": ("config.options", "Change"),
+    "FitSettings": ("config.fit_options", "FitSettings"),
     "LogError": ("io.mcap_log", "LogError"),
     "Recording": ("recording", "Recording"),
-    "Settings": ("settings", "Settings"),
+    "Settings": ("config.options", "Settings"),
     "Tracks": ("tracks", "Tracks"),
     "attach": ("changes", "attach"),
     "fit": ("fit_body", "fit"),
     "human": ("io.body_file", "human"),
     "joint_centres": ("body", "joint_centres"),
     "load_body": ("io.body_file", "load_body"),
-    "online": ("settings", "online"),
-    "preset": ("settings", "preset"),
+    "online": ("config.presets", "online"),
+    "preset": ("config.presets", "preset"),
     "read_body": ("io.body_file", "read_body"),
     "read_log": ("io.mcap_log", "read_log"),
     "read_tracks": ("io.tracks_file", "read_tracks_npz"),

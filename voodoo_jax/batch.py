@@ -6,11 +6,12 @@ import jax
 import numpy as np
 
 from voodoo_jax.body import Topology
+from voodoo_jax.config.options import FeatureSettings
+from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.kernels.correspond import FREE, ON_BODY, Points
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.marker_sets import PLUG_IN_GAIT, plain_name
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.settings import FeatureSettings, check_pairs
 
 # Point capacities; a program is compiled once for each that occurs.
 BUCKETS = (256, 512, 1024, 2048, 4096, 8192)

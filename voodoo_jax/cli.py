@@ -11,16 +11,9 @@ import tyro
 from tyro.conf import arg
 
 from voodoo_jax.commands import PRESET_BODIES, Command, Config, Demo, FitCommand, Info, Replay
-from voodoo_jax.settings import (
-    PRESETS,
-    Settings,
-    SettingsError,
-    check_settings,
-    online,
-    preset,
-    read_settings,
-    settings_text,
-)
+from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.config.presets import PRESETS, online, preset
+from voodoo_jax.config.toml import check_settings, read_settings, settings_text
 
 
 def body_name(command: Replay) -> str:

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
-from voodoo_jax.fit_settings import FitSettings
-from voodoo_jax.settings import ReadSettings, Settings
+from voodoo_jax.config.fit_options import FitSettings
+from voodoo_jax.config.options import ReadSettings, Settings
 
 BODY_HELP = (
     "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."

@@ -14,6 +14,8 @@ from jaxtyping import Int
 
 from voodoo_jax.body import Body, scaled
 from voodoo_jax.compile_cache import users_cache
+from voodoo_jax.config.fit_options import FitSettings
+from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
 from voodoo_jax.fit_judge import Verdict, is_size, judged_by, verdict_on
 from voodoo_jax.fit_loop import FitError, Part, Search, deviations, run_search, spread, undetermined
@@ -21,13 +23,11 @@ from voodoo_jax.fit_objective import UserLoss
 from voodoo_jax.fit_parameters import parameters, usual_lengths
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_result import Fit
-from voodoo_jax.fit_settings import FitSettings
 from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.fit_user import minimised
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Recording
 from voodoo_jax.scene import Scene
-from voodoo_jax.settings import Settings
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Tracks
 

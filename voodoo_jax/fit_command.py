@@ -6,6 +6,8 @@ from pathlib import Path
 from tqdm.auto import tqdm
 
 from voodoo_jax.commands import FitCommand
+from voodoo_jax.config.options import Settings
+from voodoo_jax.config.toml import settings_text
 from voodoo_jax.fit_body import fit
 from voodoo_jax.fit_frames import TruthError
 from voodoo_jax.fit_loop import FitError
@@ -15,7 +17,6 @@ from voodoo_jax.io.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.io.fit_report import write_report
 from voodoo_jax.io.mcap_log import LogError
 from voodoo_jax.io.urls import expanded
-from voodoo_jax.settings import Settings, settings_text
 
 
 def outputs(out: Path, persons: int) -> list[Path]:

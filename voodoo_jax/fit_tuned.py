@@ -6,8 +6,8 @@ import numpy as np
 
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.body import Topology
+from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_parameters import SETTINGS, Changes
-from voodoo_jax.settings import Settings
 
 
 def tuned_settings(settings: Settings, topology: Topology, by: Changes, features: tuple[str, ...]) -> Settings:

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from voodoo_jax.cells import cells_of, components, touching, unique_cells, within
+from voodoo_jax.config.options import PersonSettings
 from voodoo_jax.person import stands_aside
 from voodoo_jax.person_frame import PersonFrame, assigned
 from voodoo_jax.scene import Plane
-from voodoo_jax.settings import PersonSettings
 
 WINDOW = 1800  # frames by which furniture is told from the body at once
 AWAY = 0.55  # metres from the body's axis: not part of it

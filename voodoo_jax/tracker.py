@@ -15,6 +15,7 @@ from voodoo_jax.candidate import LOOSE, Build
 from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.chooser import Chooser
 from voodoo_jax.compile_cache import users_cache
+from voodoo_jax.config.options import Settings
 from voodoo_jax.flat_faces import without_faces
 from voodoo_jax.following import Progress, blank, follow
 from voodoo_jax.forearms import with_forearms
@@ -38,7 +39,6 @@ from voodoo_jax.programs import program, seconds_of_waiting
 from voodoo_jax.recording import Frame, Rays, Recording
 from voodoo_jax.scene import Plane, Scene
 from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
-from voodoo_jax.settings import Settings
 from voodoo_jax.shaking import steadied, steady_scene, to_fixed
 from voodoo_jax.spill import spilled
 from voodoo_jax.stances import Stance

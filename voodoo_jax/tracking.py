@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, Topology, tree_order
+from voodoo_jax.config.options import FeatureSettings, SolveSettings, TrackSettings
 from voodoo_jax.icp import IcpOptions, Problem, solve_and_measure
 from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.coupled import tree_covariance, twist_covariance
@@ -26,7 +27,6 @@ from voodoo_jax.pose import (
     quat_normalize,
 )
 from voodoo_jax.programs import program
-from voodoo_jax.settings import FeatureSettings, SolveSettings, TrackSettings
 
 FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off
 FEW = 60  # points of which the mean tells where the body is

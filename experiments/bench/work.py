@@ -78,9 +78,9 @@ def from_demo(counts: tuple[int, ...] = (500, 1000, 2000, 4000), frames: int = 8
     from experiments.bench.replay_speed import resample
     from experiments.common import DEMO, load_log, log_files
     from voodoo_jax.body import band_mask, bands
+    from voodoo_jax.config.options import Settings
     from voodoo_jax.io.body_file import load_body
     from voodoo_jax.pose import matrix
-    from voodoo_jax.settings import Settings
 
     body = load_body("human10")
     log = load_log(log_files(DEMO)[0], body, Settings())

@@ -27,10 +27,10 @@ from experiments.common import (
     without_features,
     write,
 )
+from voodoo_jax.config.options import Settings
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.picture import _colours, _draw_body
-from voodoo_jax.settings import Settings
 from voodoo_jax.tracks import Tracks
 
 INPUTS = ("depth", "rays", "fusion")

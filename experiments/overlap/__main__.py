@@ -12,7 +12,7 @@ from typing import Literal
 import tyro
 
 from experiments.common import DEMO, MEAN_HEAD, human, load_logs, mean_row, sweep, table, write
-from voodoo_jax.settings import Settings
+from voodoo_jax.config.options import Settings
 
 
 def main(

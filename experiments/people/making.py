@@ -16,7 +16,7 @@ from experiments.people.poses import chair, exercise, planted, sitting
 from experiments.people.recorded import Found, write, write_pairs, write_truth
 from experiments.people.sight import before, beside, detections, in_camera, marked, pixels
 from experiments.people.takes import CAMERAS, CLIPS, IN_THE_AIR, POSED, SEATED, Take, camera_of
-from voodoo_jax.settings import Settings
+from voodoo_jax.config.options import Settings
 from voodoo_jax.simulate import Box, Camera, Room, add_noise, render_room
 
 START_NS = 1_700_000_000_000_000_000

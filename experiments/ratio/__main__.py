@@ -14,7 +14,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from experiments.common import DEMO, MEAN_HEAD, Score, human, load_logs, mean_row, sweep, table, write
-from voodoo_jax.settings import Settings
+from voodoo_jax.config.options import Settings
 
 RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.5)
 PAPERS = (0.4, 0.7)  # what the papers recommend

@@ -8,10 +8,10 @@ import numpy as np
 from experiments.common import halves, human, load_log
 from experiments.fit.promises import WRONG, Outcome, fitted_to, recovers_simulated, refuses_noise, wrong
 from experiments.fit.weights import tracked, tuned
+from voodoo_jax.config.fit_options import FitSettings
+from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_body import Seen, fit_tracked
 from voodoo_jax.fit_frames import Truth
-from voodoo_jax.fit_settings import FitSettings
-from voodoo_jax.settings import Settings
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from experiments.common import (
     table,
     write,
 )  # fmt: skip
-from voodoo_jax.settings import Settings
+from voodoo_jax.config.options import Settings
 from voodoo_jax.tracking import TrackOptions, options_from
 from voodoo_jax.tracks import Tracks
 

@@ -20,7 +20,7 @@ from experiments.judged import HEAD, HONEST_HEAD, Verdict, cells, honest_cells, 
 from experiments.stress.changes import changes
 from experiments.stress.scenes import scenes
 from experiments.stress.trial import Job, work
-from voodoo_jax.settings import Settings
+from voodoo_jax.config.options import Settings
 
 CHANGES, SCENES = tuple(changes(human(), Settings())), tuple(scenes())
 COLOURS = ("tab:red", "tab:orange", "tab:green")

@@ -8,9 +8,9 @@ import numpy as np
 from experiments.judged import Recorded
 from experiments.stress.sensing import SENSING, at_distances, with_points
 from voodoo_jax.body import Body
+from voodoo_jax.config.options import Settings
 from voodoo_jax.person_frame import with_places
 from voodoo_jax.recording import Pairs, Rays
-from voodoo_jax.settings import Settings
 from voodoo_jax.tracker import find_person
 
 STEPS = 580 * 0.075 * 8  # a Kinect's number of steps at 1 m: focal length (pixels), baseline (metres), parts of a pixel

@@ -7,7 +7,7 @@ from experiments.common import human
 from experiments.judged import Verdict, judge, whole
 from experiments.stress.changes import changes
 from experiments.stress.scenes import scenes, shoot
-from voodoo_jax.settings import Settings
+from voodoo_jax.config.options import Settings
 
 
 @dataclass(frozen=True)

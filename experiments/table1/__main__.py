@@ -11,11 +11,11 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-import voodoo_jax.settings
+import voodoo_jax.config.presets
 from experiments.common import DEMO, Score, human, load_logs, score, table, without_features, write
 from voodoo_jax.body import Body
+from voodoo_jax.config.options import Settings
 from voodoo_jax.io.body_file import load_body
-from voodoo_jax.settings import Settings
 
 PAPER = (5, 32, 63)  # of 100 sequences of ten movements, graded by hand
 
@@ -23,7 +23,7 @@ PAPER = (5, 32, 63)  # of 100 sequences of ten movements, graded by hand
 def chains() -> dict[str, tuple[Body, Settings]]:
     """What to compare: body and settings."""
     found = {"default settings": (human(), Settings())}
-    preset = getattr(voodoo_jax.settings, "preset", None)
+    preset = getattr(voodoo_jax.config.presets, "preset", None)
     if preset is not None:
         found["the papers' chain (knoop2007)"] = (load_body("human10"), preset("knoop2007"))
     return found

@@ -19,7 +19,7 @@ from experiments.bench.replay_speed import machine
 from experiments.common import DEMO, log_files, machine_line, table, write
 from experiments.judged import trials
 from experiments.trust.gather import Job, Told, work
-from voodoo_jax.settings import Settings
+from voodoo_jax.config.options import Settings
 from voodoo_jax.trust import CLUES, ONE_PASS, THERE_AND_BACK, Trust, probability
 
 CHANGES = (

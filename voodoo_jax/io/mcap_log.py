@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io import camera
 from voodoo_jax.io.cameras import bare, calibration_of
 from voodoo_jax.io.container import LogError, guarded
@@ -25,7 +26,6 @@ from voodoo_jax.io.stereo import StereoReader
 from voodoo_jax.io.survey import LogSurvey, TopicSurvey, survey
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.recording import Frame, Pairs, Rays, Recording
-from voodoo_jax.settings import ReadSettings
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 

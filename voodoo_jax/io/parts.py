@@ -6,9 +6,10 @@ from collections import Counter
 import numpy as np
 from jaxtyping import Int32
 
+from voodoo_jax.config.options import ReadSettings
+from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.contents import Cloud
 from voodoo_jax.io.topic import DEPTH_USES, Topic
-from voodoo_jax.settings import ReadSettings, check_pairs
 
 FREE, BODY = "free", "body"
 _LABEL_NAME = re.compile(r"(\w+_)?(label|class|segment)(s|_?ids?)?", re.IGNORECASE)

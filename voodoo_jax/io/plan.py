@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Int64
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.cameras import frame_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode import DEPTH_KINDS
@@ -18,7 +19,6 @@ from voodoo_jax.io.skin import add_rays, plan_skin
 from voodoo_jax.io.stereo import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.recording import Pairs, Rays
-from voodoo_jax.settings import ReadSettings
 
 NEEDED = (
     "Needed is a depth image (sensor_msgs/msg/Image or foxglove.RawImage, 16UC1 in mm or 32FC1 in m, or packed as "

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel, Schema
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.container import LogError, LogFile, guarded
 from voodoo_jax.io.contents import Calibration, Features, Image, many
 from voodoo_jax.io.decode import (
@@ -26,7 +27,6 @@ from voodoo_jax.io.stereo import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
 from voodoo_jax.io.uses import decide_uses
-from voodoo_jax.settings import ReadSettings
 
 
 class Scan:

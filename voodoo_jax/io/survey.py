@@ -4,11 +4,11 @@ import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.plan import make_plan
 from voodoo_jax.io.scan import Scan
 from voodoo_jax.io.skin import SKIN_USE
-from voodoo_jax.settings import ReadSettings
 
 
 @dataclass(frozen=True)

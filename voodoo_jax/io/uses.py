@@ -1,5 +1,6 @@
 """What replay can use each topic of a log for."""
 
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io import camera
 from voodoo_jax.io.cameras import calibration_of, camera_of
 from voodoo_jax.io.container import LogError
@@ -9,7 +10,6 @@ from voodoo_jax.io.decode_colour import COLOUR_KIND
 from voodoo_jax.io.parts import label_field
 from voodoo_jax.io.stereo import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
-from voodoo_jax.settings import ReadSettings
 
 
 def decide_uses(

@@ -1,0 +1,235 @@
+"""Every option in one place, nested by stage. The same names serve Python, TOML files and command line flags."""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class ReadSettings:
+    """How a log becomes frames."""
+
+    topics: tuple[str, ...] = ()
+    """Depth topics to use; empty: all that are found."""
+    laser: bool = False
+    """Use laser scanners too: their points are taken like a depth camera's."""
+    stereo: bool = True
+    """Use pairs of calibrated images (topics named left and right) of rigs that have no other depth data."""
+    skin: bool = False
+    """Look for regions of skin colour in calibrated colour images: each is a line of sight to the feature skin."""
+    features: bool = True
+    """Use named 2D and 3D features too: detections, annotations, points, markers."""
+    fixed_frame: str = ""
+    """Frame in which everything is expressed; empty: the root of the transform tree."""
+    min_range: float = 0.1
+    """Nearer measurements are dropped, metres."""
+    max_range: float = 12.0
+    """Farther measurements are dropped, metres."""
+    max_points: int = 120_000
+    """Per sensor and frame; a denser depth image is read at every second, third, ... row and column."""
+    parts: tuple[str, ...] = ()
+    """Depth topic = limb, or topic = body: a segmentation has found all its points to be on that part of the person."""
+    label_field: str = ""
+    """Field of point clouds that says which part a point is on; empty: one named like label, if labels are given."""
+    labels: tuple[str, ...] = ()
+    """Value of that field = limb, body or free; others are free, but without any entry all except 0 are body."""
+    weights: tuple[str, ...] = ()
+    """Topic = weight of each of its points or features; a point of a depth camera weighs 1."""
+
+
+@dataclass(frozen=True)
+class PersonSettings:
+    """How the person (or any tracked body) is told apart from floor, walls and furniture."""
+
+    floor_margin: float = 0.035
+    """Points lower than this above the floor are dropped, metres."""
+    link: float = 0.12
+    """Points closer than this belong to the same thing, metres."""
+    min_height: float = 0.65
+    """A thing lower than this is not taken for the body at the start, as a share of the body's height at rest."""
+    move: float = 0.25
+    """How far a part of the body may have moved since the last frame, metres."""
+    forget: int = 30
+    """After so many frames without the body it is looked for everywhere again."""
+    reach: float = 1.0
+    """Things farther than this from where the body was are dropped, metres; grows with the body's size."""
+    points: int = 1024
+    """Points per frame given to the tracker: a random choice where there are more."""
+    ahead: bool = True
+    """Tell furniture that the body touches, and seats, by all frames; false: by those before each frame only."""
+    steady: bool = True
+    """Take out how the sensors move of which no transform tells, by floor and walls."""
+    noise: float = 0.03
+    """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """How the tracker finds pose, place and size at the beginning."""
+
+    scale: float = 0.0
+    """The body's scale (a person's stature) in metres; 0: measured from the cloud."""
+    headings: int = 12
+    """Directions that are tried, evenly spread."""
+    frames: int = 6
+    """Frames over which the trials are compared, at most."""
+    seconds: float = 0.4
+    """Time over which the trials are compared, at most; never less than three frames."""
+    directions: int = 26
+    """Directions that are tried for a held thing that appears."""
+    size_frames: int = 12
+    """Frames over which the size is measured."""
+    later: tuple[float, ...] = (0.5, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0)
+    """Where the beginning is in doubt, times after it, in seconds, at which a clearer pose to start from is looked for;
+    from there the body is followed back to the beginning (with track.both_ways only)."""
+    sure: float = 0.00014
+    """Mean squared distance beyond what noise makes, square metres, below which a start is in no doubt."""
+
+
+@dataclass(frozen=True)
+class FeatureSettings:
+    """Named features: which point of the body each is, and what it weighs (Knoop 2007, secs. 5.1 and 6)."""
+
+    names: tuple[str, ...] = (
+        "face=sellion",
+        "left_hand=l_metacarpal_phalanx_3",
+        "right_hand=r_metacarpal_phalanx_3",
+        "skin=sellion|l_metacarpal_phalanx_3|r_metacarpal_phalanx_3",
+    )
+    """Feature in the log = feature point or joint centre of the body; names of the body need no entry. Several points
+    with | between: the feature is the nearest of them."""
+    weights: tuple[str, ...] = ("face=4", "left_hand=5.5", "right_hand=5.5", "skin=3")
+    """Feature in the log = weight; a point of a depth camera weighs 1. The papers: face 30, hand 20."""
+    weight: float = 20.0
+    """Weight of other features."""
+    robust_scale: float = 0.12
+    """Distance at which a feature counts a quarter, metres: wrong detections happen."""
+    max_distance: float = 0.5
+    """Features farther than this from their place on the body are ignored, metres."""
+
+
+@dataclass(frozen=True)
+class SolveSettings:
+    """The ICP of one frame (Knoop 2007, sec. 5.2)."""
+
+    solver: Literal["coupled", "per_limb"] = "coupled"
+    """coupled: all limbs and bands in one Gauss-Newton step; per_limb: the papers' way, limb by limb."""
+    damping: float = 1e-4
+    """Levenberg-Marquardt damping of the coupled solver, as a share of the diagonal."""
+    max_steps: int = 30
+    """Most ICP steps per frame (the papers: 6 online, 3 to 15 in general)."""
+    stretch: float = 2.0
+    """Where a limb's steps go the same way it goes up to so many times as far in one (coupled); 1: never farther."""
+    epsilon: float = 1e-7
+    """Stop when the mean squared distance changes by less, square metres (coupled, from where it was expected: by less
+    than ten times that, or rises); 0: take all steps."""
+    ratio: float = 0.6
+    """r: weight of a joint's bands over the measured weight of the limb (the papers: 0.4 to 0.7)."""
+    floor: float = 0.03
+    """Bands refer to at least this share of the frame's weight, so that a limb nobody sees hangs on its bands."""
+    body_enlarge: float = 0.4
+    """Points outside the body's box enlarged by this are dropped, metres."""
+    limb_enlarge: float = 0.35
+    """Points outside a limb's box enlarged by this are not matched to the limb, metres."""
+    sampling: float = 1.0
+    """Share of a limb's points that are used, evenly spread."""
+    sampling_min: int = 0
+    """A limb keeps at least so many points, or all it has."""
+    sampling_max: int = 8192
+    """Most points that a limb uses."""
+    max_distance: float = 0.35
+    """Longest distance of a pair, metres."""
+    robust_scale: float = 0.15
+    """Distance at which a pair counts a quarter (Geman-McClure), metres; inf: all pairs count fully."""
+    overlap: Literal["exclusive", "shared", "adjacent"] = "exclusive"
+    """What becomes of a point in several limbs' boxes."""
+    near_side: bool = True
+    """Match points to the side of a limb that faces their sensor."""
+    refine: int = 0
+    """Iterations towards the exact closest point on elliptic limbs; 0: exact for round limbs only."""
+    prior: float = 0.0003
+    """Weight of the pull to the predicted pose, as a share of the frame's weight."""
+    prior_radius: float = 0.4
+    """Where the pull's pairs sit: larger holds rotations more, metres."""
+    steady: float = 8.0
+    """Weight of the pull that holds a limb where it stands still, over the limb's measured weight; 0: none."""
+    steady_distance: float = 0.004
+    """Distance from the predicted place at which that pull is down to a quarter: who moves is not held, metres."""
+    limits: float = 0.0
+    """Weight of pairs that turn joints back into their limits, relative to a joint's bands; 0: only reported."""
+    collisions: float = 0.0
+    """Weight of pairs that push limbs out of each other, relative to a joint's bands; 0: only reported."""
+    collision_margin: float = 0.02
+    """Limbs may be in each other by so much more than in the rest pose before they are pushed, metres."""
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """From frame to frame."""
+
+    damping: float = 0.7
+    """Share of the last frame's velocity that is expected to go on (0: stand still, 1: constant velocity)."""
+    prior_interval: float = 0.035
+    """Over longer intervals between frames the pull to the prediction weakens with the square of the time, seconds."""
+    still_speed: float = 0.2
+    """Limbs that are slower are held where they are (solve.steady), metres per second."""
+    hidden_rest: float = 0.8
+    """Limbs that no point tells of go with their parents, and back to rest in about so many seconds (0: never)."""
+    hidden_weight: float = 8.0
+    """Weight of the points (1 each if not noisy) at which a limb counts as half hidden."""
+    lost_explained: float = 0.8
+    """Less than this share of the person's points explained: the frame counts as lost."""
+    lost_confidence: float = 0.4
+    """So small a share of the joints expected within 10 cm: the frame counts as lost."""
+    patience: int = 15
+    """After so many lost or empty frames on end the body is looked for anew."""
+    chunk: int = 128
+    """Frames per compiled run."""
+    both_ways: bool = True
+    """Track backwards in time too and combine both passes; false: each frame by what came before it only."""
+    forearms: bool = True
+    """In the end give the body that comes with the package forearms as long as its tracks ask for; with both passes."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the body while it is tracked (Knoop 2006, sec. IV); a table [[change]] in a settings file."""
+
+    time: float
+    """When, in seconds after the first frame."""
+    scale: float = 0.0
+    """New scale of the body (a person's stature), metres; 0: as it is."""
+    sizes: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    """New sizes of limbs: both semi-axes of the bottom ellipse, of the top ellipse, length; metres."""
+    remove: tuple[str, ...] = ()
+    """Limbs or held things that go, with all that hangs on them."""
+    add: Any = ""
+    """A limb that was removed, or a held thing: a body file (in Python also a Body)."""
+    to: str = ""
+    """Limb that carries the thing."""
+    at: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Where it is held, in the frame of the limb that carries it, metres."""
+    grip: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Where it is held, in the frame of the thing's first limb, metres."""
+    axis: tuple[float, ...] = ()
+    """Direction in the carrying limb's frame in which the thing points at first; empty: it is looked for."""
+    joint_axes: tuple[float, ...] = (0.0, 0.0)
+    """Semi-axes of the joint's ellipse, metres: both 0 lets the thing turn freely."""
+    weight: float = 1.0
+    """Weight of the joint."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All options."""
+
+    read: ReadSettings = field(default_factory=ReadSettings)
+    person: PersonSettings = field(default_factory=PersonSettings)
+    start: StartSettings = field(default_factory=StartSettings)
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+    solve: SolveSettings = field(default_factory=SolveSettings)
+    track: TrackSettings = field(default_factory=TrackSettings)
+    changes: tuple[Change, ...] = ()
+
+
+class SettingsError(ValueError):
+    """A settings file that cannot be used; says where, what, and what would be right."""

@@ -1,0 +1,58 @@
+"""Settings by name: the defaults, the values of Knoop 2007, and those without a look into the future."""
+
+from dataclasses import replace
+
+from voodoo_jax.config.options import (
+    FeatureSettings,
+    PersonSettings,
+    ReadSettings,
+    Settings,
+    SettingsError,
+    SolveSettings,
+    TrackSettings,
+)
+
+
+def preset(name: str) -> Settings:
+    """Settings by name: "default", or "knoop2007", the chain and the values of Knoop 2007 as far as it gives them.
+
+    These do not follow the defaults. Where the paper names a parameter and no value (enlargements, longest distance,
+    epsilon), a usual one stands here. Its body is the built-in "human10". Raises SettingsError.
+    """
+    if name == "default":
+        return Settings()
+    if name != "knoop2007":
+        raise SettingsError(f"there is no preset '{name}', but {', '.join(PRESETS)}")
+    inf = float("inf")
+    return Settings(
+        read=ReadSettings(laser=True),
+        person=PersonSettings(noise=0.0),
+        features=FeatureSettings(
+            # sec. 7
+            weights=("face=30", "left_hand=20", "right_hand=20", "skin=20"), weight=20.0, robust_scale=inf,
+            max_distance=inf,
+        ),
+        solve=SolveSettings(
+            solver="per_limb", damping=0.0,
+            max_steps=6,  # sec. 7: a good trade-off between time and accuracy
+            epsilon=1e-7,
+            ratio=0.55, floor=0.0,  # sec. 4.3: 0.4 < r < 0.7, of the limb's own measurements
+            body_enlarge=0.2, limb_enlarge=0.1, max_distance=0.25, robust_scale=inf,
+            overlap="exclusive",  # sec. 3.2: to the geometrically closest body part
+            near_side=False, refine=4,
+            prior=1e-6, prior_radius=0.4,  # next to nothing: keeps a limb where it is that nothing was measured of
+            limits=0.0, collisions=0.0,
+        ),
+        track=TrackSettings(damping=0.0, both_ways=False),  # sec. 5.2: each frame starts from the last one's pose
+    )  # fmt: skip
+
+
+PRESETS = ("default", "knoop2007")
+
+
+def online(settings: Settings) -> Settings:
+    """The settings without a look into the future: every frame is tracked by what came before it, but for the half
+    second after each start, over which starts and the person's size are compared."""
+    return replace(
+        settings, person=replace(settings.person, ahead=False), track=replace(settings.track, both_ways=False)
+    )

@@ -1,0 +1,237 @@
+"""Settings from and to TOML; what is wrong in a settings file, where, and what would be right."""
+
+import ast
+import inspect
+import json
+import os
+import textwrap
+import tomllib
+from dataclasses import Field, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from voodoo_jax.config.options import (
+    Change,
+    FeatureSettings,
+    PersonSettings,
+    ReadSettings,
+    Settings,
+    SettingsError,
+    SolveSettings,
+    StartSettings,
+    TrackSettings,
+)
+
+
+def _check(stage: str, f: Field, value: Any) -> Any:
+    """The value as the field wants it, or SettingsError."""
+    name, default = f"{stage}.{f.name}", getattr(_STAGES[stage](), f.name)
+    if get_origin(f.type) is Literal:
+        if value not in get_args(f.type):
+            raise SettingsError(f"{name} = {value!r}: must be one of {', '.join(map(repr, get_args(f.type)))}")
+        return value
+    if isinstance(default, tuple):
+        if default and isinstance(default[0], float):
+            good = isinstance(value, list) and all(type(v) in (int, float) and 0 <= v < float("inf") for v in value)
+            if not good:
+                raise SettingsError(f"{name} = {value!r}: must be a list of numbers that are not negative")
+            return tuple(float(v) for v in value)
+        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+            raise SettingsError(f"{name} = {value!r}: must be a list of texts")
+        if name in _PAIRS:
+            check_pairs(name, tuple(value), numbers=_PAIRS[name])
+        return tuple(value)
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not type(default):
+        raise SettingsError(f"{name} = {value!r}: must be {_WORDS[type(default)]}, such as {default!r}")
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and not value >= 0:
+        raise SettingsError(f"{name} = {value!r}: must not be negative")
+    low, high = _BOUNDS.get(name, (0, float("inf")))
+    if isinstance(value, (int, float)) and not low <= value <= high:
+        most = f" and at most {high}" if high < float("inf") else ""
+        raise SettingsError(f"{name} = {value!r}: must be at least {low}{most}")
+    return value
+
+
+def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, str]:
+    """Words like "face=10" as a dictionary. Raises SettingsError."""
+    for word in words:
+        key, _, value = word.partition("=")
+        try:
+            good = bool(key and value) and (not numbers or 0 <= float(value) < float("inf"))
+            if name == "read.labels":
+                int(key)
+        except ValueError:
+            good = False
+        if not good:
+            raise SettingsError(f"{name}: '{word}' must look like {_EXAMPLES[name]}")
+    return dict(word.split("=", 1) for word in words)
+
+
+def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) -> "Settings":
+    """Settings from a TOML file with a table per stage; what it does not name stays as in `base`. Raises SettingsError,
+    OSError."""
+    base = base or Settings()
+    try:
+        content = tomllib.loads(Path(path).read_text())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise SettingsError(f"{path}: not a TOML file: {problem}") from problem
+    stages = {}
+    changes = base.changes
+    for stage, values in content.items():
+        if stage == "change":
+            if not isinstance(values, list) or not all(isinstance(table, dict) for table in values):
+                raise SettingsError(f"{path}: changes are tables [[change]], with two brackets")
+            changes = tuple(_change(path, n, table) for n, table in enumerate(values, 1))
+            continue
+        if stage not in _STAGES or not isinstance(values, dict):
+            near = get_close_matches(stage, _STAGES, 1)
+            hint = f"; did you mean [{near[0]}]?" if near else f"; there are {', '.join(f'[{s}]' for s in _STAGES)}"
+            raise SettingsError(f"{path}: [{stage}] is no stage{hint}")
+        known = {f.name: f for f in fields(_STAGES[stage])}
+        checked = {}
+        for name, value in values.items():
+            if name not in known:
+                near = get_close_matches(name, known, 1)
+                hint = f"; did you mean '{near[0]}'?" if near else f"; there are {', '.join(known)}"
+                raise SettingsError(f"{path}: [{stage}] has no option '{name}'{hint}")
+            try:
+                checked[name] = _check(stage, known[name], value)
+            except SettingsError as problem:
+                raise SettingsError(f"{path}: {problem}") from None
+        stages[stage] = replace(getattr(base, stage), **checked)
+    return replace(base, **stages, changes=changes)
+
+
+def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) -> Change:
+    """One table [[change]]. A body file in it is looked for beside the settings file."""
+    where = f"{path}: [[change]] number {number}"
+    known = {f.name: getattr(Change(0.0), f.name) for f in fields(Change)}
+    if "time" not in table:
+        raise SettingsError(f"{where} has no 'time', the seconds after the first frame")
+    values: dict[str, Any] = {}
+    for name, value in table.items():
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            raise SettingsError(f"{where} has no option '{name}'" + (f"; did you mean '{near[0]}'?" if near else ""))
+        if name == "sizes":
+            good = isinstance(value, dict) and all(_numbers(v, 5, above=0) for v in value.values())
+            wanted = "a table such as { l_forearm = [0.04, 0.04, 0.03, 0.03, 0.25] }"
+            value = tuple((limb, tuple(map(float, v))) for limb, v in value.items()) if good else value
+        elif name == "remove":
+            value = [value] if isinstance(value, str) else value
+            good, wanted = isinstance(value, list) and all(isinstance(v, str) for v in value), "names of limbs"
+            value = tuple(value) if good else value
+        elif isinstance(known[name], str):
+            good, wanted = isinstance(value, str), "a text"
+        elif isinstance(known[name], float):
+            good, wanted = _numbers([value], 1, above=-1e-300), "a number that is not negative"
+        else:
+            count = 2 if name == "joint_axes" else 3
+            good, wanted = _numbers(value, count), f"{count} numbers"
+            value = tuple(map(float, value)) if good else value
+        if not good:
+            raise SettingsError(f"{where}: {name} = {value!r} must be {wanted}")
+        values[name] = value
+    if str(values.get("add", "")).endswith(".toml"):
+        values["add"] = str(Path(path).parent / values["add"])
+    return Change(**values)
+
+
+def _numbers(value: Any, count: int, above: float = -float("inf")) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == count
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) and above < v < float("inf") for v in value)
+    )
+
+
+def check_settings(settings: "Settings") -> None:
+    """Raises SettingsError for a value that a settings file could not have: flags and Python reach here unchecked."""
+    for stage, cls in _STAGES.items():
+        for f in fields(cls):
+            value = getattr(getattr(settings, stage), f.name)
+            _check(stage, f, list(value) if isinstance(value, tuple) else value)
+
+
+def _help_texts(cls: type) -> dict[str, str]:
+    """The text under each field of a settings class."""
+    node = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0]
+    assert isinstance(node, ast.ClassDef)
+    texts = {}
+    for item, below in zip(node.body, node.body[1:]):
+        if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name) and isinstance(below, ast.Expr):
+            texts[item.target.id] = " ".join(str(ast.literal_eval(below.value)).split())
+    return texts
+
+
+def settings_text(settings: "Settings | None" = None) -> str:
+    """Settings as a TOML file with every option's meaning as a comment."""
+    settings = settings or Settings()
+    lines = ["# Settings of voodoo-jax. Use: voodoo-jax replay LOG... --out DIR --config THIS_FILE"]
+    for stage, cls in _STAGES.items():
+        texts = _help_texts(cls)
+        lines += ["", f"# {cls.__doc__}", f"[{stage}]"]
+        for f in fields(cls):
+            value = getattr(getattr(settings, stage), f.name)
+            written = json.dumps(list(value)) if isinstance(value, tuple) else json.dumps(value)
+            written = {"Infinity": "inf"}.get(written, written)
+            choices = f" ({', '.join(get_args(f.type))})" if get_origin(f.type) is Literal else ""
+            lines += [f"# {texts[f.name]}{choices}", f"{f.name} = {written}"]
+    texts = _help_texts(Change)
+    lines += ["", f"# {Change.__doc__}", "# [[change]]"]
+    for f in fields(Change):
+        lines += [f"# {f.name}: {texts[f.name]}"]
+    for change in settings.changes:
+        lines += ["", "[[change]]"]
+        for f in fields(Change):
+            value = getattr(change, f.name)
+            if f.name == "time" or value != f.default:
+                sizes = ", ".join(f"{limb} = {list(v)}" for limb, v in value) if f.name == "sizes" else ""
+                listed = list(value) if isinstance(value, tuple) else value
+                lines += [f"{f.name} = " + (f"{{ {sizes} }}" if sizes else json.dumps(listed))]
+    return "\n".join(lines) + "\n"
+
+
+_STAGES: dict[str, type] = {
+    "read": ReadSettings,
+    "person": PersonSettings,
+    "start": StartSettings,
+    "features": FeatureSettings,
+    "solve": SolveSettings,
+    "track": TrackSettings,
+}
+# texts like "face=10", and whether a number stands behind the equals sign
+_PAIRS = {
+    "features.names": False,
+    "features.weights": True,
+    "read.parts": False,
+    "read.labels": False,
+    "read.weights": True,
+}
+_EXAMPLES = {
+    "features.names": "name=point, such as face=sellion",
+    "features.weights": "name=number, such as face=10",
+    "read.parts": "topic=part, such as /people/points=body or /hands/left=l_forearm",
+    "read.labels": "number=part, such as 3=head, 7=body or 0=free",
+    "read.weights": "topic=number, such as /stereo/points=0.5",
+}
+_BOUNDS: dict[str, tuple[float, float]] = {
+    "read.max_points": (1, float("inf")),
+    "person.points": (1, 8192),
+    "start.headings": (1, 360),
+    "start.frames": (1, 1000),
+    "start.seconds": (0.0, 1000.0),
+    "start.directions": (1, 1000),
+    "start.size_frames": (1, 10_000),
+    "features.robust_scale": (1e-4, float("inf")),
+    "solve.max_steps": (1, 10_000),
+    "solve.sampling": (0, 1),
+    "solve.robust_scale": (1e-4, float("inf")),
+    "track.prior_interval": (1e-4, float("inf")),
+    "track.patience": (1, 1_000_000),
+    "track.chunk": (1, 100_000),
+}
+_WORDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
