@@ -78,7 +78,7 @@ def run_info(command: Info) -> int:
         print("voodoo-jax info: name at least one log", file=sys.stderr)
         return 2
     from voodoo_jax.io.mcap_log import LogError, survey
-    from voodoo_jax.io.urls import expanded
+    from voodoo_jax.storage.urls import expanded
 
     status = 0
     try:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from voodoo_jax.io.atomic import replacing
+from voodoo_jax.storage.atomic import replacing
 
 
 @dataclass(frozen=True)

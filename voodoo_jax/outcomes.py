@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.io.urls import fetched, joined
+from voodoo_jax.storage.urls import fetched, joined
 from voodoo_jax.tracks import Tracks
 
 

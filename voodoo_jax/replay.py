@@ -15,11 +15,11 @@ from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 from voodoo_jax.body import Body
 from voodoo_jax.compile_cache import safe_folder
 from voodoo_jax.config.options import Settings
-from voodoo_jax.io.urls import byte_size, expanded, file_system, is_url, joined
 from voodoo_jax.jobs import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.outcomes import Outcome, outcome_of_arrays
 from voodoo_jax.result_folders import folders_within
 from voodoo_jax.shards import largest_first, parse_shard, shard_of
+from voodoo_jax.storage.urls import byte_size, expanded, file_system, is_url, joined
 from voodoo_jax.workers import Report, Results, default_workers, in_process, in_workers
 
 __all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]

@@ -4,8 +4,8 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 
-from voodoo_jax.io.urls import joined
 from voodoo_jax.jobs import output_paths
+from voodoo_jax.storage.urls import joined
 
 
 def folders_within(logs: Sequence[str]) -> dict[str, str]:

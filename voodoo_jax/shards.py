@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from voodoo_jax.io.urls import byte_size
+from voodoo_jax.storage.urls import byte_size
 
 
 def parse_shard(text: str) -> tuple[int, int]:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from voodoo_jax.body import Body, Topology
-from voodoo_jax.io.atomic import replacing
 from voodoo_jax.io.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
 from voodoo_jax.pose import Poses, on_device
+from voodoo_jax.storage.atomic import replacing
 
 HEADER = """\
 # A body: degenerated cylinders (limbs) held together by elastic bands (joints).

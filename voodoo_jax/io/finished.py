@@ -15,8 +15,8 @@ from voodoo_jax.body import Body
 from voodoo_jax.config.options import Settings
 from voodoo_jax.io.body_file import format_body
 from voodoo_jax.io.container import READ_ERRORS
-from voodoo_jax.io.urls import Readable, opened
 from voodoo_jax.programs import code_fingerprint
+from voodoo_jax.storage.urls import Readable, opened
 
 BLOCK = 1 << 16  # bytes of each sample of a log
 # what a file that is missing, cut or of another kind raises

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voodoo_jax.body import segment_lengths
-from voodoo_jax.io.atomic import replacing
+from voodoo_jax.storage.atomic import replacing
 
 if TYPE_CHECKING:
     from voodoo_jax.fit_result import Fit

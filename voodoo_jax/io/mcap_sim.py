@@ -17,8 +17,8 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import segment_lengths
-from voodoo_jax.io.atomic import replacing
 from voodoo_jax.simulate import Camera, Simulation
+from voodoo_jax.storage.atomic import replacing
 
 OPTICAL_FRAME = "depth_optical"
 IMAGE_TOPIC, INFO_TOPIC = "/depth/image", "/depth/camera_info"

@@ -32,8 +32,8 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 from voodoo_jax.body import Body
-from voodoo_jax.io.atomic import replacing
 from voodoo_jax.io.body_file import format_body
+from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.tracks import Status, Tracks
 
 SCENE_PERIOD_NS = 1_000_000_000  # the body is written again this often, for readers that seek without looking back

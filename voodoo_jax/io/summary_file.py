@@ -5,9 +5,9 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from voodoo_jax.io.atomic import replacing
-from voodoo_jax.io.urls import delivered, joined, opened
 from voodoo_jax.outcomes import Outcome
+from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.urls import delivered, joined, opened
 
 
 def summary_name(number: int, count: int) -> str:
