@@ -8,7 +8,7 @@ import numpy as np
 from foxglove_schemas_protobuf import CompressedImage_pb2, RawImage_pb2
 from logs import START, T, header
 
-from voodoo_jax.io import camera
+from voodoo_jax.geometry import lens
 
 
 def ros_compressed(stamp_ns: int, frame: str, image: np.ndarray, kind: str = ".jpg", format: str = "jpeg") -> Any:
@@ -75,7 +75,7 @@ def picture(
     """What a camera at `place` (metres), turned by `turn` (camera to world), sees of the boards, [row, column, 3]."""
     rng = np.random.default_rng(7)
     rows, columns = size
-    rays = camera.pixel_rays(k, np.array(d, float), "plumb_bob", columns, rows)
+    rays = lens.pixel_rays(k, np.array(d, float), "plumb_bob", columns, rows)
     rays = np.concatenate([rays, np.ones((rows, columns, 1))], -1) @ (np.eye(3) if turn is None else turn).T
     image = np.zeros((rows, columns), np.float32)
     for n, board in enumerate(sorted(boards, key=lambda b: -b.z)):

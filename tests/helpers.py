@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body
 from voodoo_jax.config.options import SolveSettings, TrackSettings
+from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.icp import IcpOptions
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses, compose, quat_exp
 from voodoo_jax.tracking import options_from
 
 TWO_LIMBS_SENSOR = np.array([[2.0, 0.4, 0.5]], np.float32)  # sees two_limb_frames

@@ -11,7 +11,7 @@ from helpers import SOLVE, TWO_LIMBS_SENSOR, all_finite, two_limb_frames, two_li
 
 from voodoo_jax.batch import BUCKETS, bucket, pad_frames
 from voodoo_jax.config.options import TrackSettings
-from voodoo_jax.pose import Poses
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.tracking import NOBODY, Visits, at_rest, options_from, track_chunk, track_visits
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from voodoo_jax import cells
-from voodoo_jax.cells import (
+from voodoo_jax.geometry import voxels
+from voodoo_jax.geometry.voxels import (
     Counted,
     cells_of,
     components,
@@ -19,8 +19,8 @@ from voodoo_jax.cells import (
 def way(request, monkeypatch):
     """Both ways to look up cells."""
     if request.param == "sorted":
-        monkeypatch.setattr(cells, "MODERATE", 0)
-        monkeypatch.setattr(cells, "LARGE", 0)
+        monkeypatch.setattr(voxels, "MODERATE", 0)
+        monkeypatch.setattr(voxels, "LARGE", 0)
 
 
 def cloud(rng, count: int, spread: float = 1.0) -> np.ndarray:
@@ -45,7 +45,7 @@ def test_touching_cells_differ_by_one_at_most(rng, way):
 @pytest.mark.parametrize("distance", [0.06, 0.25, 1.0])
 @pytest.mark.parametrize("few", [0, 50_000, 1_000_000])
 def test_within_a_distance_as_a_search_tree_says(rng, way, distance, few, monkeypatch):
-    monkeypatch.setattr(cells, "FEW", few)
+    monkeypatch.setattr(voxels, "FEW", few)
     points, others = cloud(rng, 800), cloud(rng, 300, 1.5)
     expected = KDTree(others).query(points)[0] < distance
     np.testing.assert_array_equal(within(points, others, distance), expected)
@@ -54,8 +54,8 @@ def test_within_a_distance_as_a_search_tree_says(rng, way, distance, few, monkey
 def test_components_are_the_same_both_ways(rng, monkeypatch):
     points = cloud(rng, 400, 2.0)
     label = components(points, 0.4)
-    monkeypatch.setattr(cells, "MODERATE", 0)
-    monkeypatch.setattr(cells, "LARGE", 0)
+    monkeypatch.setattr(voxels, "MODERATE", 0)
+    monkeypatch.setattr(voxels, "LARGE", 0)
     np.testing.assert_array_equal(components(points, 0.4), label)
     assert 10 < label.max() < 390
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from helpers import all_finite, cast, frame_points, icp_options, seen_points, turned
 
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.icp import Problem, solve_frame
 from voodoo_jax.io.body_file import load_body
-from voodoo_jax.pose import Poses
 
 SENSOR = (1.5, 1.5, 0.9)
 

@@ -21,6 +21,7 @@ from helpers import (
     two_limbs,
 )
 
+from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.icp import (
     Problem,
     adjacency,
@@ -34,7 +35,6 @@ from voodoo_jax.icp import (
 from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.correspond import Points, match
 from voodoo_jax.kernels.coupled import stretched
-from voodoo_jax.pose import Poses, apply
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -9,14 +9,15 @@ from scipy.spatial.transform import Rotation
 from small_rooms import FLOOR, ORIGIN, box, build_of, figure, frame, grid, room
 
 from voodoo_jax.candidate import Build
-from voodoo_jax.cells import components
-from voodoo_jax.clouds import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.config.options import PersonSettings
 from voodoo_jax.furniture import without_furniture, without_things
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
+from voodoo_jax.geometry.voxels import components
 from voodoo_jax.person import PersonFinder
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Frame
-from voodoo_jax.scene import Plane, Scene, find_scene
+from voodoo_jax.scene import Scene, find_scene
 
 
 def heights_of(scene: Scene, points) -> np.ndarray:

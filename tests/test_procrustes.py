@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.geometry.rigid import matrix
 from voodoo_jax.kernels.procrustes import align, horn_matrix, top_eigenpair
-from voodoo_jax.pose import matrix
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -28,7 +28,7 @@ from logs import (
 )
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io import camera
+from voodoo_jax.geometry import lens
 from voodoo_jax.io.mcap_log import LogError, open_log, read_log, survey
 from voodoo_jax.recording import Frame
 
@@ -48,7 +48,7 @@ def pixel(point, d=(), model="plumb_bob") -> np.ndarray:
     """Where the colour camera sees a point of `base`, lens included."""
     x, y, z = np.asarray(point) - EYE
     ray = np.array([-y, -z]) / x
-    return K[:2, :2] @ (camera.distort(ray, np.array(d), model) if d else ray) + K[:2, 2]
+    return K[:2, :2] @ (lens.distort(ray, np.array(d), model) if d else ray) + K[:2, 2]
 
 
 def colour(log: Log, d=(), model="plumb_bob") -> Log:

@@ -28,7 +28,7 @@ from logs import (
 )
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io import camera
+from voodoo_jax.geometry import lens
 from voodoo_jax.io.mcap_log import LogError, open_log, read_log, survey
 
 RNG = np.random.default_rng(0)
@@ -349,9 +349,9 @@ def test_survey(tmp_path):
 )
 def test_pixel_rays_invert_the_lens(tmp_path, model, d):
     k = np.array([[40.0, 0, 31.5], [0, 42.0, 23.5], [0, 0, 1]])
-    rays = camera.pixel_rays(k, np.array(d), model, 64, 48)
+    rays = lens.pixel_rays(k, np.array(d), model, 64, 48)
     assert rays.shape == (48, 64, 2) and np.isfinite(rays).all()
-    seen = camera.distort(rays, np.array(d), model) @ k[:2, :2].T + k[:2, 2]
+    seen = lens.distort(rays, np.array(d), model) @ k[:2, :2].T + k[:2, 2]
     v, u = np.mgrid[0:48, 0:64]
     np.testing.assert_allclose(seen, np.stack([u, v], -1), atol=1e-5)
 

@@ -6,10 +6,10 @@ import pytest
 from in_front import error, in_front
 
 from voodoo_jax.body import joint_centres, scaled
+from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.io.body_file import human, load_body
 from voodoo_jax.passage import rows_of
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses, apply
 from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms, other_legs
 from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
 from voodoo_jax.tracks import Status

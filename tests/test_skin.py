@@ -7,7 +7,7 @@ from colour_logs import ros_compressed, ros_info, ros_raw
 from logs import PERIOD, START, Log, depth_log, detections, ros_tf
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io import camera
+from voodoo_jax.geometry import lens
 from voodoo_jax.io.mcap_log import read_log, survey
 from voodoo_jax.skin import SkinFinder
 
@@ -79,7 +79,7 @@ def test_large_images(rng):
 def pixel(point, d=()) -> np.ndarray:
     x, y, z = np.asarray(point) - EYE
     ray = np.array([-y, -z]) / x
-    return K[:2, :2] @ (camera.distort(ray, np.array(d), "plumb_bob") if d else ray) + K[:2, 2]
+    return K[:2, :2] @ (lens.distort(ray, np.array(d), "plumb_bob") if d else ray) + K[:2, 2]
 
 
 def spots_of(points, d=()) -> list:

@@ -9,9 +9,9 @@ from jaxtyping import Float, Float32
 
 from voodoo_jax.body import Body, scaled
 from voodoo_jax.config.options import StartSettings
+from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.marker_log import TO_START, marker_start
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.session import FEW_POINTS, Session, first_run
 from voodoo_jax.stances import STANCES, Stance, in_stance
 from voodoo_jax.start import facing, opposite, sized, standing_places, unlikely

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.pose import AnyArray, Poses, apply, on_device, on_host, rotate
+from voodoo_jax.geometry.rigid import AnyArray, Poses, apply, on_device, on_host, rotate
 
 if TYPE_CHECKING:
     Leaf = Array

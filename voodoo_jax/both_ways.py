@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.geometry.rotations import _axis, _half_turn, limb_ends, rotations
+
 AGREE = 0.12  # metres between the passes' places of a limb's ends, below which they are averaged
 WINDOW = 7  # frames over which costs are compared: single frames decide by noise
 BETTER = 0.97  # the backward pass is taken where it costs less than this share of the forward one
@@ -69,33 +71,3 @@ def combined(forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"])
     rotation = np.where(agree[..., None], turned, rotation).astype(np.float32)
     translation = np.where(agree[..., None], (place + other) / 2, place).astype(np.float32)
     return Combined(rotation, translation, taken, apart.astype(np.float32))
-
-
-def limb_ends(
-    rotation: Float32[np.ndarray, "frame limb 4"],
-    translation: Float32[np.ndarray, "frame limb 3"],
-    lengths: Float[np.ndarray, " limb"],
-) -> Float[np.ndarray, "2 frame limb 3"]:
-    """Where both ends of every limb's axis are, metres."""
-    return np.stack([translation, translation + lengths[None, :, None] * _axis(rotation)])
-
-
-def rotations(q: np.ndarray) -> Rotation:
-    """Rotations of quaternions wxyz; NaN becomes the identity."""
-    flat = q.reshape(-1, 4).astype(float)
-    there = np.all(np.isfinite(flat), 1, keepdims=True)
-    return Rotation.from_quat(np.where(there, flat, [1.0, 0, 0, 0]), scalar_first=True)
-
-
-def _axis(q: np.ndarray) -> np.ndarray:
-    return rotations(q).apply([0.0, 0.0, 1.0]).reshape(*q.shape[:-1], 3)
-
-
-def _half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternions xyzw that turn unit vectors a halfway to b: by construction half of the smallest turn."""
-    middle = a + b
-    length = np.linalg.norm(middle, axis=-1, keepdims=True)
-    middle = np.where(length > 1e-6, middle / np.maximum(length, 1e-6), a)
-    w = 1 + np.sum(a * middle, -1, keepdims=True)
-    q = np.concatenate([np.cross(a, middle), w], -1)
-    return q / np.linalg.norm(q, axis=-1, keepdims=True)

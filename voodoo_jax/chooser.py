@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from voodoo_jax.candidate import Build
-from voodoo_jax.cells import Cells, cells_of, touching
-from voodoo_jax.clouds import fair_share
 from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.geometry.point_cloud import fair_share
+from voodoo_jax.geometry.voxels import Cells, cells_of, touching
 from voodoo_jax.hiding import Nearest
 from voodoo_jax.person import PersonFinder
 from voodoo_jax.person_frame import PersonFrame, assigned, whole

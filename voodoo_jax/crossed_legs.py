@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from voodoo_jax.body import Body
+from voodoo_jax.geometry.rigid import Poses, apply, on_host
 from voodoo_jax.passage import Rows, part, pass_of, pose_at, tracked_anew, with_part
-from voodoo_jax.pose import Poses, apply, on_host
 from voodoo_jax.second_look import AROUND
 from voodoo_jax.session import Session
 from voodoo_jax.stances import HIPS, exchanged

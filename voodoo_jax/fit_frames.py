@@ -18,8 +18,8 @@ from voodoo_jax.batch import FEATURE_BUCKETS, V1_NAMES, FeatureNames, bucket, pa
 from voodoo_jax.body import Topology
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.fit_objective import FitFrames
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.shaking import as_measured
 from voodoo_jax.tracks import Tracks

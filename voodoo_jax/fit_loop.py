@@ -32,8 +32,8 @@ from voodoo_jax.fit_objective import (
 from voodoo_jax.fit_parameters import HEIGHT, Changes, Parameters, changed, height_of, height_ratio
 from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Rest
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.icp import IcpOptions
-from voodoo_jax.pose import Poses
 from voodoo_jax.quick import quickly
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last

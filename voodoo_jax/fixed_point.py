@@ -2,8 +2,8 @@
 
 import optimistix as optx
 
+from voodoo_jax.geometry.rigid import Poses, quat_normalize
 from voodoo_jax.icp import FrameResult, Problem, icp_step
-from voodoo_jax.pose import Poses, quat_normalize
 
 
 def _iterate(poses: Poses, problem: Problem) -> Poses:

@@ -13,10 +13,10 @@ from jaxtyping import Bool
 from voodoo_jax.beginning import Beginning, begin, clearer
 from voodoo_jax.body import Body
 from voodoo_jax.front_or_back import likelier_way
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.jumps import without_jumps
 from voodoo_jax.passage import PASSAGE, Rows, rows_of
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses
 from voodoo_jax.second_look import looked_again
 from voodoo_jax.session import Session, first_run
 from voodoo_jax.tracking import State, at_rest

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from voodoo_jax.cells import cells_of, components, touching, unique_cells, within
 from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.voxels import cells_of, components, touching, unique_cells, within
 from voodoo_jax.person import stands_aside
 from voodoo_jax.person_frame import PersonFrame, assigned
-from voodoo_jax.scene import Plane
 
 WINDOW = 1800  # frames by which furniture is told from the body at once
 AWAY = 0.55  # metres from the body's axis: not part of it

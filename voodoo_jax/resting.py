@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from voodoo_jax.clouds import point_spacing
+from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.person_frame import PersonFrame
 
 FRAMES = 90  # are looked at, evenly spread

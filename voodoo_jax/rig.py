@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
-from voodoo_jax.io.camera import distort, undistort
+from voodoo_jax.geometry.lens import distort, undistort
 from voodoo_jax.io.contents import Calibration
 
 Map = Float32[np.ndarray, "row column 2"]

@@ -3,39 +3,18 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 
-from voodoo_jax.cells import cells_of, touching
+from voodoo_jax.geometry.plane import MANY, Plane, fit_plane
+from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.person_frame import PersonFrame, assigned, whole
 from voodoo_jax.recording import Frame
 
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
 SLANTED = 0.9  # cosine: a floor that is so far from where it was thought to be is looked for once more
-MANY, SUBSET = 30_000, 2000  # points among which a floor is looked for, and by which planes are compared
 COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
-
-
-@dataclass(frozen=True)
-class Plane:
-    """Points p with normal . p = offset."""
-
-    normal: Float32[np.ndarray, "3"]  # unit
-    offset: float  # metres
-    noise: float = 0.0  # metres: nearly all points on it seem to be nearer to it; 0: not known
-
-    def height(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, " point"]:
-        """Signed distance of points, metres."""
-        return points @ self.normal - np.float32(self.offset)
-
-    def top(self, points: Float32[np.ndarray, "point 3"]) -> float:
-        """Height of the top of a thing with these points, but for single ones; metres."""
-        return float(np.percentile(self.height(points), 98))
-
-    def level(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point 3"]:
-        """The places on the plane under some points."""
-        return points - self.height(points)[:, None] * self.normal
 
 
 @dataclass(frozen=True)
@@ -46,45 +25,6 @@ class Scene:
     walls: tuple[Plane, ...]  # normals towards the first sensor
     floor_seen: bool  # False: no floor was visible
     floor_open: bool = False  # nor is it known where it is: the lowest points stand for it, and it may be lower
-
-
-def fit_plane(
-    points: Float32[np.ndarray, "point 3"],
-    normals_ok,
-    rng: np.random.Generator,
-    tolerance: float,
-    trials: int = 300,
-) -> tuple[Plane, Bool[np.ndarray, " point"]] | None:
-    """The plane with the most points within `tolerance` metres (random samples of three, then least squares).
-
-    `normals_ok(normals [trial, 3]) -> bool [trial]` says which directions are wanted. None where none was found.
-    """
-    if len(points) < 50:
-        return None
-    sample = points[rng.integers(0, len(points), (trials, 3))]
-    normals = np.cross(sample[:, 1] - sample[:, 0], sample[:, 2] - sample[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    good = length > 1e-3
-    normals = normals[good] / length[good, None]
-    keep = normals_ok(normals)
-    normals, at = normals[keep], sample[good][keep][:, 0]
-    if not len(normals):
-        return None
-    subset = points[rng.integers(0, len(points), SUBSET)] if len(points) > SUBSET else points
-    near = np.abs(normals @ subset.T - np.sum(normals * at, 1)[:, None]) < tolerance
-    best = int(np.argmax(near.view(np.uint8).sum(1, dtype=np.uint32)))
-    normal, offset = normals[best], float(normals[best] @ at[best])
-    for _ in range(3):
-        inside = points[np.abs(points @ normal - offset) < tolerance]
-        if len(inside) < 20:
-            return None
-        middle = inside.mean(0)
-        off = (inside - middle).astype(float)
-        across = np.linalg.eigh(off.T @ off)[1][:, 0].astype(np.float32)
-        normal = across * np.sign(across @ normal or 1.0)
-        offset = float(normal @ middle)
-    plane = Plane(normal.astype(np.float32), offset)
-    return plane, np.abs(plane.height(points)) < tolerance
 
 
 def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bool = True) -> Scene:

@@ -14,10 +14,10 @@ from voodoo_jax.batch import FEATURE_BUCKETS, Chunk, FeatureNames, PartNames, bu
 from voodoo_jax.body import Body
 from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.config.options import Change, Settings, StartSettings
+from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_table
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses, on_host
 from voodoo_jax.scene import Scene
 from voodoo_jax.stances import Stance
 from voodoo_jax.start import Trial, in_pieces, run_trials

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from voodoo_jax.candidate import Build
-from voodoo_jax.cells import cells_of, unique_cells, within
 from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.geometry.voxels import cells_of, unique_cells, within
 from voodoo_jax.person import PersonFinder
 from voodoo_jax.recording import Frame
 from voodoo_jax.scene import Scene

@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.body import Body, scaled
-from voodoo_jax.clouds import point_gap, point_spacing
 from voodoo_jax.config.options import StartSettings
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.point_cloud import point_gap, point_spacing
+from voodoo_jax.geometry.rigid import AnyArray, Poses, compose, on_host, rotate, unrotate
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import AnyArray, Poses, compose, on_host, rotate, unrotate
-from voodoo_jax.scene import Plane
 from voodoo_jax.tracking import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on

@@ -20,6 +20,8 @@ from voodoo_jax.flat_faces import without_faces
 from voodoo_jax.following import Progress, blank, follow
 from voodoo_jax.forearms import with_forearms
 from voodoo_jax.furniture import WINDOW, without_furniture, without_things
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.plausible import check
 from voodoo_jax.leftovers import without_leftovers
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
@@ -34,10 +36,9 @@ from voodoo_jax.notes import notes_on
 from voodoo_jax.passage import Rows
 from voodoo_jax.person import PersonFinder
 from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.pose import Poses
 from voodoo_jax.programs import program, seconds_of_waiting
 from voodoo_jax.recording import Frame, Rays, Recording
-from voodoo_jax.scene import Plane, Scene
+from voodoo_jax.scene import Scene
 from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.shaking import steadied, steady_scene, to_fixed
 from voodoo_jax.spill import spilled

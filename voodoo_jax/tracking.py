@@ -10,12 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.body import Body, Topology, tree_order
 from voodoo_jax.config.options import FeatureSettings, SolveSettings, TrackSettings
-from voodoo_jax.icp import IcpOptions, Problem, solve_and_measure
-from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
-from voodoo_jax.kernels.coupled import tree_covariance, twist_covariance
-from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
-from voodoo_jax.kernels.plausible import PlausibleOptions
-from voodoo_jax.pose import (
+from voodoo_jax.geometry.rigid import (
     AnyArray,
     Poses,
     compose,
@@ -26,6 +21,11 @@ from voodoo_jax.pose import (
     quat_multiply,
     quat_normalize,
 )
+from voodoo_jax.icp import IcpOptions, Problem, solve_and_measure
+from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
+from voodoo_jax.kernels.coupled import tree_covariance, twist_covariance
+from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
+from voodoo_jax.kernels.plausible import PlausibleOptions
 from voodoo_jax.programs import program
 
 FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off

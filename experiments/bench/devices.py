@@ -23,7 +23,7 @@ from experiments.bench.peers.library import Solver
 from experiments.bench.replay_speed import machine
 from experiments.bench.work import STEPS, Work, from_demo, load
 from experiments.common import table, write
-from voodoo_jax.pose import Poses
+from voodoo_jax.geometry.rigid import Poses
 
 HEAD = ("solver", "points", "streams", "best, frames/s", "median", "limbs from C's, mm", "Mflop a frame", "MB a frame",
         "of the devices' flop/s", "of their bytes/s", "compile, s")  # fmt: skip

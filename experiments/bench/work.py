@@ -79,8 +79,8 @@ def from_demo(counts: tuple[int, ...] = (500, 1000, 2000, 4000), frames: int = 8
     from experiments.common import DEMO, load_log, log_files
     from voodoo_jax.body import band_mask, bands
     from voodoo_jax.config.options import Settings
+    from voodoo_jax.geometry.rigid import matrix
     from voodoo_jax.io.body_file import load_body
-    from voodoo_jax.pose import matrix
 
     body = load_body("human10")
     log = load_log(log_files(DEMO)[0], body, Settings())

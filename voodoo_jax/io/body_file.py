@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from voodoo_jax.body import Body, Topology
+from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.io.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
-from voodoo_jax.pose import Poses, on_device
 from voodoo_jax.storage.atomic import replacing
 
 HEADER = """\

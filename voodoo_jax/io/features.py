@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int64
 
-from voodoo_jax.io import camera
+from voodoo_jax.geometry import lens
 from voodoo_jax.io.cameras import camera_of
 from voodoo_jax.io.contents import Calibration
 from voodoo_jax.io.frames import join, period_of
@@ -133,7 +133,7 @@ def _rays(scan: Scan, name: str, counted: Counter[str]) -> tuple[np.ndarray, np.
             continue
         sources[rows] = frame or c.frame
         K, D = _lens(name, c)
-        x = np.column_stack([camera.undistort(found.values[rows], K, D, c.model), np.ones(len(rows))])
+        x = np.column_stack([lens.undistort(found.values[rows], K, D, c.model), np.ones(len(rows))])
         directions[rows] = x / np.linalg.norm(x, axis=1, keepdims=True)
         if lost := int(np.isnan(x).any(axis=1).sum()):
             counted["left out, where the lens model cannot be inverted"] += lost

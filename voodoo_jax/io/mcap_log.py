@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io import camera
+from voodoo_jax.geometry import lens
 from voodoo_jax.io.cameras import bare, calibration_of
 from voodoo_jax.io.container import LogError, guarded
 from voodoo_jax.io.contents import Cloud, Image, many, stride
@@ -261,5 +261,5 @@ class LogReader:
                 self._notes.append(
                     f"'{topic}' is {width} x {height} pixels, its calibration {c.width} x {c.height}: scaled to fit."
                 )
-            self._rays[key] = camera.pixel_rays(K, D, c.model, width, height)[::k, ::k].copy()
+            self._rays[key] = lens.pixel_rays(K, D, c.model, width, height)[::k, ::k].copy()
         return self._rays[key]

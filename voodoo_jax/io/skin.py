@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 from scipy.spatial import KDTree
 
-from voodoo_jax.io import camera
+from voodoo_jax.geometry import lens
 from voodoo_jax.io.cameras import calibration_of
 from voodoo_jax.io.contents import Calibration, many
 from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
@@ -51,7 +51,7 @@ def skin_topics(topics: dict[str, Topic], uses: dict[str, str]) -> tuple[dict[st
             notes.append(f"No skin is looked for in '{name}': it has no calibration.")
             continue
         try:
-            camera.pixel_rays(c.K, c.D, c.model, 2, 2)
+            lens.pixel_rays(c.K, c.D, c.model, 2, 2)
             found.setdefault(pictures[name].frame or name, (name, c))
         except ValueError as problem:
             notes.append(f"No skin is looked for in '{name}': {problem}.")
@@ -88,7 +88,7 @@ def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weig
             shape, pixels = regions[name, number]
             fitted = scaled(c, shape)
             K, D = (fitted.P[:, :3], np.zeros(0)) if rectified(name) and c.P[0, 0] > 0 else (fitted.K, fitted.D)
-            flat = camera.undistort(pixels[~gone], K, D, c.model)
+            flat = lens.undistort(pixels[~gone], K, D, c.model)
             flat = flat[np.isfinite(flat).all(1)]
             pose = scan.tree.lookup(fixed, scan.topics[name].sample.frame, int(stamps[name][number]))
             if pose is None:

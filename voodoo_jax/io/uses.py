@@ -1,7 +1,7 @@
 """What replay can use each topic of a log for."""
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io import camera
+from voodoo_jax.geometry import lens
 from voodoo_jax.io.cameras import calibration_of, camera_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.contents import Image
@@ -90,7 +90,7 @@ def _feature_use(topics: dict[str, Topic], name: str) -> str:
             return f"not used: 2D features without calibration (none for {frames})"
         for c in filter(None, cameras.values()):
             try:
-                camera.pixel_rays(c.K, c.D, c.model, 2, 2)
+                lens.pixel_rays(c.K, c.D, c.model, 2, 2)
             except ValueError as error:
                 return f"not used: 2D features whose calibration is unusable: {error}"
     return topic.kind
@@ -112,7 +112,7 @@ def _depth_use(topics: dict[str, Topic], name: str) -> str:
         return f"not used: a depth image without calibration (none for frame '{topic.sample.frame}')"
     try:
         # A small part is enough to learn whether the lens model is known.
-        camera.pixel_rays(calibration.K, calibration.D, calibration.model, 2, 2)
+        lens.pixel_rays(calibration.K, calibration.D, calibration.model, 2, 2)
     except ValueError as error:
         return f"not used: a depth image whose calibration is unusable: {error}"
     return "depth image"

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from voodoo_jax.body import Links
-from voodoo_jax.pose import Poses, compose, inverse, matrix, rotate, unrotate
+from voodoo_jax.geometry.rigid import Poses, compose, inverse, matrix, rotate, unrotate
 
 
 def _pair_moments(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from voodoo_jax.body import Body
-from voodoo_jax.pose import Poses, rotate, unrotate
+from voodoo_jax.geometry.rigid import Poses, rotate, unrotate
 
 
 class Features(eqx.Module):

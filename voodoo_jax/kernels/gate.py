@@ -5,7 +5,7 @@ from typing import Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from voodoo_jax.pose import Poses, matrix
+from voodoo_jax.geometry.rigid import Poses, matrix
 
 Overlap = Literal["exclusive", "shared", "adjacent"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from voodoo_jax.body import Body, Links, Topology
-from voodoo_jax.pose import Poses, apply, quat_conjugate, quat_exp, quat_log, quat_multiply, rotate, unrotate
+from voodoo_jax.geometry.rigid import Poses, apply, quat_conjugate, quat_exp, quat_log, quat_multiply, rotate, unrotate
 
 
 class PlausibleOptions(eqx.Module):

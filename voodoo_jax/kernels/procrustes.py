@@ -9,8 +9,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from voodoo_jax.geometry.rigid import quat_normalize, rotate
 from voodoo_jax.kernels.eigen import top_eigenpair
-from voodoo_jax.pose import quat_normalize, rotate
 
 
 class Alignment(NamedTuple):

@@ -1,0 +1,1 @@
+"""Rigid poses, planes, voxels, point clouds and lenses. Nothing here knows of bodies or logs."""

@@ -1,0 +1,35 @@
+"""Rotations of tables of poses on the host: ends of limbs, half turns, SciPy rotations of quaternions wxyz."""
+
+import numpy as np
+from jaxtyping import Float, Float32
+from scipy.spatial.transform import Rotation
+
+
+def limb_ends(
+    rotation: Float32[np.ndarray, "frame limb 4"],
+    translation: Float32[np.ndarray, "frame limb 3"],
+    lengths: Float[np.ndarray, " limb"],
+) -> Float[np.ndarray, "2 frame limb 3"]:
+    """Where both ends of every limb's axis are, metres."""
+    return np.stack([translation, translation + lengths[None, :, None] * _axis(rotation)])
+
+
+def rotations(q: np.ndarray) -> Rotation:
+    """Rotations of quaternions wxyz; NaN becomes the identity."""
+    flat = q.reshape(-1, 4).astype(float)
+    there = np.all(np.isfinite(flat), 1, keepdims=True)
+    return Rotation.from_quat(np.where(there, flat, [1.0, 0, 0, 0]), scalar_first=True)
+
+
+def _axis(q: np.ndarray) -> np.ndarray:
+    return rotations(q).apply([0.0, 0.0, 1.0]).reshape(*q.shape[:-1], 3)
+
+
+def _half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternions xyzw that turn unit vectors a halfway to b: by construction half of the smallest turn."""
+    middle = a + b
+    length = np.linalg.norm(middle, axis=-1, keepdims=True)
+    middle = np.where(length > 1e-6, middle / np.maximum(length, 1e-6), a)
+    w = 1 + np.sum(a * middle, -1, keepdims=True)
+    q = np.concatenate([np.cross(a, middle), w], -1)
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
