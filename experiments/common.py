@@ -16,11 +16,11 @@ from PIL import Image
 from tqdm import tqdm
 
 from experiments.bench.replay_speed import Started
-from voodoo_jax.body import Body
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_frames import Truth, read_truth
-from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.body_file import load_body
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.scene import Scene

@@ -10,11 +10,11 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body
 from voodoo_jax.config.options import SolveSettings, TrackSettings
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.icp import IcpOptions
 from voodoo_jax.kernels.correspond import Points
+from voodoo_jax.model.body import Body
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.tracking import options_from
 
@@ -160,7 +160,7 @@ def all_finite(tree) -> bool:
 
 def two_limbs(axes=(0.0, 0.0), weight: float = 1.0) -> Body:
     """Two round limbs in a line along z, joined where they meet: the smallest body with a joint."""
-    from voodoo_jax.io.body_file import parse_body
+    from voodoo_jax.model.body_file import parse_body
 
     return parse_body(f"""
 name = "two"

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from voodoo_jax.body import Body, scaled
 from voodoo_jax.config.options import PersonSettings, Settings, StartSettings, TrackSettings
-from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate import make_motion, placed, simulate, tof_camera
 
 FLAGS = (

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from voodoo_jax.body import scaled
 from voodoo_jax.config.options import Settings
-from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate import Box, Room, make_motion, placed, simulate, tof_camera
 from voodoo_jax.tracker import find_person
 

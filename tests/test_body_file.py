@@ -6,10 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from voodoo_jax.body import bands, joint_centres, scaled, segment_lengths, site_points
 from voodoo_jax.geometry.rigid import apply
-from voodoo_jax.io.body_file import BUILT_IN, BodyFileError, format_body, human, load_body, parse_body, read_body
-from voodoo_jax.io.body_file import write_body as write
+from voodoo_jax.model.body import bands, joint_centres, scaled, segment_lengths, site_points
+from voodoo_jax.model.body_file import BUILT_IN, BodyFileError, format_body, human, load_body, parse_body, read_body
+from voodoo_jax.model.body_file import write_body as write
 
 GOOD = """\
 name = "two"

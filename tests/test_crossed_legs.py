@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from in_front import error, in_front
 
-from voodoo_jax.body import scaled
 from voodoo_jax.crossed_legs import crossed, uncrossed
 from voodoo_jax.geometry.rigid import Poses, on_host
-from voodoo_jax.io.body_file import human, load_body
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human, load_body
+from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.passage import rows_of, tracked_anew
 from voodoo_jax.session import Session
-from voodoo_jax.stances import HIPS, exchanged
 
 BODY, COUNT = scaled(human(), 1.75), 30
 

@@ -10,7 +10,6 @@ import pytest
 
 from experiments.fit.__main__ import exercise
 from voodoo_jax.batch import FeatureNames
-from voodoo_jax.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.cli import main
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
@@ -21,8 +20,9 @@ from voodoo_jax.fit_loop import undetermined
 from voodoo_jax.fit_parameters import Changes, changed, height_of, parameters, usual_lengths
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_tuned import tuned_settings
-from voodoo_jax.io.body_file import human, load_body, read_body, write_body
 from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
+from voodoo_jax.model.body_file import human, load_body, read_body, write_body
 from voodoo_jax.one_by_one import one_by_one
 from voodoo_jax.simulate import Room, simulate
 
@@ -92,7 +92,7 @@ def test_a_fitted_body_survives_its_file(tmp_path):
 
 
 def test_things_that_are_held_are_not_fitted():
-    from voodoo_jax.changes import attach
+    from voodoo_jax.model.attachments import attach
 
     armed = attach(BODY, load_body("stick"), "r_hand", (0, 0, 0.06), (0, 0, 0.4))
     assert not any("stick" in name and name.startswith(("lengths", "radii")) for name in parameters(armed, ["*"]).names)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from voodoo_jax.batch import FeatureNames
-from voodoo_jax.body import scaled, segment_lengths, with_proportions
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.forearms import BY_NAMES, BY_POINTS, FARTHEST, FEW, HAND, Stretch, lengthened, stretch, with_forearms
-from voodoo_jax.io.body_file import human, load_body
+from voodoo_jax.model.body import scaled, segment_lengths, with_proportions
+from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Rays
 from voodoo_jax.tracks import Status

@@ -5,12 +5,12 @@ import pytest
 from in_front import error, in_front
 
 from voodoo_jax.beginning import Beginning
-from voodoo_jax.body import scaled
 from voodoo_jax.front_or_back import gone_ahead, likelier_way
 from voodoo_jax.geometry.rigid import Poses, compose, on_host
-from voodoo_jax.io.body_file import human
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human
+from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.passage import rows_of
-from voodoo_jax.stances import HIPS, exchanged
 
 BODY, COUNT = scaled(human(), 1.75), 30
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import scaled
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses, apply, on_host
-from voodoo_jax.io.body_file import human
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human
 from voodoo_jax.second_look import other_arms
 from voodoo_jax.start import place
 from voodoo_jax.tracking import State, at_rest, options_from, predict

@@ -32,9 +32,9 @@ from voodoo_jax.icp import (
     solve_and_measure,
     solve_frame,
 )
-from voodoo_jax.io.body_file import load_body
 from voodoo_jax.kernels.correspond import Points, match
 from voodoo_jax.kernels.coupled import stretched
+from voodoo_jax.model.body_file import load_body
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from in_front import error, in_front
 
-from voodoo_jax.body import scaled
 from voodoo_jax.geometry.rigid import Poses, on_host
-from voodoo_jax.io.body_file import human
 from voodoo_jax.jumps import jumps, without_jumps
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human
+from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.passage import rows_of
-from voodoo_jax.stances import HIPS, exchanged
 from voodoo_jax.tracks import Status
 
 BODY, COUNT = scaled(human(), 1.75), 30

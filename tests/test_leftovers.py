@@ -7,9 +7,9 @@ import pytest
 import trimesh
 from helpers import frustum_mesh, inside_body, scipy_rotation, seen_points
 
-from voodoo_jax.body import scaled
-from voodoo_jax.io.body_file import human
 from voodoo_jax.leftovers import FEWEST, OFF, _outside, without_leftovers
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.tracks import Status
 

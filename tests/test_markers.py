@@ -10,18 +10,18 @@ from logs import Log, ros_marker, ros_markers
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.batch import FeatureNames
-from voodoo_jax.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.body_file import human, load_body
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.kernels.features import named_points
 from voodoo_jax.marker_chain import Chain
 from voodoo_jax.marker_log import marker_table, places, without_gaps
 from voodoo_jax.marker_priors import Priors
-from voodoo_jax.marker_sets import PLUG_IN_GAIT, newington_hips, plain_name
 from voodoo_jax.marker_sizes import Fit, Markers, personal
 from voodoo_jax.marker_start import agreed, first_pose, rigid
+from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
+from voodoo_jax.model.body_file import human, load_body
+from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, newington_hips, plain_name
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Pairs, Recording
 from voodoo_jax.simulate import make_motion, placed, pose_body, sequence

@@ -8,7 +8,7 @@ import pytest
 from voodoo_jax.config.options import Settings
 from voodoo_jax.following import blank
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.io.body_file import human
+from voodoo_jax.model.body_file import human
 from voodoo_jax.noise import FEWEST, range_noise, weighed
 from voodoo_jax.notes import notes_on
 from voodoo_jax.person_frame import PersonFrame

@@ -10,8 +10,8 @@ import voodoo_jax as vj
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.presets import online
-from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.model.body_file import human
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.scene import Scene
 from voodoo_jax.tracker import find_person, track_person

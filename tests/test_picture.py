@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from voodoo_jax.io.body_file import load_body
+from voodoo_jax.model.body_file import load_body
 from voodoo_jax.picture import picture, show
 from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.simulate import Camera, make_motion, placed, simulate, truth_tracks

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from voodoo_jax.body import Body, joint_centres
-from voodoo_jax.io.body_file import human, load_body
+from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.programs import program, seconds_of_waiting
 from voodoo_jax.quick import OPTIONS, quick
 

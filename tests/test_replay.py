@@ -19,13 +19,13 @@ from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 import voodoo_jax.session
-from voodoo_jax.body import scaled
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.body_file import human, load_body
 from voodoo_jax.io.mcap_log import open_log, read_log
 from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.replay import output_paths, replay
 from voodoo_jax.result_folders import folders_within
 from voodoo_jax.simulate import (

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from voodoo_jax.body import band_mask, bands
 from voodoo_jax.geometry.rigid import apply, matrix
-from voodoo_jax.io.body_file import load_body
+from voodoo_jax.model.body import band_mask, bands
+from voodoo_jax.model.body_file import load_body
 
 ROOT = Path(__file__).parents[1]
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from in_front import error, in_front
 
-from voodoo_jax.body import joint_centres, scaled
 from voodoo_jax.geometry.rigid import Poses, apply
-from voodoo_jax.io.body_file import human, load_body
+from voodoo_jax.model.body import joint_centres, scaled
+from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.passage import rows_of
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms, other_legs

@@ -9,12 +9,12 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import bands, scaled, segment_lengths, with_proportions
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.model.body import bands, scaled, segment_lengths, with_proportions
+from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate import (
     KINECT_NOISE,
     MOTIONS,

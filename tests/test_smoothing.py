@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.io.body_file import human
+from voodoo_jax.model.body_file import human
 from voodoo_jax.smoothing import smooth
 from voodoo_jax.tracks import Status, Tracks
 

@@ -8,12 +8,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from voodoo_jax.body import joint_centres, scaled
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.io import mcap_tracks
-from voodoo_jax.io.body_file import load_body, parse_body
 from voodoo_jax.io.mcap_tracks import limb_mesh, write_tracks_mcap
 from voodoo_jax.io.tracks_file import TracksFileError, read_tracks_npz, write_tracks_npz
+from voodoo_jax.model.body import joint_centres, scaled
+from voodoo_jax.model.body_file import load_body, parse_body
 from voodoo_jax.tracks import Status, Tracks
 
 FRAMES = 75

@@ -12,9 +12,6 @@ from typing import TYPE_CHECKING, Any
 from voodoo_jax._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from voodoo_jax.body import Body as Body
-    from voodoo_jax.body import joint_centres as joint_centres
-    from voodoo_jax.changes import attach as attach
     from voodoo_jax.config.fit_options import FitSettings as FitSettings
     from voodoo_jax.config.options import Change as Change
     from voodoo_jax.config.options import Settings as Settings
@@ -23,14 +20,17 @@ if TYPE_CHECKING:
     from voodoo_jax.fit_body import fit as fit
     from voodoo_jax.fit_solution import solution as solution
     from voodoo_jax.fit_user import solve_frames as solve_frames
-    from voodoo_jax.io.body_file import human as human
-    from voodoo_jax.io.body_file import load_body as load_body
-    from voodoo_jax.io.body_file import read_body as read_body
-    from voodoo_jax.io.body_file import write_body as write_body
     from voodoo_jax.io.mcap_log import LogError as LogError
     from voodoo_jax.io.mcap_log import read_log as read_log
     from voodoo_jax.io.mcap_log import survey as survey
     from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
+    from voodoo_jax.model.attachments import attach as attach
+    from voodoo_jax.model.body import Body as Body
+    from voodoo_jax.model.body import joint_centres as joint_centres
+    from voodoo_jax.model.body_file import human as human
+    from voodoo_jax.model.body_file import load_body as load_body
+    from voodoo_jax.model.body_file import read_body as read_body
+    from voodoo_jax.model.body_file import write_body as write_body
     from voodoo_jax.picture import picture
     from voodoo_jax.picture import show as show
     from voodoo_jax.recording import Recording as Recording
@@ -46,21 +46,21 @@ if TYPE_CHECKING:
 # name -> (module, name there); imported on first use, so that the command's --help need not wait for jax.
 # No name may be that of a module here: importing the module would take its place.
 _PUBLIC = {
-    "Body": ("body", "Body"),
+    "Body": ("model.body", "Body"),
     "Change": ("config.options", "Change"),
     "FitSettings": ("config.fit_options", "FitSettings"),
     "LogError": ("io.mcap_log", "LogError"),
     "Recording": ("recording", "Recording"),
     "Settings": ("config.options", "Settings"),
     "Tracks": ("tracks", "Tracks"),
-    "attach": ("changes", "attach"),
+    "attach": ("model.attachments", "attach"),
     "fit": ("fit_body", "fit"),
-    "human": ("io.body_file", "human"),
-    "joint_centres": ("body", "joint_centres"),
-    "load_body": ("io.body_file", "load_body"),
+    "human": ("model.body_file", "human"),
+    "joint_centres": ("model.body", "joint_centres"),
+    "load_body": ("model.body_file", "load_body"),
     "online": ("config.presets", "online"),
     "preset": ("config.presets", "preset"),
-    "read_body": ("io.body_file", "read_body"),
+    "read_body": ("model.body_file", "read_body"),
     "read_log": ("io.mcap_log", "read_log"),
     "read_tracks": ("io.tracks_file", "read_tracks_npz"),
     "replay_logs": ("replay", "replay"),
@@ -72,7 +72,7 @@ _PUBLIC = {
     "survey": ("io.mcap_log", "survey"),
     "track": ("tracker", "track"),
     "track_many": ("together", "track_many"),
-    "write_body": ("io.body_file", "write_body"),
+    "write_body": ("model.body_file", "write_body"),
     "write_tracks": ("io.tracks_file", "write_tracks_npz"),
 }
 __all__ = sorted(_PUBLIC)

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from voodoo_jax.body import Topology
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.kernels.correspond import FREE, ON_BODY, Points
 from voodoo_jax.kernels.features import Features
-from voodoo_jax.marker_sets import PLUG_IN_GAIT, plain_name
+from voodoo_jax.model.body import Topology
+from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, plain_name
 from voodoo_jax.person_frame import PersonFrame
 
 # Point capacities; a program is compiled once for each that occurs.

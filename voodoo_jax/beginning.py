@@ -7,13 +7,13 @@ import jax
 import numpy as np
 from jaxtyping import Float, Float32
 
-from voodoo_jax.body import Body, scaled
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.marker_log import TO_START, marker_start
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.session import FEW_POINTS, Session, first_run
-from voodoo_jax.stances import STANCES, Stance, in_stance
 from voodoo_jax.start import facing, opposite, sized, standing_places, unlikely
 
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it

@@ -31,7 +31,7 @@ def run_replay(command: Replay) -> int:
         return 2
     gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.compile_cache import CacheError, safe_folder, use_compile_cache
-    from voodoo_jax.io.body_file import BodyFileError, load_on_host
+    from voodoo_jax.model.body_file import BodyFileError, load_on_host
     from voodoo_jax.replay import replay
 
     gc.enable()

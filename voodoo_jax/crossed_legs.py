@@ -8,12 +8,12 @@ in no frame), so the legs are exchanged, tracked there and back in time, and kep
 import numpy as np
 from jaxtyping import Bool
 
-from voodoo_jax.body import Body
 from voodoo_jax.geometry.rigid import Poses, apply, on_host
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.passage import Rows, part, pass_of, pose_at, tracked_anew, with_part
 from voodoo_jax.second_look import AROUND
 from voodoo_jax.session import Session
-from voodoo_jax.stances import HIPS, exchanged
 from voodoo_jax.tracks import Status
 
 FEWEST = 5  # frames with crossed knees, near each other, that are worth a look

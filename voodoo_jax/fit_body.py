@@ -12,7 +12,6 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
-from voodoo_jax.body import Body, scaled
 from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
@@ -25,6 +24,7 @@ from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_result import Fit
 from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.fit_user import minimised
+from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Recording
 from voodoo_jax.scene import Scene

@@ -15,10 +15,10 @@ from jaxtyping import Bool, Float64, Int, Int64
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.batch import FEATURE_BUCKETS, V1_NAMES, FeatureNames, bucket, pad_features, pad_frames
-from voodoo_jax.body import Topology
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.fit_objective import FitFrames
 from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.model.body import Topology
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.shaking import as_measured

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float64
 
-from voodoo_jax.body import Body
 from voodoo_jax.fit_objective import (
     JOINT_SD,
     PER_LIMB,
@@ -34,6 +33,7 @@ from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Rest
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.icp import IcpOptions
+from voodoo_jax.model.body import Body
 from voodoo_jax.quick import quickly
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Array, Float, Float64
 
 from voodoo_jax.batch import V1_NAMES
-from voodoo_jax.body import Body, Topology, scaled, with_rest_from_joints
 from voodoo_jax.geometry.rigid import matrix, on_device, on_host, unrotate
 from voodoo_jax.icp import IcpOptions
+from voodoo_jax.model.body import Body, Topology, scaled, with_rest_from_joints
 
 # Usual deviations. Adults of one stature differ by 4 to 5 % in the length of a limb (ANSUR II: standard deviation of
 # a segment after regression on stature over its mean), by 12 to 15 % in girth; a joint of a body of cylinders lies
@@ -159,7 +159,7 @@ def segment_limbs(topology: Topology) -> list[str]:
 @cache
 def _people() -> Body:
     """The body of people's usual proportions, on the host: arrays of a traced call must not be kept."""
-    from voodoo_jax.io.body_file import load_on_host
+    from voodoo_jax.model.body_file import load_on_host
 
     return load_on_host("human")
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from voodoo_jax.body import Body
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_judge import Judged, Verdict
+from voodoo_jax.model.body import Body
 
 
 @dataclass(frozen=True)

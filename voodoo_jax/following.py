@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from voodoo_jax.beginning import Beginning, begin, clearer
-from voodoo_jax.body import Body
 from voodoo_jax.front_or_back import likelier_way
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.jumps import without_jumps
+from voodoo_jax.model.body import Body
 from voodoo_jax.passage import PASSAGE, Rows, rows_of
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.second_look import looked_again

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from voodoo_jax.batch import FeatureNames
-from voodoo_jax.body import Body, scaled, with_proportions
 from voodoo_jax.geometry.rigid import Poses, apply, on_host, unrotate
-from voodoo_jax.io.body_file import load_on_host
+from voodoo_jax.model.body import Body, scaled, with_proportions
+from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.passage import Rows
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.tracks import Status

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.body import Body, Links, Topology, bands
 from voodoo_jax.geometry.rigid import Poses, apply, compose, quat_normalize
 from voodoo_jax.kernels.bands import link_moments, prior_moments
 from voodoo_jax.kernels.correspond import Match, MatchOptions, Points, match, sums
@@ -26,6 +25,7 @@ from voodoo_jax.kernels.coupled import (
 from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
 from voodoo_jax.kernels.procrustes import align
+from voodoo_jax.model.body import Body, Links, Topology, bands
 
 MOVED = 0.003  # metres: a step that moves no limb farther may be the last where it gains nothing
 NEAR = 10.0  # times epsilon by which the quality measure may still change where the start was near

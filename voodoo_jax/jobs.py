@@ -9,10 +9,10 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
-from voodoo_jax.body import Body
 from voodoo_jax.compile_cache import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import on_device
+from voodoo_jax.model.body import Body
 from voodoo_jax.outcomes import Outcome, outcome_of
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined
 from voodoo_jax.tracks import Tracks

@@ -6,8 +6,8 @@ of the two sides is wrong. Each is carried on over the other one, and kept where
 
 import numpy as np
 
-from voodoo_jax.body import Body
 from voodoo_jax.geometry.rotations import limb_ends
+from voodoo_jax.model.body import Body
 from voodoo_jax.passage import Rows, part, pass_of, pose_at, rows_of, with_part
 from voodoo_jax.session import Session
 from voodoo_jax.tracks import Status

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from voodoo_jax.body import Body
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
+from voodoo_jax.model.body import Body
 from voodoo_jax.programs import count_waiting, seconds_of_waiting
 from voodoo_jax.quick import quickly
 from voodoo_jax.session import Visit

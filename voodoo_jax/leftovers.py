@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from voodoo_jax.body import Body
 from voodoo_jax.furniture import WINDOW
 from voodoo_jax.geometry.rotations import rotations
+from voodoo_jax.model.body import Body
 from voodoo_jax.passage import Rows
 from voodoo_jax.person_frame import PersonFrame, assigned
 from voodoo_jax.resting import resting

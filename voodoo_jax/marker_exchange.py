@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from voodoo_jax.body import Body
 from voodoo_jax.marker_sizes import Fit, Markers, fit_markers
+from voodoo_jax.model.body import Body
 from voodoo_jax.person_frame import PersonFrame
 
 JUMP = 0.03  # metres: shorter jumps are motion

@@ -5,11 +5,11 @@ from difflib import get_close_matches
 import numpy as np
 from jaxtyping import Bool, Int64
 
-from voodoo_jax.body import Body
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.marker_exchange import Exchange
 from voodoo_jax.marker_log import CLOSE, MarkerTable, places
-from voodoo_jax.marker_sets import PLUG_IN_GAIT
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.marker_sets import PLUG_IN_GAIT
 
 GAP = 0.2  # seconds: a marker that is away for longer is named
 SHOWN = 3  # gaps of one marker that are named one by one

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from voodoo_jax.body import Body, segment_lengths
 from voodoo_jax.marker_chain import Chain
-from voodoo_jax.marker_sets import RIDES, USUAL_LENGTHS, newington_hips, placement
+from voodoo_jax.model.body import Body, segment_lengths
+from voodoo_jax.model.marker_sets import RIDES, USUAL_LENGTHS, newington_hips, placement
 
 SCALE, ACROSS, ALONG = 0.5, 0.1, 0.06  # usual deviations (logarithms) of the scale, a limb's thickness and its length
 MIRRORED = 0.02  # between left and right limbs

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, tree_order
 from voodoo_jax.kernels.features import named_points
+from voodoo_jax.model.body import Body, tree_order
 
 
 def rigid(

@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.marker_exchange import Exchange
 from voodoo_jax.marker_log import TO_START
 from voodoo_jax.marker_notes import marker_notes
+from voodoo_jax.model.body import Body
 from voodoo_jax.passage import Rows
 from voodoo_jax.session import Session
 from voodoo_jax.tracks import Status

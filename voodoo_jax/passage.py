@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from voodoo_jax.beginning import fresh
-from voodoo_jax.bending import wrong_bend
 from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.model.joint_bend import wrong_bend
 from voodoo_jax.session import Session, status_of
 from voodoo_jax.tracking import Step, cost_of
 from voodoo_jax.tracks import Status

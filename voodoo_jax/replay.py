@@ -12,10 +12,10 @@ from typing import Literal
 
 from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
-from voodoo_jax.body import Body
 from voodoo_jax.compile_cache import safe_folder
 from voodoo_jax.config.options import Settings
 from voodoo_jax.jobs import Job, draw, output_paths, output_places, track_log
+from voodoo_jax.model.body import Body
 from voodoo_jax.outcomes import Outcome, outcome_of_arrays
 from voodoo_jax.result_folders import folders_within
 from voodoo_jax.shards import largest_first, parse_shard, shard_of
@@ -59,9 +59,9 @@ def replay(
 
     Raises ValueError if two logs would write the same files, or an argument cannot be used.
     """
-    from voodoo_jax.io.body_file import load_on_host
     from voodoo_jax.io.finished import recipe_key
     from voodoo_jax.io.summary_file import summary_name, write_summary
+    from voodoo_jax.model.body_file import load_on_host
 
     if not smooth_seconds >= 0:
         raise ValueError(f"--smooth {smooth_seconds}: must not be negative")

@@ -8,13 +8,13 @@ kept where they explain more.
 import numpy as np
 
 from voodoo_jax.beginning import USUAL, soon
-from voodoo_jax.body import Body
 from voodoo_jax.both_ways import backward_is_better, smoothed
 from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
 from voodoo_jax.passage import Rows, part, pass_of, pose_at, tracked_anew, with_part
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.session import FEW_POINTS, Session
-from voodoo_jax.stances import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
 from voodoo_jax.start import standing_places
 from voodoo_jax.tracks import Status
 

@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Bool, Int, Int8
 
 from voodoo_jax.batch import FEATURE_BUCKETS, Chunk, FeatureNames, PartNames, bucket, pad_features, pad_frames
-from voodoo_jax.body import Body
-from voodoo_jax.changes import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.config.options import Change, Settings, StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_table
+from voodoo_jax.model.attachments import appeared, applied, directions, hung_on, pointing
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.scene import Scene
-from voodoo_jax.stances import Stance
 from voodoo_jax.start import Trial, in_pieces, run_trials
 from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, at_rest, track_visits
 from voodoo_jax.tracks import Status

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt16
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, joint_centres, tree_order
 from voodoo_jax.geometry.rigid import Poses, apply, compose, inverse, quat_exp, quat_multiply, unrotate
+from voodoo_jax.model.body import Body, joint_centres, tree_order
 from voodoo_jax.tracks import Status, Tracks
 
 MOTIONS = ("stand", "wave", "bow", "walk", "swing")

@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, scaled
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_gap, point_spacing
 from voodoo_jax.geometry.rigid import AnyArray, Poses, compose, on_host, rotate, unrotate
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.rest_shape import rest_height
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.tracking import State, Step, at_rest, cost_of
 
@@ -20,23 +21,6 @@ FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
 STEPS = 15  # most steps of a frame until then
 TALL, TALLER = 2.0, 0.1  # metres: stature of which hardly anybody is, and how much more makes one e times as unlikely
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
-
-
-def rest_box(body: Body) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Lowest and highest coordinates of all limbs' end ellipses in the rest pose, metres."""
-    turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()
-    sizes = np.asarray(body.sizes, np.float64)
-    bottom = np.asarray(body.rest.translation, np.float64)
-    ends = np.stack([bottom, bottom + sizes[:, 4:] * turn[:, :, 2]])
-    reach = np.stack(
-        [np.hypot(sizes[:, k, None] * turn[:, :, 0], sizes[:, k + 1, None] * turn[:, :, 1]) for k in (0, 2)]
-    )
-    return np.min(ends - reach, (0, 1)), np.max(ends + reach, (0, 1))
-
-
-def rest_height(body: Body) -> float:
-    """Height of the body above the floor in its rest pose, metres: its stature, or the top of its highest limb."""
-    return float(body.scale) if body.scale_name == "stature" else float(rest_box(body)[1][2])
 
 
 def measured_height(

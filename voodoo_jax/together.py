@@ -6,10 +6,10 @@ from typing import Any
 import jax
 from tqdm.auto import tqdm
 
-from voodoo_jax.body import Body
 from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.config.options import Settings
 from voodoo_jax.lanes import in_lanes, usual_lanes
+from voodoo_jax.model.body import Body
 from voodoo_jax.recording import Recording
 from voodoo_jax.session import Visit
 from voodoo_jax.tracker import find_person, track_person

@@ -10,9 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Float32
 
 from voodoo_jax.batch import FeatureNames
-from voodoo_jax.body import Body, joint_centres, scaled
 from voodoo_jax.candidate import LOOSE, Build
-from voodoo_jax.changes import loaded, prepared
 from voodoo_jax.chooser import Chooser
 from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.config.options import Settings
@@ -31,6 +29,10 @@ from voodoo_jax.marker_log import (
     sized_by_markers,
     without_gaps,
 )
+from voodoo_jax.model.attachments import loaded, prepared
+from voodoo_jax.model.body import Body, joint_centres, scaled
+from voodoo_jax.model.pose_library import Stance
+from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.noise import weighed
 from voodoo_jax.notes import notes_on
 from voodoo_jax.passage import Rows
@@ -42,9 +44,7 @@ from voodoo_jax.scene import Scene
 from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.shaking import steadied, steady_scene, to_fixed
 from voodoo_jax.spill import spilled
-from voodoo_jax.stances import Stance
 from voodoo_jax.standing_on import on_its_floor
-from voodoo_jax.start import rest_box, rest_height
 from voodoo_jax.tracking import options_from
 from voodoo_jax.tracks import Status, Tracks
 from voodoo_jax.trust import doubted, joint_confidence, marker_confidence

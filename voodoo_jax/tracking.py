@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.body import Body, Topology, tree_order
 from voodoo_jax.config.options import FeatureSettings, SolveSettings, TrackSettings
 from voodoo_jax.geometry.rigid import (
     AnyArray,
@@ -26,6 +25,7 @@ from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.coupled import tree_covariance, twist_covariance
 from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
 from voodoo_jax.kernels.plausible import PlausibleOptions
+from voodoo_jax.model.body import Body, Topology, tree_order
 from voodoo_jax.programs import program
 
 FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off

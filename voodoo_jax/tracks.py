@@ -6,7 +6,7 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int8, Int32, Int64
 
-from voodoo_jax.body import Body
+from voodoo_jax.model.body import Body
 
 
 class Status(IntEnum):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int8
 from scipy.special import expit
 
-from voodoo_jax.body import Topology
+from voodoo_jax.model.body import Topology
 from voodoo_jax.tracks import Status, expected_share
 
 CLOSE = 0.10  # metres

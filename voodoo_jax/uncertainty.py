@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from voodoo_jax.body import Body
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.coupled import point_covariance
+from voodoo_jax.model.body import Body
 
 NOISE = 0.037  # metres, standard deviation of a measurement of weight 1, were all independent
 SHAPE = 0.0158  # metres, standard deviation along each axis of a joint of a person in the model's

@@ -6,9 +6,9 @@ from typing import Any
 
 from experiments.common import human, settings_with, without_features
 from experiments.judged import Verdict, judge, told_apart
-from voodoo_jax.body import Body
 from voodoo_jax.config.options import Settings
-from voodoo_jax.io.body_file import load_body
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.body_file import load_body
 
 # stage and option of the settings = value; "body" names another body
 VARIANTS: dict[str, dict[str, Any]] = {

@@ -7,11 +7,11 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from voodoo_jax.body import Body, scaled
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
-from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate import Box, Motion, Room, _grounded, _motion, simulate, tof_camera
 from voodoo_jax.tracker import track
 

@@ -27,12 +27,12 @@ import tyro
 from tqdm import tqdm
 
 from voodoo_jax.batch import Chunk, pad_frames
-from voodoo_jax.body import Body, joint_centres
 from voodoo_jax.config.options import Settings
 from voodoo_jax.demo import joint_errors
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.body_file import load_body
 from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.model.body_file import load_body
 from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.tracker import find_person, track_person
 from voodoo_jax.tracking import Step, at_rest, options_from, track_chunk

@@ -77,10 +77,10 @@ def from_demo(counts: tuple[int, ...] = (500, 1000, 2000, 4000), frames: int = 8
     """Equal work for everybody: the person of the demo recording, with the papers' body of ten limbs."""
     from experiments.bench.replay_speed import resample
     from experiments.common import DEMO, load_log, log_files
-    from voodoo_jax.body import band_mask, bands
     from voodoo_jax.config.options import Settings
     from voodoo_jax.geometry.rigid import matrix
-    from voodoo_jax.io.body_file import load_body
+    from voodoo_jax.model.body import band_mask, bands
+    from voodoo_jax.model.body_file import load_body
 
     body = load_body("human10")
     log = load_log(log_files(DEMO)[0], body, Settings())

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from voodoo_jax.body import Body, scaled, with_proportions
-from voodoo_jax.io.body_file import human
 from voodoo_jax.io.mcap_sim import write_simulation
+from voodoo_jax.model.body import Body, scaled, with_proportions
+from voodoo_jax.model.body_file import human
 from voodoo_jax.simulate import (
     TOF_NOISE,
     Simulation,

@@ -20,13 +20,13 @@ from tqdm import tqdm
 
 from experiments.common import DEMO, human, load_log, log_files, table, without_features, write
 from experiments.stress.motions import KNEES_BENT, RELAXED, SPREAD, bend, posed
-from voodoo_jax.body import Body, scaled, segment_lengths, with_proportions
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_body import Seen, fit, fit_tracked
 from voodoo_jax.fit_frames import Truth
 from voodoo_jax.fit_loop import FitError
 from voodoo_jax.fit_result import Fit
+from voodoo_jax.model.body import Body, scaled, segment_lengths, with_proportions
 from voodoo_jax.recording import Frame, Recording
 from voodoo_jax.simulate import (
     NO_NOISE,

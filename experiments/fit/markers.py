@@ -12,9 +12,9 @@ import tyro
 from tqdm import tqdm
 
 from experiments.common import human, load_log, log_files, score, table, write
-from voodoo_jax.body import Body, segment_lengths, site_points
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import apply
+from voodoo_jax.model.body import Body, segment_lengths, site_points
 
 LIMBS = ("upper_arm", "forearm", "thigh", "shank")
 NOTE = """

@@ -17,11 +17,11 @@ from tqdm import tqdm
 
 from experiments.common import DEMO, human, load_dims, load_log, log_files, score
 from experiments.fit.__main__ import LIMBS, SURFACE, exercise, exercised, of_size, off, recording_of
-from voodoo_jax.body import Body, scaled, segment_lengths, with_proportions
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_body import Seen, fit, fit_tracked
 from voodoo_jax.fit_result import Fit
+from voodoo_jax.model.body import Body, scaled, segment_lengths, with_proportions
 from voodoo_jax.simulate import NO_NOISE, TOF_NOISE, Room, simulate
 
 WRONG: dict[str, float] = dict.fromkeys(LIMBS, 1.08)  # upper arms, forearms, thighs and shanks are each 8 % too long

@@ -15,12 +15,12 @@ import tyro
 from tqdm import tqdm
 
 from experiments.common import MEAN_HEAD, Log, Score, halves, human, load_logs, log_files, mean_row, score, table, write
-from voodoo_jax.body import Body
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_body import Seen, fit_tracked
 from voodoo_jax.fit_frames import Truth
 from voodoo_jax.fit_result import Fit
+from voodoo_jax.model.body import Body
 
 
 def tuned(body: Body, found: Fit) -> Body:

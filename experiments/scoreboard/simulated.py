@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import voodoo_jax as vj
-from voodoo_jax.body import scaled, site_points
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.mcap_sim import depth_image, foxglove_log, put_camera, write_simulation
+from voodoo_jax.model.body import scaled, site_points
 from voodoo_jax.simulate import Camera, Motion, Room, Simulation, make_motion, placed, simulate, tof_camera
 
 TOGETHER = 17_000_000  # nanoseconds: half a frame at 30 Hz

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 import voodoo_jax as vj
 from experiments.common import NEAR_NS, SKIP, errors, grade, nearest, off
-from voodoo_jax.body import segment_lengths
+from voodoo_jax.model.body import segment_lengths
 
 INSIDE = float(chi2.ppf(0.95, 3))  # squared Mahalanobis distance that holds 95 % of a normal distribution in space
 WRONG = 0.20  # metres of mean joint error: the log is of somebody or something else, or turned round

@@ -7,8 +7,8 @@ import numpy as np
 
 from experiments.judged import Recorded
 from experiments.stress.sensing import SENSING, at_distances, with_points
-from voodoo_jax.body import Body
 from voodoo_jax.config.options import Settings
+from voodoo_jax.model.body import Body
 from voodoo_jax.person_frame import with_places
 from voodoo_jax.recording import Pairs, Rays
 from voodoo_jax.tracker import find_person

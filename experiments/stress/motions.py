@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.body_file import format_body, parse_body
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.body_file import format_body, parse_body
 from voodoo_jax.simulate import Motion, _ease, _grounded, _motion, pose_body
 
 RATE = 30.0  # frames per second

@@ -36,7 +36,7 @@ from experiments.stress.motions import (
     turning,
     with_neck,
 )
-from voodoo_jax.body import Body, joint_centres, scaled, segment_lengths
+from voodoo_jax.model.body import Body, joint_centres, scaled, segment_lengths
 from voodoo_jax.recording import Frame
 from voodoo_jax.simulate import (
     FIXED_FRAME,

@@ -13,9 +13,9 @@ from tqdm import tqdm
 
 import voodoo_jax.config.presets
 from experiments.common import DEMO, Score, human, load_logs, score, table, without_features, write
-from voodoo_jax.body import Body
 from voodoo_jax.config.options import Settings
-from voodoo_jax.io.body_file import load_body
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.body_file import load_body
 
 PAPER = (5, 32, 63)  # of 100 sequences of ten movements, graded by hand
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voodoo_jax.body import segment_lengths
+from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.storage.atomic import replacing
 
 if TYPE_CHECKING:

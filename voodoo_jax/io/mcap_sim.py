@@ -16,7 +16,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import segment_lengths
+from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.simulate import Camera, Simulation
 from voodoo_jax.storage.atomic import replacing
 

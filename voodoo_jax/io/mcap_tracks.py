@@ -31,8 +31,8 @@ from jaxtyping import Float
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from voodoo_jax.body import Body
-from voodoo_jax.io.body_file import format_body
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.body_file import format_body
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.tracks import Status, Tracks
 

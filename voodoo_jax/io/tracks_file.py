@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.body import segment_lengths
-from voodoo_jax.io.body_file import format_body, parse_body
+from voodoo_jax.model.body import segment_lengths
+from voodoo_jax.model.body_file import format_body, parse_body
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.tracks import Tracks
 

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from voodoo_jax.body import Links
 from voodoo_jax.geometry.rigid import Poses, compose, inverse, matrix, rotate, unrotate
+from voodoo_jax.model.body import Links
 
 
 def _pair_moments(

@@ -14,8 +14,8 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
-from voodoo_jax.body import Links, LinkTables, Topology, tree_order
 from voodoo_jax.geometry.rigid import Poses, matrix, quat_exp
+from voodoo_jax.model.body import Links, LinkTables, Topology, tree_order
 
 TURN_RADIUS = 0.1  # metres: what turns by one radian moves by so much
 

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from voodoo_jax.body import Body
 from voodoo_jax.geometry.rigid import Poses, rotate, unrotate
+from voodoo_jax.model.body import Body
 
 
 class Features(eqx.Module):

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from voodoo_jax.body import Body, Links, Topology
 from voodoo_jax.geometry.rigid import Poses, apply, quat_conjugate, quat_exp, quat_log, quat_multiply, rotate, unrotate
+from voodoo_jax.model.body import Body, Links, Topology
 
 
 class PlausibleOptions(eqx.Module):

@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, tree_order, with_rest_from_joints
 from voodoo_jax.geometry.rigid import Poses, on_device, on_host
+from voodoo_jax.model.body import Body, tree_order, with_rest_from_joints
 
 SHOULDERS, HIPS = ("l_shoulder", "r_shoulder"), ("l_hip", "r_hip")
 Turn = tuple[str, str, float]  # joint, axis, degrees

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.body import Body, Topology, scaled, tree_order, with_rest_from_joints
 from voodoo_jax.config.options import Change, SettingsError
 from voodoo_jax.geometry.rigid import Poses, compose, inverse
-from voodoo_jax.io.body_file import load_body
+from voodoo_jax.model.body import Body, Topology, scaled, tree_order, with_rest_from_joints
+from voodoo_jax.model.body_file import load_body
 
 
 def attach(

@@ -7,8 +7,8 @@ that: nobody sees how far a round thigh is turned about its axis, so a tracked o
 import numpy as np
 from jaxtyping import Float, Float32
 
-from voodoo_jax.body import Body, Topology, tree_order
 from voodoo_jax.geometry.rigid import quat_conjugate, quat_multiply, rotate, unrotate
+from voodoo_jax.model.body import Body, Topology, tree_order
 
 ROUND = 0.8  # a limb whose smaller axis is more than this share of the larger one is round
 TWISTS = 13  # of a round limb that are tried, over the range that its joint allows

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.body import Body, Topology
 from voodoo_jax.geometry.rigid import Poses, on_device
-from voodoo_jax.io.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
+from voodoo_jax.model.body import Body, Topology
+from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
 from voodoo_jax.storage.atomic import replacing
 
 HEADER = """\
@@ -60,7 +60,7 @@ def load_on_host(name_or_path: str | os.PathLike) -> Body:
     """As load_body, of NumPy arrays: jax's device is left alone."""
     text = str(name_or_path)
     if text in BUILT_IN:
-        resource = resources.files("voodoo_jax.bodies") / f"{text}.toml"
+        resource = resources.files("voodoo_jax.model.bodies") / f"{text}.toml"
         return _parsed(resource.read_text(encoding="utf-8"), f"{text}.toml")
     if not Path(text).exists() and Path(text).suffix == "" and Path(text).name == text:
         raise BodyFileError(text, None, f"no such file, and no built-in body of that name{nearest(text, BUILT_IN)}")

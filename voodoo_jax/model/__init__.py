@@ -1,0 +1,4 @@
+"""What a body is, and its files.
+
+Public: `body.Body`, `body_file.human`, `body_file.load_body`, `body_file.read_body`, `attachments.attach`.
+"""
