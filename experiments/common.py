@@ -21,11 +21,11 @@ from voodoo_jax.fit_frames import Truth, read_truth
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.recording import Pairs, Rays
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Pairs, Rays
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.tracker import find_person, track_person
-from voodoo_jax.tracks import Tracks
 
 DEMO = Path(__file__).parents[1] / "voodoo_jax" / "data"  # the recording that the package brings along
 SKIP = 0.5  # seconds of the truth's beginning that are not scored: the tracker finds the body there

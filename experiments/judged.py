@@ -17,9 +17,9 @@ from voodoo_jax.compile_cache import cache_folder, keep_compiled, use_compile_ca
 from voodoo_jax.config.options import Settings
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.model.body import Body, segment_lengths
-from voodoo_jax.recording import Frame
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.tracker import find_person
-from voodoo_jax.tracks import Tracks
 
 Job = TypeVar("Job")
 Out = TypeVar("Out")

@@ -4,7 +4,7 @@ import numpy as np
 import trimesh
 from small_rooms import ORIGIN
 
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 
 BOX = trimesh.creation.box((0.45, 0.5, 0.45))
 BOX.apply_transform(trimesh.transformations.rotation_matrix(0.75, [0, 0, 1]))

@@ -10,7 +10,7 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, joint_centres
-from voodoo_jax.passage import Rows
+from voodoo_jax.records.segment import Rows
 from voodoo_jax.session import Session
 from voodoo_jax.simulate import Simulation, _motion, placed, simulate, tof_camera
 from voodoo_jax.tracker import find_person

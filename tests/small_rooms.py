@@ -4,7 +4,7 @@ import numpy as np
 
 from voodoo_jax.candidate import Build
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.recording import Frame
+from voodoo_jax.records.recording import Frame
 
 ORIGIN = np.array([[0.0, 0.0, 1.2]], np.float32)
 FLOOR = Plane(np.array([0, 0, 1], np.float32), 0.0)

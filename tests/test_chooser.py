@@ -10,9 +10,9 @@ from voodoo_jax.candidate import candidate
 from voodoo_jax.chooser import ENOUGH, HELD, PATIENCE, Chooser, Follower
 from voodoo_jax.config.options import PersonSettings
 from voodoo_jax.person import PersonFinder
-from voodoo_jax.person_frame import whole
-from voodoo_jax.recording import Frame
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import whole
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
 from voodoo_jax.simulate import Box, hit_box
 
 SCENE = Scene(FLOOR, (), True)

@@ -11,9 +11,9 @@ from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.forearms import BY_NAMES, BY_POINTS, FARTHEST, FEW, HAND, Stretch, lengthened, stretch, with_forearms
 from voodoo_jax.model.body import scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.recording import Rays
-from voodoo_jax.tracks import Status
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Rays
+from voodoo_jax.records.tracks import Status
 
 BODY = scaled(human(), 1.8)
 NAMES = FeatureNames(BODY.topology, FeatureSettings())

@@ -10,7 +10,7 @@ from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.passage import rows_of
-from voodoo_jax.tracks import Status
+from voodoo_jax.records.tracks import Status
 
 BODY, COUNT = scaled(human(), 1.75), 30
 

@@ -22,8 +22,8 @@ from voodoo_jax.marker_start import agreed, first_pose, rigid
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, newington_hips, plain_name
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.recording import Pairs, Recording
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Pairs, Recording
 from voodoo_jax.simulate import make_motion, placed, pose_body, sequence
 from voodoo_jax.tracker import track
 

@@ -11,8 +11,8 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body_file import human
 from voodoo_jax.noise import FEWEST, range_noise, weighed
 from voodoo_jax.notes import notes_on
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.scene import Scene
 from voodoo_jax.session import Session
 from voodoo_jax.tracking import options_from
 

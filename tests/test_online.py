@@ -12,10 +12,10 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.config.presets import online
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.model.body_file import human
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.tracker import find_person, track_person
-from voodoo_jax.tracks import Status, Tracks
 
 SETTINGS = online(Settings())
 CUT = 60

@@ -15,9 +15,10 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import components
 from voodoo_jax.person import PersonFinder
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.recording import Frame
-from voodoo_jax.scene import Scene, find_scene
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.scene import find_scene
 
 
 def heights_of(scene: Scene, points) -> np.ndarray:

@@ -26,6 +26,7 @@ from voodoo_jax.io.mcap_log import open_log, read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
+from voodoo_jax.records.tracks import Status
 from voodoo_jax.replay import output_paths, replay
 from voodoo_jax.result_folders import folders_within
 from voodoo_jax.simulate import (
@@ -39,7 +40,6 @@ from voodoo_jax.simulate import (
     tof_camera,
 )  # fmt: skip
 from voodoo_jax.tracker import find_person
-from voodoo_jax.tracks import Status
 
 DEMO = Path(str(files("voodoo_jax") / "data" / "demo.mcap"))
 DEMO_TRUTH = DEMO.with_name("demo.truth.npz")

@@ -23,7 +23,7 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.recording import Recording
+from voodoo_jax.records.recording import Recording
 from voodoo_jax.simulate import Camera, Motion, Room, make_motion, placed, pose_body, render, simulate
 from voodoo_jax.tracker import track
 

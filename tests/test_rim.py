@@ -12,7 +12,7 @@ RIM = ("mcap", "trimesh", "matplotlib", "rosbags", "foxglove_schemas_protobuf", 
     "modules,forbidden",
     [
         (("kernels.correspond", "kernels.coupled", "icp", "tracking"), RIM),
-        (("recording", "config.options", "person"), (*RIM, "jax")),
+        (("records.recording", "config.options", "person"), (*RIM, "jax")),
     ],
 )
 def test_imports(modules, forbidden):

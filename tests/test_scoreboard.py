@@ -24,7 +24,7 @@ from experiments.scoreboard.kept import merged, page_text
 from experiments.scoreboard.people_score import Counts, counted, figures, score_people
 from experiments.scoreboard.promises import field_cases, real_sensors
 from experiments.scoreboard.run import measure
-from voodoo_jax.tracks import Status
+from voodoo_jax.records.tracks import Status
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.passage import rows_of
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.tracks import Status
 from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms, other_legs
 from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
-from voodoo_jax.tracks import Status
 
 BODY = scaled(human(), 1.75)
 

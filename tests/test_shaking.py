@@ -12,9 +12,9 @@ import voodoo_jax as vj
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.mcap_log import open_log
-from voodoo_jax.person_frame import whole
-from voodoo_jax.recording import Pairs, Rays, Recording
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import whole
+from voodoo_jax.records.recording import Pairs, Rays, Recording
+from voodoo_jax.records.scene import Scene
 from voodoo_jax.shaking import Planes, as_measured, steadied, steady_scene, to_fixed
 
 WALL = Plane(np.array([-1, 0, 0], np.float32), -4.5)

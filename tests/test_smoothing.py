@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.model.body_file import human
+from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.smoothing import smooth
-from voodoo_jax.tracks import Status, Tracks
 
 BODY = human()
 JOINTS, LIMBS = len(BODY.topology.centres), BODY.limb_count

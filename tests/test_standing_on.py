@@ -12,8 +12,9 @@ import voodoo_jax as vj
 from voodoo_jax.config.options import PersonSettings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.mcap_log import open_log
-from voodoo_jax.recording import Recording
-from voodoo_jax.scene import Scene, find_scene
+from voodoo_jax.records.recording import Recording
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.scene import find_scene
 from voodoo_jax.standing_on import on_its_floor
 
 BODY, UP = build_of(), np.array([0, 0, 1], np.float32)

@@ -16,7 +16,7 @@ from voodoo_jax.io.mcap_tracks import limb_mesh
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.rest_shape import rest_box, rest_height
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.session import Session
 from voodoo_jax.simulate import Motion, _motion, make_motion, placed, sequence, simulate, tof_camera
 from voodoo_jax.start import facing, measured_height, place, sized, standing_places

@@ -14,7 +14,7 @@ from voodoo_jax.io.mcap_tracks import limb_mesh, write_tracks_mcap
 from voodoo_jax.io.tracks_file import TracksFileError, read_tracks_npz, write_tracks_npz
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import load_body, parse_body
-from voodoo_jax.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Status, Tracks
 
 FRAMES = 75
 START = 1_700_000_000_123_456_789

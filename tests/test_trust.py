@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from voodoo_jax.model.body_file import human
-from voodoo_jax.tracks import Status, expected_share
+from voodoo_jax.records.tracks import Status, expected_share
 from voodoo_jax.trust import (
     ONE_PASS,
     THERE_AND_BACK,

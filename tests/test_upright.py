@@ -7,8 +7,9 @@ from small_rooms import FLOOR, box, build_of, figure, frame, room
 
 import voodoo_jax.upright
 from voodoo_jax.config.options import PersonSettings
-from voodoo_jax.recording import Frame
-from voodoo_jax.scene import Scene, find_scene, shows_floor
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.scene import find_scene, shows_floor
 from voodoo_jax.upright import upright
 
 BODY, UP = build_of(), np.array([0, 0, 1], np.float32)

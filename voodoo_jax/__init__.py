@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from voodoo_jax.model.body_file import write_body as write_body
     from voodoo_jax.picture import picture
     from voodoo_jax.picture import show as show
-    from voodoo_jax.recording import Recording as Recording
+    from voodoo_jax.records.recording import Recording as Recording
+    from voodoo_jax.records.tracks import Tracks as Tracks
     from voodoo_jax.replay import replay
     from voodoo_jax.smoothing import smooth as smooth
     from voodoo_jax.together import track_many as track_many
     from voodoo_jax.tracker import track as track
-    from voodoo_jax.tracks import Tracks as Tracks
 
     read_tracks, write_tracks = read_tracks_npz, write_tracks_npz
     save_picture, replay_logs = picture, replay
@@ -50,9 +50,9 @@ _PUBLIC = {
     "Change": ("config.options", "Change"),
     "FitSettings": ("config.fit_options", "FitSettings"),
     "LogError": ("io.mcap_log", "LogError"),
-    "Recording": ("recording", "Recording"),
+    "Recording": ("records.recording", "Recording"),
     "Settings": ("config.options", "Settings"),
-    "Tracks": ("tracks", "Tracks"),
+    "Tracks": ("records.tracks", "Tracks"),
     "attach": ("model.attachments", "attach"),
     "fit": ("fit_body", "fit"),
     "human": ("model.body_file", "human"),

@@ -11,7 +11,7 @@ from voodoo_jax.kernels.correspond import FREE, ON_BODY, Points
 from voodoo_jax.kernels.features import Features
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, plain_name
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 
 # Point capacities; a program is compiled once for each that occurs.
 BUCKETS = (256, 512, 1024, 2048, 4096, 8192)

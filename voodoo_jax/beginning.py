@@ -12,7 +12,7 @@ from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.marker_log import TO_START, marker_start
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.session import FEW_POINTS, Session, first_run
 from voodoo_jax.start import facing, opposite, sized, standing_places, unlikely
 

@@ -17,9 +17,9 @@ from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.geometry.voxels import Cells, cells_of, touching
 from voodoo_jax.hiding import Nearest
 from voodoo_jax.person import PersonFinder
-from voodoo_jax.person_frame import PersonFrame, assigned, whole
-from voodoo_jax.recording import Frame
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import PersonFrame, assigned, whole
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
 
 CELL = 0.05  # metres: what is in the next cell but one has moved
 MOVED = 0.03  # of a thing's points that are where it was not, and of its places where it is no more: it has moved

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from voodoo_jax.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks
 
 
 def joint_errors(tracks: Tracks, truth: dict[str, np.ndarray]) -> np.ndarray:

@@ -25,11 +25,11 @@ from voodoo_jax.fit_result import Fit
 from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.fit_user import minimised
 from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.recording import Recording
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Recording
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.tracking import options_from
-from voodoo_jax.tracks import Tracks
 
 SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
 SURE = 2.0  # a size that moved by less than so many of its spreads between parts of the recordings stays

@@ -19,10 +19,10 @@ from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.fit_objective import FitFrames
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Topology
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.recording import Pairs, Rays
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Pairs, Rays
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.shaking import as_measured
-from voodoo_jax.tracks import Tracks
 
 RUNS, EVERY = 16, 3  # a log is cut into so many runs of time; every third is fitted to, the others judge
 FEWEST = 8  # frames to fit to

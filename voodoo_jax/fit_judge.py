@@ -13,7 +13,7 @@ from scipy import stats
 
 from voodoo_jax.fit_frames import EVERY, HALF_FRAME_NS, RUNS, Truth, runs
 from voodoo_jax.fit_parameters import SYSTEMATIC
-from voodoo_jax.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks
 
 ERROR = 0.05  # how often a body that is no better may pass for better because of noise
 UNLIKELY = 0.05  # how often sizes that are right may move so far because a person is not made of cylinders

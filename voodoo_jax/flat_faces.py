@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.person_frame import PersonFrame, assigned
+from voodoo_jax.records.observation import PersonFrame, assigned
 from voodoo_jax.resting import Resting, resting
 
 NEIGHBOURS, NEAR = 20, (0.06, 3.0)  # by which a normal is found: how many at most, within metres and pixels

@@ -15,12 +15,13 @@ from voodoo_jax.front_or_back import likelier_way
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.jumps import without_jumps
 from voodoo_jax.model.body import Body
-from voodoo_jax.passage import PASSAGE, Rows, rows_of
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.passage import rows_of
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.segment import PASSAGE, Rows
+from voodoo_jax.records.tracks import Status
 from voodoo_jax.second_look import looked_again
 from voodoo_jax.session import Session, first_run
 from voodoo_jax.tracking import State, at_rest
-from voodoo_jax.tracks import Status
 
 Progress = Callable[[int], None]
 SPAN = 1800  # frames after which a passage is tracked back, even if it goes on

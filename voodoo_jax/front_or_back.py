@@ -7,7 +7,8 @@ from voodoo_jax.beginning import RIVAL, Beginning
 from voodoo_jax.crossed_legs import uncrossed
 from voodoo_jax.geometry.rigid import on_host
 from voodoo_jax.model.body import Body
-from voodoo_jax.passage import WRONG_WAY, Rows, bent, rows_of, there_and_back
+from voodoo_jax.passage import WRONG_WAY, bent, rows_of, there_and_back
+from voodoo_jax.records.segment import Rows
 from voodoo_jax.session import Session
 from voodoo_jax.start import facing
 from voodoo_jax.tracking import State

@@ -9,7 +9,7 @@ from voodoo_jax.config.options import PersonSettings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import cells_of, components, touching, unique_cells, within
 from voodoo_jax.person import stands_aside
-from voodoo_jax.person_frame import PersonFrame, assigned
+from voodoo_jax.records.observation import PersonFrame, assigned
 
 WINDOW = 1800  # frames by which furniture is told from the body at once
 AWAY = 0.55  # metres from the body's axis: not part of it

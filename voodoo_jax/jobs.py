@@ -14,8 +14,8 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.outcomes import Outcome, outcome_of
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined
-from voodoo_jax.tracks import Tracks
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
 Visit = Callable[..., Any]  # session.Visit, which takes long to import
@@ -86,7 +86,7 @@ def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: 
     frames only."""
     from voodoo_jax.io.mcap_log import open_log
     from voodoo_jax.picture import picture, spread
-    from voodoo_jax.recording import Recording
+    from voodoo_jax.records.recording import Recording
 
     reader = open_log(log or tracks.source, settings.read)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())

@@ -10,11 +10,11 @@ from scipy.spatial import KDTree
 from voodoo_jax.furniture import WINDOW
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
-from voodoo_jax.passage import Rows
-from voodoo_jax.person_frame import PersonFrame, assigned
+from voodoo_jax.records.observation import PersonFrame, assigned
+from voodoo_jax.records.segment import Rows
+from voodoo_jax.records.tracks import Status
 from voodoo_jax.resting import resting
 from voodoo_jax.session import spans
-from voodoo_jax.tracks import Status
 
 WELL = 0.99  # of the points explained, mean of all frames: nothing is left over
 EVERY = 3  # of the frames in which things at rest are seen, one is looked at

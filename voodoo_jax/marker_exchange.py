@@ -12,7 +12,7 @@ from jaxtyping import Bool
 
 from voodoo_jax.marker_sizes import Fit, Markers, fit_markers
 from voodoo_jax.model.body import Body
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 
 JUMP = 0.03  # metres: shorter jumps are motion
 NEAR = 0.3  # of the jump: how near to the other one's place a marker lands

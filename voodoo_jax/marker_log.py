@@ -14,8 +14,8 @@ from voodoo_jax.kernels.features import named_points
 from voodoo_jax.marker_exchange import Exchange, sides
 from voodoo_jax.marker_sizes import Markers, fit_markers, personal
 from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.recording import Pairs
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Pairs
 
 ENOUGH = 4  # named points in a frame to track by
 TO_START = 6  # and to start from

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial import KDTree
 
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 
 MOST, ASKED = 3000, 150  # points that neighbours are looked for among, and points whose neighbours are looked at
 NEIGHBOURS = 9  # of a point, itself among them: a plane has three numbers

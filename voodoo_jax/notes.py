@@ -8,9 +8,9 @@ from voodoo_jax.marker_exchange import Exchange
 from voodoo_jax.marker_log import TO_START
 from voodoo_jax.marker_notes import marker_notes
 from voodoo_jax.model.body import Body
-from voodoo_jax.passage import Rows
+from voodoo_jax.records.segment import Rows
+from voodoo_jax.records.tracks import Status
 from voodoo_jax.session import Session
-from voodoo_jax.tracks import Status
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
 NOISY = 0.05  # metres: more than a depth camera's noise at 5 m

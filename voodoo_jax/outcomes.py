@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.urls import fetched, joined
-from voodoo_jax.tracks import Tracks
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,19 @@
 """A passage, the frames from one start of the tracker to the next: tracked there and back in time, and made one."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from voodoo_jax.beginning import fresh
 from voodoo_jax.both_ways import Pass, combined
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.joint_bend import wrong_bend
+from voodoo_jax.records.segment import SEEN, Rows, part, pose_at
+from voodoo_jax.records.tracks import Status
 from voodoo_jax.session import Session, status_of
 from voodoo_jax.tracking import Step, cost_of
-from voodoo_jax.tracks import Status
 
-Rows = dict[str, np.ndarray]  # arrays of Tracks, and "cost" [frame], square metres; leading axis: frame
-# what tracks take from each Step as it is
-SEEN = {name: name for name in ("residual", "explained", "steps", "limb_weight")} | {"limb_covariance": "covariance"}
 FREE_BEND = 0.17  # radians beyond a joint's limits that say nothing: people differ
 WRONG_WAY = 0.1  # radians beyond, mean of all joints and frames, that count as much as costs e times higher
-PASSAGE = ("status", "rotation", "translation", "cost", "passes_apart", *SEEN)
 
 
 def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
@@ -27,25 +24,6 @@ def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
     rows |= {name: getattr(step, field) for name, field in SEEN.items()}
     rows["passes_apart"] = np.full_like(rows["limb_weight"], np.nan)  # of one pass nobody knows
     return {"status": status} | {name: np.asarray(row)[:count] for name, row in rows.items()}
-
-
-def pose_at(rows: Rows, at: int) -> Poses:
-    """The pose in one of the frames."""
-    return Poses(rows["rotation"][at], rows["translation"][at])
-
-
-def part(rows: Rows, begin: int | None, end: int | None) -> Rows:
-    """Some of the frames."""
-    return {name: row[begin:end] for name, row in rows.items()}
-
-
-def with_part(rows: Rows, begin: int, other: Rows, taken: Bool[np.ndarray, " frame"]) -> Rows:
-    """The rows with those of other ones that begin in frame `begin`, where they are taken."""
-    at = begin + np.flatnonzero(taken)
-    found = {name: np.array(row) for name, row in rows.items()}
-    for name, row in found.items():
-        row[at] = other[name][taken]
-    return found
 
 
 def there_and_back(run: Session, first: int, forward: Rows) -> Rows:

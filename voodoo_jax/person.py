@@ -15,9 +15,10 @@ from voodoo_jax.config.options import PersonSettings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
-from voodoo_jax.person_frame import PersonFrame, assigned, whole
-from voodoo_jax.recording import Frame
-from voodoo_jax.scene import BEHIND, Scene
+from voodoo_jax.records.observation import PersonFrame, assigned, whole
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.scene import BEHIND
 
 STILL = 0.06  # metres from one frame's points to those of the frame before, of things that do not move
 APART = 0.6  # of a thing's points: so many where something was apart from the body make it that

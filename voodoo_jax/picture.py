@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.records.recording import Frame, Recording
+from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.tracks import Status, Tracks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

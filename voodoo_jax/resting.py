@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from voodoo_jax.geometry.point_cloud import point_spacing
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 
 FRAMES = 90  # are looked at, evenly spread
 OFTEN, FEWEST = 0.25, 8  # of them in which a thing at rest is seen, and how many at least

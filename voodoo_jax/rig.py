@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from voodoo_jax.geometry.lens import distort, undistort
-from voodoo_jax.io.contents import Calibration
+from voodoo_jax.records.messages import Calibration
 
 Map = Float32[np.ndarray, "row column 2"]
 

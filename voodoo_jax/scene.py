@@ -1,30 +1,21 @@
 """Floor and walls of a room, as planes, from a few frames. Host side, NumPy."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float32
 
 from voodoo_jax.geometry.plane import MANY, Plane, fit_plane
 from voodoo_jax.geometry.voxels import cells_of, touching
-from voodoo_jax.person_frame import PersonFrame, assigned, whole
-from voodoo_jax.recording import Frame
+from voodoo_jax.records.observation import PersonFrame, assigned, whole
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
 
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
 SLANTED = 0.9  # cosine: a floor that is so far from where it was thought to be is looked for once more
 COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
-
-
-@dataclass(frozen=True)
-class Scene:
-    """The room's planes, found once from the first frames."""
-
-    floor: Plane  # normal upwards
-    walls: tuple[Plane, ...]  # normals towards the first sensor
-    floor_seen: bool  # False: no floor was visible
-    floor_open: bool = False  # nor is it known where it is: the lowest points stand for it, and it may be lower
 
 
 def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bool = True) -> Scene:

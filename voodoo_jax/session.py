@@ -18,11 +18,11 @@ from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_table
 from voodoo_jax.model.attachments import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import Stance
-from voodoo_jax.person_frame import PersonFrame
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.tracks import Status
 from voodoo_jax.start import Trial, in_pieces, run_trials
 from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, at_rest, track_visits
-from voodoo_jax.tracks import Status
 
 THING_FRAMES = 2  # times the frames of a start: a held thing has few points to tell where it points
 FEW_POINTS = 20  # fewer on the body: nothing to track by

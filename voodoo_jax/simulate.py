@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import Poses, apply, compose, inverse, quat_exp, quat_multiply, unrotate
 from voodoo_jax.model.body import Body, joint_centres, tree_order
-from voodoo_jax.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Status, Tracks
 
 MOTIONS = ("stand", "wave", "bow", "walk", "swing")
 FIXED_FRAME = "base"

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int64
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks
 
 
 def smooth(tracks: Tracks, seconds: float = 0.033) -> Tracks:

@@ -8,7 +8,7 @@ from typing import IO
 
 import numpy as np
 
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 
 BLOCK = 64 << 20  # bytes of points that stay in memory, and are written at once
 ARRAYS = ("points", "sensor", "part", "weight")

@@ -10,8 +10,8 @@ from voodoo_jax.candidate import Build
 from voodoo_jax.config.options import PersonSettings
 from voodoo_jax.geometry.voxels import cells_of, unique_cells, within
 from voodoo_jax.person import PersonFinder
-from voodoo_jax.recording import Frame
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
 
 LOWEST, HIGHEST = 0.08, 0.45  # metres above the floor: of its top
 BIN = 0.02  # metres of height in which points are counted

@@ -14,7 +14,7 @@ from voodoo_jax.geometry.point_cloud import point_gap, point_spacing
 from voodoo_jax.geometry.rigid import AnyArray, Poses, compose, on_host, rotate, unrotate
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.rest_shape import rest_height
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.tracking import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from voodoo_jax.disparity import NOWHERE, Grey, Pixels, agreed, at_edges, brightness, mirror, places, refined
-from voodoo_jax.io.contents import stride
+from voodoo_jax.records.messages import stride
 from voodoo_jax.rig import Rig
 
 WIDEST = 1000  # pixels; wider images are halved before they are matched, until they are not

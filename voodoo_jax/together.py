@@ -10,10 +10,10 @@ from voodoo_jax.compile_cache import users_cache
 from voodoo_jax.config.options import Settings
 from voodoo_jax.lanes import in_lanes, usual_lanes
 from voodoo_jax.model.body import Body
-from voodoo_jax.recording import Recording
+from voodoo_jax.records.recording import Recording
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.session import Visit
 from voodoo_jax.tracker import find_person, track_person
-from voodoo_jax.tracks import Tracks
 
 
 @users_cache()

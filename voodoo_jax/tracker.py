@@ -35,18 +35,18 @@ from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.noise import weighed
 from voodoo_jax.notes import notes_on
-from voodoo_jax.passage import Rows
 from voodoo_jax.person import PersonFinder
-from voodoo_jax.person_frame import PersonFrame
 from voodoo_jax.programs import program, seconds_of_waiting
-from voodoo_jax.recording import Frame, Rays, Recording
-from voodoo_jax.scene import Scene
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Frame, Rays, Recording
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.segment import Rows
+from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
 from voodoo_jax.shaking import steadied, steady_scene, to_fixed
 from voodoo_jax.spill import spilled
 from voodoo_jax.standing_on import on_its_floor
 from voodoo_jax.tracking import options_from
-from voodoo_jax.tracks import Status, Tracks
 from voodoo_jax.trust import doubted, joint_confidence, marker_confidence
 from voodoo_jax.uncertainty import covariances
 from voodoo_jax.upright import upright

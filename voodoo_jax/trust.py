@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, Int8
 from scipy.special import expit
 
 from voodoo_jax.model.body import Topology
-from voodoo_jax.tracks import Status, expected_share
+from voodoo_jax.records.tracks import Status, expected_share
 
 CLOSE = 0.10  # metres
 SIGNS = ("joint_covariance", "residual", "explained", "limb_weight", "passes_apart")  # arrays of Tracks that tell

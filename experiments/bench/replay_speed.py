@@ -33,10 +33,10 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.person_frame import PersonFrame
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.tracker import find_person, track_person
 from voodoo_jax.tracking import Step, at_rest, options_from, track_chunk
-from voodoo_jax.tracks import Tracks
 
 ROOT = Path(__file__).parents[2]
 JITTER = 0.002  # metres

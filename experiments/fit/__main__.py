@@ -27,7 +27,7 @@ from voodoo_jax.fit_frames import Truth
 from voodoo_jax.fit_loop import FitError
 from voodoo_jax.fit_result import Fit
 from voodoo_jax.model.body import Body, scaled, segment_lengths, with_proportions
-from voodoo_jax.recording import Frame, Recording
+from voodoo_jax.records.recording import Frame, Recording
 from voodoo_jax.simulate import (
     NO_NOISE,
     TOF_NOISE,

@@ -38,7 +38,7 @@ from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, bucket, pad_features
 from voodoo_jax.config.options import Settings
 from voodoo_jax.kernels.correspond import Points
 from voodoo_jax.kernels.features import Features
-from voodoo_jax.recording import Pairs, Rays
+from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.tracking import track_chunk
 
 WEIGHTS = ("1", "10", "random")

@@ -15,7 +15,7 @@ from experiments.people.motions import RATE, Clip, after_standing, read_clip
 from experiments.people.sight import before, in_camera, pixels
 from experiments.people.takes import CAMERAS, CLIPS
 from voodoo_jax.config.options import Settings
-from voodoo_jax.recording import Frame
+from voodoo_jax.records.recording import Frame
 from voodoo_jax.simulate import Box, Camera, Room, add_noise, render_room
 from voodoo_jax.tracker import find_person
 

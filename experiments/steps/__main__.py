@@ -30,8 +30,8 @@ from experiments.common import (
     write,
 )  # fmt: skip
 from voodoo_jax.config.options import Settings
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.tracking import TrackOptions, options_from
-from voodoo_jax.tracks import Tracks
 
 PAPER_STEPS = 6  # "a good trade-off"
 

@@ -37,7 +37,7 @@ from experiments.stress.motions import (
     with_neck,
 )
 from voodoo_jax.model.body import Body, joint_centres, scaled, segment_lengths
-from voodoo_jax.recording import Frame
+from voodoo_jax.records.recording import Frame
 from voodoo_jax.simulate import (
     FIXED_FRAME,
     TOF_NOISE,

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from experiments.common import slow_noise
 from experiments.judged import Recorded
-from voodoo_jax.person_frame import with_places
-from voodoo_jax.recording import Frame
+from voodoo_jax.records.observation import with_places
+from voodoo_jax.records.recording import Frame
 from voodoo_jax.simulate import Box, hit_box
 
 DARK = 0.15  # of their points are left where clothes or hair swallow the light

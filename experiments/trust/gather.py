@@ -10,7 +10,7 @@ from experiments.common import errors, human, nearest
 from experiments.judged import root_near, whole
 from experiments.stress.changes import changes
 from voodoo_jax.config.options import Settings
-from voodoo_jax.tracks import Status
+from voodoo_jax.records.tracks import Status
 from voodoo_jax.trust import CLOSE, SIGNS, clues
 
 

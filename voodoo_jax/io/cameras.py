@@ -1,8 +1,8 @@
 """Which calibration, and which coordinate frame, belongs to a topic."""
 
-from voodoo_jax.io.contents import Calibration, Image
 from voodoo_jax.io.decode import DEPTH_KINDS
 from voodoo_jax.io.topic import Topic
+from voodoo_jax.records.messages import Calibration, Image
 
 
 def bare(topic: str) -> str:

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from voodoo_jax.io.contents import Colour, Image, frame_name, pb_stamp, ros_stamp
 from voodoo_jax.io.packed_depth import packed_depth
 from voodoo_jax.io.pictures import PIXELS
+from voodoo_jax.records.messages import Colour, Image, frame_name, pb_stamp, ros_stamp
 
 COLOUR_KIND = "colour image"
 

@@ -5,7 +5,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.io.contents import (
+from voodoo_jax.io.decode_colour import colour_image
+from voodoo_jax.io.pictures import PIXELS
+from voodoo_jax.io.transforms import Transform
+from voodoo_jax.records.messages import (
     DEPTH_ENCODINGS,
     Calibration,
     Cloud,
@@ -16,9 +19,6 @@ from voodoo_jax.io.contents import (
     xyz,
     xyzw,
 )
-from voodoo_jax.io.decode_colour import colour_image
-from voodoo_jax.io.pictures import PIXELS
-from voodoo_jax.io.transforms import Transform
 
 # Signed and unsigned are swapped between the two: ROS INT8=1, UINT8=2; Foxglove UINT8=1, INT8=2.
 _ROS_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.io.contents import Features, Named, features, frame_name, pb_stamp, ros_stamp, xyz, xyzw
+from voodoo_jax.records.messages import Features, Named, features, frame_name, pb_stamp, ros_stamp, xyz, xyzw
 
 # visualization_msgs/msg/Marker
 _ADD, _DELETE, _DELETE_ALL = 0, 2, 3

@@ -9,12 +9,12 @@ from jaxtyping import Float, Int64
 
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.cameras import camera_of
-from voodoo_jax.io.contents import Calibration
 from voodoo_jax.io.frames import join, period_of
 from voodoo_jax.io.parts import Parts
 from voodoo_jax.io.scan import Scan
 from voodoo_jax.io.transforms import HOLD_NS
-from voodoo_jax.recording import Pairs, Rays
+from voodoo_jax.records.messages import Calibration
+from voodoo_jax.records.recording import Pairs, Rays
 
 
 @dataclass

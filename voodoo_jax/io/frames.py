@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Int64
 
-from voodoo_jax.io.contents import many
+from voodoo_jax.records.messages import many
 
 PAUSE_NS = 1_000_000_000  # so long a person is expected to be where she was
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int64
 
-from voodoo_jax.io.contents import Features, many
+from voodoo_jax.records.messages import Features, many
 
 
 @dataclass(frozen=True)

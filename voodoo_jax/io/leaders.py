@@ -3,8 +3,8 @@
 import numpy as np
 
 from voodoo_jax.io.cameras import calibration_of
-from voodoo_jax.io.contents import Colour, Image, stride
 from voodoo_jax.io.topic import Topic
+from voodoo_jax.records.messages import Colour, Image, stride
 
 _CELL = 0.1  # of azimuth and sine of the elevation: 0.01 steradians
 _THIN = 1 / 3  # of the densest sensor's density; a spinning scanner of 16 lines has a quarter of a small depth camera's

@@ -17,7 +17,6 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.cameras import bare, calibration_of
 from voodoo_jax.io.container import LogError, guarded
-from voodoo_jax.io.contents import Cloud, Image, many, stride
 from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
 from voodoo_jax.io.packed_depth import unpacked
 from voodoo_jax.io.plan import Plan, make_plan
@@ -25,7 +24,8 @@ from voodoo_jax.io.scan import Scan
 from voodoo_jax.io.stereo import StereoReader
 from voodoo_jax.io.survey import LogSurvey, TopicSurvey, survey
 from voodoo_jax.io.transforms import HOLD_NS
-from voodoo_jax.recording import Frame, Pairs, Rays, Recording
+from voodoo_jax.records.messages import Cloud, Image, many, stride
+from voodoo_jax.records.recording import Frame, Pairs, Rays, Recording
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 

@@ -33,8 +33,8 @@ from mcap_protobuf.schema import register_schema
 
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
+from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.tracks import Status, Tracks
 
 SCENE_PERIOD_NS = 1_000_000_000  # the body is written again this often, for readers that seek without looking back
 SAME_RATIO = 0.02  # ends whose axis ratios differ less are one CylinderPrimitive

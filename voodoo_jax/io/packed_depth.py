@@ -5,7 +5,7 @@ import struct
 import numpy as np
 from jaxtyping import Float32, Int, UInt16
 
-from voodoo_jax.io.contents import DEPTH_ENCODINGS, Image
+from voodoo_jax.records.messages import DEPTH_ENCODINGS, Image
 
 PNG = b"\x89PNG\r\n\x1a\n"
 HEADER = 12  # bytes before the packed image: int32 format, float32 parameters A and B

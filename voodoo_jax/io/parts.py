@@ -8,8 +8,8 @@ from jaxtyping import Int32
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.io.contents import Cloud
 from voodoo_jax.io.topic import DEPTH_USES, Topic
+from voodoo_jax.records.messages import Cloud
 
 FREE, BODY = "free", "body"
 _LABEL_NAME = re.compile(r"(\w+_)?(label|class|segment)(s|_?ids?)?", re.IGNORECASE)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from voodoo_jax.io.contents import Colour
+from voodoo_jax.records.messages import Colour
 
 # Bytes per pixel of the encodings that can be unpacked. ROS calls UYVY yuv422, and YUYV yuv422_yuy2.
 PIXELS = {

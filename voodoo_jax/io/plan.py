@@ -18,7 +18,7 @@ from voodoo_jax.io.scan import Scan
 from voodoo_jax.io.skin import add_rays, plan_skin
 from voodoo_jax.io.stereo import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
-from voodoo_jax.recording import Pairs, Rays
+from voodoo_jax.records.recording import Pairs, Rays
 
 NEEDED = (
     "Needed is a depth image (sensor_msgs/msg/Image or foxglove.RawImage, 16UC1 in mm or 32FC1 in m, or packed as "

@@ -9,7 +9,6 @@ from mcap.records import Channel, Schema
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.container import LogError, LogFile, guarded
-from voodoo_jax.io.contents import Calibration, Features, Image, many
 from voodoo_jax.io.decode import (
     DECODE_ERRORS,
     DEPTH_KINDS,
@@ -27,6 +26,7 @@ from voodoo_jax.io.stereo import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
 from voodoo_jax.io.uses import decide_uses
+from voodoo_jax.records.messages import Calibration, Features, Image, many
 
 
 class Scan:

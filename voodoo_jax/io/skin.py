@@ -10,13 +10,13 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.cameras import calibration_of
-from voodoo_jax.io.contents import Calibration, many
 from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frames import clean_stamps, join_one
 from voodoo_jax.io.parts import Parts
 from voodoo_jax.io.stereo import picture_of, rectified, scaled
 from voodoo_jax.io.topic import Topic
-from voodoo_jax.recording import Rays
+from voodoo_jax.records.messages import Calibration, many
+from voodoo_jax.records.recording import Rays
 
 if TYPE_CHECKING:
     from voodoo_jax.io.scan import Scan

@@ -11,11 +11,11 @@ from mcap.records import Channel, Message, Schema
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.cameras import calibration_of
-from voodoo_jax.io.contents import Calibration, Cloud, Colour, Image
 from voodoo_jax.io.decode import Decoder
 from voodoo_jax.io.frames import clean_stamps
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
+from voodoo_jax.records.messages import Calibration, Cloud, Colour, Image
 
 if TYPE_CHECKING:
     from voodoo_jax.stereo import StereoMatcher

@@ -10,8 +10,8 @@ import numpy as np
 
 from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.model.body_file import format_body, parse_body
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.tracks import Tracks
 
 FRAME_ARRAYS = (
     "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",

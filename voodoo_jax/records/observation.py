@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int32
 
-from voodoo_jax.recording import Frame, Pairs, Rays
+from voodoo_jax.records.recording import Frame, Pairs, Rays
 
 
 @dataclass(frozen=True)
