@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.config.options import SolveSettings, TrackSettings
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.icp import IcpOptions
-from voodoo_jax.kernels.correspond import Points
+from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.tracking import options_from

@@ -20,7 +20,7 @@ from helpers import (
 
 from voodoo_jax.fixed_point import solve_fixed_point
 from voodoo_jax.icp import Problem, solve_frame
-from voodoo_jax.kernels.correspond import Points
+from voodoo_jax.kernels.correspondences import Points
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

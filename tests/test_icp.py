@@ -32,8 +32,8 @@ from voodoo_jax.icp import (
     solve_and_measure,
     solve_frame,
 )
-from voodoo_jax.kernels.correspond import Points, match
-from voodoo_jax.kernels.coupled import stretched
+from voodoo_jax.kernels.correspondences import Points, match
+from voodoo_jax.kernels.gauss_newton import stretched
 from voodoo_jax.model.body_file import load_body
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")

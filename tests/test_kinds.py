@@ -11,8 +11,8 @@ from helpers import all_finite, cast, frame_points, icp_options, seen_points, tu
 
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.icp import Problem, adjacency, icp_step, solve_frame
-from voodoo_jax.kernels.correspond import FREE, ON_BODY, Points, match
-from voodoo_jax.kernels.features import Features, named_points
+from voodoo_jax.kernels.correspondences import FREE, ON_BODY, Points, match
+from voodoo_jax.kernels.landmarks import Features, named_points
 from voodoo_jax.model.body import joint_centres
 from voodoo_jax.model.body_file import human
 

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.icp import Problem, solve_frame
-from voodoo_jax.kernels.plausible import apart, check, contact_links, contacts, joint_angles, limit_links
+from voodoo_jax.kernels.joint_limits import check, joint_angles, limit_links
+from voodoo_jax.kernels.self_collision import apart, contact_links, contacts
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.simulate import pose_body
 

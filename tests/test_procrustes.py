@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import matrix
-from voodoo_jax.kernels.procrustes import align, horn_matrix, top_eigenpair
+from voodoo_jax.kernels.absolute_orientation import align, horn_matrix, top_eigenpair
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from helpers import central_difference, frustum_mesh, inside_limb
 
-from voodoo_jax.kernels.surface import SurfacePoint, closest_point, near_side
+from voodoo_jax.kernels.frustum import SurfacePoint, closest_point, near_side
 from voodoo_jax.model.body_file import load_body
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")

@@ -7,8 +7,8 @@ import numpy as np
 
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.kernels.correspond import FREE, ON_BODY, Points
-from voodoo_jax.kernels.features import Features
+from voodoo_jax.kernels.correspondences import FREE, ON_BODY, Points
+from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, plain_name
 from voodoo_jax.records.observation import PersonFrame

@@ -18,8 +18,8 @@ from voodoo_jax.fit_parameters import Changes, changed, changed_options
 from voodoo_jax.fit_solution import Rest, carried, resting, settled
 from voodoo_jax.geometry.rigid import Poses, rotate
 from voodoo_jax.icp import IcpOptions, Problem
-from voodoo_jax.kernels.correspond import Points, match_assigned
-from voodoo_jax.kernels.features import Features, named_points
+from voodoo_jax.kernels.correspondences import Points, match_assigned
+from voodoo_jax.kernels.landmarks import Features, named_points
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.one_by_one import one_by_one
 

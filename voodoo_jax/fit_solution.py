@@ -14,12 +14,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp, quat_normalize
 from voodoo_jax.icp import Problem, adjacency, pull_to_prediction, solve_frame, total_weight
+from voodoo_jax.kernels.assignment import once
 from voodoo_jax.kernels.bands import link_moments
-from voodoo_jax.kernels.correspond import Match, closest_limbs, match, match_assigned, moments
-from voodoo_jax.kernels.coupled import add_links, pair_normals
-from voodoo_jax.kernels.features import feature_sums
-from voodoo_jax.kernels.nearest import once
-from voodoo_jax.kernels.plausible import corrections
+from voodoo_jax.kernels.correspondences import Match, closest_limbs, match, match_assigned, moments
+from voodoo_jax.kernels.gauss_newton import add_links, pair_normals
+from voodoo_jax.kernels.joint_limits import corrections
+from voodoo_jax.kernels.landmarks import feature_sums
 from voodoo_jax.model.body import Links
 
 MOST_TURN, MOST_SHIFT = 0.2, 0.05  # radians, metres: a Newton step is cut to this

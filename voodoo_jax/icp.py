@@ -12,9 +12,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, apply, compose, quat_normalize
+from voodoo_jax.kernels.absolute_orientation import align
 from voodoo_jax.kernels.bands import link_moments, prior_moments
-from voodoo_jax.kernels.correspond import Match, MatchOptions, Points, match, sums
-from voodoo_jax.kernels.coupled import (
+from voodoo_jax.kernels.correspondences import Match, MatchOptions, Points, match, sums
+from voodoo_jax.kernels.gauss_newton import (
     as_motions,
     coupled_normals,
     coupled_twists,
@@ -22,9 +23,8 @@ from voodoo_jax.kernels.coupled import (
     pair_normals,
     stretched,
 )
-from voodoo_jax.kernels.features import FeatureOptions, Features, FeatureSums, feature_sums
-from voodoo_jax.kernels.plausible import PlausibleOptions, corrections
-from voodoo_jax.kernels.procrustes import align
+from voodoo_jax.kernels.joint_limits import PlausibleOptions, corrections
+from voodoo_jax.kernels.landmarks import FeatureOptions, Features, FeatureSums, feature_sums
 from voodoo_jax.model.body import Body, Links, Topology, bands
 
 MOVED = 0.003  # metres: a step that moves no limb farther may be the last where it gains nothing

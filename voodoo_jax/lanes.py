@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from voodoo_jax.kernels.correspond import Points
-from voodoo_jax.kernels.features import Features
+from voodoo_jax.kernels.correspondences import Points
+from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body import Body
 from voodoo_jax.programs import count_waiting, seconds_of_waiting
 from voodoo_jax.quick import quickly

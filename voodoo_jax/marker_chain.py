@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Int
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.kernels.features import named_points
+from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.model.body import Body, tree_order
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.geometry.rigid import Poses, apply
-from voodoo_jax.kernels.features import named_points
+from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.marker_exchange import Exchange, sides
 from voodoo_jax.marker_sizes import Markers, fit_markers, personal
 from voodoo_jax.model.body import Body, scaled

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.batch import V1_NAMES
-from voodoo_jax.kernels.features import named_points
+from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.marker_chain import Chain
 from voodoo_jax.marker_priors import SCALE, Priors
 from voodoo_jax.marker_start import first_pose

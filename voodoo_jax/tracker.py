@@ -20,7 +20,7 @@ from voodoo_jax.forearms import with_forearms
 from voodoo_jax.furniture import WINDOW, without_furniture, without_things
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.kernels.plausible import check
+from voodoo_jax.kernels.joint_limits import check
 from voodoo_jax.leftovers import without_leftovers
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
 from voodoo_jax.marker_log import (

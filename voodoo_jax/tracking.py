@@ -21,10 +21,10 @@ from voodoo_jax.geometry.rigid import (
     quat_normalize,
 )
 from voodoo_jax.icp import IcpOptions, Problem, solve_and_measure
-from voodoo_jax.kernels.correspond import MatchOptions, Points, Sampling
-from voodoo_jax.kernels.coupled import tree_covariance, twist_covariance
-from voodoo_jax.kernels.features import FeatureOptions, Features, feature_sums
-from voodoo_jax.kernels.plausible import PlausibleOptions
+from voodoo_jax.kernels.correspondences import MatchOptions, Points, Sampling
+from voodoo_jax.kernels.gauss_newton import tree_covariance, twist_covariance
+from voodoo_jax.kernels.joint_limits import PlausibleOptions
+from voodoo_jax.kernels.landmarks import FeatureOptions, Features, feature_sums
 from voodoo_jax.model.body import Body, Topology, tree_order
 from voodoo_jax.programs import program
 

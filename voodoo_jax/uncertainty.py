@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.kernels.coupled import point_covariance
+from voodoo_jax.kernels.gauss_newton import point_covariance
 from voodoo_jax.model.body import Body
 
 NOISE = 0.037  # metres, standard deviation of a measurement of weight 1, were all independent

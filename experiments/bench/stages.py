@@ -29,7 +29,7 @@ from voodoo_jax.icp import Problem, adjacency, icp_step
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.io.mcap_tracks import write_tracks_mcap
 from voodoo_jax.io.tracks_file import write_tracks_npz
-from voodoo_jax.kernels.correspond import closest_limbs, match, moments
+from voodoo_jax.kernels.correspondences import closest_limbs, match, moments
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.tracker import find_person, track_person
 

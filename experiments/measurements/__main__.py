@@ -36,8 +36,8 @@ from experiments.common import (
 )  # fmt: skip
 from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, bucket, pad_features
 from voodoo_jax.config.options import Settings
-from voodoo_jax.kernels.correspond import Points
-from voodoo_jax.kernels.features import Features
+from voodoo_jax.kernels.correspondences import Points
+from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.tracking import track_chunk
 

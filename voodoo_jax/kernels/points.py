@@ -3,7 +3,7 @@
 import equinox as eqx
 from jaxtyping import Array, Float, Int
 
-from voodoo_jax.kernels.gate import Overlap
+from voodoo_jax.kernels.bounding_boxes import Overlap
 
 
 class Points(eqx.Module):

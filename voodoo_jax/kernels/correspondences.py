@@ -8,14 +8,14 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, unrotate
-from voodoo_jax.kernels.gate import resolve_overlap
-from voodoo_jax.kernels.nearest import closest_limb, cuts, in_reach, into_limb, may_belong, once, sampled
-from voodoo_jax.kernels.nearest import closest_limbs as closest_limbs
+from voodoo_jax.kernels.assignment import closest_limb, cuts, in_reach, into_limb, may_belong, once, sampled
+from voodoo_jax.kernels.assignment import closest_limbs as closest_limbs
+from voodoo_jax.kernels.bounding_boxes import resolve_overlap
+from voodoo_jax.kernels.frustum import closest_point, near_side, uncut
 from voodoo_jax.kernels.points import FREE as FREE
 from voodoo_jax.kernels.points import ON_BODY as ON_BODY
 from voodoo_jax.kernels.points import Components, MatchOptions, Points, components
 from voodoo_jax.kernels.points import Sampling as Sampling
-from voodoo_jax.kernels.surface import closest_point, near_side, uncut
 
 
 class Match(NamedTuple):

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.kernels.gate import body_box, in_box, in_limb_box
+from voodoo_jax.kernels.bounding_boxes import body_box, in_box, in_limb_box
+from voodoo_jax.kernels.frustum import rim_factors, signed_square
 from voodoo_jax.kernels.points import FREE, MatchOptions, Points, Sampling, components
-from voodoo_jax.kernels.surface import rim_factors, signed_square
 
 T = TypeVar("T")
 
