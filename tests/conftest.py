@@ -65,6 +65,6 @@ def room_for_programs():
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > 15_000:
         jax.clear_caches()
-        from voodoo_jax.programs import forget  # not before the hook
+        from voodoo_jax.compile.executable import forget  # not before the hook
 
         forget()

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from small_logs import small_log
 
-from voodoo_jax import compile_cache
 from voodoo_jax.cli import main
-from voodoo_jax.compile_cache import (
+from voodoo_jax.compile import cache_dir
+from voodoo_jax.compile.cache_dir import (
     CacheError,
     _link_all,
     alone,
@@ -25,7 +25,7 @@ from voodoo_jax.compile_cache import (
 
 PROGRAM = """
 import sys
-from voodoo_jax.compile_cache import keep_compiled, use_compile_cache
+from voodoo_jax.compile.cache_dir import keep_compiled, use_compile_cache
 import jax, jax.monitoring, jax.numpy as jnp
 counted = {"hits": 0, "misses": 0}
 def count(event, **_):
@@ -159,7 +159,7 @@ def shared(tmp_path, monkeypatch) -> tuple[Path, Path]:
     """The shared folder and the own one of this process, as use_compile_cache leaves them, without jax's part."""
     folders = tmp_path / "jax", tmp_path / "jax" / "run-here-1-x"
     folders[1].mkdir(parents=True, mode=0o700)
-    monkeypatch.setattr(compile_cache, "_own", {"asked": folders})
+    monkeypatch.setattr(cache_dir, "_own", {"asked": folders})
     return folders
 
 
@@ -231,7 +231,7 @@ from pathlib import Path
 import jax.monitoring
 import voodoo_jax as vj
 from small_logs import SETTINGS, small_body
-from voodoo_jax.programs import Program
+from voodoo_jax.compile.executable import Program
 
 counted, made = {"traced": 0, "compiled": 0}, Program._traced
 def traced(*args):

@@ -11,6 +11,7 @@ import pytest
 from experiments.fit.__main__ import exercise
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.cli import main
+from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.fit_body import fit
@@ -23,7 +24,6 @@ from voodoo_jax.fit_tuned import tuned_settings
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body, read_body, write_body
-from voodoo_jax.one_by_one import one_by_one
 from voodoo_jax.simulate import Room, simulate
 
 BODY = human()

@@ -13,16 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from voodoo_jax.compile.executable import program, seconds_of_waiting
+from voodoo_jax.compile.xla_options import OPTIONS, quick
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.programs import program, seconds_of_waiting
-from voodoo_jax.quick import OPTIONS, quick
 
 CHILD = """
 import sys
 import jax.numpy as jnp, numpy as np
-from voodoo_jax.compile_cache import use_compile_cache
-from voodoo_jax.programs import program
+from voodoo_jax.compile.cache_dir import use_compile_cache
+from voodoo_jax.compile.executable import program
 traced = 0
 
 @program

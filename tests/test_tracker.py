@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from voodoo_jax.beginning import fresh
+from voodoo_jax.compile.executable import forget
 from voodoo_jax.config.options import Settings, TrackSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.mcap_log import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human
-from voodoo_jax.programs import forget
 from voodoo_jax.records.recording import Frame, Rays, Recording
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.session import Session, first_run

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
-from voodoo_jax.compile_cache import users_cache
+from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_frames import Truth, chosen_frames, feature_names, fit_frames, read_truth

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float64
 
+from voodoo_jax.compile.xla_options import quickly
 from voodoo_jax.fit_objective import (
     JOINT_SD,
     PER_LIMB,
@@ -34,7 +35,6 @@ from voodoo_jax.fit_solution import Rest
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.icp import IcpOptions
 from voodoo_jax.model.body import Body
-from voodoo_jax.quick import quickly
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
 PARTS = 4  # parts of a recording that the spread of the sizes is looked at over

@@ -10,6 +10,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from voodoo_jax.compile.sequential_map import one_by_one
+from voodoo_jax.compile.xla_options import quick, quickly
 from voodoo_jax.fit_loop import FitError, Search
 from voodoo_jax.fit_objective import NEWTON, SETTLED, FitFrames, UserLoss
 from voodoo_jax.fit_parameters import changed, changed_options
@@ -17,8 +19,6 @@ from voodoo_jax.fit_progress import Progress
 from voodoo_jax.fit_solution import Solution, solution
 from voodoo_jax.icp import IcpOptions, Problem
 from voodoo_jax.model.body import Body
-from voodoo_jax.one_by_one import one_by_one
-from voodoo_jax.quick import quick, quickly
 
 
 def solve_frames(body: Body, options: IcpOptions, frames: FitFrames) -> Solution:

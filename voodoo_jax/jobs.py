@@ -9,7 +9,7 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
-from voodoo_jax.compile_cache import keep_compiled, process_runs, use_compile_cache
+from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body

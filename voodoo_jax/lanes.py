@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from voodoo_jax.compile.executable import count_waiting, seconds_of_waiting
+from voodoo_jax.compile.xla_options import quickly
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body import Body
-from voodoo_jax.programs import count_waiting, seconds_of_waiting
-from voodoo_jax.quick import quickly
 from voodoo_jax.session import Visit
 from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, covariances_of, track_frame, track_visits
 from voodoo_jax.turns import Ask, in_turns

@@ -12,7 +12,7 @@ from typing import Literal
 
 from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
-from voodoo_jax.compile_cache import safe_folder
+from voodoo_jax.compile.cache_dir import safe_folder
 from voodoo_jax.config.options import Settings
 from voodoo_jax.jobs import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.model.body import Body

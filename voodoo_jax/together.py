@@ -6,7 +6,7 @@ from typing import Any
 import jax
 from tqdm.auto import tqdm
 
-from voodoo_jax.compile_cache import users_cache
+from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.options import Settings
 from voodoo_jax.lanes import in_lanes, usual_lanes
 from voodoo_jax.model.body import Body

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float, Float32
 from voodoo_jax.batch import FeatureNames
 from voodoo_jax.candidate import LOOSE, Build
 from voodoo_jax.chooser import Chooser
-from voodoo_jax.compile_cache import users_cache
+from voodoo_jax.compile.cache_dir import users_cache
+from voodoo_jax.compile.executable import program, seconds_of_waiting
 from voodoo_jax.config.options import Settings
 from voodoo_jax.flat_faces import without_faces
 from voodoo_jax.following import Progress, blank, follow
@@ -36,7 +37,6 @@ from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.noise import weighed
 from voodoo_jax.notes import notes_on
 from voodoo_jax.person import PersonFinder
-from voodoo_jax.programs import program, seconds_of_waiting
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Frame, Rays, Recording
 from voodoo_jax.records.scene import Scene

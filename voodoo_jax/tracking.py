@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from voodoo_jax.compile.executable import program
 from voodoo_jax.config.options import FeatureSettings, SolveSettings, TrackSettings
 from voodoo_jax.geometry.rigid import (
     AnyArray,
@@ -26,7 +27,6 @@ from voodoo_jax.kernels.gauss_newton import tree_covariance, twist_covariance
 from voodoo_jax.kernels.joint_limits import PlausibleOptions
 from voodoo_jax.kernels.landmarks import FeatureOptions, Features, feature_sums
 from voodoo_jax.model.body import Body, Topology, tree_order
-from voodoo_jax.programs import program
 
 FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off
 FEW = 60  # points of which the mean tells where the body is

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from experiments.scoreboard.board import Data, Job, Measured, Promise
-from voodoo_jax.compile_cache import cache_folder, keep_compiled, use_compile_cache
+from voodoo_jax.compile.cache_dir import cache_folder, keep_compiled, use_compile_cache
 
 JOBS_PER_PROCESS = 60  # then a fresh one: JAX keeps what it compiled, some 20 MB a program
 

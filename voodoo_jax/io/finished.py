@@ -11,11 +11,11 @@ import jax
 import numpy as np
 from mcap.reader import SeekingReader
 
+from voodoo_jax.compile.executable import code_fingerprint
 from voodoo_jax.config.options import Settings
 from voodoo_jax.io.container import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
-from voodoo_jax.programs import code_fingerprint
 from voodoo_jax.storage.urls import Readable, opened
 
 BLOCK = 1 << 16  # bytes of each sample of a log

@@ -10,7 +10,7 @@ from experiments.bench.same_work import measure as equal_work
 from experiments.bench.work import from_demo, save
 from experiments.common import DEMO
 from experiments.scoreboard.board import Data, Figure, Promise
-from voodoo_jax.compile_cache import cache_folder
+from voodoo_jax.compile.cache_dir import cache_folder
 
 POINTS = 1000
 

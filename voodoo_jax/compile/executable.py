@@ -23,8 +23,8 @@ import jax.core
 import jax.monitoring
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
-from voodoo_jax.compile_cache import alone, jax_cache_aside, keep, kept, spoiled
-from voodoo_jax.quick import OPTIONS, quick
+from voodoo_jax.compile.cache_dir import alone, jax_cache_aside, keep, kept, spoiled
+from voodoo_jax.compile.xla_options import OPTIONS, quick
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -70,7 +70,7 @@ def code_fingerprint() -> str:
     """Of this package's version and sources: what another version computes is not the same."""
     from voodoo_jax._version import __version__
 
-    digest, root = hashlib.sha256(__version__.encode()), Path(__file__).parent
+    digest, root = hashlib.sha256(__version__.encode()), Path(__file__).parents[1]
     for file in sorted(root.rglob("*.py")):
         digest.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
     return digest.hexdigest()
