@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import SolveSettings, TrackSettings
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
-from voodoo_jax.icp import IcpOptions
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.tracking import options_from
+from voodoo_jax.solve.frame import IcpOptions
+from voodoo_jax.solve.scan import options_from
 
 TWO_LIMBS_SENSOR = np.array([[2.0, 0.4, 0.5]], np.float32)  # sees two_limb_frames
 # settings are being tuned elsewhere: the tests state their own

@@ -13,8 +13,8 @@ from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.session import Session
 from voodoo_jax.simulate import Simulation, _motion, placed, simulate, tof_camera
+from voodoo_jax.solve.scan import options_from
 from voodoo_jax.tracker import find_person
-from voodoo_jax.tracking import options_from
 
 
 def in_front(

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from helpers import SOLVE, TWO_LIMBS_SENSOR, all_finite, two_limb_frames, two_limbs
 
-from voodoo_jax.batch import BUCKETS, bucket, pad_frames
 from voodoo_jax.config.options import TrackSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.tracking import NOBODY, Visits, at_rest, options_from, track_chunk, track_visits
+from voodoo_jax.solve.padding import BUCKETS, bucket, pad_frames
+from voodoo_jax.solve.scan import NOBODY, Visits, at_rest, options_from, track_chunk, track_visits
 
 
 def test_bucket():

@@ -14,8 +14,8 @@ from voodoo_jax.model.attachments import applied, attach, hung_on, loaded, prepa
 from voodoo_jax.model.body import bands, segment_lengths, site_points
 from voodoo_jax.model.body_file import format_body, human, load_body, parse_body
 from voodoo_jax.simulate import make_motion, placed, simulate
+from voodoo_jax.solve.scan import track_visits
 from voodoo_jax.tracker import track
-from voodoo_jax.tracking import track_visits
 
 
 def with_stick():

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from experiments.fit.__main__ import exercise
-from voodoo_jax.batch import FeatureNames
 from voodoo_jax.cli import main
 from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
@@ -25,6 +24,7 @@ from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body, read_body, write_body
 from voodoo_jax.simulate import Room, simulate
+from voodoo_jax.solve.names import FeatureNames
 
 BODY = human()
 
@@ -298,7 +298,7 @@ def test_a_loss_of_ones_own():
     """BFGS finds the thigh that a function asks for; priors pull a little; it goes on from where it stopped."""
     from voodoo_jax.fit_loop import Part, Search
     from voodoo_jax.fit_user import minimised
-    from voodoo_jax.tracking import options_from
+    from voodoo_jax.solve.scan import options_from
 
     chosen = parameters(BODY, ["lengths.thigh", "lengths.shank"])
     row = BODY.topology.limbs.index("l_thigh")

@@ -18,9 +18,9 @@ from helpers import (
     two_limbs,
 )
 
-from voodoo_jax.fixed_point import solve_fixed_point
-from voodoo_jax.icp import Problem, solve_frame
 from voodoo_jax.kernels.correspondences import Points
+from voodoo_jax.solve.fixed_point import solve_fixed_point
+from voodoo_jax.solve.frame import Problem, solve_frame
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -6,7 +6,6 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from voodoo_jax.batch import FeatureNames
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.forearms import BY_NAMES, BY_POINTS, FARTHEST, FEW, HAND, Stretch, lengthened, stretch, with_forearms
 from voodoo_jax.model.body import scaled, segment_lengths, with_proportions
@@ -14,6 +13,7 @@ from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays
 from voodoo_jax.records.tracks import Status
+from voodoo_jax.solve.names import FeatureNames
 
 BODY = scaled(human(), 1.8)
 NAMES = FeatureNames(BODY.topology, FeatureSettings())

@@ -7,9 +7,9 @@ import pytest
 from helpers import frustum_mesh, random_rotations, scipy_rotation, two_limbs
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.icp import adjacency
 from voodoo_jax.kernels.bounding_boxes import body_box, in_box, in_limb_box, resolve_overlap
 from voodoo_jax.model.body_file import BUILT_IN, load_body
+from voodoo_jax.solve.frame import adjacency
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

@@ -20,11 +20,11 @@ from helpers import (
 )
 from test_procrustes import CLOUDS
 
-from voodoo_jax.fit_solution import balance, balance_slope, moved, settled, solution, weakest
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.icp import Problem, icp_step, solve_frame
 from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body_file import parse_body
+from voodoo_jax.solve.frame import Problem, icp_step, solve_frame
+from voodoo_jax.solve.implicit import balance, balance_slope, moved, settled, solution, weakest
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -11,8 +11,8 @@ from voodoo_jax.geometry.rigid import Poses, apply, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.second_look import other_arms
+from voodoo_jax.solve.scan import State, at_rest, options_from, predict
 from voodoo_jax.start import place
-from voodoo_jax.tracking import State, at_rest, options_from, predict
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

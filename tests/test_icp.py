@@ -22,7 +22,10 @@ from helpers import (
 )
 
 from voodoo_jax.geometry.rigid import Poses, apply
-from voodoo_jax.icp import (
+from voodoo_jax.kernels.correspondences import Points, match
+from voodoo_jax.kernels.gauss_newton import stretched
+from voodoo_jax.model.body_file import load_body
+from voodoo_jax.solve.frame import (
     Problem,
     adjacency,
     frame_normals,
@@ -32,9 +35,6 @@ from voodoo_jax.icp import (
     solve_and_measure,
     solve_frame,
 )
-from voodoo_jax.kernels.correspondences import Points, match
-from voodoo_jax.kernels.gauss_newton import stretched
-from voodoo_jax.model.body_file import load_body
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -10,11 +10,11 @@ import pytest
 from helpers import all_finite, cast, frame_points, icp_options, seen_points, turned
 
 from voodoo_jax.geometry.rigid import Poses, apply
-from voodoo_jax.icp import Problem, adjacency, icp_step, solve_frame
 from voodoo_jax.kernels.correspondences import FREE, ON_BODY, Points, match
 from voodoo_jax.kernels.landmarks import Features, named_points
 from voodoo_jax.model.body import joint_centres
 from voodoo_jax.model.body_file import human
+from voodoo_jax.solve.frame import Problem, adjacency, icp_step, solve_frame
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

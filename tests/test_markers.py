@@ -9,7 +9,6 @@ import pytest
 from logs import Log, ros_marker, ros_markers
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.batch import FeatureNames
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.mcap_log import read_log
@@ -25,6 +24,7 @@ from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, newington_hips, plain_nam
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs, Recording
 from voodoo_jax.simulate import make_motion, placed, pose_body, sequence
+from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.tracker import track
 
 RATE = 60.0

@@ -14,7 +14,7 @@ from voodoo_jax.notes import notes_on
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.session import Session
-from voodoo_jax.tracking import options_from
+from voodoo_jax.solve.scan import options_from
 
 ORIGIN = np.array([0.3, -0.2, 1.2], np.float32)
 

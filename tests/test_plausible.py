@@ -9,11 +9,11 @@ from helpers import all_finite, frame_points, frustum_mesh, icp_options, scipy_r
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.icp import Problem, solve_frame
 from voodoo_jax.kernels.joint_limits import check, joint_angles, limit_links
 from voodoo_jax.kernels.self_collision import apart, contact_links, contacts
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.simulate import pose_body
+from voodoo_jax.solve.frame import Problem, solve_frame
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

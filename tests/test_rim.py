@@ -11,7 +11,7 @@ RIM = ("mcap", "trimesh", "matplotlib", "rosbags", "foxglove_schemas_protobuf", 
 @pytest.mark.parametrize(
     "modules,forbidden",
     [
-        (("kernels.correspondences", "kernels.gauss_newton", "icp", "tracking"), RIM),
+        (("kernels.correspondences", "kernels.gauss_newton", "solve.frame", "solve.scan"), RIM),
         (("records.recording", "config.options", "person"), (*RIM, "jax")),
     ],
 )

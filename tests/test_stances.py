@@ -17,9 +17,9 @@ from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.pose_library import STANCES, in_stance
 from voodoo_jax.session import Session
 from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
+from voodoo_jax.solve.scan import at_rest, options_from
 from voodoo_jax.start import Trial, opposite, unlikely
 from voodoo_jax.tracker import find_person, track
-from voodoo_jax.tracking import at_rest, options_from
 
 BODY = scaled(human(), 1.75)
 

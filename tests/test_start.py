@@ -19,9 +19,9 @@ from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.session import Session
 from voodoo_jax.simulate import Motion, _motion, make_motion, placed, sequence, simulate, tof_camera
+from voodoo_jax.solve.scan import options_from
 from voodoo_jax.start import facing, measured_height, place, sized, standing_places
 from voodoo_jax.tracker import find_person, track
-from voodoo_jax.tracking import options_from
 
 UP = np.array([0, 0, 1], np.float32)
 FLOOR = Plane(UP, 0.0)

@@ -21,9 +21,9 @@ from voodoo_jax.records.recording import Frame, Rays, Recording
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.session import Session, first_run
 from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
+from voodoo_jax.solve.scan import options_from, track_visits
 from voodoo_jax.start import facing, place
 from voodoo_jax.tracker import find_person, looked_at, prepare, track
-from voodoo_jax.tracking import options_from, track_visits
 
 CAMERA = tof_camera(1.0, 0.07)
 NO, YES, GONE = Status.NOT_STARTED, Status.TRACKED, Status.NO_DATA

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from voodoo_jax.config.presets import online as online
     from voodoo_jax.config.presets import preset as preset
     from voodoo_jax.fit_body import fit as fit
-    from voodoo_jax.fit_solution import solution as solution
     from voodoo_jax.fit_user import solve_frames as solve_frames
     from voodoo_jax.io.mcap_log import LogError as LogError
     from voodoo_jax.io.mcap_log import read_log as read_log
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from voodoo_jax.records.tracks import Tracks as Tracks
     from voodoo_jax.replay import replay
     from voodoo_jax.smoothing import smooth as smooth
+    from voodoo_jax.solve.implicit import solution as solution
     from voodoo_jax.together import track_many as track_many
     from voodoo_jax.tracker import track as track
 
@@ -67,7 +67,7 @@ _PUBLIC = {
     "save_picture": ("picture", "picture"),
     "show": ("picture", "show"),
     "smooth": ("smoothing", "smooth"),
-    "solution": ("fit_solution", "solution"),
+    "solution": ("solve.implicit", "solution"),
     "solve_frames": ("fit_user", "solve_frames"),
     "survey": ("io.mcap_log", "survey"),
     "track": ("tracker", "track"),

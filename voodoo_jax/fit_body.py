@@ -29,7 +29,7 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.tracking import options_from
+from voodoo_jax.solve.scan import options_from
 
 SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
 SURE = 2.0  # a size that moved by less than so many of its spreads between parts of the recordings stays

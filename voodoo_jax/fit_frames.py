@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int, Int64
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.batch import FEATURE_BUCKETS, V1_NAMES, FeatureNames, bucket, pad_features, pad_frames
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.fit_objective import FitFrames
 from voodoo_jax.geometry.rigid import Poses
@@ -23,6 +22,8 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.shaking import as_measured
+from voodoo_jax.solve.names import V1_NAMES, FeatureNames
+from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features, pad_frames
 
 RUNS, EVERY = 16, 3  # a log is cut into so many runs of time; every third is fitted to, the others judge
 FEWEST = 8  # frames to fit to

@@ -31,10 +31,10 @@ from voodoo_jax.fit_objective import (
 )
 from voodoo_jax.fit_parameters import HEIGHT, Changes, Parameters, changed, height_of, height_ratio
 from voodoo_jax.fit_progress import Progress
-from voodoo_jax.fit_solution import Rest
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.icp import IcpOptions
 from voodoo_jax.model.body import Body
+from voodoo_jax.solve.frame import IcpOptions
+from voodoo_jax.solve.implicit import Rest
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
 PARTS = 4  # parts of a recording that the spread of the sizes is looked at over

@@ -16,12 +16,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.fit_parameters import Changes, changed, changed_options
-from voodoo_jax.fit_solution import Rest, carried, resting, settled
 from voodoo_jax.geometry.rigid import Poses, rotate
-from voodoo_jax.icp import IcpOptions, Problem
 from voodoo_jax.kernels.correspondences import Points, match_assigned
 from voodoo_jax.kernels.landmarks import Features, named_points
 from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.solve.frame import IcpOptions, Problem
+from voodoo_jax.solve.implicit import Rest, carried, resting, settled
 
 # Standard deviations of one measurement. Points: a person's surface is 2 cm from cylinders, and that error is
 # common to a patch of skin, not to a point; so a limb counts as so many measurements a frame, not as its points.

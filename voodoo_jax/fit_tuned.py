@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from voodoo_jax.batch import FeatureNames
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_parameters import SETTINGS, Changes
 from voodoo_jax.model.body import Topology
+from voodoo_jax.solve.names import FeatureNames
 
 
 def tuned_settings(settings: Settings, topology: Topology, by: Changes, features: tuple[str, ...]) -> Settings:

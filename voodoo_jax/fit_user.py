@@ -16,9 +16,9 @@ from voodoo_jax.fit_loop import FitError, Search
 from voodoo_jax.fit_objective import NEWTON, SETTLED, FitFrames, UserLoss
 from voodoo_jax.fit_parameters import changed, changed_options
 from voodoo_jax.fit_progress import Progress
-from voodoo_jax.fit_solution import Solution, solution
-from voodoo_jax.icp import IcpOptions, Problem
 from voodoo_jax.model.body import Body
+from voodoo_jax.solve.frame import IcpOptions, Problem
+from voodoo_jax.solve.implicit import Solution, solution
 
 
 def solve_frames(body: Body, options: IcpOptions, frames: FitFrames) -> Solution:

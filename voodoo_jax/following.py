@@ -21,7 +21,7 @@ from voodoo_jax.records.segment import PASSAGE, Rows
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.second_look import looked_again
 from voodoo_jax.session import Session, first_run
-from voodoo_jax.tracking import State, at_rest
+from voodoo_jax.solve.scan import State, at_rest
 
 Progress = Callable[[int], None]
 SPAN = 1800  # frames after which a passage is tracked back, even if it goes on

@@ -12,13 +12,13 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from voodoo_jax.batch import FeatureNames
 from voodoo_jax.geometry.rigid import Poses, apply, on_host, unrotate
 from voodoo_jax.model.body import Body, scaled, with_proportions
 from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.records.tracks import Status
+from voodoo_jax.solve.names import FeatureNames
 
 # A wrist's bands are stretched by this share of what the forearm is too short by (as far as people differ): told by
 # points alone, and so much more where a detector names the hand in every frame. What suits lengths best (0.113, 0.167,

@@ -10,8 +10,8 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.passage import WRONG_WAY, bent, rows_of, there_and_back
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.session import Session
+from voodoo_jax.solve.scan import State
 from voodoo_jax.start import facing
-from voodoo_jax.tracking import State
 
 STEP = 0.5  # metres ahead or backwards that tell nothing; who goes farther backwards is looked at the other way round
 STRIDE = 0.5  # metres beyond which say all that going tells

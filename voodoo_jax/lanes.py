@@ -15,8 +15,17 @@ from voodoo_jax.compile.xla_options import quickly
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body import Body
-from voodoo_jax.session import Visit
-from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, covariances_of, track_frame, track_visits
+from voodoo_jax.solve.scan import (
+    NOBODY,
+    State,
+    Step,
+    TrackOptions,
+    Visit,
+    Visits,
+    covariances_of,
+    track_frame,
+    track_visits,
+)
 from voodoo_jax.turns import Ask, in_turns
 
 T = TypeVar("T")

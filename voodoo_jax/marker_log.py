@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from voodoo_jax.batch import FeatureNames
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.marker_exchange import Exchange, sides
@@ -16,6 +15,7 @@ from voodoo_jax.marker_sizes import Markers, fit_markers, personal
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs
+from voodoo_jax.solve.names import FeatureNames
 
 ENOUGH = 4  # named points in a frame to track by
 TO_START = 6  # and to start from

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.batch import V1_NAMES
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.marker_chain import Chain
 from voodoo_jax.marker_priors import SCALE, Priors
 from voodoo_jax.marker_start import first_pose
 from voodoo_jax.model.body import Body, with_rest_from_joints
+from voodoo_jax.solve.names import V1_NAMES
 
 NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle
 REACH = (0.3, 0.15, 0.06)  # metres at which a marker counts a quarter, from the first steps to the last

@@ -10,7 +10,7 @@ from voodoo_jax.model.joint_bend import wrong_bend
 from voodoo_jax.records.segment import SEEN, Rows, part, pose_at
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.session import Session, status_of
-from voodoo_jax.tracking import Step, cost_of
+from voodoo_jax.solve.scan import Step, cost_of
 
 FREE_BEND = 0.17  # radians beyond a joint's limits that say nothing: people differ
 WRONG_WAY = 0.1  # radians beyond, mean of all joints and frames, that count as much as costs e times higher

@@ -1,7 +1,7 @@
 """One recording on its way through the compiled programs: trials, chunks of frames, changes of the body. Host side."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,7 +10,6 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Int, Int8
 
-from voodoo_jax.batch import FEATURE_BUCKETS, Chunk, FeatureNames, PartNames, bucket, pad_features, pad_frames
 from voodoo_jax.config.options import Change, Settings, StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.kernels.landmarks import Features
@@ -21,12 +20,13 @@ from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status
+from voodoo_jax.solve.names import FeatureNames, PartNames
+from voodoo_jax.solve.padding import FEATURE_BUCKETS, Chunk, bucket, pad_features, pad_frames
+from voodoo_jax.solve.scan import NOBODY, State, Step, TrackOptions, Visit, Visits, at_rest, track_visits
 from voodoo_jax.start import Trial, in_pieces, run_trials
-from voodoo_jax.tracking import NOBODY, State, Step, TrackOptions, Visits, at_rest, track_visits
 
 THING_FRAMES = 2  # times the frames of a start: a held thing has few points to tell where it points
 FEW_POINTS = 20  # fewer on the body: nothing to track by
-Visit = Callable[..., tuple[State, Step]]  # as track_visits
 TRACKS = 16  # starts that are tried at once: all headings, and the poses that were lost
 
 

@@ -15,7 +15,7 @@ from voodoo_jax.geometry.rigid import AnyArray, Poses, compose, on_host, rotate,
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.rest_shape import rest_height
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.tracking import State, Step, at_rest, cost_of
+from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
 STEPS = 15  # most steps of a frame until then

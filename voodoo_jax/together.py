@@ -12,7 +12,7 @@ from voodoo_jax.lanes import in_lanes, usual_lanes
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.session import Visit
+from voodoo_jax.solve.scan import Visit
 from voodoo_jax.tracker import find_person, track_person
 
 

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Float32
 
-from voodoo_jax.batch import FeatureNames
 from voodoo_jax.candidate import LOOSE, Build
 from voodoo_jax.chooser import Chooser
 from voodoo_jax.compile.cache_dir import users_cache
@@ -42,13 +41,14 @@ from voodoo_jax.records.recording import Frame, Rays, Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.session import FEW_POINTS, Session, Visit, by_markers, spans
+from voodoo_jax.session import FEW_POINTS, Session, by_markers, spans
 from voodoo_jax.shaking import steadied, steady_scene, to_fixed
+from voodoo_jax.solve.covariance import covariances
+from voodoo_jax.solve.names import FeatureNames
+from voodoo_jax.solve.scan import Visit, options_from
 from voodoo_jax.spill import spilled
 from voodoo_jax.standing_on import on_its_floor
-from voodoo_jax.tracking import options_from
 from voodoo_jax.trust import doubted, joint_confidence, marker_confidence
-from voodoo_jax.uncertainty import covariances
 from voodoo_jax.upright import upright
 
 FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)

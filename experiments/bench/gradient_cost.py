@@ -17,12 +17,12 @@ import numpy as np
 import tyro
 
 from experiments.common import DEMO, human, load_log, log_files, table, write
-from voodoo_jax.batch import bucket, pad_frames
 from voodoo_jax.config.options import Settings, SolveSettings
-from voodoo_jax.fit_solution import solution
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.icp import Problem, icp_step, solve_frame
-from voodoo_jax.tracking import options_from
+from voodoo_jax.solve.frame import Problem, icp_step, solve_frame
+from voodoo_jax.solve.implicit import solution
+from voodoo_jax.solve.padding import bucket, pad_frames
+from voodoo_jax.solve.scan import options_from
 
 WAYS = IMPLICIT, CHECKPOINTED, _ = "implicit", "unrolled, checkpointed", "unrolled, all kept"
 STEPS = (5, 15, 45)  # of which the memory is told

@@ -26,7 +26,6 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from voodoo_jax.batch import Chunk, pad_frames
 from voodoo_jax.config.options import Settings
 from voodoo_jax.demo import joint_errors
 from voodoo_jax.geometry.rigid import Poses
@@ -35,8 +34,9 @@ from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.solve.padding import Chunk, pad_frames
+from voodoo_jax.solve.scan import Step, at_rest, options_from, track_chunk
 from voodoo_jax.tracker import find_person, track_person
-from voodoo_jax.tracking import Step, at_rest, options_from, track_chunk
 
 ROOT = Path(__file__).parents[2]
 JITTER = 0.002  # metres

@@ -22,15 +22,15 @@ from experiments.bench.peers import library
 from experiments.bench.replay_speed import machine
 from experiments.bench.work import STEPS, Work, from_demo, load, with_limbs
 from experiments.common import DEMO, human, log_files, table, write
-from voodoo_jax.batch import bucket, pad_frames
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.icp import Problem, adjacency, icp_step
 from voodoo_jax.io.mcap_log import open_log
 from voodoo_jax.io.mcap_tracks import write_tracks_mcap
 from voodoo_jax.io.tracks_file import write_tracks_npz
 from voodoo_jax.kernels.correspondences import closest_limbs, match, moments
 from voodoo_jax.kernels.points import Points
+from voodoo_jax.solve.frame import Problem, adjacency, icp_step
+from voodoo_jax.solve.padding import bucket, pad_frames
 from voodoo_jax.tracker import find_person, track_person
 
 REPEATS = 20  # of a stage inside one program

@@ -16,10 +16,10 @@ from scipy.optimize import least_squares
 from tqdm import tqdm
 
 from experiments.common import DEMO, human, load_dims, load_log, log_files, table, without_features, write
-from voodoo_jax.batch import FeatureNames
 from voodoo_jax.config.options import Settings
 from voodoo_jax.forearms import BY_NAMES, BY_POINTS, HAND, Stretch, asked, lengthened, stretch
 from voodoo_jax.model.body import segment_lengths
+from voodoo_jax.solve.names import FeatureNames
 
 NOW = (BY_POINTS, BY_NAMES, HAND)
 

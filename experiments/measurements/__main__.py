@@ -34,12 +34,13 @@ from experiments.common import (
     table,
     write,
 )  # fmt: skip
-from voodoo_jax.batch import FEATURE_BUCKETS, FeatureNames, bucket, pad_features
 from voodoo_jax.config.options import Settings
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.records.recording import Pairs, Rays
-from voodoo_jax.tracking import track_chunk
+from voodoo_jax.solve.names import FeatureNames
+from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features
+from voodoo_jax.solve.scan import track_chunk
 
 WEIGHTS = ("1", "10", "random")
 

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from experiments.people.figure import BONES, Figure, read_meshes
 from experiments.people.motions import PARENT, Clip
-from voodoo_jax.batch import V1_NAMES
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.body_file import load_on_host
+from voodoo_jax.solve.names import V1_NAMES
 
 LEVELS = np.linspace(0.02, 0.99, 98)  # shares of the stature
 THICK = 0.012  # of a level, each way

@@ -31,7 +31,7 @@ from experiments.common import (
 )  # fmt: skip
 from voodoo_jax.config.options import Settings
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.tracking import TrackOptions, options_from
+from voodoo_jax.solve.scan import TrackOptions, options_from
 
 PAPER_STEPS = 6  # "a good trade-off"
 

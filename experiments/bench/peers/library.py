@@ -14,11 +14,11 @@ from experiments.bench.peers.numpy_step import Pose
 from experiments.bench.work import LEAST, RATIO, REACH, STEPS, Work
 from voodoo_jax.config.options import SolveSettings, TrackSettings
 from voodoo_jax.geometry.rigid import Poses, matrix
-from voodoo_jax.icp import IcpOptions, Problem, icp_step
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.model.body import Body, Links
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.tracking import options_from
+from voodoo_jax.solve.frame import IcpOptions, Problem, icp_step
+from voodoo_jax.solve.scan import options_from
 
 Solver = Literal["per_limb", "coupled"]
 

@@ -1,5 +1,6 @@
 """From frame to frame: prediction, one solve per frame, status; a recording is one scan over its frames."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,12 +22,12 @@ from voodoo_jax.geometry.rigid import (
     quat_multiply,
     quat_normalize,
 )
-from voodoo_jax.icp import IcpOptions, Problem, solve_and_measure
 from voodoo_jax.kernels.correspondences import MatchOptions, Points, Sampling
 from voodoo_jax.kernels.gauss_newton import tree_covariance, twist_covariance
 from voodoo_jax.kernels.joint_limits import PlausibleOptions
 from voodoo_jax.kernels.landmarks import FeatureOptions, Features, feature_sums
 from voodoo_jax.model.body import Body, Topology, tree_order
+from voodoo_jax.solve.frame import IcpOptions, Problem, solve_and_measure
 
 FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off
 FEW = 60  # points of which the mean tells where the body is
@@ -70,6 +71,9 @@ class Step(NamedTuple):
     points: Int[Array, ""]
     # of each limb's twist, for unit variance per unit of weight (kernels.coupled): track_chunk fills it in
     covariance: Float[Array, "limb 6 6"] | None = None
+
+
+Visit = Callable[..., tuple[State, Step]]  # as track_visits
 
 
 def cost_of(step: Step) -> Float[AnyArray, "*frame"]:

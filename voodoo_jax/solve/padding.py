@@ -5,13 +5,10 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from voodoo_jax.config.options import FeatureSettings
-from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.kernels.correspondences import FREE, ON_BODY, Points
+from voodoo_jax.kernels.correspondences import FREE, Points
 from voodoo_jax.kernels.landmarks import Features
-from voodoo_jax.model.body import Topology
-from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, plain_name
 from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.solve.names import FeatureNames, PartNames
 
 # Point capacities; a program is compiled once for each that occurs.
 BUCKETS = (256, 512, 1024, 2048, 4096, 8192)
@@ -30,70 +27,6 @@ class Chunk(NamedTuple):
 def bucket(count: int, buckets: tuple[int, ...] = BUCKETS) -> int:
     """Smallest capacity that holds `count` entries, or the largest there is."""
     return next((b for b in buckets if b >= count), buckets[-1])
-
-
-class FeatureNames:
-    """Which point of the body each name in a log is, and what it weighs."""
-
-    def __init__(self, topology: Topology, settings: FeatureSettings):
-        points = {name: i for i, name in enumerate((*topology.sites, *topology.centres))}
-        # a site and a joint centre of one name: the centre, which tracks report
-        alias = PLUG_IN_GAIT | check_pairs("features.names", settings.names, numbers=False)
-        self.rows: dict[str, tuple[int, ...]] = {name: (row,) for name, row in points.items()}
-        for name, targets in alias.items():
-            known = tuple(points[target] for target in targets.split("|") if target in points)
-            if known:
-                self.rows[name] = known
-        weights = check_pairs("features.weights", settings.weights, numbers=True)
-        self.weights = {self.plain(name): float(value) for name, value in weights.items()}
-        self.weight = settings.weight
-
-    def choices(self, names: set[str]) -> int:
-        """How many points of the body the most ambiguous of the names may stand for."""
-        return max((len(self.look_up(n) or ()) for n in names), default=1) or 1
-
-    def look_up(self, name: str) -> tuple[int, ...] | None:
-        """Rows of kernels.features.named_points that a name may stand for; None: the body has no such name."""
-        return self.rows.get(self.plain(name))
-
-    def plain(self, name: str) -> str:
-        """The name under which a feature is looked up, whatever standard and prefix the log has it from."""
-        name = V1_NAMES.get(name, name)
-        return name if name in self.rows else plain_name(name)
-
-    def find(self, name: str) -> tuple[tuple[int, ...], float] | None:
-        """Rows of kernels.features.named_points, of which the feature is one, and weight; None for a name that the
-        body does not have."""
-        name = self.plain(name)
-        if name not in self.rows:
-            return None
-        return self.rows[name], self.weights.get(name, self.weight)
-
-
-class PartNames:
-    """Limb of each part that a segmentation of the log names."""
-
-    def __init__(self, topology: Topology):
-        self.limbs = {name: i for i, name in enumerate(topology.limbs)}
-        self.unknown: set[str] = set()  # parts that the body does not have: their points count as on the body
-
-    def rows(self, frame: PersonFrame) -> np.ndarray:
-        """Limb, ON_BODY or FREE of each point [point], int32."""
-        if frame.part is None:
-            return np.full(len(frame.points), FREE, np.int32)
-        self.unknown |= {p for p in frame.parts if p != "body" and p not in self.limbs}
-        table = np.array([*(self.limbs.get(p, ON_BODY) for p in frame.parts), FREE], np.int32)
-        return table[frame.part]  # -1, free, is the last entry
-
-
-# H-Anim v1 names that logs still use
-V1_NAMES = {
-    "l_wrist": "l_radiocarpal",
-    "r_wrist": "r_radiocarpal",
-    "l_ankle": "l_talocrural",
-    "r_ankle": "r_talocrural",
-    "skull_tip": "skull_vertex",
-}
 
 
 def pad_features(

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp, quat_normalize
-from voodoo_jax.icp import Problem, adjacency, pull_to_prediction, solve_frame, total_weight
 from voodoo_jax.kernels.assignment import once
 from voodoo_jax.kernels.bands import link_moments
 from voodoo_jax.kernels.correspondences import Match, closest_limbs, match, match_assigned, moments
@@ -21,6 +20,7 @@ from voodoo_jax.kernels.gauss_newton import add_links, pair_normals
 from voodoo_jax.kernels.joint_limits import corrections
 from voodoo_jax.kernels.landmarks import feature_sums
 from voodoo_jax.model.body import Links
+from voodoo_jax.solve.frame import Problem, adjacency, pull_to_prediction, solve_frame, total_weight
 
 MOST_TURN, MOST_SHIFT = 0.2, 0.05  # radians, metres: a Newton step is cut to this
 RIDGE = 1e-12  # of the mean diagonal: keeps the linear system solvable where the prior is switched off

@@ -3,7 +3,7 @@
 import optimistix as optx
 
 from voodoo_jax.geometry.rigid import Poses, quat_normalize
-from voodoo_jax.icp import FrameResult, Problem, icp_step
+from voodoo_jax.solve.frame import FrameResult, Problem, icp_step
 
 
 def _iterate(poses: Poses, problem: Problem) -> Poses:
