@@ -18,7 +18,7 @@ from tqdm import tqdm
 from experiments.bench.replay_speed import Started
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_frames import Truth, read_truth
-from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.observation import PersonFrame

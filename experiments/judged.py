@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int64
 from experiments.common import NEAR_NS, Log, Score, errors, human, load_dims, load_truth, nearest, off, score, scored
 from voodoo_jax.compile.cache_dir import cache_folder, keep_compiled, use_compile_cache
 from voodoo_jax.config.options import Settings
-from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks

@@ -7,7 +7,7 @@ import numpy as np
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.segment import Rows

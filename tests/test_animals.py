@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from voodoo_jax.config.options import Settings
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import load_body

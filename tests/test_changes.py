@@ -8,7 +8,7 @@ import pytest
 from voodoo_jax.config.options import Change, Settings, SettingsError, StartSettings
 from voodoo_jax.config.toml import read_settings, settings_text
 from voodoo_jax.geometry.rigid import Poses, apply
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.attachments import applied, attach, hung_on, loaded, prepared, resized, with_limbs
 from voodoo_jax.model.body import bands, segment_lengths, site_points

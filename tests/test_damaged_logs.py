@@ -10,7 +10,7 @@ import pytest
 from logs import START, Log, chunks, definition, depth_log, foxglove_cloud, serialise
 from mcap.writer import CompressionType, IndexType
 
-from voodoo_jax.io.mcap_log import LogError, read_log, survey
+from voodoo_jax.io.log_reader import LogError, read_log, survey
 
 N = 40
 NONE, ZSTD, LZ4 = CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4

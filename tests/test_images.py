@@ -8,10 +8,10 @@ from logs import PERIOD, START, K, Log, definition, depth_log, serialise
 from mcap.records import Channel, Schema
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.decode import Decoder
-from voodoo_jax.io.mcap_log import LogError, read_log, survey
-from voodoo_jax.io.pictures import pixels
-from voodoo_jax.io.stereo import picture_of
+from voodoo_jax.io.decode.image_codec import pixels
+from voodoo_jax.io.decode.registry import Decoder
+from voodoo_jax.io.log_reader import LogError, read_log, survey
+from voodoo_jax.io.stereo_pairs import picture_of
 
 U, V = np.meshgrid(np.arange(32), np.arange(24))
 IMAGE = np.stack([4 * U, 8 * V, 200 - 3 * U], -1).astype(np.uint8)  # blue, green, red

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.marker_chain import Chain
 from voodoo_jax.marker_log import marker_table, places, without_gaps

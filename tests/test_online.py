@@ -10,7 +10,7 @@ import voodoo_jax as vj
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.presets import online
-from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.scene import Scene

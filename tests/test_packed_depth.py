@@ -12,8 +12,8 @@ from hypothesis.extra.numpy import arrays
 from logs import PERIOD, START, Log, T, depth_metres, foxglove_calibration, header, ros_calibration, ros_image
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.mcap_log import LogError, read_log, survey
-from voodoo_jax.io.packed_depth import packed_depth, unpacked
+from voodoo_jax.io.decode.depth_codec import packed_depth, unpacked
+from voodoo_jax.io.log_reader import LogError, read_log, survey
 
 A, B = 101.0, -4.0  # of 32FC1: steps of 2 cm at 1.5 m
 TOPIC = "/cam/depth/image_raw/compressedDepth"

@@ -20,7 +20,7 @@ from logs import (
 
 from voodoo_jax.config.options import ReadSettings, Settings, SettingsError
 from voodoo_jax.config.toml import check_settings
-from voodoo_jax.io.mcap_log import open_log, read_log, survey
+from voodoo_jax.io.log_reader import open_log, read_log, survey
 
 RNG = np.random.default_rng(1)
 CLOUD = RNG.uniform([1, -1, 0], [3, 1, 2], (60, 3)).astype(np.float32)

@@ -29,7 +29,7 @@ from logs import (
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.mcap_log import LogError, open_log, read_log, survey
+from voodoo_jax.io.log_reader import LogError, open_log, read_log, survey
 from voodoo_jax.records.recording import Frame
 
 K = np.array([[300.0, 0.0, 159.5], [0.0, 310.0, 119.5], [0.0, 0.0, 1.0]])

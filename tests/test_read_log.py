@@ -29,7 +29,7 @@ from logs import (
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.mcap_log import LogError, open_log, read_log, survey
+from voodoo_jax.io.log_reader import LogError, open_log, read_log, survey
 
 RNG = np.random.default_rng(0)
 CLOUD = RNG.uniform([-1, -1, 0.5], [1, 1, 3], (60, 3))
@@ -374,5 +374,5 @@ def test_lens_of_a_depth_image_is_undone(tmp_path):
 
 
 def test_reader_does_not_import_jax():
-    code = "import sys, voodoo_jax.io.mcap_log; sys.exit('jax' in sys.modules)"
+    code = "import sys, voodoo_jax.io.log_reader; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

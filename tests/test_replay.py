@@ -22,7 +22,7 @@ import voodoo_jax.session
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import open_log, read_log
+from voodoo_jax.io.log_reader import open_log, read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body

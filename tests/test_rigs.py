@@ -20,7 +20,7 @@ from logs import (
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.recording import Recording

@@ -11,7 +11,7 @@ from small_rooms import FLOOR, ORIGIN, box, figure, frame, grid, room
 import voodoo_jax as vj
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.records.observation import whole
 from voodoo_jax.records.recording import Pairs, Rays, Recording
 from voodoo_jax.records.scene import Scene

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import bands, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import load_body

@@ -8,7 +8,7 @@ from logs import PERIOD, START, Log, depth_log, detections, ros_tf
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.mcap_log import read_log, survey
+from voodoo_jax.io.log_reader import read_log, survey
 from voodoo_jax.skin import SkinFinder
 
 SKIN, BROWN = (115, 140, 200), (88, 104, 124)  # blue, green, red

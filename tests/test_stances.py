@@ -10,7 +10,7 @@ from voodoo_jax import beginning
 from voodoo_jax.beginning import Beginning, begin
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses, apply
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.config.options import PersonSettings, Settings, StartSettings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.mcap_tracks import limb_mesh
 from voodoo_jax.model.body import joint_centres, scaled

@@ -9,7 +9,7 @@ from helpers import cast, icp_options, two_limbs
 
 from voodoo_jax.config.options import Settings, SolveSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.kernels.bands import prior_moments
 from voodoo_jax.kernels.points import Points

@@ -7,8 +7,8 @@ from logs import HALF, PERIOD, START, Log, depth_log, ros_tf
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.mcap_log import LogError, read_log, survey
-from voodoo_jax.io.stereo import partners
+from voodoo_jax.io.log_reader import LogError, read_log, survey
+from voodoo_jax.io.stereo_pairs import partners
 
 SIZE = (240, 320)
 K = np.array([[400.0, 0.0, 159.5], [0.0, 400.0, 119.5], [0.0, 0.0, 1.0]])

@@ -13,7 +13,7 @@ from voodoo_jax.beginning import fresh
 from voodoo_jax.compile.executable import forget
 from voodoo_jax.config.options import Settings, TrackSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human

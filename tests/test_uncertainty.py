@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
 from voodoo_jax.kernels.gauss_newton import coupled_normals, pair_normals, point_covariance, twist_covariance

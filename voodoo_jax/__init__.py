@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from voodoo_jax.config.presets import preset as preset
     from voodoo_jax.fit_body import fit as fit
     from voodoo_jax.fit_user import solve_frames as solve_frames
-    from voodoo_jax.io.mcap_log import LogError as LogError
-    from voodoo_jax.io.mcap_log import read_log as read_log
-    from voodoo_jax.io.mcap_log import survey as survey
+    from voodoo_jax.io.log_reader import LogError as LogError
+    from voodoo_jax.io.log_reader import read_log as read_log
+    from voodoo_jax.io.log_reader import survey as survey
     from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
     from voodoo_jax.model.attachments import attach as attach
     from voodoo_jax.model.body import Body as Body
@@ -49,7 +49,7 @@ _PUBLIC = {
     "Body": ("model.body", "Body"),
     "Change": ("config.options", "Change"),
     "FitSettings": ("config.fit_options", "FitSettings"),
-    "LogError": ("io.mcap_log", "LogError"),
+    "LogError": ("io.log_reader", "LogError"),
     "Recording": ("records.recording", "Recording"),
     "Settings": ("config.options", "Settings"),
     "Tracks": ("records.tracks", "Tracks"),
@@ -61,7 +61,7 @@ _PUBLIC = {
     "online": ("config.presets", "online"),
     "preset": ("config.presets", "preset"),
     "read_body": ("model.body_file", "read_body"),
-    "read_log": ("io.mcap_log", "read_log"),
+    "read_log": ("io.log_reader", "read_log"),
     "read_tracks": ("io.tracks_file", "read_tracks_npz"),
     "replay_logs": ("replay", "replay"),
     "save_picture": ("picture", "picture"),
@@ -69,7 +69,7 @@ _PUBLIC = {
     "smooth": ("smoothing", "smooth"),
     "solution": ("solve.implicit", "solution"),
     "solve_frames": ("fit_user", "solve_frames"),
-    "survey": ("io.mcap_log", "survey"),
+    "survey": ("io.log_reader", "survey"),
     "track": ("tracker", "track"),
     "track_many": ("together", "track_many"),
     "write_body": ("model.body_file", "write_body"),

@@ -77,7 +77,7 @@ def run_info(command: Info) -> int:
     if not command.logs:
         print("voodoo-jax info: name at least one log", file=sys.stderr)
         return 2
-    from voodoo_jax.io.mcap_log import LogError, survey
+    from voodoo_jax.io.log_reader import LogError, survey
     from voodoo_jax.storage.urls import expanded
 
     status = 0

@@ -190,7 +190,7 @@ def tracked(
     body: Body, logs: Sequence[Log], settings: Settings, tell: Callable[[str], None] = lambda what: None
 ) -> list[Seen]:
     """Every log tracked with the body, and the person's frames."""
-    from voodoo_jax.io.mcap_log import open_log
+    from voodoo_jax.io.log_reader import open_log
     from voodoo_jax.tracker import find_person, track_person
 
     seen = []

@@ -13,7 +13,7 @@ from voodoo_jax.fit_frames import TruthError
 from voodoo_jax.fit_loop import FitError
 from voodoo_jax.fit_progress import Progress
 from voodoo_jax.io.fit_report import write_report
-from voodoo_jax.io.mcap_log import LogError
+from voodoo_jax.io.log_reader import LogError
 from voodoo_jax.model.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.urls import expanded

@@ -58,7 +58,7 @@ def track_log(
     visit: Visit | None = None,
 ) -> Tracks:
     """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError."""
-    from voodoo_jax.io.mcap_log import open_log
+    from voodoo_jax.io.log_reader import open_log
     from voodoo_jax.tracker import find_person, prepare, track_person
 
     log = open_log(path, settings.read)
@@ -84,7 +84,7 @@ def track_log(
 def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
     """Writes a picture of some frames of a tracked log, reading it (or its copy `log`) once more but keeping these
     frames only."""
-    from voodoo_jax.io.mcap_log import open_log
+    from voodoo_jax.io.log_reader import open_log
     from voodoo_jax.picture import picture, spread
     from voodoo_jax.records.recording import Recording
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
-from voodoo_jax.io.mcap_log import read_log
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_body

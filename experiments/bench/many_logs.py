@@ -21,7 +21,7 @@ from pathlib import Path
 
 import tyro
 
-from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.io.log_reader import open_log
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from voodoo_jax.config.options import Settings
 from voodoo_jax.demo import joint_errors
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.observation import PersonFrame

@@ -28,7 +28,7 @@ from experiments.common import (
     write,
 )
 from voodoo_jax.config.options import Settings
-from voodoo_jax.io.mcap_log import open_log
+from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.picture import _colours, _draw_body
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Tracks

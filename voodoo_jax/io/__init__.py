@@ -1,1 +1,4 @@
-"""Files at the rim of the program: sensor logs in, results out. The readers here never import JAX."""
+"""Sensor logs as frames. Never imports JAX.
+
+Public: `log_reader.open_log`, `log_reader.read_log`, `log_summary.survey`, `log_reader.LogError`.
+"""

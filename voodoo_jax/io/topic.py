@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from voodoo_jax.io.gather import Gathered
+from voodoo_jax.io.landmark_table import Gathered
 from voodoo_jax.records.messages import Calibration, Features
 
 DEPTH_USES = ("depth image", "point cloud", "stereo pair", "laser scan")

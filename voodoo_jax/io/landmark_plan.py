@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.cameras import camera_of
-from voodoo_jax.io.frames import join, period_of
-from voodoo_jax.io.parts import Parts
-from voodoo_jax.io.scan import Scan
+from voodoo_jax.io.calibrations import camera_of
+from voodoo_jax.io.frame_sync import join, period_of
+from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.point_labels import Parts
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.records.messages import Calibration
 from voodoo_jax.records.recording import Pairs, Rays

@@ -9,7 +9,8 @@ from mcap.records import Channel, Schema
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.container import LogError, LogFile, guarded
-from voodoo_jax.io.decode import (
+from voodoo_jax.io.decode.colour import COLOUR_KIND
+from voodoo_jax.io.decode.registry import (
     DECODE_ERRORS,
     DEPTH_KINDS,
     FEATURE_KINDS,
@@ -19,13 +20,12 @@ from voodoo_jax.io.decode import (
     quick_stamp,
     reason_unused,
 )
-from voodoo_jax.io.decode_colour import COLOUR_KIND
-from voodoo_jax.io.gather import gather
-from voodoo_jax.io.skin import SKIN_USE, skin_topics
-from voodoo_jax.io.stereo import STEREO_USE, find_pairs
+from voodoo_jax.io.landmark_table import gather
+from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
+from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
+from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import TransformTree
-from voodoo_jax.io.uses import decide_uses
 from voodoo_jax.records.messages import Calibration, Features, Image, many
 
 

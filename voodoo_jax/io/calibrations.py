@@ -1,6 +1,6 @@
 """Which calibration, and which coordinate frame, belongs to a topic."""
 
-from voodoo_jax.io.decode import DEPTH_KINDS
+from voodoo_jax.io.decode.registry import DEPTH_KINDS
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Calibration, Image
 

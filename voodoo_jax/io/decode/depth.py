@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.io.decode_colour import colour_image
-from voodoo_jax.io.pictures import PIXELS
+from voodoo_jax.io.decode.colour import colour_image
+from voodoo_jax.io.decode.image_codec import PIXELS
 from voodoo_jax.io.transforms import Transform
 from voodoo_jax.records.messages import (
     DEPTH_ENCODINGS,

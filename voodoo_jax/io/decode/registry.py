@@ -13,8 +13,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from voodoo_jax.io import decode_colour, decode_depth, decode_features
-from voodoo_jax.io.decode_colour import COLOUR_KIND
+from voodoo_jax.io.decode import colour, depth, landmarks
+from voodoo_jax.io.decode.colour import COLOUR_KIND
 
 KINDS = {
     "sensor_msgs/msg/PointCloud2": "point cloud",
@@ -44,9 +44,9 @@ KINDS = {
 DEPTH_KINDS = ("image", "point cloud", "laser scan")
 FEATURE_KINDS = ("rays", "pairs")
 _CONVERTERS: dict[str, Callable[[Any], Any]] = {
-    **decode_depth.CONVERTERS,
-    **decode_colour.CONVERTERS,
-    **decode_features.CONVERTERS,
+    **depth.CONVERTERS,
+    **colour.CONVERTERS,
+    **landmarks.CONVERTERS,
 }
 _ENCODINGS = {("cdr", "ros2msg"), ("cdr", "ros2idl"), ("protobuf", "protobuf")}
 # One broken message raises one of these in rosbags, protobuf or NumPy.

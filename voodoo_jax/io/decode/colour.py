@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from voodoo_jax.io.packed_depth import packed_depth
-from voodoo_jax.io.pictures import PIXELS
+from voodoo_jax.io.decode.depth_codec import packed_depth
+from voodoo_jax.io.decode.image_codec import PIXELS
 from voodoo_jax.records.messages import Colour, Image, frame_name, pb_stamp, ros_stamp
 
 COLOUR_KIND = "colour image"

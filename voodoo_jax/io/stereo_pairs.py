@@ -10,9 +10,9 @@ import numpy as np
 from mcap.records import Channel, Message, Schema
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.cameras import calibration_of
-from voodoo_jax.io.decode import Decoder
-from voodoo_jax.io.frames import clean_stamps
+from voodoo_jax.io.calibrations import calibration_of
+from voodoo_jax.io.decode.registry import Decoder
+from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
 from voodoo_jax.records.messages import Calibration, Cloud, Colour, Image
@@ -174,7 +174,7 @@ class StereoReader:
 
     def cloud(self, left: Item, right: Item) -> Cloud:
         """What a pair of images shows, in the left camera's frame. Raises one of DECODE_ERRORS for broken images."""
-        from voodoo_jax.io.pictures import pixels  # with OpenCV: only for logs with pairs
+        from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only for logs with pairs
         from voodoo_jax.stereo import StereoMatcher
 
         contents = [self._decoder.message(s, c, m.data) for s, c, m in (left, right) if s is not None]

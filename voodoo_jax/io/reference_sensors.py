@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from voodoo_jax.io.cameras import calibration_of
+from voodoo_jax.io.calibrations import calibration_of
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Colour, Image, stride
 

@@ -9,17 +9,17 @@ from jaxtyping import Bool, Float, Int64
 from scipy.spatial import KDTree
 
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.cameras import calibration_of
-from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
-from voodoo_jax.io.frames import clean_stamps, join_one
-from voodoo_jax.io.parts import Parts
-from voodoo_jax.io.stereo import picture_of, rectified, scaled
+from voodoo_jax.io.calibrations import calibration_of
+from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
+from voodoo_jax.io.frame_sync import clean_stamps, join_one
+from voodoo_jax.io.point_labels import Parts
+from voodoo_jax.io.stereo_pairs import picture_of, rectified, scaled
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Calibration, many
 from voodoo_jax.records.recording import Rays
 
 if TYPE_CHECKING:
-    from voodoo_jax.io.scan import Scan
+    from voodoo_jax.io.log_index import Scan
 
 SKIN = "skin"  # name of the feature
 SKIN_USE = "skin colour"
@@ -124,7 +124,7 @@ def add_rays(a: Rays, b: Rays) -> Rays:
 def _find(scan: "Scan", names: set[str], wanted: set[tuple[str, int]], counted: Counter) -> dict:
     """(rows, columns) of the image and pixels [region, 2], by (topic, number of the message)."""
     from voodoo_jax.io.container import guarded
-    from voodoo_jax.io.pictures import pixels  # with OpenCV: only where skin is asked for
+    from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only where skin is asked for
     from voodoo_jax.skin import SkinFinder
 
     finders = {name: SkinFinder() for name in names}

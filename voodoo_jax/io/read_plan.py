@@ -7,16 +7,16 @@ import numpy as np
 from jaxtyping import Float32, Int64
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.cameras import frame_of
+from voodoo_jax.io.calibrations import frame_of
 from voodoo_jax.io.container import LogError
-from voodoo_jax.io.decode import DEPTH_KINDS
-from voodoo_jax.io.features import plan_features
-from voodoo_jax.io.frames import clean_stamps, in_pauses, join_one, plan_frames
-from voodoo_jax.io.leaders import dense
-from voodoo_jax.io.parts import BODY, FREE, Parts
-from voodoo_jax.io.scan import Scan
-from voodoo_jax.io.skin import add_rays, plan_skin
-from voodoo_jax.io.stereo import STEREO_USE
+from voodoo_jax.io.decode.registry import DEPTH_KINDS
+from voodoo_jax.io.frame_sync import clean_stamps, in_pauses, join_one, plan_frames
+from voodoo_jax.io.landmark_plan import plan_features
+from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.point_labels import BODY, FREE, Parts
+from voodoo_jax.io.reference_sensors import dense
+from voodoo_jax.io.skin_rays import add_rays, plan_skin
+from voodoo_jax.io.stereo_pairs import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.records.recording import Pairs, Rays
 

@@ -15,14 +15,14 @@ from jaxtyping import Bool, Float, Float32, Int32
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.cameras import bare, calibration_of
+from voodoo_jax.io.calibrations import bare, calibration_of
 from voodoo_jax.io.container import LogError, guarded
-from voodoo_jax.io.decode import DECODE_ERRORS, Decoder
-from voodoo_jax.io.packed_depth import unpacked
-from voodoo_jax.io.plan import Plan, make_plan
-from voodoo_jax.io.scan import Scan
-from voodoo_jax.io.stereo import StereoReader
-from voodoo_jax.io.survey import LogSurvey, TopicSurvey, survey
+from voodoo_jax.io.decode.depth_codec import unpacked
+from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
+from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, survey
+from voodoo_jax.io.read_plan import Plan, make_plan
+from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.recording import Frame, Pairs, Rays, Recording

@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.container import LogError
-from voodoo_jax.io.plan import make_plan
-from voodoo_jax.io.scan import Scan
-from voodoo_jax.io.skin import SKIN_USE
+from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.read_plan import make_plan
+from voodoo_jax.io.skin_rays import SKIN_USE
 
 
 @dataclass(frozen=True)

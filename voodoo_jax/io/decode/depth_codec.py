@@ -57,7 +57,7 @@ def unpacked(image: Image) -> Float32[np.ndarray, "row column"] | UInt16[np.ndar
 
 
 def _png(data: bytes) -> np.ndarray:
-    from voodoo_jax.io.pictures import stored  # takes a tenth of a second, which other logs need not wait for
+    from voodoo_jax.io.decode.image_codec import stored  # takes a tenth of a second, which other logs need not wait for
 
     return stored(data, "depth")
 

@@ -2,12 +2,12 @@
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.cameras import calibration_of, camera_of
+from voodoo_jax.io.calibrations import calibration_of, camera_of
 from voodoo_jax.io.container import LogError
-from voodoo_jax.io.decode import DEPTH_KINDS, FEATURE_KINDS
-from voodoo_jax.io.decode_colour import COLOUR_KIND
-from voodoo_jax.io.parts import label_field
-from voodoo_jax.io.stereo import STEREO_USE, Pair
+from voodoo_jax.io.decode.colour import COLOUR_KIND
+from voodoo_jax.io.decode.registry import DEPTH_KINDS, FEATURE_KINDS
+from voodoo_jax.io.point_labels import label_field
+from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
 from voodoo_jax.records.messages import Image
 
