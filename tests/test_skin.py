@@ -9,7 +9,7 @@ from logs import PERIOD, START, Log, depth_log, detections, ros_tf
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.log_reader import read_log, survey
-from voodoo_jax.skin import SkinFinder
+from voodoo_jax.sensors.skin_colour import SkinFinder
 
 SKIN, BROWN = (115, 140, 200), (88, 104, 124)  # blue, green, red
 K = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])

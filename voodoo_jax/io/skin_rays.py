@@ -125,7 +125,7 @@ def _find(scan: "Scan", names: set[str], wanted: set[tuple[str, int]], counted: 
     """(rows, columns) of the image and pixels [region, 2], by (topic, number of the message)."""
     from voodoo_jax.io.container import guarded
     from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only where skin is asked for
-    from voodoo_jax.skin import SkinFinder
+    from voodoo_jax.sensors.skin_colour import SkinFinder
 
     finders = {name: SkinFinder() for name in names}
     decoder, seen, found = Decoder(), Counter(), {}

@@ -18,7 +18,7 @@ from voodoo_jax.io.transforms import TransformTree
 from voodoo_jax.records.messages import Calibration, Cloud, Colour, Image
 
 if TYPE_CHECKING:
-    from voodoo_jax.stereo import StereoMatcher
+    from voodoo_jax.sensors.stereo_matching import StereoMatcher
 
 STEREO_USE = "stereo pair"
 HELD = 64  # images that wait for their partner; more are not kept
@@ -87,7 +87,7 @@ def _problem(topics: dict[str, Topic], tree: TransformTree, pair: Pair) -> str:
 def make_rig(topics: dict[str, Topic], tree: TransformTree, pair: Pair, shape: tuple[int, int] | None):
     """The geometry of a pair for images of `shape` (rows, columns; None: as calibrated). Raises ValueError if the
     calibrations do not fit together."""
-    from voodoo_jax.rig import posed_rig, projected_rig  # with OpenCV: only for logs with pairs
+    from voodoo_jax.sensors.stereo_rig import posed_rig, projected_rig  # with OpenCV: only for logs with pairs
 
     both = [calibration_of(topics, name) for name in (pair.left, pair.right)]
     for name, c in zip((pair.left, pair.right), both):
@@ -175,7 +175,7 @@ class StereoReader:
     def cloud(self, left: Item, right: Item) -> Cloud:
         """What a pair of images shows, in the left camera's frame. Raises one of DECODE_ERRORS for broken images."""
         from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only for logs with pairs
-        from voodoo_jax.stereo import StereoMatcher
+        from voodoo_jax.sensors.stereo_matching import StereoMatcher
 
         contents = [self._decoder.message(s, c, m.data) for s, c, m in (left, right) if s is not None]
         images = [pixels(picture) for content in contents if (picture := picture_of(content)) is not None]

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from voodoo_jax.disparity import NOWHERE, Grey, Pixels, agreed, at_edges, brightness, mirror, places, refined
 from voodoo_jax.records.messages import stride
-from voodoo_jax.rig import Rig
+from voodoo_jax.sensors.disparity import NOWHERE, Grey, Pixels, agreed, at_edges, brightness, mirror, places, refined
+from voodoo_jax.sensors.stereo_rig import Rig
 
 WIDEST = 1000  # pixels; wider images are halved before they are matched, until they are not
 _BLOCK = 5  # pixels; larger ones swallow arms
