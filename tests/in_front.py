@@ -8,11 +8,13 @@ import numpy as np
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.session import Session
-from voodoo_jax.simulate import Simulation, _motion, placed, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import _motion, placed
+from voodoo_jax.simulate.recording import Simulation, simulate
+from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.tracker import find_person
 

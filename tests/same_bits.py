@@ -181,11 +181,14 @@ def write_logs(folder: Path) -> None:
     from scipy.spatial.transform import Rotation
 
     import voodoo_jax
-    from voodoo_jax.io.mcap_sim import write_simulation
     from voodoo_jax.model.body import scaled, site_points
     from voodoo_jax.model.body_file import human
     from voodoo_jax.model.marker_sets import PLUG_IN_GAIT
-    from voodoo_jax.simulate import Box, Camera, Room, make_motion, placed, pose_body, simulate
+    from voodoo_jax.simulate.mcap import write_simulation
+    from voodoo_jax.simulate.motion import make_motion, placed, pose_body
+    from voodoo_jax.simulate.recording import simulate
+    from voodoo_jax.simulate.room import Box, Room
+    from voodoo_jax.simulate.sensor import Camera
 
     (demo,) = Path(str(voodoo_jax.__file__)).parent.rglob("demo*.mcap")
     shutil.copyfile(demo, folder / "demo.mcap")

@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from voodoo_jax.config.options import PersonSettings, Settings, StartSettings, TrackSettings
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.simulate import make_motion, placed, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
 
 FLAGS = (
     "--body arm --start.scale 0.8 --start.headings 3 --start.frames 2 --person.points 256 --track.chunk 16 "

@@ -5,10 +5,13 @@ import pytest
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.simulate import Box, Room, make_motion, placed, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.room import Box, Room
+from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.tracker import find_person
 
 BOX = Box(4.2, 1.9, (0.5, 0.45, 0.75), 0.3)  # as high as a usual dog

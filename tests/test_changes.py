@@ -9,11 +9,12 @@ from voodoo_jax.config.options import Change, Settings, SettingsError, StartSett
 from voodoo_jax.config.toml import read_settings, settings_text
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.attachments import applied, attach, hung_on, loaded, prepared, resized, with_limbs
 from voodoo_jax.model.body import bands, segment_lengths, site_points
 from voodoo_jax.model.body_file import format_body, human, load_body, parse_body
-from voodoo_jax.simulate import make_motion, placed, simulate
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.solve.scan import track_visits
 from voodoo_jax.tracker import track
 

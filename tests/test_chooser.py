@@ -13,7 +13,7 @@ from voodoo_jax.person import PersonFinder
 from voodoo_jax.records.observation import whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.simulate import Box, hit_box
+from voodoo_jax.simulate.room import Box, hit_box
 
 SCENE = Scene(FLOOR, (), True)
 COATS = figure(3.2, -0.6, 1.75)  # on a stand: as high and wide as a person

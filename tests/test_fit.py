@@ -20,10 +20,11 @@ from voodoo_jax.fit_loop import undetermined
 from voodoo_jax.fit_parameters import Changes, changed, height_of, parameters, usual_lengths
 from voodoo_jax.fit_progress import Progress, load_progress, save_progress
 from voodoo_jax.fit_tuned import tuned_settings
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body, read_body, write_body
-from voodoo_jax.simulate import Room, simulate
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.room import Room
 from voodoo_jax.solve.names import FeatureNames
 
 BODY = human()

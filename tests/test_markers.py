@@ -23,7 +23,7 @@ from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, newington_hips, plain_name
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs, Recording
-from voodoo_jax.simulate import make_motion, placed, pose_body, sequence
+from voodoo_jax.simulate.motion import make_motion, placed, pose_body, sequence
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.tracker import track
 

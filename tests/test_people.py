@@ -183,7 +183,7 @@ def test_shoulders_go_along_with_raised_arms(clip):
 @pytest.mark.parametrize("path", ["drives up", "goes round", "turns", "in a hand"])
 def test_a_camera_keeps_who_it_looks_at_in_view(path, rng):
     paths, sight = part("paths"), part("sight")
-    camera = importlib.import_module("voodoo_jax.simulate").tof_camera()
+    camera = importlib.import_module("voodoo_jax.simulate.sensor").tof_camera()
     middle = np.stack([np.full(90, 3.2), np.linspace(-0.4, 0.4, 90), np.full(90, 0.9)], 1)
     cameras = paths.moved(camera, path, middle, rng)
     assert len(cameras) == 90 and paths.PATHS[3] == "in a hand"

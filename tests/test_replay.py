@@ -23,22 +23,16 @@ from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log, read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.replay import output_paths, replay
 from voodoo_jax.result_folders import folders_within
-from voodoo_jax.simulate import (
-    TOF_NOISE,
-    Room,
-    add_noise,
-    make_motion,
-    placed,
-    render,
-    simulate,
-    tof_camera,
-)  # fmt: skip
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import render, simulate
+from voodoo_jax.simulate.room import Room
+from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
 from voodoo_jax.tracker import find_person
 
 DEMO = Path(str(files("voodoo_jax") / "data" / "demo.mcap"))

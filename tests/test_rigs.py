@@ -24,7 +24,10 @@ from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.simulate import Camera, Motion, Room, make_motion, placed, pose_body, render, simulate
+from voodoo_jax.simulate.motion import Motion, make_motion, placed, pose_body
+from voodoo_jax.simulate.recording import render, simulate
+from voodoo_jax.simulate.room import Room
+from voodoo_jax.simulate.sensor import Camera
 from voodoo_jax.tracker import track
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)

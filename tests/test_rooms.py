@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_rooms import figure
 
-from voodoo_jax.simulate import hit_box
+from voodoo_jax.simulate.room import hit_box
 
 ROOT = Path(__file__).parents[1]
 

@@ -12,7 +12,9 @@ from voodoo_jax.passage import rows_of
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms, other_legs
-from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
+from voodoo_jax.simulate.motion import _motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
 
 BODY = scaled(human(), 1.75)
 

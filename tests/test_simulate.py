@@ -12,27 +12,21 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import bands, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.simulate import (
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import MOTIONS, make_motion, placed, pose_body, sequence
+from voodoo_jax.simulate.recording import render, simulate, truth_tracks
+from voodoo_jax.simulate.room import Room
+from voodoo_jax.simulate.sensor import (
     KINECT_NOISE,
-    MOTIONS,
     NO_NOISE,
     TOF_NOISE,
     Camera,
     Noise,
-    Room,
     add_noise,
     kinect_camera,
-    make_motion,
-    placed,
-    pose_body,
-    render,
-    sequence,
-    simulate,
     tof_camera,
-    truth_tracks,
 )
 
 SMALL = Camera(40, 31, 45.5, 43.1, 19.5, 15.0, (0.0, 0.0, 1.2), 0.07)

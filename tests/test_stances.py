@@ -11,12 +11,14 @@ from voodoo_jax.beginning import Beginning, begin
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.pose_library import STANCES, in_stance
 from voodoo_jax.session import Session
-from voodoo_jax.simulate import _motion, placed, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import _motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import at_rest, options_from
 from voodoo_jax.start import Trial, opposite, unlikely
 from voodoo_jax.tracker import find_person, track

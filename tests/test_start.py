@@ -11,14 +11,16 @@ from voodoo_jax.config.options import PersonSettings, Settings, StartSettings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.mcap_tracks import limb_mesh
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.session import Session
-from voodoo_jax.simulate import Motion, _motion, make_motion, placed, sequence, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import Motion, _motion, make_motion, placed, sequence
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.start import facing, measured_height, place, sized, standing_places
 from voodoo_jax.tracker import find_person, track

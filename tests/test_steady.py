@@ -10,12 +10,14 @@ from helpers import cast, icp_options, two_limbs
 from voodoo_jax.config.options import Settings, SolveSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.kernels.bands import prior_moments
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
-from voodoo_jax.simulate import make_motion, placed, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.frame import Problem, pull_to_prediction
 from voodoo_jax.tracker import track
 

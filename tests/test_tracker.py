@@ -14,13 +14,16 @@ from voodoo_jax.compile.executable import forget
 from voodoo_jax.config.options import Settings, TrackSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.recording import Frame, Rays, Recording
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.session import Session, first_run
-from voodoo_jax.simulate import TOF_NOISE, Room, add_noise, make_motion, placed, render, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import render, simulate
+from voodoo_jax.simulate.room import Room
+from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
 from voodoo_jax.solve.scan import options_from, track_visits
 from voodoo_jax.start import facing, place
 from voodoo_jax.tracker import find_person, looked_at, prepare, track

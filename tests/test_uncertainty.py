@@ -9,12 +9,14 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
 from voodoo_jax.kernels.gauss_newton import coupled_normals, pair_normals, point_covariance, twist_covariance
 from voodoo_jax.model.body import bands, scaled
 from voodoo_jax.model.body_file import human
-from voodoo_jax.simulate import make_motion, placed, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.tracker import track
 
 

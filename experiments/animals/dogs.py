@@ -9,10 +9,13 @@ import numpy as np
 
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.simulate import Box, Motion, Room, _grounded, _motion, simulate, tof_camera
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import Motion, _grounded, _motion
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.room import Box, Room
+from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.tracker import track
 
 RATE, SECONDS = 30, 3.0

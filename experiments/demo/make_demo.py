@@ -11,18 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from voodoo_jax.io.mcap_sim import write_simulation
 from voodoo_jax.model.body import Body, scaled, with_proportions
 from voodoo_jax.model.body_file import human
-from voodoo_jax.simulate import (
-    TOF_NOISE,
-    Simulation,
-    make_motion,
-    placed,
-    sequence,
-    simulate,
-    tof_camera,
-)
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed, sequence
+from voodoo_jax.simulate.recording import Simulation, simulate
+from voodoo_jax.simulate.sensor import TOF_NOISE, tof_camera
 
 STATURE = 1.74  # metres
 RATE = 30.0  # frames per second

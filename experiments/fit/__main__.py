@@ -28,17 +28,10 @@ from voodoo_jax.fit_loop import FitError
 from voodoo_jax.fit_result import Fit
 from voodoo_jax.model.body import Body, scaled, segment_lengths, with_proportions
 from voodoo_jax.records.recording import Frame, Recording
-from voodoo_jax.simulate import (
-    NO_NOISE,
-    TOF_NOISE,
-    Motion,
-    Noise,
-    Room,
-    Simulation,
-    placed,
-    sequence,
-    simulate,
-)
+from voodoo_jax.simulate.motion import Motion, placed, sequence
+from voodoo_jax.simulate.recording import Simulation, simulate
+from voodoo_jax.simulate.room import Room
+from voodoo_jax.simulate.sensor import NO_NOISE, TOF_NOISE, Noise
 from voodoo_jax.tracker import track
 
 NOTE = """

@@ -22,7 +22,9 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.fit_body import Seen, fit, fit_tracked
 from voodoo_jax.fit_result import Fit
 from voodoo_jax.model.body import Body, scaled, segment_lengths, with_proportions
-from voodoo_jax.simulate import NO_NOISE, TOF_NOISE, Room, simulate
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.room import Room
+from voodoo_jax.simulate.sensor import NO_NOISE, TOF_NOISE
 
 WRONG: dict[str, float] = dict.fromkeys(LIMBS, 1.08)  # upper arms, forearms, thighs and shanks are each 8 % too long
 MIXED = {"upper_arm": 0.92, "forearm": 1.08, "thigh": 1.08, "shank": 0.92}

@@ -17,7 +17,8 @@ from experiments.people.recorded import Found, write, write_pairs, write_truth
 from experiments.people.sight import before, beside, detections, in_camera, marked, pixels
 from experiments.people.takes import CAMERAS, CLIPS, IN_THE_AIR, POSED, SEATED, Take, camera_of
 from voodoo_jax.config.options import Settings
-from voodoo_jax.simulate import Box, Camera, Room, add_noise, render_room
+from voodoo_jax.simulate.room import Box, Room, render_room
+from voodoo_jax.simulate.sensor import Camera, add_noise
 
 START_NS = 1_700_000_000_000_000_000
 NEAREST, FARTHEST = 2.6, 5.0  # metres, of the middle of where somebody goes

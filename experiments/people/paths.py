@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.common import slow_noise
 from experiments.people.motions import eased
-from voodoo_jax.simulate import Camera
+from voodoo_jax.simulate.sensor import Camera
 
 PATHS = ("drives up", "goes round", "turns", "in a hand")
 LOOKS = 15  # frames before and after, over whose mean somebody is looked at

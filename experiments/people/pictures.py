@@ -7,7 +7,8 @@ import numpy as np
 
 from experiments.people.figure import Figure
 from experiments.people.sight import in_camera
-from voodoo_jax.simulate import Camera, Room, render_room
+from voodoo_jax.simulate.room import Room, render_room
+from voodoo_jax.simulate.sensor import Camera
 
 try:  # loops over triangles: a hundred times as fast compiled
     from numba import njit  # pyright: ignore[reportMissingImports]

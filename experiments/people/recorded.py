@@ -9,8 +9,9 @@ from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 
 from experiments.people.figure import BONES
 from experiments.people.pictures import JPEG, Rig
-from voodoo_jax.io.mcap_sim import depth_image, foxglove_log, put_camera, save_truth
-from voodoo_jax.simulate import FIXED_FRAME, Camera
+from voodoo_jax.simulate.mcap import depth_image, foxglove_log, put_camera, save_truth
+from voodoo_jax.simulate.recording import FIXED_FRAME
+from voodoo_jax.simulate.sensor import Camera
 
 Found = list[tuple[str, float, float]]
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.people.figure import Figure
-from voodoo_jax.simulate import Box, Camera, Room
+from voodoo_jax.simulate.room import Box, Room
+from voodoo_jax.simulate.sensor import Camera
 
 try:  # loops over triangles: a hundred times as fast compiled
     from numba import njit  # pyright: ignore[reportMissingImports]

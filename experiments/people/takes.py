@@ -9,7 +9,7 @@ import numpy as np
 from experiments.people.bodies import UNUSUAL, USUAL
 from experiments.people.paths import PATHS
 from experiments.people.pictures import RIGS
-from voodoo_jax.simulate import TOF_NOISE, Camera, Noise, tof_camera
+from voodoo_jax.simulate.sensor import TOF_NOISE, Camera, Noise, tof_camera
 
 CLIPS = {"walk": 2, "run": 1, "jump": 2, "kick": 1, "punch": 1, "spinkick": 1, "dance_a": 1, "dance_b": 1, "spin": 1}
 FLOOR = ("crawl", "getup_facedown", "getup_faceup", "roll", "cartwheel")

@@ -16,7 +16,8 @@ from experiments.people.sight import before, in_camera, pixels
 from experiments.people.takes import CAMERAS, CLIPS
 from voodoo_jax.config.options import Settings
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.simulate import Box, Camera, Room, add_noise, render_room
+from voodoo_jax.simulate.room import Box, Room, render_room
+from voodoo_jax.simulate.sensor import Camera, add_noise
 from voodoo_jax.tracker import find_person
 
 FRAMES = 90  # at most

@@ -11,9 +11,12 @@ import numpy as np
 import voodoo_jax as vj
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.io.mcap_sim import depth_image, foxglove_log, put_camera, write_simulation
 from voodoo_jax.model.body import scaled, site_points
-from voodoo_jax.simulate import Camera, Motion, Room, Simulation, make_motion, placed, simulate, tof_camera
+from voodoo_jax.simulate.mcap import depth_image, foxglove_log, put_camera, write_simulation
+from voodoo_jax.simulate.motion import Motion, make_motion, placed
+from voodoo_jax.simulate.recording import Simulation, simulate
+from voodoo_jax.simulate.room import Room
+from voodoo_jax.simulate.sensor import Camera, tof_camera
 
 TOGETHER = 17_000_000  # nanoseconds: half a frame at 30 Hz
 MISSING = 1.0  # metres that count where there is no answer, as for recordings

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body, parse_body
-from voodoo_jax.simulate import Motion, _ease, _grounded, _motion, pose_body
+from voodoo_jax.simulate.motion import Motion, _ease, _grounded, _motion, pose_body
 
 RATE = 30.0  # frames per second
 Pose = dict[str, tuple[float, float, float]]  # rotation vectors of joints about the body frame's axes, radians

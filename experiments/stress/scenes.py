@@ -38,22 +38,10 @@ from experiments.stress.motions import (
 )
 from voodoo_jax.model.body import Body, joint_centres, scaled, segment_lengths
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.simulate import (
-    FIXED_FRAME,
-    TOF_NOISE,
-    Box,
-    Camera,
-    Motion,
-    Noise,
-    Room,
-    add_noise,
-    make_motion,
-    placed,
-    pose_body,
-    render,
-    sequence,
-    tof_camera,
-)
+from voodoo_jax.simulate.motion import Motion, make_motion, placed, pose_body, sequence
+from voodoo_jax.simulate.recording import FIXED_FRAME, render
+from voodoo_jax.simulate.room import Box, Room
+from voodoo_jax.simulate.sensor import TOF_NOISE, Camera, Noise, add_noise, tof_camera
 
 START_NS = 1_700_000_000_000_000_000
 ROOM = Room(boxes=(Box(2.9, 1.35, (0.5, 0.45, 0.75), 0.3),))

@@ -11,7 +11,7 @@ from experiments.common import slow_noise
 from experiments.judged import Recorded
 from voodoo_jax.records.observation import with_places
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.simulate import Box, hit_box
+from voodoo_jax.simulate.room import Box, hit_box
 
 DARK = 0.15  # of their points are left where clothes or hair swallow the light
 EDGES = 0.6  # of the pixels at the edge of something near lie between it and what is behind it

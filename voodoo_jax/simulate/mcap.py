@@ -17,7 +17,8 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.model.body import segment_lengths
-from voodoo_jax.simulate import Camera, Simulation
+from voodoo_jax.simulate.recording import Simulation
+from voodoo_jax.simulate.sensor import Camera
 from voodoo_jax.storage.atomic import replacing
 
 OPTICAL_FRAME = "depth_optical"
