@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import PersonSettings, Settings, StartSettings
+from voodoo_jax.exporters.foxglove import limb_mesh
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.mcap_tracks import limb_mesh
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.rest_shape import rest_box, rest_height

@@ -8,10 +8,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from voodoo_jax.exporters import foxglove
+from voodoo_jax.exporters.foxglove import limb_mesh, write_tracks_mcap
+from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz, write_tracks_npz
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
-from voodoo_jax.io import mcap_tracks
-from voodoo_jax.io.mcap_tracks import limb_mesh, write_tracks_mcap
-from voodoo_jax.io.tracks_file import TracksFileError, read_tracks_npz, write_tracks_npz
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import load_body, parse_body
 from voodoo_jax.records.tracks import Status, Tracks
@@ -216,14 +216,14 @@ def test_limb_without_pose_is_left_out(tmp_path):
 
 def test_failure_in_the_middle_leaves_nothing(tmp_path, monkeypatch):
     tracks = make_tracks()
-    real = mcap_tracks._quality
+    real = foxglove._quality
 
     def dies(t, frame, confidence):
         if frame == 50:
             raise RuntimeError("out of luck")
         return real(t, frame, confidence)
 
-    monkeypatch.setattr(mcap_tracks, "_quality", dies)
+    monkeypatch.setattr(foxglove, "_quality", dies)
     with pytest.raises(RuntimeError, match="out of luck"):
         write_tracks_mcap(tracks, tmp_path / "a.mcap")
 

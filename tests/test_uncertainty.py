@@ -7,9 +7,9 @@ from helpers import cast, scipy_rotation, two_limbs
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import Settings
+from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
 from voodoo_jax.kernels.gauss_newton import coupled_normals, pair_normals, point_covariance, twist_covariance
 from voodoo_jax.model.body import bands, scaled
 from voodoo_jax.model.body_file import human

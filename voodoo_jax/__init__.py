@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from voodoo_jax.config.options import Settings as Settings
     from voodoo_jax.config.presets import online as online
     from voodoo_jax.config.presets import preset as preset
+    from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.fit_body import fit as fit
     from voodoo_jax.fit_user import solve_frames as solve_frames
     from voodoo_jax.io.log_reader import LogError as LogError
     from voodoo_jax.io.log_reader import read_log as read_log
     from voodoo_jax.io.log_reader import survey as survey
-    from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
     from voodoo_jax.model.attachments import attach as attach
     from voodoo_jax.model.body import Body as Body
     from voodoo_jax.model.body import joint_centres as joint_centres
@@ -62,7 +62,7 @@ _PUBLIC = {
     "preset": ("config.presets", "preset"),
     "read_body": ("model.body_file", "read_body"),
     "read_log": ("io.log_reader", "read_log"),
-    "read_tracks": ("io.tracks_file", "read_tracks_npz"),
+    "read_tracks": ("exporters.npz", "read_tracks_npz"),
     "replay_logs": ("replay", "replay"),
     "save_picture": ("picture", "picture"),
     "show": ("picture", "show"),
@@ -73,7 +73,7 @@ _PUBLIC = {
     "track": ("tracker", "track"),
     "track_many": ("together", "track_many"),
     "write_body": ("model.body_file", "write_body"),
-    "write_tracks": ("io.tracks_file", "write_tracks_npz"),
+    "write_tracks": ("exporters.npz", "write_tracks_npz"),
 }
 __all__ = sorted(_PUBLIC)
 

@@ -116,10 +116,10 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
+    from voodoo_jax.exporters.foxglove import write_tracks_mcap
+    from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
     from voodoo_jax.io.finished import log_fingerprint, run_key
-    from voodoo_jax.io.mcap_tracks import write_tracks_mcap
-    from voodoo_jax.io.tracks_file import read_tracks_npz, write_tracks_npz
     from voodoo_jax.smoothing import smooth
 
     key, (place, _, drawn) = "", output_places(job.log, job.out)

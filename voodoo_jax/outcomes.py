@@ -52,7 +52,7 @@ class Outcome:
         """The tracks, read from their file; None for a log that failed. Raises OSError if the file is gone."""
         if not self.npz:
             return None
-        from voodoo_jax.io.tracks_file import read_tracks_npz
+        from voodoo_jax.exporters.npz import read_tracks_npz
 
         with fetched(self.npz) as path:
             return read_tracks_npz(path)

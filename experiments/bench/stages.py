@@ -23,10 +23,10 @@ from experiments.bench.replay_speed import machine
 from experiments.bench.work import STEPS, Work, from_demo, load, with_limbs
 from experiments.common import DEMO, human, log_files, table, write
 from voodoo_jax.config.options import Settings
+from voodoo_jax.exporters.foxglove import write_tracks_mcap
+from voodoo_jax.exporters.npz import write_tracks_npz
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log
-from voodoo_jax.io.mcap_tracks import write_tracks_mcap
-from voodoo_jax.io.tracks_file import write_tracks_npz
 from voodoo_jax.kernels.correspondences import closest_limbs, match, moments
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.solve.frame import Problem, adjacency, icp_step
