@@ -15,11 +15,11 @@ from jaxtyping import Bool, Float, Float32, Int64
 from experiments.common import NEAR_NS, Log, Score, errors, human, load_dims, load_truth, nearest, off, score, scored
 from voodoo_jax.compile.cache_dir import cache_folder, keep_compiled, use_compile_cache
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.tracker import find_person
 
 Job = TypeVar("Job")
 Out = TypeVar("Out")

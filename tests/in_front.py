@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import Body, joint_centres
@@ -16,7 +17,6 @@ from voodoo_jax.simulate.motion import _motion, placed
 from voodoo_jax.simulate.recording import Simulation, simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
-from voodoo_jax.tracker import find_person
 
 
 def in_front(

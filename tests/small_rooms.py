@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from voodoo_jax.candidate import Build
+from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.recording import Frame
 

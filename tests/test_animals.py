@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import load_body
@@ -12,7 +13,6 @@ from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.room import Box, Room
 from voodoo_jax.simulate.sensor import tof_camera
-from voodoo_jax.tracker import find_person
 
 BOX = Box(4.2, 1.9, (0.5, 0.45, 0.75), 0.3)  # as high as a usual dog
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small_rooms import FLOOR, ORIGIN, box, build_of, figure, frame
 
-from voodoo_jax.candidate import candidate
-from voodoo_jax.chooser import ENOUGH, HELD, PATIENCE, Chooser, Follower
 from voodoo_jax.config.options import PersonSettings
-from voodoo_jax.person import PersonFinder
+from voodoo_jax.detect.body_likelihood import candidate
+from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.target_selection import ENOUGH, HELD, PATIENCE, Chooser, Follower
 from voodoo_jax.records.observation import whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene

@@ -9,8 +9,8 @@ from beside_a_box import BOX, seen, somebody
 from scipy.spatial import KDTree
 from small_rooms import FLOOR, ORIGIN
 
-from voodoo_jax.flat_faces import flat_faces, without_faces
-from voodoo_jax.resting import OFTEN, resting
+from voodoo_jax.detect.planar_furniture import flat_faces, without_faces
+from voodoo_jax.detect.static_points import OFTEN, resting
 
 
 def off(mesh: trimesh.Trimesh, points) -> np.ndarray:

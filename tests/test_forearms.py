@@ -96,8 +96,9 @@ def test_other_bodies_stay(other):
 
 def test_tracks_say_what_they_found():
     """The demo with and without: poses are the same, wrists and forearms are not; one pass leaves the body alone."""
+    from voodoo_jax.detect.pipeline import find_person
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.tracker import find_person, track_person
+    from voodoo_jax.tracker import track_person
 
     source = open_log(str(files("voodoo_jax") / "data" / "demo.mcap"))
     frames = [frame for frame, _ in zip(source.frames(), range(40))]

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from voodoo_jax.hiding import BIN, NEARER, Nearest
+from voodoo_jax.detect.visibility import BIN, NEARER, Nearest
 
 
 def test_what_is_hidden_is_what_rays_meet_something_before(rng):

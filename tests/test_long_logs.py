@@ -11,9 +11,9 @@ import pytest
 
 from tests.small_logs import SETTINGS, small_body, small_log
 from voodoo_jax import following
+from voodoo_jax.detect.disk_buffer import ARRAYS, spilled
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.spill import ARRAYS, spilled
 from voodoo_jax.tracker import track
 
 

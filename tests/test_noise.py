@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.range_noise import FEWEST, range_noise, weighed
 from voodoo_jax.following import blank
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body_file import human
-from voodoo_jax.noise import FEWEST, range_noise, weighed
 from voodoo_jax.notes import notes_on
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.scene import Scene

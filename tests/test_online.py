@@ -10,12 +10,13 @@ import voodoo_jax as vj
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.presets import online
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.tracker import find_person, track_person
+from voodoo_jax.tracker import track_person
 
 SETTINGS = online(Settings())
 CUT = 60

@@ -8,17 +8,17 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from small_rooms import FLOOR, ORIGIN, box, build_of, figure, frame, grid, room
 
-from voodoo_jax.candidate import Build
 from voodoo_jax.config.options import PersonSettings
-from voodoo_jax.furniture import without_furniture, without_things
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.scene import find_scene
+from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.touched_furniture import without_furniture, without_things
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import components
-from voodoo_jax.person import PersonFinder
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.scene import find_scene
 
 
 def heights_of(scene: Scene, points) -> np.ndarray:

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 import voodoo_jax.session
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log, read_log
 from voodoo_jax.model.body import scaled
@@ -33,7 +34,6 @@ from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import render, simulate
 from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
-from voodoo_jax.tracker import find_person
 
 DEMO = Path(str(files("voodoo_jax") / "data" / "demo.mcap"))
 DEMO_TRUTH = DEMO.with_name("demo.truth.npz")

@@ -12,7 +12,7 @@ RIM = ("mcap", "trimesh", "matplotlib", "rosbags", "foxglove_schemas_protobuf", 
     "modules,forbidden",
     [
         (("kernels.correspondences", "kernels.gauss_newton", "solve.frame", "solve.scan"), RIM),
-        (("records.recording", "config.options", "person"), (*RIM, "jax")),
+        (("records.recording", "config.options", "detect.segmentation"), (*RIM, "jax")),
     ],
 )
 def test_imports(modules, forbidden):

@@ -10,12 +10,12 @@ from small_rooms import FLOOR, ORIGIN, box, figure, frame, grid, room
 
 import voodoo_jax as vj
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.camera_motion import Planes, as_measured, steadied, steady_scene, to_fixed
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.records.observation import whole
 from voodoo_jax.records.recording import Pairs, Rays, Recording
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.shaking import Planes, as_measured, steadied, steady_scene, to_fixed
 
 WALL = Plane(np.array([-1, 0, 0], np.float32), -4.5)
 ROOM = Scene(FLOOR, (WALL,), True)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from voodoo_jax import beginning
 from voodoo_jax.beginning import Beginning, begin
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import Body, joint_centres, scaled
@@ -21,7 +22,7 @@ from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import at_rest, options_from
 from voodoo_jax.start import Trial, opposite, unlikely
-from voodoo_jax.tracker import find_person, track
+from voodoo_jax.tracker import track
 
 BODY = scaled(human(), 1.75)
 

@@ -10,12 +10,12 @@ from small_rooms import FLOOR, box, build_of, figure, frame, grid, room
 
 import voodoo_jax as vj
 from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.detect.raised_floor import on_its_floor
+from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.scene import find_scene
-from voodoo_jax.standing_on import on_its_floor
 
 BODY, UP = build_of(), np.array([0, 0, 1], np.float32)
 ROOM = Scene(FLOOR, (Plane(np.array([-1, 0, 0], np.float32), -4.5),), True)

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import PersonSettings, Settings, StartSettings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.exporters.foxglove import limb_mesh
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
@@ -23,7 +24,7 @@ from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.start import facing, measured_height, place, sized, standing_places
-from voodoo_jax.tracker import find_person, track
+from voodoo_jax.tracker import track
 
 UP = np.array([0, 0, 1], np.float32)
 FLOOR = Plane(UP, 0.0)

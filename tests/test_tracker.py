@@ -12,6 +12,7 @@ import pytest
 from voodoo_jax.beginning import fresh
 from voodoo_jax.compile.executable import forget
 from voodoo_jax.config.options import Settings, TrackSettings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import joint_centres, scaled
@@ -26,7 +27,7 @@ from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
 from voodoo_jax.solve.scan import options_from, track_visits
 from voodoo_jax.start import facing, place
-from voodoo_jax.tracker import find_person, looked_at, prepare, track
+from voodoo_jax.tracker import looked_at, prepare, track
 
 CAMERA = tof_camera(1.0, 0.07)
 NO, YES, GONE = Status.NOT_STARTED, Status.TRACKED, Status.NO_DATA

@@ -190,8 +190,9 @@ def tracked(
     body: Body, logs: Sequence[Log], settings: Settings, tell: Callable[[str], None] = lambda what: None
 ) -> list[Seen]:
     """Every log tracked with the body, and the person's frames."""
+    from voodoo_jax.detect.pipeline import find_person
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.tracker import find_person, track_person
+    from voodoo_jax.tracker import track_person
 
     seen = []
     for log in logs:

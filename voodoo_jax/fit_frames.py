@@ -15,13 +15,13 @@ from jaxtyping import Bool, Float64, Int, Int64
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import FeatureSettings
+from voodoo_jax.detect.camera_motion import as_measured
 from voodoo_jax.fit_objective import FitFrames
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Topology
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.shaking import as_measured
 from voodoo_jax.solve.names import V1_NAMES, FeatureNames
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features, pad_frames
 

@@ -58,8 +58,9 @@ def track_log(
     visit: Visit | None = None,
 ) -> Tracks:
     """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError."""
+    from voodoo_jax.detect.pipeline import find_person
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.tracker import find_person, prepare, track_person
+    from voodoo_jax.tracker import prepare, track_person
 
     log = open_log(path, settings.read)
     if visit is None:

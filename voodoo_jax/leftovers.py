@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from voodoo_jax.furniture import WINDOW
+from voodoo_jax.detect.static_points import resting
+from voodoo_jax.detect.touched_furniture import WINDOW
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame, assigned
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.resting import resting
 from voodoo_jax.session import spans
 
 WELL = 0.99  # of the points explained, mean of all frames: nothing is left over

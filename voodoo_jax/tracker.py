@@ -1,98 +1,43 @@
 """A whole recording: finds the body, starts, tracks in chunks, starts anew where it was lost. Host side."""
 
 import time
-from collections.abc import Iterable, Iterator
-from itertools import chain, islice
 from threading import Thread
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Float32
+from jaxtyping import Array, Float
 
-from voodoo_jax.candidate import LOOSE, Build
-from voodoo_jax.chooser import Chooser
 from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.compile.executable import program, seconds_of_waiting
 from voodoo_jax.config.options import Settings
-from voodoo_jax.flat_faces import without_faces
+from voodoo_jax.detect.camera_motion import to_fixed
+from voodoo_jax.detect.disk_buffer import spilled
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.following import Progress, blank, follow
 from voodoo_jax.forearms import with_forearms
-from voodoo_jax.furniture import WINDOW, without_furniture, without_things
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.joint_limits import check
 from voodoo_jax.leftovers import without_leftovers
 from voodoo_jax.marker_exchange import Exchange, jumps, put_right
-from voodoo_jax.marker_log import (
-    TO_START,
-    marker_table,
-    sized_by_markers,
-    without_gaps,
-)
+from voodoo_jax.marker_log import TO_START, marker_table, sized_by_markers, without_gaps
 from voodoo_jax.model.attachments import loaded, prepared
-from voodoo_jax.model.body import Body, joint_centres, scaled
+from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.pose_library import Stance
-from voodoo_jax.model.rest_shape import rest_box, rest_height
-from voodoo_jax.noise import weighed
 from voodoo_jax.notes import notes_on
-from voodoo_jax.person import PersonFinder
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.records.recording import Frame, Rays, Recording
+from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.session import FEW_POINTS, Session, by_markers, spans
-from voodoo_jax.shaking import steadied, steady_scene, to_fixed
 from voodoo_jax.solve.covariance import covariances
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
-from voodoo_jax.spill import spilled
-from voodoo_jax.standing_on import on_its_floor
 from voodoo_jax.trust import doubted, joint_confidence, marker_confidence
-from voodoo_jax.upright import upright
 
 FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)
 LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained
-SCENE_FRAMES, SCENE_EVERY = 15, 3  # floor and walls are looked for in every third of so many first frames
-
-
-def find_person(
-    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings
-) -> tuple[Scene, list[PersonFrame]]:
-    """Floor and walls, and the body's points of every frame. Of the frames, taken one by one, only these are kept."""
-    stream: Iterator[Frame] = iter(frames)
-    first = list(islice(stream, SCENE_FRAMES))
-    scale = settings.start.scale
-    # a body's scale need not be its height
-    rested = scaled(body, scale) if scale > 0 else body
-    low, high = rest_box(rested)
-    # how large an animal or a machine is nobody knows, unless it is said
-    loose = 0.0 if scale > 0 or body.scale_name == "stature" else LOOSE
-    build = Build(rest_height(rested), float(np.max(high[:2] - low[:2])), loose)
-    sure = bool(up[2] > 0.99)
-    scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
-    some = first[:: SCENE_FRAMES // 2]
-    other = upright(some, scene, up, sure, build, settings.person)
-    if other is not up:
-        scene, planes = steady_scene(first, other, False, SCENE_EVERY)
-    scene = on_its_floor(some, scene, build, settings.person)
-    all_frames = chain(first, stream)
-    if settings.person.steady:
-        all_frames = steadied(all_frames, planes)
-    chooser = Chooser(scene, build, settings.person)
-    found = weighed(chooser(all_frames), settings.person.noise)
-    windows = iter(lambda: list(islice(found, WINDOW)), [])
-    flat = body.scale_name != "stature"  # a machine may be
-    told = chain.from_iterable(_told(window, chooser.finder, flat) for window in windows)
-    people = spilled(told if settings.person.ahead else found)
-    return chooser.finder.scene, people  # the floor may have been found with the body
-
-
-def _told(window: list[PersonFrame], finder: PersonFinder, flat: bool) -> list[PersonFrame]:
-    """The frames without what all of them together tell to be furniture. `flat`: the body may have flat faces, too."""
-    floor, link = finder.scene.floor, finder.settings.link
-    left = without_furniture(without_things(window, floor, finder.apart(), link), floor.normal)
-    return left if flat else without_faces(left, floor)
 
 
 def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, ...]], parts: bool) -> list[Thread]:

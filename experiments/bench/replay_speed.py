@@ -28,6 +28,7 @@ from tqdm import tqdm
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.demo import joint_errors
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body, joint_centres
@@ -36,7 +37,7 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.padding import Chunk, pad_frames
 from voodoo_jax.solve.scan import Step, at_rest, options_from, track_chunk
-from voodoo_jax.tracker import find_person, track_person
+from voodoo_jax.tracker import track_person
 
 ROOT = Path(__file__).parents[2]
 JITTER = 0.002  # metres

@@ -23,6 +23,7 @@ from experiments.bench.replay_speed import machine
 from experiments.bench.work import STEPS, Work, from_demo, load, with_limbs
 from experiments.common import DEMO, human, log_files, table, write
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.exporters.foxglove import write_tracks_mcap
 from voodoo_jax.exporters.npz import write_tracks_npz
 from voodoo_jax.geometry.rigid import Poses
@@ -31,7 +32,7 @@ from voodoo_jax.kernels.correspondences import closest_limbs, match, moments
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.solve.frame import Problem, adjacency, icp_step
 from voodoo_jax.solve.padding import bucket, pad_frames
-from voodoo_jax.tracker import find_person, track_person
+from voodoo_jax.tracker import track_person
 
 REPEATS = 20  # of a stage inside one program
 

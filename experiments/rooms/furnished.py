@@ -15,10 +15,10 @@ from experiments.people.motions import RATE, Clip, after_standing, read_clip
 from experiments.people.sight import before, in_camera, pixels
 from experiments.people.takes import CAMERAS, CLIPS
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.simulate.room import Box, Room, render_room
 from voodoo_jax.simulate.sensor import Camera, add_noise
-from voodoo_jax.tracker import find_person
 
 FRAMES = 90  # at most
 HELD = 3  # of them in the clip's last pose

@@ -8,10 +8,10 @@ import numpy as np
 from experiments.judged import Recorded
 from experiments.stress.sensing import SENSING, at_distances, with_points
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import with_places
 from voodoo_jax.records.recording import Pairs, Rays
-from voodoo_jax.tracker import find_person
 
 STEPS = 580 * 0.075 * 8  # a Kinect's number of steps at 1 m: focal length (pixels), baseline (metres), parts of a pixel
 SIGMA = (0.004, 0.0015)  # of the recordings' camera: metres, and per metre of the squared distance

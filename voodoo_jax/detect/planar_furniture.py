@@ -11,9 +11,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from voodoo_jax.detect.static_points import Resting, resting
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import PersonFrame, assigned
-from voodoo_jax.resting import Resting, resting
 
 NEIGHBOURS, NEAR = 20, (0.06, 3.0)  # by which a normal is found: how many at most, within metres and pixels
 EVEN = 0.006  # metres from the plane of its neighbours (root mean square): a point is on something even

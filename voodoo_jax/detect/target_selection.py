@@ -11,12 +11,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.candidate import Build
 from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.geometry.voxels import Cells, cells_of, touching
-from voodoo_jax.hiding import Nearest
-from voodoo_jax.person import PersonFinder
 from voodoo_jax.records.observation import PersonFrame, assigned, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32
 
-from voodoo_jax.candidate import Build
 from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.segmentation import PersonFinder
 from voodoo_jax.geometry.voxels import cells_of, unique_cells, within
-from voodoo_jax.person import PersonFinder
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 

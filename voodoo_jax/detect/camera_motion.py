@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.records.observation import PersonFrame, Seen, with_places
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.scene import find_scene
 
 ASKED = 1000  # points of a frame
 FAR, FASTER = 0.2, 0.6  # metres from a plane, of the points on it at first, and how that changes from step to step

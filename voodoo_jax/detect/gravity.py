@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.candidate import Build
 from voodoo_jax.config.options import PersonSettings
-from voodoo_jax.person import PersonFinder
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.scene import find_scene, shows_floor
+from voodoo_jax.detect.segmentation import PersonFinder
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.scene import find_scene, shows_floor
 
 LOW = 0.5  # of its height: so low the body may be, if up is where the log says
 LIKELIER = 2.0  # times as like a body something must be if another way is up

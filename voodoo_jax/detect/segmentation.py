@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
-from voodoo_jax.candidate import Build, candidate
 from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.detect.body_likelihood import Build, candidate
+from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
 from voodoo_jax.records.observation import PersonFrame, assigned, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.scene import BEHIND
 
 STILL = 0.06  # metres from one frame's points to those of the frame before, of things that do not move
 APART = 0.6  # of a thing's points: so many where something was apart from the body make it that

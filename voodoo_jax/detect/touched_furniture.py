@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.detect.segmentation import stands_aside
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import cells_of, components, touching, unique_cells, within
-from voodoo_jax.person import stands_aside
 from voodoo_jax.records.observation import PersonFrame, assigned
 
 WINDOW = 1800  # frames by which furniture is told from the body at once
