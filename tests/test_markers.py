@@ -13,11 +13,11 @@ from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.landmarks import named_points
-from voodoo_jax.marker_chain import Chain
-from voodoo_jax.marker_log import marker_table, places, without_gaps
-from voodoo_jax.marker_priors import Priors
-from voodoo_jax.marker_sizes import Fit, Markers, personal
-from voodoo_jax.marker_start import agreed, first_pose, rigid
+from voodoo_jax.markers.chain import Chain
+from voodoo_jax.markers.first_pose import agreed, first_pose, rigid
+from voodoo_jax.markers.priors import Priors
+from voodoo_jax.markers.size_fit import Fit, Markers, personal
+from voodoo_jax.markers.table import marker_table, places, without_gaps
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, newington_hips, plain_name

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32
 
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
-from voodoo_jax.marker_log import TO_START, marker_start
+from voodoo_jax.markers.table import TO_START, marker_start
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
 from voodoo_jax.records.observation import PersonFrame

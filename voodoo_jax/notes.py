@@ -4,9 +4,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.marker_exchange import Exchange
-from voodoo_jax.marker_log import TO_START
-from voodoo_jax.marker_notes import marker_notes
+from voodoo_jax.markers.diagnostics import marker_notes
+from voodoo_jax.markers.label_swaps import Exchange
+from voodoo_jax.markers.table import TO_START
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.records.tracks import Status

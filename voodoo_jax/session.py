@@ -13,7 +13,7 @@ from jaxtyping import Bool, Int, Int8
 from voodoo_jax.config.options import Change, Settings, StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.kernels.landmarks import Features
-from voodoo_jax.marker_log import ENOUGH, TO_START, explained, marker_table
+from voodoo_jax.markers.table import ENOUGH, TO_START, explained, marker_table
 from voodoo_jax.model.attachments import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import Stance

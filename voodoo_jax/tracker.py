@@ -19,8 +19,8 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.joint_limits import check
 from voodoo_jax.leftovers import without_leftovers
-from voodoo_jax.marker_exchange import Exchange, jumps, put_right
-from voodoo_jax.marker_log import TO_START, marker_table, sized_by_markers, without_gaps
+from voodoo_jax.markers.label_swaps import Exchange, jumps, put_right
+from voodoo_jax.markers.table import TO_START, marker_table, sized_by_markers, without_gaps
 from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.pose_library import Stance

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.marker_exchange import Exchange
-from voodoo_jax.marker_log import CLOSE, MarkerTable, places
+from voodoo_jax.markers.label_swaps import Exchange
+from voodoo_jax.markers.table import CLOSE, MarkerTable, places
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT
 

@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.kernels.landmarks import named_points
-from voodoo_jax.marker_chain import Chain
-from voodoo_jax.marker_priors import SCALE, Priors
-from voodoo_jax.marker_start import first_pose
+from voodoo_jax.markers.chain import Chain
+from voodoo_jax.markers.first_pose import first_pose
+from voodoo_jax.markers.priors import SCALE, Priors
 from voodoo_jax.model.body import Body, with_rest_from_joints
 from voodoo_jax.solve.names import V1_NAMES
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from voodoo_jax.marker_chain import Chain
+from voodoo_jax.markers.chain import Chain
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.model.marker_sets import RIDES, USUAL_LENGTHS, newington_hips, placement
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from voodoo_jax.marker_sizes import Fit, Markers, fit_markers
+from voodoo_jax.markers.size_fit import Fit, Markers, fit_markers
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame
 

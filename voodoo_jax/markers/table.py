@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.kernels.landmarks import named_points
-from voodoo_jax.marker_exchange import Exchange, sides
-from voodoo_jax.marker_sizes import Markers, fit_markers, personal
+from voodoo_jax.markers.label_swaps import Exchange, sides
+from voodoo_jax.markers.size_fit import Markers, fit_markers, personal
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs
