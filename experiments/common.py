@@ -26,7 +26,7 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.tracker import track_person
+from voodoo_jax.trackers.icp.tracker import track_person
 
 DEMO = Path(__file__).parents[1] / "voodoo_jax" / "data"  # the recording that the package brings along
 SKIP = 0.5  # seconds of the truth's beginning that are not scored: the tracker finds the body there

@@ -11,12 +11,12 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.segment import Rows
-from voodoo_jax.session import Session
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import _motion, placed
 from voodoo_jax.simulate.recording import Simulation, simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
+from voodoo_jax.trackers.icp.runner import Session
 
 
 def in_front(

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.both_ways import AGREE, WINDOW, Pass, backward_is_better, combined
+from voodoo_jax.trackers.icp.refine.forward_backward import AGREE, WINDOW, backward_is_better, combined
+from voodoo_jax.trackers.icp.segment import Pass
 
 LENGTHS = np.array([0.3, 0.4])
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from in_front import error, in_front
 
-from voodoo_jax.crossed_legs import crossed, uncrossed
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.pose_library import HIPS, exchanged
-from voodoo_jax.passage import rows_of, tracked_anew
-from voodoo_jax.session import Session
+from voodoo_jax.trackers.icp.refine.leg_swap import crossed, uncrossed
+from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.segment import rows_of, tracked_anew
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
@@ -65,11 +65,11 @@ def test_legs_are_exchanged_as_often_as_they_were(steps, monkeypatch):
         pick = lambda x, bad: np.where(near[low:high].reshape(-1, *[1] * (x.ndim - 1)), x, bad)  # noqa: E731
         return {n: pick(x, wrong[n][low:high]) for n, x in tracked_anew(run, first, poses, low, at, high).items()}
 
-    monkeypatch.setattr("voodoo_jax.crossed_legs.tracked_anew", for_a_while)
+    monkeypatch.setattr("voodoo_jax.trackers.icp.refine.leg_swap.tracked_anew", for_a_while)
     left = []
     for rounds in (1, 3):
         near = np.zeros(COUNT, bool)
-        monkeypatch.setattr("voodoo_jax.crossed_legs.MOST", rounds)
+        monkeypatch.setattr("voodoo_jax.trackers.icp.refine.leg_swap.MOST", rounds)
         left.append(int(crossed(on_host(BODY), uncrossed(run, 0, wrong)).sum()))
     assert left[0] >= 5 > left[1]  # fewer than five frames are not worth a look
 

@@ -7,13 +7,23 @@ import numpy as np
 import pytest
 
 from voodoo_jax.config.options import FeatureSettings, Settings
-from voodoo_jax.forearms import BY_NAMES, BY_POINTS, FARTHEST, FEW, HAND, Stretch, lengthened, stretch, with_forearms
 from voodoo_jax.model.body import scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.names import FeatureNames
+from voodoo_jax.trackers.icp.refine.forearm_length import (
+    BY_NAMES,
+    BY_POINTS,
+    FARTHEST,
+    FEW,
+    HAND,
+    Stretch,
+    lengthened,
+    stretch,
+    with_forearms,
+)
 
 BODY = scaled(human(), 1.8)
 NAMES = FeatureNames(BODY.topology, FeatureSettings())
@@ -98,7 +108,7 @@ def test_tracks_say_what_they_found():
     """The demo with and without: poses are the same, wrists and forearms are not; one pass leaves the body alone."""
     from voodoo_jax.detect.pipeline import find_person
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.tracker import track_person
+    from voodoo_jax.trackers.icp.tracker import track_person
 
     source = open_log(str(files("voodoo_jax") / "data" / "demo.mcap"))
     frames = [frame for frame, _ in zip(source.frames(), range(40))]

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from in_front import error, in_front
 
-from voodoo_jax.beginning import Beginning
-from voodoo_jax.front_or_back import gone_ahead, likelier_way
 from voodoo_jax.geometry.rigid import Poses, compose, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
-from voodoo_jax.passage import rows_of
+from voodoo_jax.trackers.icp.initialise import Beginning
+from voodoo_jax.trackers.icp.refine.facing import gone_ahead, likelier_way
+from voodoo_jax.trackers.icp.segment import rows_of
 
 BODY, COUNT = scaled(human(), 1.75), 30
 

@@ -5,12 +5,12 @@ import pytest
 from in_front import error, in_front
 
 from voodoo_jax.geometry.rigid import Poses, on_host
-from voodoo_jax.jumps import jumps, without_jumps
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
-from voodoo_jax.passage import rows_of
 from voodoo_jax.records.tracks import Status
+from voodoo_jax.trackers.icp.refine.discontinuity import jumps, without_jumps
+from voodoo_jax.trackers.icp.segment import rows_of
 
 BODY, COUNT = scaled(human(), 1.75), 30
 

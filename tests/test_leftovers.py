@@ -7,11 +7,11 @@ import pytest
 import trimesh
 from helpers import frustum_mesh, inside_body, scipy_rotation, seen_points
 
-from voodoo_jax.leftovers import FEWEST, OFF, _outside, without_leftovers
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Status
+from voodoo_jax.trackers.icp.refine.unexplained import FEWEST, OFF, _outside, without_leftovers
 
 BODY, COUNT = scaled(human(), 1.7), 40
 SENSOR = np.array([[3.0, 0.0, 1.2]], np.float32)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tests.small_logs import SETTINGS, small_body, small_log
-from voodoo_jax import following
 from voodoo_jax.detect.disk_buffer import ARRAYS, spilled
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.tracker import track
+from voodoo_jax.trackers.icp import sequence
+from voodoo_jax.trackers.icp.tracker import track
 
 
 def cloud(i: int, count: int, parts: bool = True) -> PersonFrame:
@@ -79,7 +79,7 @@ def test_spans_go_on_where_the_last_one_ended(swinging, monkeypatch):
     done = []
     whole = track(small_body(), swinging, settings, done.append)
     assert sum(done) == 2 * len(swinging)
-    monkeypatch.setattr(following, "SPAN", 48)
+    monkeypatch.setattr(sequence, "SPAN", 48)
     done.clear()
     parts = track(small_body(), swinging, settings, done.append)
     assert sum(done) == 2 * len(swinging)

@@ -7,14 +7,14 @@ import pytest
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.range_noise import FEWEST, range_noise, weighed
-from voodoo_jax.following import blank
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body_file import human
-from voodoo_jax.notes import notes_on
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.session import Session
 from voodoo_jax.solve.scan import options_from
+from voodoo_jax.trackers.icp.diagnostics import notes_on
+from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.sequence import blank
 
 ORIGIN = np.array([0.3, -0.2, 1.2], np.float32)
 

@@ -16,7 +16,7 @@ from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.tracker import track_person
+from voodoo_jax.trackers.icp.tracker import track_person
 
 SETTINGS = online(Settings())
 CUT = 60

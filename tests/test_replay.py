@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
-import voodoo_jax.session
+import voodoo_jax.trackers.icp.runner
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.pipeline import find_person
@@ -90,7 +90,7 @@ def wave_log(tmp_path_factory) -> Path:
 
 def programs() -> int:
     """How many compiled programs there are of the tracker."""
-    return len(voodoo_jax.session.track_visits.ready)
+    return len(voodoo_jax.trackers.icp.runner.track_visits.ready)
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,13 @@ from in_front import error, in_front
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.passage import rows_of
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.second_look import LONGEST, in_doubt, looked_again, other_arms, other_legs
 from voodoo_jax.simulate.motion import _motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
+from voodoo_jax.trackers.icp.refine.limb_restart import LONGEST, in_doubt, looked_again, other_arms, other_legs
+from voodoo_jax.trackers.icp.segment import rows_of
 
 BODY = scaled(human(), 1.75)
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.smoothing import smooth
+from voodoo_jax.trackers.smoothing import smooth
 
 BODY = human()
 JOINTS, LIMBS = len(BODY.topology.centres), BODY.limb_count

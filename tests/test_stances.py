@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from voodoo_jax import beginning
-from voodoo_jax.beginning import Beginning, begin
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses, apply
@@ -15,14 +13,17 @@ from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import Body, joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.pose_library import STANCES, in_stance
-from voodoo_jax.session import Session
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import _motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import at_rest, options_from
-from voodoo_jax.start import Trial, opposite, unlikely
-from voodoo_jax.tracker import track
+from voodoo_jax.trackers.icp import initialise
+from voodoo_jax.trackers.icp.body_size import unlikely
+from voodoo_jax.trackers.icp.initialise import Beginning, begin
+from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.tracker import track
+from voodoo_jax.trackers.icp.trials import Trial, opposite
 
 BODY = scaled(human(), 1.75)
 
@@ -103,7 +104,7 @@ def test_who_sat_before_the_chair_was_taken_away_sits(session, monkeypatch):
         sits = centre(rest, "l_knee")[0] > centre(rest, "l_hip")[0] + 0.2
         return Beginning(at, rest, rest.rest, 11e-4 if sits else 9e-4)
 
-    monkeypatch.setattr("voodoo_jax.beginning._trial", trial)
+    monkeypatch.setattr("voodoo_jax.trackers.icp.initialise._trial", trial)
     run = session()
     assert begin(run, 0).cost == 10e-4 and run.stances == {}
     run = session()
@@ -117,7 +118,7 @@ def test_nobody_is_two_and_a_half_metres_tall(session):
     assert unlikely(scaled(BODY, 2.1)) == pytest.approx(np.e, rel=1e-3) and unlikely(scaled(BODY, 2.5)) > 100
     assert unlikely(scaled(load_body("dog"), 3.0)) == 1
     run, giant = session(), scaled(human(), 2.3)
-    costs = [beginning._trial(run, 0, giant).cost]
+    costs = [initialise._trial(run, 0, giant).cost]
     run.body = giant
-    costs.append(beginning._trial(run, 0, giant).cost)
+    costs.append(initialise._trial(run, 0, giant).cost)
     assert costs[0] == pytest.approx(unlikely(giant) * costs[1], rel=1e-5)

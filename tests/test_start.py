@@ -17,14 +17,15 @@ from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.session import Session
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import Motion, _motion, make_motion, placed, sequence
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
-from voodoo_jax.start import facing, measured_height, place, sized, standing_places
-from voodoo_jax.tracker import track
+from voodoo_jax.trackers.icp.body_size import measured_height, sized
+from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.tracker import track
+from voodoo_jax.trackers.icp.trials import facing, place, standing_places
 
 UP = np.array([0, 0, 1], np.float32)
 FLOOR = Plane(UP, 0.0)
@@ -233,7 +234,9 @@ def test_frames_without_points_do_not_count_in_trials(trials):
 
 def test_trials_in_pieces_are_the_same(trials, monkeypatch):
     """More trials than are tracked at once: 18 of 2 frames each, where 16 fit in, and three where 7 frames do."""
-    monkeypatch.setattr("voodoo_jax.start.FUNNEL", ((2, 4),))  # all that are given up have come equally far
+    monkeypatch.setattr(
+        "voodoo_jax.trackers.icp.trials.FUNNEL", ((2, 4),)
+    )  # all that are given up have come equally far
     many = trials(3, 6, 18)
     for chunk, headings in ((128, 9), (7, 18)):
         other = trials(3, 6, headings, chunk)
@@ -248,9 +251,11 @@ def test_trials_in_pieces_are_the_same(trials, monkeypatch):
 
 def test_trials_that_are_given_up_are_not_the_best(trials, monkeypatch):
     """Who goes on comes out as if all did, the best among them, and one that faces the other way and is as good."""
-    monkeypatch.setattr("voodoo_jax.start.STEPS", Settings().solve.max_steps)  # as without others to give up
+    monkeypatch.setattr(
+        "voodoo_jax.trackers.icp.trials.STEPS", Settings().solve.max_steps
+    )  # as without others to give up
     some = trials(5, 5, 12)
-    monkeypatch.setattr("voodoo_jax.start.FUNNEL", ((2, 12),))
+    monkeypatch.setattr("voodoo_jax.trackers.icp.trials.FUNNEL", ((2, 12),))
     every = trials(5, 5, 12)
     kept = np.isfinite(some.cost)
     assert kept.sum() == 4 and np.isfinite(every.cost).all()

@@ -9,7 +9,6 @@ import jax.monitoring
 import numpy as np
 import pytest
 
-from voodoo_jax.beginning import fresh
 from voodoo_jax.compile.executable import forget
 from voodoo_jax.config.options import Settings, TrackSettings
 from voodoo_jax.detect.pipeline import find_person
@@ -19,15 +18,16 @@ from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.recording import Frame, Rays, Recording
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.session import Session, first_run
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import render, simulate
 from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
 from voodoo_jax.solve.scan import options_from, track_visits
-from voodoo_jax.start import facing, place
-from voodoo_jax.tracker import looked_at, prepare, track
+from voodoo_jax.trackers.icp.initialise import fresh
+from voodoo_jax.trackers.icp.runner import Session, first_run
+from voodoo_jax.trackers.icp.tracker import looked_at, prepare, track
+from voodoo_jax.trackers.icp.trials import facing, place
 
 CAMERA = tof_camera(1.0, 0.07)
 NO, YES, GONE = Status.NOT_STARTED, Status.TRACKED, Status.NO_DATA
@@ -201,7 +201,7 @@ def test_a_wrong_track_is_left_for_a_fresh_start_that_explains_more(recording, s
     error = np.linalg.norm(np.asarray(joint_centres(body, poses)) - standing.joints[-1], axis=-1)
     assert error.mean() < 0.03
     # where front and back cost the same it is the track that knows
-    monkeypatch.setattr("voodoo_jax.beginning.RIVAL", 1e6)
+    monkeypatch.setattr("voodoo_jax.trackers.icp.initialise.RIVAL", 1e6)
     for ways in (towards, away):
         found = fresh(run, 0, np.full(count, 1e-2), ways)
         assert found is not None

@@ -5,7 +5,7 @@ import pytest
 
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.tracks import Status, expected_share
-from voodoo_jax.trust import (
+from voodoo_jax.trackers.icp.confidence import (
     ONE_PASS,
     THERE_AND_BACK,
     UNMARKED,

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from voodoo_jax.records.recording import Recording as Recording
     from voodoo_jax.records.tracks import Tracks as Tracks
     from voodoo_jax.replay import replay
-    from voodoo_jax.smoothing import smooth as smooth
     from voodoo_jax.solve.implicit import solution as solution
     from voodoo_jax.together import track_many as track_many
-    from voodoo_jax.tracker import track as track
+    from voodoo_jax.trackers.icp.tracker import track as track
+    from voodoo_jax.trackers.smoothing import smooth as smooth
 
     read_tracks, write_tracks = read_tracks_npz, write_tracks_npz
     save_picture, replay_logs = picture, replay
@@ -66,11 +66,11 @@ _PUBLIC = {
     "replay_logs": ("replay", "replay"),
     "save_picture": ("picture", "picture"),
     "show": ("picture", "show"),
-    "smooth": ("smoothing", "smooth"),
+    "smooth": ("trackers.smoothing", "smooth"),
     "solution": ("solve.implicit", "solution"),
     "solve_frames": ("fit_user", "solve_frames"),
     "survey": ("io.log_reader", "survey"),
-    "track": ("tracker", "track"),
+    "track": ("trackers.icp.tracker", "track"),
     "track_many": ("together", "track_many"),
     "write_body": ("model.body_file", "write_body"),
     "write_tracks": ("exporters.npz", "write_tracks_npz"),

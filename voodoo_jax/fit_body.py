@@ -178,7 +178,7 @@ def _stiffer(settings: Settings, times: float) -> Settings:
 
 def _again(seen: Seen, body: Body, settings: Settings) -> Seen:
     """A recording tracked with a body of known size."""
-    from voodoo_jax.tracker import track_person
+    from voodoo_jax.trackers.icp.tracker import track_person
 
     start = replace(settings.start, scale=float(body.scale))
     known = replace(settings, start=start, track=replace(settings.track, forearms=False))
@@ -192,7 +192,7 @@ def tracked(
     """Every log tracked with the body, and the person's frames."""
     from voodoo_jax.detect.pipeline import find_person
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.tracker import track_person
+    from voodoo_jax.trackers.icp.tracker import track_person
 
     seen = []
     for log in logs:

@@ -60,7 +60,7 @@ def track_log(
     """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError."""
     from voodoo_jax.detect.pipeline import find_person
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.tracker import prepare, track_person
+    from voodoo_jax.trackers.icp.tracker import prepare, track_person
 
     log = open_log(path, settings.read)
     if visit is None:
@@ -121,7 +121,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
     from voodoo_jax.io.finished import log_fingerprint, run_key
-    from voodoo_jax.smoothing import smooth
+    from voodoo_jax.trackers.smoothing import smooth
 
     key, (place, _, drawn) = "", output_places(job.log, job.out)
     with ExitStack() as stack:

@@ -14,7 +14,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.scan import Visit
-from voodoo_jax.tracker import track_person
+from voodoo_jax.trackers.icp.tracker import track_person
 
 
 @users_cache()

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 # what one log needs, beside what jobs.py imports at once
-IMPORTS = ("tracker", "smoothing", "io.log_reader", "exporters.foxglove", "exporters.npz")
+IMPORTS = ("trackers.icp.tracker", "trackers.smoothing", "io.log_reader", "exporters.foxglove", "exporters.npz")
 ENVIRONMENT = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 PATIENCE = 50  # milliseconds
 

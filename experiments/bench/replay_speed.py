@@ -37,7 +37,7 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.padding import Chunk, pad_frames
 from voodoo_jax.solve.scan import Step, at_rest, options_from, track_chunk
-from voodoo_jax.tracker import track_person
+from voodoo_jax.trackers.icp.tracker import track_person
 
 ROOT = Path(__file__).parents[2]
 JITTER = 0.002  # metres

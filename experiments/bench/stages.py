@@ -32,7 +32,7 @@ from voodoo_jax.kernels.correspondences import closest_limbs, match, moments
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.solve.frame import Problem, adjacency, icp_step
 from voodoo_jax.solve.padding import bucket, pad_frames
-from voodoo_jax.tracker import track_person
+from voodoo_jax.trackers.icp.tracker import track_person
 
 REPEATS = 20  # of a stage inside one program
 

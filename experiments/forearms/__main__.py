@@ -17,9 +17,9 @@ from tqdm import tqdm
 
 from experiments.common import DEMO, human, load_dims, load_log, log_files, table, without_features, write
 from voodoo_jax.config.options import Settings
-from voodoo_jax.forearms import BY_NAMES, BY_POINTS, HAND, Stretch, asked, lengthened, stretch
 from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.solve.names import FeatureNames
+from voodoo_jax.trackers.icp.refine.forearm_length import BY_NAMES, BY_POINTS, HAND, Stretch, asked, lengthened, stretch
 
 NOW = (BY_POINTS, BY_NAMES, HAND)
 

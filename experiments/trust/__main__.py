@@ -20,7 +20,7 @@ from experiments.common import DEMO, log_files, machine_line, table, write
 from experiments.judged import trials
 from experiments.trust.gather import Job, Told, work
 from voodoo_jax.config.options import Settings
-from voodoo_jax.trust import CLUES, ONE_PASS, THERE_AND_BACK, Trust, probability
+from voodoo_jax.trackers.icp.confidence import CLUES, ONE_PASS, THERE_AND_BACK, Trust, probability
 
 CHANGES = (
     "as they are", "depth only", "every third frame", "every fifth frame", "three times the noise",

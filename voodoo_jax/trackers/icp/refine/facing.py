@@ -3,15 +3,16 @@
 import numpy as np
 from jaxtyping import Float
 
-from voodoo_jax.beginning import RIVAL, Beginning
-from voodoo_jax.crossed_legs import uncrossed
 from voodoo_jax.geometry.rigid import on_host
 from voodoo_jax.model.body import Body
-from voodoo_jax.passage import WRONG_WAY, bent, rows_of, there_and_back
 from voodoo_jax.records.segment import Rows
-from voodoo_jax.session import Session
 from voodoo_jax.solve.scan import State
-from voodoo_jax.start import facing
+from voodoo_jax.trackers.icp.initialise import RIVAL, Beginning
+from voodoo_jax.trackers.icp.refine.forward_backward import there_and_back
+from voodoo_jax.trackers.icp.refine.leg_swap import uncrossed
+from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.segment import WRONG_WAY, bent, rows_of
+from voodoo_jax.trackers.icp.trials import facing
 
 STEP = 0.5  # metres ahead or backwards that tell nothing; who goes farther backwards is looked at the other way round
 STRIDE = 0.5  # metres beyond which say all that going tells

@@ -8,10 +8,10 @@ import numpy as np
 
 from voodoo_jax.geometry.rotations import limb_ends
 from voodoo_jax.model.body import Body
-from voodoo_jax.passage import pass_of, rows_of
 from voodoo_jax.records.segment import Rows, part, pose_at, with_part
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.session import Session
+from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.segment import pass_of, rows_of
 
 FAR = 0.2  # metres that a limb's end goes farther from one frame to the next than ...
 MOVES = 2.0  # ... so many times what it goes in the frames before and after: a jump

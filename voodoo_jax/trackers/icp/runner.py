@@ -23,7 +23,7 @@ from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.names import FeatureNames, PartNames
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, Chunk, bucket, pad_features, pad_frames
 from voodoo_jax.solve.scan import NOBODY, State, Step, TrackOptions, Visit, Visits, at_rest, track_visits
-from voodoo_jax.start import Trial, in_pieces, run_trials
+from voodoo_jax.trackers.icp.trials import Trial, in_pieces, run_trials
 
 THING_FRAMES = 2  # times the frames of a start: a held thing has few points to tell where it points
 FEW_POINTS = 20  # fewer on the body: nothing to track by

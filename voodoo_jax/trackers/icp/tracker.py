@@ -13,28 +13,28 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.camera_motion import to_fixed
 from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.detect.pipeline import find_person
-from voodoo_jax.following import Progress, blank, follow
-from voodoo_jax.forearms import with_forearms
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.joint_limits import check
-from voodoo_jax.leftovers import without_leftovers
 from voodoo_jax.markers.label_swaps import Exchange, jumps, put_right
 from voodoo_jax.markers.table import TO_START, marker_table, sized_by_markers, without_gaps
 from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.pose_library import Stance
-from voodoo_jax.notes import notes_on
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.session import FEW_POINTS, Session, by_markers, spans
 from voodoo_jax.solve.covariance import covariances
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
-from voodoo_jax.trust import doubted, joint_confidence, marker_confidence
+from voodoo_jax.trackers.icp.confidence import doubted, joint_confidence, marker_confidence
+from voodoo_jax.trackers.icp.diagnostics import notes_on
+from voodoo_jax.trackers.icp.refine.forearm_length import with_forearms
+from voodoo_jax.trackers.icp.refine.unexplained import without_leftovers
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session, by_markers, spans
+from voodoo_jax.trackers.icp.sequence import Progress, blank, follow
 
 FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)
 LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained

@@ -8,45 +8,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.point_cloud import point_gap, point_spacing
 from voodoo_jax.geometry.rigid import AnyArray, Poses, compose, on_host, rotate, unrotate
-from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.model.rest_shape import rest_height
+from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
 STEPS = 15  # most steps of a frame until then
-TALL, TALLER = 2.0, 0.1  # metres: stature of which hardly anybody is, and how much more makes one e times as unlikely
-HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
-
-
-def measured_height(
-    frames: list[PersonFrame], floor: Plane, pixel: float | list[float], reach: float = float("inf")
-) -> float:
-    """Height of a standing body from its points, metres: median over frames of the third highest point.
-
-    `reach` level distance in metres from the middle of the upper half within which the top is: a hand may be higher.
-
-    `pixel` is the angle between neighbouring points, radians, of all sensors or of each: the top lies between the
-    highest point and the next.
-    """
-    heights = []
-    for frame in frames:
-        if len(frame.points) >= 50:
-            above = floor.height(frame.points)
-            level = floor.level(frame.points)
-            middle = np.median(level[above > 0.5 * np.percentile(above, 99)], 0)
-            near = np.linalg.norm(level - middle, axis=1) < reach
-            if near.sum() < 3:
-                continue
-            third = np.argsort(np.where(near, above, -np.inf))[-3]
-            sensor = int(frame.sensor[third])
-            angle = pixel[sensor] if isinstance(pixel, list) else pixel
-            heights.append(above[third] + 1.1 * angle * np.linalg.norm(frame.points[third] - frame.origins[sensor]))
-    return float(np.median(heights)) if heights else float("nan")
 
 
 def place(
@@ -62,20 +31,6 @@ def place(
     q = q.reshape(*x.shape[:-1], 1, 4)
     root = Poses(q, np.broadcast_to(np.asarray(at, np.float32), (*q.shape[:-1], 3)))
     return compose(root, on_host(body.rest))
-
-
-def _spacings(frames: list[PersonFrame]) -> list[float]:
-    """Angle between neighbouring points of each sensor, radians, where it first sees the body; 0 if it never does. Of a
-    scanner whose rows are far apart, half of that: on average the top is so far above its highest row."""
-    found = [0.0] * len(frames[0].origins)
-    for sensor in range(len(found)):
-        for frame in frames:
-            mine = frame.points[frame.sensor == sensor]
-            if len(mine) > 4:
-                spacing, gap = (of(mine, frame.origins[sensor]) for of in (point_spacing, point_gap))
-                found[sensor] = 0.45 * gap if gap > 3 * spacing else spacing
-                break
-    return found
 
 
 def _level_direction(foot: np.ndarray, origin: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -183,24 +138,3 @@ def opposite(body: Body, trial: Trial, near: float) -> list[int]:
     best = int(np.argmin(cost))
     rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))
     return [best, *rivals[np.argsort(cost[rivals])][:1].tolist()]
-
-
-def unlikely(body: Body) -> float:
-    """What a start's cost is multiplied by for its size, 1 at least: nobody is 2.4 m tall, though a body of that size
-    may explain points as well as a smaller one with an arm raised."""
-    return float(np.exp(max(0.0, float(body.scale) - TALL) / TALLER)) if body.scale_name == "stature" else 1.0
-
-
-def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSettings) -> Body:
-    """The body scaled to what was seen, or to what the settings say."""
-    if settings.scale > 0:
-        return scaled(body, settings.scale)
-    seen = [f for f in frames if len(f.points) >= 50]
-    if not seen:
-        return body
-    # a dog's head is not above its middle
-    reach = HEAD_REACH if body.scale_name == "stature" else float("inf")
-    height = measured_height(seen, floor, _spacings(seen), reach)
-    if not np.isfinite(height):
-        return body
-    return scaled(body, float(body.scale) * 1.0045 * height / rest_height(body))

@@ -10,7 +10,7 @@ from voodoo_jax.markers.table import TO_START
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.session import Session
+from voodoo_jax.trackers.icp.runner import Session
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
 NOISY = 0.05  # metres: more than a depth camera's noise at 5 m

@@ -7,17 +7,17 @@ kept where they explain more.
 
 import numpy as np
 
-from voodoo_jax.beginning import USUAL, soon
-from voodoo_jax.both_ways import backward_is_better, smoothed
 from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
-from voodoo_jax.passage import pass_of, tracked_anew
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.segment import Rows, part, pose_at, with_part
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.session import FEW_POINTS, Session
-from voodoo_jax.start import standing_places
+from voodoo_jax.trackers.icp.initialise import USUAL, soon
+from voodoo_jax.trackers.icp.refine.forward_backward import backward_is_better, smoothed
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session
+from voodoo_jax.trackers.icp.segment import pass_of, tracked_anew
+from voodoo_jax.trackers.icp.trials import standing_places
 
 WORSE = 1.6  # times what a frame costs where the passage goes well: here it is in doubt
 LOST = 2.5  # times that: all of the body may be lost

@@ -11,11 +11,11 @@ from jaxtyping import Bool
 from voodoo_jax.geometry.rigid import Poses, apply, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import HIPS, exchanged
-from voodoo_jax.passage import pass_of, tracked_anew
 from voodoo_jax.records.segment import Rows, part, pose_at, with_part
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.second_look import AROUND
-from voodoo_jax.session import Session
+from voodoo_jax.trackers.icp.refine.limb_restart import AROUND
+from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.segment import pass_of, tracked_anew
 
 FEWEST = 5  # frames with crossed knees, near each other, that are worth a look
 BETTER = 0.85  # who dances crosses them: then exchanged legs must cost so much less

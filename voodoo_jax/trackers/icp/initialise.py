@@ -13,8 +13,9 @@ from voodoo_jax.markers.table import TO_START, marker_start
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.session import FEW_POINTS, Session, first_run
-from voodoo_jax.start import facing, opposite, sized, standing_places, unlikely
+from voodoo_jax.trackers.icp.body_size import sized, unlikely
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session, first_run
+from voodoo_jax.trackers.icp.trials import facing, opposite, standing_places
 
 BETTER = 0.9  # a fresh start replaces a track where it costs less than this share of it
 MUCH_BETTER = 0.5  # of its cost, where the fresh start is in doubt, too

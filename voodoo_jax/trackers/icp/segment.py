@@ -1,16 +1,24 @@
 """A passage, the frames from one start of the tracker to the next: tracked there and back in time, and made one."""
 
-import numpy as np
-from jaxtyping import Float
+from typing import NamedTuple
 
-from voodoo_jax.beginning import fresh
-from voodoo_jax.both_ways import Pass, combined
+import numpy as np
+from jaxtyping import Float, Float32
+
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.joint_bend import wrong_bend
-from voodoo_jax.records.segment import SEEN, Rows, part, pose_at
-from voodoo_jax.records.tracks import Status
-from voodoo_jax.session import Session, status_of
+from voodoo_jax.records.segment import SEEN, Rows
 from voodoo_jax.solve.scan import Step, cost_of
+from voodoo_jax.trackers.icp.runner import Session, status_of
+
+
+class Pass(NamedTuple):
+    """Poses of consecutive frames, and how badly they explain what was measured."""
+
+    rotation: Float32[np.ndarray, "frame limb 4"]  # unit quaternions wxyz
+    translation: Float32[np.ndarray, "frame limb 3"]  # metres
+    cost: Float[np.ndarray, " frame"]  # square metres, see kernels
+
 
 FREE_BEND = 0.17  # radians beyond a joint's limits that say nothing: people differ
 WRONG_WAY = 0.1  # radians beyond, mean of all joints and frames, that count as much as costs e times higher
@@ -24,25 +32,6 @@ def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
     rows |= {name: getattr(step, field) for name, field in SEEN.items()}
     rows["passes_apart"] = np.full_like(rows["limb_weight"], np.nan)  # of one pass nobody knows
     return {"status": status} | {name: np.asarray(row)[:count] for name, row in rows.items()}
-
-
-def there_and_back(run: Session, first: int, forward: Rows) -> Rows:
-    """A passage that began in frame `first` and was tracked forwards, made one with a pass back from its last good
-    frame."""
-    good = np.flatnonzero(forward["status"] == Status.TRACKED)
-    if not len(good):
-        return forward
-    count = int(good[-1]) + 1
-    forth = part(forward, None, count)
-    poses = fresh(run, first, forth["cost"], forth["rotation"])
-    if poses is None:
-        poses = pose_at(forth, -1)
-    back = rows_of(run, run.backwards(poses, first, first + count), first, count)
-    both = combined(pass_of(run, forth), pass_of(run, back), np.asarray(run.body.sizes)[:, 4])
-    pick = lambda old, new: np.where(both.backward.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731
-    found = {name: pick(forth[name], back[name]) for name in forth}
-    found |= {"rotation": both.rotation, "translation": both.translation, "passes_apart": both.apart}
-    return {name: np.concatenate([found[name], row[count:]]) for name, row in forward.items()}
 
 
 def tracked_anew(run: Session, first: int, poses: Poses, low: int, at: int, high: int) -> Rows:

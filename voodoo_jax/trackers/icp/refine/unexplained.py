@@ -14,7 +14,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame, assigned
 from voodoo_jax.records.segment import Rows
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.session import spans
+from voodoo_jax.trackers.icp.runner import spans
 
 WELL = 0.99  # of the points explained, mean of all frames: nothing is left over
 EVERY = 3  # of the frames in which things at rest are seen, one is looked at

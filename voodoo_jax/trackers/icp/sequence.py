@@ -10,18 +10,18 @@ import jax
 import numpy as np
 from jaxtyping import Bool
 
-from voodoo_jax.beginning import Beginning, begin, clearer
-from voodoo_jax.front_or_back import likelier_way
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.jumps import without_jumps
 from voodoo_jax.model.body import Body
-from voodoo_jax.passage import rows_of
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.segment import PASSAGE, Rows
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.second_look import looked_again
-from voodoo_jax.session import Session, first_run
 from voodoo_jax.solve.scan import State, at_rest
+from voodoo_jax.trackers.icp.initialise import Beginning, begin, clearer
+from voodoo_jax.trackers.icp.refine.discontinuity import without_jumps
+from voodoo_jax.trackers.icp.refine.facing import likelier_way
+from voodoo_jax.trackers.icp.refine.limb_restart import looked_again
+from voodoo_jax.trackers.icp.runner import Session, first_run
+from voodoo_jax.trackers.icp.segment import rows_of
 
 Progress = Callable[[int], None]
 SPAN = 1800  # frames after which a passage is tracked back, even if it goes on

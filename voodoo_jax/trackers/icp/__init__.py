@@ -1,0 +1,4 @@
+"""The tracker by articulated ICP (Knoop et al. 2006, 2007).
+
+Public: `tracker.track`, `tracker.track_person`.
+"""
