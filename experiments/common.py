@@ -18,7 +18,7 @@ from tqdm import tqdm
 from experiments.bench.replay_speed import Started
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.pipeline import find_person
-from voodoo_jax.fit_frames import Truth, read_truth
+from voodoo_jax.fitting.frames import Truth, read_truth
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import load_body

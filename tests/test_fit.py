@@ -13,13 +13,13 @@ from voodoo_jax.cli import main
 from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
-from voodoo_jax.fit_body import fit
-from voodoo_jax.fit_frames import TruthError, held_back, read_truth
-from voodoo_jax.fit_judge import ERROR, Judged, verdict_on
-from voodoo_jax.fit_loop import undetermined
-from voodoo_jax.fit_parameters import Changes, changed, height_of, parameters, usual_lengths
-from voodoo_jax.fit_progress import Progress, load_progress, save_progress
-from voodoo_jax.fit_tuned import tuned_settings
+from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
+from voodoo_jax.fitting.fit import fit
+from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
+from voodoo_jax.fitting.gauss_newton import undetermined
+from voodoo_jax.fitting.judge import ERROR, Judged, verdict_on
+from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths
+from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body, read_body, write_body
 from voodoo_jax.simulate.mcap import write_simulation
@@ -297,8 +297,8 @@ def test_no_batch_of_matrices_goes_to_lapack():
 
 def test_a_loss_of_ones_own():
     """BFGS finds the thigh that a function asks for; priors pull a little; it goes on from where it stopped."""
-    from voodoo_jax.fit_loop import Part, Search
-    from voodoo_jax.fit_user import minimised
+    from voodoo_jax.fitting.custom_loss import minimised
+    from voodoo_jax.fitting.gauss_newton import Part, Search
     from voodoo_jax.solve.scan import options_from
 
     chosen = parameters(BODY, ["lengths.thigh", "lengths.shank"])
@@ -319,7 +319,7 @@ def test_a_loss_of_ones_own():
 
 def test_a_body_that_nothing_rests_with_gains_nothing():
     """A step is taken as far as frames come to rest, and the fit goes on."""
-    from voodoo_jax.fit_loop import FitError, Place, Search, _along
+    from voodoo_jax.fitting.gauss_newton import FitError, Place, Search, _along
 
     class Slope(Search):
         """Falls for ever; beyond 1.5 no frame comes to rest."""

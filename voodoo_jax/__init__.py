@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from voodoo_jax.config.presets import online as online
     from voodoo_jax.config.presets import preset as preset
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
-    from voodoo_jax.fit_body import fit as fit
-    from voodoo_jax.fit_user import solve_frames as solve_frames
+    from voodoo_jax.fitting.custom_loss import solve_frames as solve_frames
+    from voodoo_jax.fitting.fit import fit as fit
     from voodoo_jax.io.log_reader import LogError as LogError
     from voodoo_jax.io.log_reader import read_log as read_log
     from voodoo_jax.io.log_reader import survey as survey
@@ -54,7 +54,7 @@ _PUBLIC = {
     "Settings": ("config.options", "Settings"),
     "Tracks": ("records.tracks", "Tracks"),
     "attach": ("model.attachments", "attach"),
-    "fit": ("fit_body", "fit"),
+    "fit": ("fitting.fit", "fit"),
     "human": ("model.body_file", "human"),
     "joint_centres": ("model.body", "joint_centres"),
     "load_body": ("model.body_file", "load_body"),
@@ -68,7 +68,7 @@ _PUBLIC = {
     "show": ("picture", "show"),
     "smooth": ("trackers.smoothing", "smooth"),
     "solution": ("solve.implicit", "solution"),
-    "solve_frames": ("fit_user", "solve_frames"),
+    "solve_frames": ("fitting.custom_loss", "solve_frames"),
     "survey": ("io.log_reader", "survey"),
     "track": ("trackers.icp.tracker", "track"),
     "track_many": ("together", "track_many"),

@@ -8,11 +8,11 @@ from tqdm.auto import tqdm
 from voodoo_jax.commands import FitCommand
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.toml import settings_text
-from voodoo_jax.fit_body import fit
-from voodoo_jax.fit_frames import TruthError
-from voodoo_jax.fit_loop import FitError
-from voodoo_jax.fit_progress import Progress
-from voodoo_jax.io.fit_report import write_report
+from voodoo_jax.fitting.checkpoint import Progress
+from voodoo_jax.fitting.fit import fit
+from voodoo_jax.fitting.frames import TruthError
+from voodoo_jax.fitting.gauss_newton import FitError
+from voodoo_jax.fitting.report import write_report
 from voodoo_jax.io.log_reader import LogError
 from voodoo_jax.model.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.storage.atomic import replacing

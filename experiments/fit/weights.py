@@ -17,9 +17,9 @@ from tqdm import tqdm
 from experiments.common import MEAN_HEAD, Log, Score, halves, human, load_logs, log_files, mean_row, score, table, write
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fit_body import Seen, fit_tracked
-from voodoo_jax.fit_frames import Truth
-from voodoo_jax.fit_result import Fit
+from voodoo_jax.fitting.fit import Seen, fit_tracked
+from voodoo_jax.fitting.frames import Truth
+from voodoo_jax.fitting.result import Fit
 from voodoo_jax.model.body import Body
 
 

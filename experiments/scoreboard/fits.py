@@ -10,8 +10,8 @@ from experiments.fit.promises import WRONG, Outcome, fitted_to, recovers_simulat
 from experiments.fit.weights import tracked, tuned
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fit_body import Seen, fit_tracked
-from voodoo_jax.fit_frames import Truth
+from voodoo_jax.fitting.fit import Seen, fit_tracked
+from voodoo_jax.fitting.frames import Truth
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy import stats
 
-from voodoo_jax.fit_frames import EVERY, HALF_FRAME_NS, RUNS, Truth, runs
-from voodoo_jax.fit_parameters import SYSTEMATIC
+from voodoo_jax.fitting.frames import EVERY, HALF_FRAME_NS, RUNS, Truth, runs
+from voodoo_jax.fitting.parameters import SYSTEMATIC
 from voodoo_jax.records.tracks import Tracks
 
 ERROR = 0.05  # how often a body that is no better may pass for better because of noise

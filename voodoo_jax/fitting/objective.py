@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.compile.sequential_map import one_by_one
-from voodoo_jax.fit_parameters import Changes, changed, changed_options
+from voodoo_jax.fitting.parameters import Changes, changed, changed_options
 from voodoo_jax.geometry.rigid import Poses, rotate
 from voodoo_jax.kernels.correspondences import Points, match_assigned
 from voodoo_jax.kernels.landmarks import Features, named_points

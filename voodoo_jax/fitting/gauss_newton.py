@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float64
 
 from voodoo_jax.compile.xla_options import quickly
-from voodoo_jax.fit_objective import (
+from voodoo_jax.fitting.checkpoint import Progress
+from voodoo_jax.fitting.objective import (
     JOINT_SD,
     PER_LIMB,
     POINT_SD,
@@ -29,8 +30,7 @@ from voodoo_jax.fit_objective import (
     normals,
     placed,
 )
-from voodoo_jax.fit_parameters import HEIGHT, Changes, Parameters, changed, height_of, height_ratio
-from voodoo_jax.fit_progress import Progress
+from voodoo_jax.fitting.parameters import HEIGHT, Changes, Parameters, changed, height_of, height_ratio
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.solve.frame import IcpOptions

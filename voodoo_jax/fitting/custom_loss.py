@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 
 from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.compile.xla_options import quick, quickly
-from voodoo_jax.fit_loop import FitError, Search
-from voodoo_jax.fit_objective import NEWTON, SETTLED, FitFrames, UserLoss
-from voodoo_jax.fit_parameters import changed, changed_options
-from voodoo_jax.fit_progress import Progress
+from voodoo_jax.fitting.checkpoint import Progress
+from voodoo_jax.fitting.gauss_newton import FitError, Search
+from voodoo_jax.fitting.objective import NEWTON, SETTLED, FitFrames, UserLoss
+from voodoo_jax.fitting.parameters import changed, changed_options
 from voodoo_jax.model.body import Body
 from voodoo_jax.solve.frame import IcpOptions, Problem
 from voodoo_jax.solve.implicit import Solution, solution

@@ -15,15 +15,15 @@ from jaxtyping import Int
 from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fit_frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
-from voodoo_jax.fit_judge import Verdict, is_size, judged_by, verdict_on
-from voodoo_jax.fit_loop import FitError, Part, Search, deviations, run_search, spread, undetermined
-from voodoo_jax.fit_objective import UserLoss
-from voodoo_jax.fit_parameters import parameters, usual_lengths
-from voodoo_jax.fit_progress import Progress, load_progress, save_progress
-from voodoo_jax.fit_result import Fit
-from voodoo_jax.fit_tuned import tuned_settings
-from voodoo_jax.fit_user import minimised
+from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
+from voodoo_jax.fitting.custom_loss import minimised
+from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
+from voodoo_jax.fitting.gauss_newton import FitError, Part, Search, deviations, run_search, spread, undetermined
+from voodoo_jax.fitting.judge import Verdict, is_size, judged_by, verdict_on
+from voodoo_jax.fitting.objective import UserLoss
+from voodoo_jax.fitting.parameters import parameters, usual_lengths
+from voodoo_jax.fitting.result import Fit
+from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Recording

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fit_parameters import SETTINGS, Changes
+from voodoo_jax.fitting.parameters import SETTINGS, Changes
 from voodoo_jax.model.body import Topology
 from voodoo_jax.solve.names import FeatureNames
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.detect.camera_motion import as_measured
-from voodoo_jax.fit_objective import FitFrames
+from voodoo_jax.fitting.objective import FitFrames
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Topology
 from voodoo_jax.records.observation import PersonFrame

@@ -10,7 +10,7 @@ from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.storage.atomic import replacing
 
 if TYPE_CHECKING:
-    from voodoo_jax.fit_result import Fit
+    from voodoo_jax.fitting.result import Fit
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:

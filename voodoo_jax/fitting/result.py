@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float64
 
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fit_judge import Judged, Verdict
+from voodoo_jax.fitting.judge import Judged, Verdict
 from voodoo_jax.model.body import Body
 
 
