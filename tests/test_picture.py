@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.picture import picture, show
 from voodoo_jax.records.recording import Frame, Recording
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate, truth_tracks
 from voodoo_jax.simulate.sensor import Camera
+from voodoo_jax.viz.figures import picture, show
 
 CAMERA = Camera(40, 31, 45.5, 43.1, 19.5, 15.0, (0.0, 0.0, 1.0), 0.07)
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from voodoo_jax.model.body_file import load_body as load_body
     from voodoo_jax.model.body_file import read_body as read_body
     from voodoo_jax.model.body_file import write_body as write_body
-    from voodoo_jax.picture import picture
-    from voodoo_jax.picture import show as show
     from voodoo_jax.records.recording import Recording as Recording
     from voodoo_jax.records.tracks import Tracks as Tracks
     from voodoo_jax.replay import replay
@@ -39,6 +37,8 @@ if TYPE_CHECKING:
     from voodoo_jax.together import track_many as track_many
     from voodoo_jax.trackers.icp.tracker import track as track
     from voodoo_jax.trackers.smoothing import smooth as smooth
+    from voodoo_jax.viz.figures import picture
+    from voodoo_jax.viz.figures import show as show
 
     read_tracks, write_tracks = read_tracks_npz, write_tracks_npz
     save_picture, replay_logs = picture, replay
@@ -64,8 +64,8 @@ _PUBLIC = {
     "read_log": ("io.log_reader", "read_log"),
     "read_tracks": ("exporters.npz", "read_tracks_npz"),
     "replay_logs": ("replay", "replay"),
-    "save_picture": ("picture", "picture"),
-    "show": ("picture", "show"),
+    "save_picture": ("viz.figures", "picture"),
+    "show": ("viz.figures", "show"),
     "smooth": ("trackers.smoothing", "smooth"),
     "solution": ("solve.implicit", "solution"),
     "solve_frames": ("fitting.custom_loss", "solve_frames"),

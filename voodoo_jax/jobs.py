@@ -86,8 +86,8 @@ def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: 
     """Writes a picture of some frames of a tracked log, reading it (or its copy `log`) once more but keeping these
     frames only."""
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.picture import picture, spread
     from voodoo_jax.records.recording import Recording
+    from voodoo_jax.viz.figures import picture, spread
 
     reader = open_log(log or tracks.source, settings.read)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())

@@ -29,9 +29,9 @@ from experiments.common import (
 )
 from voodoo_jax.config.options import Settings
 from voodoo_jax.io.log_reader import open_log
-from voodoo_jax.picture import _colours, _draw_body
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.viz.figures import _colours, _draw_body
 
 INPUTS = ("depth", "rays", "fusion")
 PAPER_COLUMNS = (5, 50, 81, 120, 129, 144)

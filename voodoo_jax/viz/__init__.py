@@ -1,0 +1,4 @@
+"""People look at tracks.
+
+Public: `figures.show`, `figures.picture`.
+"""
