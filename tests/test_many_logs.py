@@ -18,11 +18,11 @@ import pytest
 from helpers import wait_for
 from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
 
+from voodoo_jax.batch.log_job import Job
+from voodoo_jax.batch.process_pool import default_workers, in_workers, usable_cores
+from voodoo_jax.batch.replay import Outcome, replay
+from voodoo_jax.batch.worker_start import can_copy
 from voodoo_jax.cli import main
-from voodoo_jax.jobs import Job
-from voodoo_jax.replay import Outcome, replay
-from voodoo_jax.worker_start import can_copy
-from voodoo_jax.workers import default_workers, in_workers, usable_cores
 
 FRAMES = {"a": 12, "b": 5, "c": 33, "d": 20}
 
@@ -210,7 +210,7 @@ def command_of(pid: int) -> str:
 
 def test_a_worker_whose_answer_nobody_takes_ends_without_a_word():
     """A parent that is killed closes both pipes at once; the worker may answer before it sees that no job comes."""
-    command = [sys.executable, "-P", "-m", "voodoo_jax.worker_process"]
+    command = [sys.executable, "-P", "-m", "voodoo_jax.batch.worker_process"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as worker:
         assert worker.stdout is not None and worker.stderr is not None
         worker.stdout.close()  # its input stays open
@@ -275,7 +275,7 @@ def test_workers_of_the_command_are_copies_of_it_and_are_replaced_where_they_die
 def test_a_process_is_copied_only_while_it_has_one_thread():
     code = """
 import threading
-from voodoo_jax.worker_start import can_copy
+from voodoo_jax.batch.worker_start import can_copy
 for _ in range(200):  # a thread that has ended is none, however lately
     thread = threading.Thread(target=int)
     thread.start()
@@ -320,7 +320,9 @@ def test_a_worker_that_cannot_start(tmp_path, monkeypatch):
 def test_cores_are_counted(monkeypatch):
     assert 1 <= default_workers(1000) <= usable_cores() and default_workers(1) == 1
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr("voodoo_jax.workers.find_spec", lambda name: object() if name == "jax_plugins" else None)
+    monkeypatch.setattr(
+        "voodoo_jax.batch.process_pool.find_spec", lambda name: object() if name == "jax_plugins" else None
+    )
     assert default_workers(1000) == 1
     assert 1 <= usable_cores() <= (os.cpu_count() or 1)
 

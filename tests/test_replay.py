@@ -19,6 +19,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 import voodoo_jax.trackers.icp.runner
+from voodoo_jax.batch.output_paths import folders_within
+from voodoo_jax.batch.replay import output_paths, replay
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.pipeline import find_person
@@ -27,8 +29,6 @@ from voodoo_jax.io.log_reader import open_log, read_log
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.replay import output_paths, replay
-from voodoo_jax.result_folders import folders_within
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import render, simulate

@@ -14,12 +14,12 @@ from helpers import SOLVE, all_finite, two_limb_frames, two_limbs, wait_for
 from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
 
 import voodoo_jax as vj
-from voodoo_jax import lanes
+from voodoo_jax.batch import lanes
+from voodoo_jax.batch.request_batcher import in_turns
 from voodoo_jax.cli import main
 from voodoo_jax.config.options import TrackSettings
 from voodoo_jax.solve.padding import pad_frames
 from voodoo_jax.solve.scan import NOBODY, Visits, at_rest, options_from, track_visits
-from voodoo_jax.turns import in_turns
 
 
 @pytest.fixture(scope="module")

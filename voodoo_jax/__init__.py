@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 from voodoo_jax._version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from voodoo_jax.batch.replay import replay
+    from voodoo_jax.batch.track_many import track_many as track_many
     from voodoo_jax.config.fit_options import FitSettings as FitSettings
     from voodoo_jax.config.options import Change as Change
     from voodoo_jax.config.options import Settings as Settings
@@ -32,9 +34,7 @@ if TYPE_CHECKING:
     from voodoo_jax.model.body_file import write_body as write_body
     from voodoo_jax.records.recording import Recording as Recording
     from voodoo_jax.records.tracks import Tracks as Tracks
-    from voodoo_jax.replay import replay
     from voodoo_jax.solve.implicit import solution as solution
-    from voodoo_jax.together import track_many as track_many
     from voodoo_jax.trackers.icp.tracker import track as track
     from voodoo_jax.trackers.smoothing import smooth as smooth
     from voodoo_jax.viz.figures import picture
@@ -63,7 +63,7 @@ _PUBLIC = {
     "read_body": ("model.body_file", "read_body"),
     "read_log": ("io.log_reader", "read_log"),
     "read_tracks": ("exporters.npz", "read_tracks_npz"),
-    "replay_logs": ("replay", "replay"),
+    "replay_logs": ("batch.replay", "replay"),
     "save_picture": ("viz.figures", "picture"),
     "show": ("viz.figures", "show"),
     "smooth": ("trackers.smoothing", "smooth"),
@@ -71,7 +71,7 @@ _PUBLIC = {
     "solve_frames": ("fitting.custom_loss", "solve_frames"),
     "survey": ("io.log_reader", "survey"),
     "track": ("trackers.icp.tracker", "track"),
-    "track_many": ("together", "track_many"),
+    "track_many": ("batch.track_many", "track_many"),
     "write_body": ("model.body_file", "write_body"),
     "write_tracks": ("exporters.npz", "write_tracks_npz"),
 }

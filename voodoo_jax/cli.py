@@ -30,9 +30,9 @@ def run_replay(command: Replay) -> int:
         print("voodoo-jax replay: --smooth averages over later frames too; leave it out with --online", file=sys.stderr)
         return 2
     gc.disable()  # all that is imported stays, and need not be gone through again and again
+    from voodoo_jax.batch.replay import replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
-    from voodoo_jax.replay import replay
 
     gc.enable()
 

@@ -18,8 +18,8 @@ def joint_errors(tracks: Tracks, truth: dict[str, np.ndarray]) -> np.ndarray:
 
 def demo(out: Path) -> int:
     """Replays the shipped recording into `out`, prints joint errors against its truth, writes a picture. 0: tracked."""
+    from voodoo_jax.batch.replay import replay
     from voodoo_jax.io.log_reader import read_log
-    from voodoo_jax.replay import replay
     from voodoo_jax.viz.figures import picture
 
     with as_file(files("voodoo_jax") / "data") as data:

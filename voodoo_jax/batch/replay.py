@@ -12,15 +12,15 @@ from typing import Literal
 
 from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
+from voodoo_jax.batch.log_job import Job, draw, output_paths, output_places, track_log
+from voodoo_jax.batch.outcome import Outcome, outcome_of_arrays
+from voodoo_jax.batch.output_paths import folders_within
+from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers
+from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.compile.cache_dir import safe_folder
 from voodoo_jax.config.options import Settings
-from voodoo_jax.jobs import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.model.body import Body
-from voodoo_jax.outcomes import Outcome, outcome_of_arrays
-from voodoo_jax.result_folders import folders_within
-from voodoo_jax.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.storage.urls import byte_size, expanded, file_system, is_url, joined
-from voodoo_jax.workers import Report, Results, default_workers, in_process, in_workers
 
 __all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
 
@@ -59,8 +59,8 @@ def replay(
 
     Raises ValueError if two logs would write the same files, or an argument cannot be used.
     """
-    from voodoo_jax.io.finished import recipe_key
-    from voodoo_jax.io.summary_file import summary_name, write_summary
+    from voodoo_jax.batch.resume import recipe_key
+    from voodoo_jax.batch.summary_file import summary_name, write_summary
     from voodoo_jax.model.body_file import load_on_host
 
     if not smooth_seconds >= 0:
@@ -125,11 +125,11 @@ def replay(
 def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "ray"], workers: int) -> Results:
     """Number and outcome of each job as it is done."""
     if engine == "ray":
-        from voodoo_jax.ray_engine import on_ray
+        from voodoo_jax.batch.ray_cluster import on_ray
 
         return on_ray(jobs, report)
     if engine == "batch":
-        from voodoo_jax.batch_engine import in_batch
+        from voodoo_jax.batch.device_batch import in_batch
 
         return in_batch(jobs, report)
     count = min(workers or default_workers(len(jobs)), len(jobs))
@@ -140,7 +140,7 @@ def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "
 
 def _finished(job: Job, again: bool) -> Outcome | None:
     """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run."""
-    from voodoo_jax.io.finished import finished_arrays
+    from voodoo_jax.batch.resume import finished_arrays
 
     npz, mcap, png = output_places(job.log, job.out)
     arrays = None if again else finished_arrays(job.log, npz, mcap, job.recipe)

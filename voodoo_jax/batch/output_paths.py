@@ -4,7 +4,7 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 
-from voodoo_jax.jobs import output_paths
+from voodoo_jax.batch.log_job import output_paths
 from voodoo_jax.storage.urls import joined
 
 

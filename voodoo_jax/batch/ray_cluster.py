@@ -3,9 +3,9 @@
 import warnings
 from typing import Any
 
-from voodoo_jax.jobs import Job, do_job
-from voodoo_jax.outcomes import Outcome
-from voodoo_jax.workers import Report, Results
+from voodoo_jax.batch.log_job import Job, do_job
+from voodoo_jax.batch.outcome import Outcome
+from voodoo_jax.batch.process_pool import Report, Results
 
 RAY_HELP = (
     '--engine ray needs the package ray: pip install "voodoo_jax[ray]", here and on every machine of the cluster; '

@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from voodoo_jax.outcomes import Outcome
+from voodoo_jax.batch.outcome import Outcome
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.urls import delivered, joined, opened
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from voodoo_jax.batch.request_batcher import Ask, in_turns
 from voodoo_jax.compile.executable import count_waiting, seconds_of_waiting
 from voodoo_jax.compile.xla_options import quickly
 from voodoo_jax.kernels.correspondences import Points
@@ -26,7 +27,6 @@ from voodoo_jax.solve.scan import (
     track_frame,
     track_visits,
 )
-from voodoo_jax.turns import Ask, in_turns
 
 T = TypeVar("T")
 LANES = 32  # on each device that is no processor, unless told otherwise

@@ -18,9 +18,9 @@ from typing import Any
 
 import jax
 
-from voodoo_jax.jobs import Job, do_job, output_places, remove_partials
-from voodoo_jax.outcomes import Outcome
-from voodoo_jax.worker_start import Process, all_started, started
+from voodoo_jax.batch.log_job import Job, do_job, output_places, remove_partials
+from voodoo_jax.batch.outcome import Outcome
+from voodoo_jax.batch.worker_start import Process, all_started, started
 
 Report = Callable[[int, float], None]  # number of the job, share that is done
 Results = Generator[tuple[int, Outcome], None, None]  # number of the job and what became of it

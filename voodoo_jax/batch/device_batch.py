@@ -4,10 +4,10 @@ idle most of the time."""
 from collections.abc import Callable
 from contextlib import closing
 
-from voodoo_jax.jobs import Job, Visit, do_job
-from voodoo_jax.lanes import in_lanes, usual_lanes
-from voodoo_jax.outcomes import Outcome
-from voodoo_jax.workers import Report, Results
+from voodoo_jax.batch.lanes import in_lanes, usual_lanes
+from voodoo_jax.batch.log_job import Job, Visit, do_job
+from voodoo_jax.batch.outcome import Outcome
+from voodoo_jax.batch.process_pool import Report, Results
 
 
 def in_batch(jobs: list[Job], report: Report) -> Results:

@@ -76,7 +76,7 @@ def started(threads: int) -> Process:
     """A process that runs worker_process.py, Python started anew."""
     path = os.pathsep.join(p for p in sys.path if p)  # the same package, however this process came to it
     env = {**os.environ, **environment(threads), "PYTHONPATH": path}
-    command = [sys.executable, "-P", "-m", "voodoo_jax.worker_process"]
+    command = [sys.executable, "-P", "-m", "voodoo_jax.batch.worker_process"]
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
 
 
@@ -97,7 +97,7 @@ def all_started(count: int, threads: int) -> list[Process]:
 
 
 def _serve(source: int, replies: int, theirs: list[int], env: dict[str, str]) -> None:
-    from voodoo_jax.worker_process import serve
+    from voodoo_jax.batch.worker_process import serve
 
     for end in theirs:
         os.close(end)

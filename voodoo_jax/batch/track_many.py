@@ -6,10 +6,10 @@ from typing import Any
 import jax
 from tqdm.auto import tqdm
 
+from voodoo_jax.batch.lanes import in_lanes, usual_lanes
 from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.pipeline import find_person
-from voodoo_jax.lanes import in_lanes, usual_lanes
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks

@@ -19,8 +19,10 @@ def serve(source: int, target: int) -> None:
     replies = os.fdopen(target, "wb")
     os.dup2(2, 1)  # what libraries print must not get between the answers
     gc.disable()  # all that is imported stays, and need not be gone through again and again
+    from voodoo_jax.batch.log_job import (
+        do_job,  # before the other thread: two threads must not import one package at once
+    )
     from voodoo_jax.compile.cache_dir import leave_compile_cache
-    from voodoo_jax.jobs import do_job  # before the other thread: two threads must not import one package at once
 
     gc.freeze()
     gc.enable()

@@ -9,11 +9,11 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
+from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
-from voodoo_jax.outcomes import Outcome, outcome_of
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined
 
@@ -117,10 +117,10 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
+    from voodoo_jax.batch.resume import log_fingerprint, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
-    from voodoo_jax.io.finished import log_fingerprint, run_key
     from voodoo_jax.trackers.smoothing import smooth
 
     key, (place, _, drawn) = "", output_places(job.log, job.out)
