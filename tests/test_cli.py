@@ -10,7 +10,7 @@ from pathlib import Path
 import logs
 import pytest
 
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.toml import read_settings
 
@@ -25,7 +25,7 @@ def python(code: str) -> subprocess.CompletedProcess:
 def test_help_imports_nothing_heavy(words):
     heavy = ("jax", "equinox", "scipy", "matplotlib", "mcap", "rosbags", "numpy", "trimesh", "cv2")
     done = python(
-        "import sys, voodoo_jax.cli as cli\n"
+        "import sys, voodoo_jax.cli.main as cli\n"
         f"try:\n    cli.main({words!r})\n"
         "except SystemExit as stop:\n    assert not stop.code, stop\n"
         f"print('HEAVY', [m for m in {heavy!r} if m in sys.modules])\n"

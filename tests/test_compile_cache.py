@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from small_logs import small_log
 
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 from voodoo_jax.compile import cache_dir
 from voodoo_jax.compile.cache_dir import (
     CacheError,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from experiments.fit.__main__ import exercise
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings

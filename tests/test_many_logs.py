@@ -22,7 +22,7 @@ from voodoo_jax.batch.log_job import Job
 from voodoo_jax.batch.process_pool import default_workers, in_workers, usable_cores
 from voodoo_jax.batch.replay import Outcome, replay
 from voodoo_jax.batch.worker_start import can_copy
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 
 FRAMES = {"a": 12, "b": 5, "c": 33, "d": 20}
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import voodoo_jax as vj
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.presets import online
 from voodoo_jax.detect.pipeline import find_person

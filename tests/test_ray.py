@@ -8,7 +8,7 @@ import pytest
 from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
 
 from voodoo_jax.batch.replay import replay
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 
 ray_is_here = importlib.util.find_spec("ray") is not None
 

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 import voodoo_jax.trackers.icp.runner
 from voodoo_jax.batch.output_paths import folders_within
 from voodoo_jax.batch.replay import output_paths, replay
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses

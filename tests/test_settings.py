@@ -5,7 +5,8 @@ from dataclasses import asdict, fields, replace
 
 import pytest
 
-from voodoo_jax import cli, commands
+from voodoo_jax.cli import commands
+from voodoo_jax.cli import main as cli
 from voodoo_jax.config.options import (
     Change,
     PersonSettings,

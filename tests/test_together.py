@@ -16,7 +16,7 @@ from small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, smal
 import voodoo_jax as vj
 from voodoo_jax.batch import lanes
 from voodoo_jax.batch.request_batcher import in_turns
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import TrackSettings
 from voodoo_jax.solve.padding import pad_frames
 from voodoo_jax.solve.scan import NOBODY, Visits, at_rest, options_from, track_visits

@@ -8,7 +8,7 @@ import pytest
 from small_logs import SETTINGS, arrays_of, assert_same, small_body, small_log
 
 from voodoo_jax.batch.replay import replay
-from voodoo_jax.cli import main
+from voodoo_jax.cli.main import main
 from voodoo_jax.storage.urls import byte_size, delivered, expanded, fetched, joined
 
 

@@ -26,8 +26,8 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from voodoo_jax.cli.demo import joint_errors
 from voodoo_jax.config.options import Settings
-from voodoo_jax.demo import joint_errors
 from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import arg
 
-from voodoo_jax.commands import PRESET_BODIES, Command, Config, Demo, FitCommand, Info, Replay
+from voodoo_jax.cli.commands import PRESET_BODIES, Command, Config, Demo, FitCommand, Info, Replay
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.presets import PRESETS, online, preset
 from voodoo_jax.config.toml import check_settings, read_settings, settings_text
@@ -97,7 +97,7 @@ def run_info(command: Info) -> int:
 
 def run_demo(command: Demo) -> int:
     """Replays the shipped recording; 0 if it was tracked."""
-    from voodoo_jax.demo import demo
+    from voodoo_jax.cli.demo import demo
 
     return demo(command.out)
 
@@ -157,7 +157,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(command: "Replay | Info | Demo | Config | FitCommand", base: Settings) -> int:
     if isinstance(command, FitCommand):
-        from voodoo_jax.fit_command import run_fit
+        from voodoo_jax.cli.fit import run_fit
 
         return run_fit(command, base)
     if isinstance(command, Replay):

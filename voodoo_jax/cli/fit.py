@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tqdm.auto import tqdm
 
-from voodoo_jax.commands import FitCommand
+from voodoo_jax.cli.commands import FitCommand
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.toml import settings_text
 from voodoo_jax.fitting.checkpoint import Progress
