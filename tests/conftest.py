@@ -15,7 +15,7 @@ from jaxtyping import install_import_hook
 # tower: an int is welcome where a float is asked for (PEP 484), as for the type checker
 install_import_hook(["voodoo_jax"], "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
-# compiled in two thirds of the time, see quick.py; whatever is compiled without its options, too
+# compiled in two thirds of the time, see compile/xla_options.py; whatever is compiled without its options, too
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 # the user's own compile cache stays as it is; one for all processes of a test run saves minutes
@@ -50,7 +50,7 @@ def x64():
 @pytest.fixture(scope="module")
 def compiled_in_a_hurry():
     """For tests of small programs that are run once or twice: they take longer to compile than to run. Not for those of
-    programs.py, which other modules' tests would find so."""
+    compile/executable.py, which other modules' tests would find so."""
     jax.config.update("jax_disable_most_optimizations", True)
     yield
     jax.config.update("jax_disable_most_optimizations", False)

@@ -176,11 +176,11 @@ def write(logs: list[str]) -> None:
 
 def write_logs(folder: Path) -> None:
     """All logs, by the package's own simulation. Imported here: what is above runs without the package."""
-    from colour_logs import Board, picture, ros_compressed, ros_info
-    from logs import START, Log, ros_calibration, ros_image, ros_marker, ros_markers, ros_tf
     from scipy.spatial.transform import Rotation
 
     import voodoo_jax
+    from tests.support.colour_logs import Board, picture, ros_compressed, ros_info
+    from tests.support.logs import START, Log, ros_calibration, ros_image, ros_marker, ros_markers, ros_tf
     from voodoo_jax.model.body import scaled, site_points
     from voodoo_jax.model.body_file import human
     from voodoo_jax.model.marker_sets import PLUG_IN_GAIT

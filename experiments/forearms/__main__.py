@@ -1,9 +1,9 @@
 """What wrists tell of the forearms' lengths: python -m experiments.forearms RECORDINGS
 
 Every recording is tracked with the usual forearms, with the 2D features and without. The constants of
-voodoo_jax/forearms.py are fitted to what the truth says (people count alike, however many recordings there are of
-them), and for every person to the others alone: that column is what a stranger can expect. Writes forearms.md and
-forearms.png.
+voodoo_jax/trackers/icp/refine/forearm_length.py are fitted to what the truth says (people count alike, however many
+recordings there are of them), and for every person to the others alone: that column is what a stranger can expect.
+Writes forearms.md and forearms.png.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""How far tracks can be trusted: the numbers of voodoo_jax/trust.py and what they are worth.
+"""How far tracks can be trusted: the numbers of voodoo_jax/trackers/icp/confidence.py and what they are worth.
 
 python -m experiments.trust RECORDINGS tracks every recording as it is and made harder, fits the logistic functions on
 one half of the people and compares what they say with what is right on the other half. Writes trust.md and trust.png.
@@ -49,8 +49,8 @@ def fitted(clues: np.ndarray, close: np.ndarray, count: int) -> Trust:
 
 
 def held_out(told: list[Told], count: int) -> list[np.ndarray]:
-    """[frame, joint] of each recording: what the other half of the people lets one expect; what trust.py says where
-    there was one pass only."""
+    """[frame, joint] of each recording: what the other half of the people lets one expect; what
+    trackers/icp/confidence.py says where there was one pass only."""
     people = sorted({t.stature for t in told})
     half = [people.index(t.stature) % 2 for t in told]
     if len(people) < 2:  # the demo: nobody else to learn from

@@ -87,7 +87,7 @@ def _program(lockstep: bool) -> Any:
     mesh = Mesh(np.array(jax.devices()), ("lane",))
     here = in_lockstep if lockstep else one_by_one
     spec = PartitionSpec("lane")
-    # around all of it, so that each device's loops end by themselves (pitfall P25)
+    # around all of it, so that each device's loops end by themselves (docs/numerics.md#sharding)
     return quickly(jax.shard_map(here, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
 
 
@@ -111,7 +111,8 @@ def in_lockstep(
         frame, track = visit
         busy = track != NOBODY
         points, seconds, features = jax.tree.map(lambda x: x[frame], measured)
-        # without measurements a frame is done in two steps: who has nothing to do keeps nobody waiting (pitfall P17)
+        # without measurements a frame is done in two steps: who has nothing to do keeps nobody waiting
+        # (docs/numerics.md#slowest)
         points = eqx.tree_at(lambda p: p.weight, points, jnp.where(busy, points.weight, 0.0))
         if features is not None:
             features = eqx.tree_at(lambda f: f.weight, features, jnp.where(busy, features.weight, 0.0))

@@ -18,7 +18,7 @@ from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
-Visit = Callable[..., Any]  # session.Visit, which takes long to import
+Visit = Callable[..., Any]  # solve.scan.Visit, which takes long to import
 
 
 @dataclass(frozen=True, eq=False)

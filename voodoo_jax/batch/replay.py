@@ -43,17 +43,17 @@ def replay(
     compile_cache: str = "",
 ) -> list[Outcome]:
     """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, of logs of one
-    name into folders of their own in it (see result_folders.py).
+    name into folders of their own in it (see output_paths.py).
 
     A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
     under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
     version are skipped. `replay.jsonl` in `out` has a line for each log.
 
-    **Arguments:** `logs` and `out` paths, or URLs (see io/urls.py); `smooth_seconds` see smoothing.smooth; `picture`
-    draws `<stem>.png` too; `again` does finished logs anew; `workers` processes, 1: in this one, 0: as many as are good
-    for this machine; `engine` "batch": in this one, several logs as one batch on all of JAX's devices; "ray": on a Ray
-    cluster; `shard` "2/8": the second of eight parts of the logs only; `compile_cache` folder for compiled programs,
-    "": the user's, "off": none.
+    **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
+    trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `again` does finished logs anew; `workers` processes,
+    1: in this one, 0: as many as are good for this machine; `engine` "batch": in this one, several logs as one batch on
+    all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight parts of the logs only;
+    `compile_cache` folder for compiled programs, "": the user's, "off": none.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 

@@ -1,4 +1,4 @@
-"""The other end of workers.py: a process that takes jobs from a pipe and answers on another."""
+"""The other end of process_pool.py: a process that takes jobs from a pipe and answers on another."""
 
 import gc
 import os

@@ -1,7 +1,7 @@
 """How worker processes come to be: as copies of this process where that is safe, else as Python started anew.
 
 A copy has all imports already: a second of a processor less for each worker. It is safe while this process has one
-thread, so before jax has opened a device and before OpenBLAS has made threads (see cli.main).
+thread, so before jax has opened a device and before OpenBLAS has made threads (see cli.main.main).
 """
 
 import gc
@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from importlib import import_module
 
-# what one log needs, beside what jobs.py imports at once
+# what one log needs, beside what log_job.py imports at once
 IMPORTS = ("trackers.icp.tracker", "trackers.smoothing", "io.log_reader", "exporters.foxglove", "exporters.npz")
 ENVIRONMENT = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 PATIENCE = 50  # milliseconds

@@ -205,7 +205,7 @@ def jax_cache_aside() -> Iterator[None]:
 
 
 def kept(name: str) -> bytes | None:
-    """What some process has kept under a name (see programs.py); None if nothing, or not whole."""
+    """What some process has kept under a name (see executable.py); None if nothing, or not whole."""
     for shared, own in _own.values():
         for folder in (own, shared):
             with suppress(OSError):

@@ -1,6 +1,6 @@
 """Tracks as an MCAP file that Foxglove shows: frames, poses, the body, quality, and how it was made.
 
-Frames: `voodoo/<limb>` (the limb frame of body.py) and `voodoo/joint/<name>`, both in the tracks' fixed frame.
+Frames: `voodoo/<limb>` (the limb frame of model/body.py) and `voodoo/joint/<name>`, both in the tracks' fixed frame.
 """
 
 import colorsys

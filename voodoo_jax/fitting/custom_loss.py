@@ -24,7 +24,7 @@ from voodoo_jax.solve.implicit import Solution, solution
 def solve_frames(body: Body, options: IcpOptions, frames: FitFrames) -> Solution:
     """Poses of all frames (leading axis) with exact derivatives; what a loss of one's own is built on.
 
-    Give frames that are not `converged` weight zero: their derivatives are wrong (pitfall P10).
+    Give frames that are not `converged` weight zero: their derivatives are wrong (docs/numerics.md#convergence).
     """
 
     def one(frame: FitFrames) -> Solution:

@@ -65,11 +65,12 @@ def fit(
     say: Callable[[str, Progress | None], None] | None = None,
 ) -> Fit:
     """Tunes a body to recordings, or to their truth where one is given; the Fit's `body` is the better one of the body
-    before and the fitted one (see fit_judge), `better` says which.
+    before and the fitted one (see fitting.judge), `better` says which.
 
     **Arguments:** `logs` paths or recordings; `truths` one for each log: then joint centres are what is fitted to;
-    `loss` a function (body, options, frames) to make small instead, with the priors added (see fit_user); `state` a
-    file that the search is saved in after every step, and resumed from; `say` hears what is being done, step by step.
+    `loss` a function (body, options, frames) to make small instead, with the priors added (see fitting.custom_loss);
+    `state` a file that the search is saved in after every step, and resumed from; `say` hears what is being done, step
+    by step.
 
     Raises FitError, LogError, TruthError, ValueError (unknown parameters).
     """

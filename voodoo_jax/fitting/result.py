@@ -23,7 +23,7 @@ class Fit:
     names: tuple[str, ...]
     x: Float64[np.ndarray, " all"]
     sd: Float64[np.ndarray, " all"]  # NaN where the loss is the user's own
-    spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see fit_loop.spread; NaN likewise
+    spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see gauss_newton.spread; NaN likewise
     prior_sd: Float64[np.ndarray, " all"]
     stays: Bool[np.ndarray, " all"]  # what the recordings do not tell, and what therefore stayed
     losses: tuple[float, ...]

@@ -13,7 +13,7 @@ from voodoo_jax.solve.names import FeatureNames
 def tuned_settings(settings: Settings, topology: Topology, by: Changes, features: tuple[str, ...]) -> Settings:
     """The settings changed by what a fit found; what it left alone stays as it was.
 
-    **Arguments:** `by` what was found (see fit_parameters); `features` names that its `features` are of.
+    **Arguments:** `by` what was found (see fitting.parameters); `features` names that its `features` are of.
     """
     factors = dict(zip(SETTINGS, np.exp(np.asarray(by.settings, np.float64)).tolist()))
     solve = {k: getattr(settings.solve, k) * f for k, f in factors.items() if f != 1}

@@ -65,7 +65,7 @@ def quat_conjugate(q: Float[AnyArray, "*b 4"]) -> Float[Any, "*b 4"]:
 
 
 def quat_normalize(q: Float[AnyArray, "*b 4"]) -> Float[Array, "*b 4"]:
-    """Scales to unit length; the zero quaternion becomes the identity (pitfall P6: no division by zero)."""
+    """Scales to unit length; the zero quaternion becomes the identity (docs/numerics.md#roots: no division by zero)."""
     n2 = jnp.sum(q * q, -1, keepdims=True)
     zero = n2 < 1e-30
     unit = q / jnp.sqrt(jnp.where(zero, 1.0, n2))

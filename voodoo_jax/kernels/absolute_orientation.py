@@ -38,7 +38,8 @@ def align(moments: Float[Array, "4 4"]) -> Alignment:
     """The rotation and translation that minimise the weighted sum of squares |R c + t - p|^2.
 
     **Arguments:** `moments` sum of w [1, c] [1, p]^T, model points c, data points p, metres. Give both in a frame near
-    the limb: the moments are centred here by subtraction, which loses digits far from the origin (pitfall P28).
+    the limb: the moments are centred here by subtraction, which loses digits far from the origin
+    (docs/numerics.md#float32).
 
     **Returns:** the identity for no pairs at all; for pairs that leave the rotation undetermined (fewer than three, on
     one line, mirrored) one of the best rotations, with `gap` near zero.
@@ -50,12 +51,12 @@ def align(moments: Float[Array, "4 4"]) -> Alignment:
     cross = moments[1:, 1:] / w - model[:, None] * data[None, :]
     spread2 = jnp.sum(cross * cross)
     flat = spread2 < 1e-24
-    spread = jnp.sqrt(jnp.where(flat, 1.0, spread2))  # the root of 0 has no derivative (pitfall P6)
-    # normalised by the limb's own spread: eigenvalues near one, whatever unit or weight (pitfall P2)
+    spread = jnp.sqrt(jnp.where(flat, 1.0, spread2))  # the root of 0 has no derivative (docs/numerics.md#roots)
+    # normalised by the limb's own spread: eigenvalues near one, whatever unit or weight (docs/numerics.md#scale)
     k = horn_matrix(cross / spread)
     identity = jnp.diag(jnp.array([3, -1, -1, -1], k.dtype)) / 3**0.5
     values, q = top_eigenpair(jnp.where(flat, identity, k))
-    # nearest to the identity, never sign(): that is 0 at 0 (pitfall P5)
+    # nearest to the identity, never sign(): that is 0 at 0 (docs/numerics.md#sign)
     q = quat_normalize(q * jnp.where(q[0] >= 0, 1.0, -1.0))
     t = jnp.where(none, jnp.zeros_like(data), data - rotate(q, model))
     return Alignment(q, t, jnp.where(flat, 0.0, values[-1] - values[-2]), weight)

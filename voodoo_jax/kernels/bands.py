@@ -48,7 +48,8 @@ def prior_moments(
 
     **Arguments:** `middle` of the limb, limb frame; `pose`, `predicted` of this limb; `weight` of all six pairs
     together; `square` that weight times the square of the pairs' distance, metres, from the middle along the limb's
-    axes: turning by an angle costs 2/3 square angle^2 (pitfall P11: never leave a direction undetermined).
+    axes: turning by an angle costs 2/3 square angle^2 (docs/numerics.md#null-directions: never leave a direction
+    undetermined).
 
     **Returns:** sum of w [1, c] [1, p]^T and sum of w c c^T.
     """

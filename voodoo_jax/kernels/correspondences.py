@@ -154,7 +154,7 @@ def sums(found: Match, second: bool = True) -> Sums:
     if rows.ndim > 2:
         table = jnp.sum(found.weight * rows, -1).T
         squares = jnp.sum(found.weight * found.distance**2)
-    else:  # full float32 everywhere (pitfall P27)
+    else:  # full float32 everywhere (docs/numerics.md#tf32)
         table = jax.lax.dot_general(found.weight, rows, (((1,), (1,)), ((), ())), precision="highest")
         # as a product: the compiler for the CPU adds a plain sum up number by number
         squares = jnp.sum(jnp.matmul(found.weight, found.distance**2, precision="highest"))

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-# Relative damping of the pseudo-inverse in the derivative of the eigenvector: smooth where the gap closes (pitfall P1).
+# Relative damping of the pseudo-inverse in the derivative of the eigenvector: smooth where the gap closes
+# (docs/numerics.md#eigenvector).
 GAP_DAMPING = 1e-6
 SAFE = 0.05  # least product of the gaps between eigenvalues, of a matrix of spread 1, for the closed form
 
@@ -14,8 +15,9 @@ def top_eigenpair(k: Float[Array, "4 4"]) -> tuple[Float[Array, "4"], Float[Arra
     """Eigenvalues (ascending) and the eigenvector of the largest one of a symmetric matrix.
 
     The derivative of `eigh` is NaN in reverse mode when any two eigenvalues meet, even if the wanted one stands apart
-    (pitfall P1); this rule needs only the top one to stand apart and is damped, hence finite, where it does not.
-    Second derivatives hold for the top pair; those of the other three eigenvalues leave out the turn of their vectors.
+    (docs/numerics.md#eigenvector); this rule needs only the top one to stand apart and is damped, hence finite, where
+    it does not. Second derivatives hold for the top pair; those of the other three eigenvalues leave out the turn of
+    their vectors.
     """
     return jnp.linalg.eigvalsh(k), _top_vectors(k[None])[0]
 
@@ -23,7 +25,7 @@ def top_eigenpair(k: Float[Array, "4 4"]) -> tuple[Float[Array, "4"], Float[Arra
 @jax.custom_batching.custom_vmap
 def _top_vectors(k: Float[Array, "limb 4 4"]) -> Float[Array, "limb 4"]:
     """Unit eigenvectors of the largest eigenvalues: in closed form, but by `eigh` where they would lose digits in it
-    (points nearly on a line; pitfall P22)."""
+    (points nearly on a line; docs/numerics.md#closed-forms)."""
     vectors, safe = _closed_form(k.transpose(1, 2, 0))
     # limb by limb: what one limb gets does not depend on the others
     checked = lambda: jnp.where(safe[:, None], vectors.T, jnp.linalg.eigh(k)[1][:, :, -1])  # noqa: E731
@@ -125,5 +127,5 @@ def _turn_of_top_jvp(primals, tangents):
 
 
 def _product(a, b):
-    """Matrix product as sums: no reduced precision on any device (pitfall P27)."""
+    """Matrix product as sums: no reduced precision on any device (docs/numerics.md#tf32)."""
     return jnp.sum(a[:, :, None] * b[None], 1)

@@ -31,7 +31,7 @@ def _ellipse_step(a, b, px, py, cos, sin):
     """One step towards the closest point of an ellipse for a point in the first quadrant.
 
     Replaces the ellipse by its circle of curvature: needs no bracket and cannot find the wrong root as Newton's
-    method can (pitfall P33).
+    method can (docs/numerics.md#ellipses).
     """
     ex, ey = (a * a - b * b) * cos**3 / a, (b * b - a * a) * sin**3 / b  # centre of curvature
     rx, ry, qx, qy = a * cos - ex, b * sin - ey, px - ex, py - ey
@@ -77,7 +77,7 @@ def rim_factors(size: Size) -> tuple[Float[Array, "*point"], ...]:
 
 
 def uncut(*numbers: Array) -> Any:
-    """No cut, see kernels.nearest.cuts."""
+    """No cut, see kernels.assignment.cuts."""
     return numbers
 
 
@@ -144,8 +144,9 @@ def closest_point(
     iterations towards the exact closest point of an elliptic cross-section. 0 keeps the polar angle of the point:
     exact for round limbs; for the built-in human, within 10 cm of a limb, the distance is off by 0.3 mm on average,
     2 mm at 95 %, 23 mm at worst (deep inside the pelvis). 8 iterations: to 0.2 mm for a
-    human's limbs, 1 mm for short tapering ones (tests/test_surface.py); `caps` false: the side alone, an open tube that
-    has no inside; `rims` rim_factors of the size, where they are known already; `cut` see kernels.nearest.cuts.
+    human's limbs, 1 mm for short tapering ones (tests/kernels/test_surface.py); `caps` false: the side alone, an open
+    tube that has no inside; `rims` rim_factors of the size, where they are known already; `cut` see
+    kernels.assignment.cuts.
 
     **Returns:** closest points and signed distances. At the axis, where several points are closest, one of them.
     """

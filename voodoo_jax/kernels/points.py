@@ -44,5 +44,5 @@ class MatchOptions(eqx.Module):
 
 
 def components(xyz: Float[Array, "point 3"]) -> Components:
-    """x, y and z: everything about points is computed by component (pitfall P26)."""
+    """x, y and z: everything about points is computed by component (docs/numerics.md#components)."""
     return xyz[:, 0], xyz[:, 1], xyz[:, 2]

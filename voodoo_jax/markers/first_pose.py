@@ -71,7 +71,7 @@ def first_pose(
 ) -> tuple[Float[np.ndarray, "limb 4"], Float[np.ndarray, "limb 3"], float]:
     """Rotations (wxyz) and places of the limbs from named points, and the scale relative to the body's.
 
-    **Arguments:** `rows` of kernels.features.named_points; `data` world frame, metres; `seen` False: missing.
+    **Arguments:** `rows` of kernels.landmarks.named_points; `data` world frame, metres; `seen` False: missing.
     `scaled_by` the scale, if it is known. Needs three points that are seen.
     """
     limbs, places = (np.asarray(x) for x in named_points(body))

@@ -29,7 +29,7 @@ class Markers(NamedTuple):
     """Named points of some frames in one order."""
 
     names: tuple[str, ...]  # as the log calls them
-    rows: Int[np.ndarray, " marker"]  # of kernels.features.named_points
+    rows: Int[np.ndarray, " marker"]  # of kernels.landmarks.named_points
     points: Float[np.ndarray, "frame marker 3"]  # world frame, metres; any number where not seen
     seen: Bool[np.ndarray, "frame marker"]
 

@@ -75,7 +75,7 @@ class Links(NamedTuple):
     first_points: Float[Array, "link pair 3"]  # in the first limb's frame
     second_points: Float[Array, "link pair 3"]  # in the second limb's frame
     weights: Float[Array, "link pair"]  # 0: unused
-    tables: LinkTables | None = None  # see kernels.coupled.link_tables; None: made where they are needed
+    tables: LinkTables | None = None  # see kernels.gauss_newton.link_tables; None: made where they are needed
 
 
 def scaled(body: Body, scale: Float[AnyArray, ""] | float) -> Body:

@@ -63,7 +63,7 @@ class Image:
     raw: np.ndarray | None  # [row, column] view; None if the encoding is none of depth
     unit: float  # metres per raw unit
     colour: Colour | None = None  # if it is one of colour or grey
-    packed: bytes | None = None  # a compressed depth image, instead of `raw`; `io.packed_depth` unpacks it
+    packed: bytes | None = None  # a compressed depth image, instead of `raw`; `io.decode.depth_codec` unpacks it
     start: int = 0  # bytes before the image itself in `packed`
 
 

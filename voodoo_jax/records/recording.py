@@ -43,7 +43,8 @@ class Frame:
     part: Int32[np.ndarray, " point"] | None = None  # index in `parts`, -1: free; None: all free
     parts: tuple[str, ...] = ()  # "body", or names of limbs
     weight: Float32[np.ndarray, " point"] | None = None  # None: all 1, as a depth camera's (2007, sec. 6)
-    T_fixed_steady: Float64[np.ndarray, "4 4"] | None = None  # None: all places are in the fixed frame; see shaking.py
+    # None: all places are in the fixed frame; see detect/camera_motion.py
+    T_fixed_steady: Float64[np.ndarray, "4 4"] | None = None
 
 
 @dataclass(frozen=True)

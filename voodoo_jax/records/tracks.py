@@ -43,12 +43,15 @@ class Tracks:
     steps: Int32[np.ndarray, " frame"]  # ICP steps taken
     points: Int32[np.ndarray, " frame"]  # points given to the tracker
     limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
-    passes_apart: Float32[np.ndarray, "frame limb"] | None = None  # see both_ways.py; metres; NaN: one pass only
+    # see trackers/icp/refine/forward_backward.py; metres; NaN: one pass only
+    passes_apart: Float32[np.ndarray, "frame limb"] | None = None
     beyond_limits: Float32[np.ndarray, "frame bodyjoint"] | None = None  # of `body.topology.joints`, radians; 0: within
     depth_inside: Float32[np.ndarray, "frame limb"] | None = None  # in another limb, more than in the rest pose; metres
     limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None  # turn (rad), shift (m) in the limb's frame
-    joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None  # of `joints`, square metres; uncertainty.py
-    joint_confidence: Float32[np.ndarray, "frame joint"] | None = None  # of `joints`: within 10 cm? 0..1; see trust.py
+    # of `joints`, square metres; solve/covariance.py
+    joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None
+    # of `joints`: within 10 cm? 0..1; see trackers/icp/confidence.py
+    joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())

@@ -21,8 +21,8 @@ def solve_fixed_point(
 
     For gradients rather than for speed: iterates until no component moves by more than `tolerance` (quaternion
     components and metres), and differentiates the fixed point, not the way to it, in forward and reverse mode. The
-    derivative is right only where `converged` is true (pitfall P10), and is zero for `start` (pitfall P13); matches
-    between points and limbs are held fixed (pitfall P8).
+    derivative is right only where `converged` is true (docs/numerics.md#convergence), and is zero for `start`
+    (docs/numerics.md#start); matches between points and limbs are held fixed (docs/numerics.md#matches).
     """
     solver = optx.FixedPointIteration(rtol=0.0, atol=tolerance)
     adjoint = adjoint or optx.ImplicitAdjoint()

@@ -34,7 +34,8 @@ STEADY_RADIUS = 0.1  # metres: about what a limb's own points hold its rotation 
 
 
 class IcpOptions(eqx.Module):
-    """Parameters of a frame's solve. Numbers are traced arrays: changing one compiles nothing anew (pitfall P20)."""
+    """Parameters of a frame's solve. Numbers are traced arrays: changing one compiles nothing anew
+    (docs/numerics.md#recompiling)."""
 
     match: MatchOptions
     features: FeatureOptions
@@ -47,7 +48,7 @@ class IcpOptions(eqx.Module):
     epsilon: Float[Array, ""]  # stop when the quality measure changes by less, square metres; 0: never
     max_steps: Int[Array, ""]
     damping: Float[Array, ""]  # Levenberg-Marquardt damping of the coupled solver
-    stretch: Float[Array, ""]  # times as far as a step asks for a limb goes at most, see kernels.coupled.stretched
+    stretch: Float[Array, ""]  # times as far as a step asks for a limb goes at most, see kernels.gauss_newton.stretched
     plausible: PlausibleOptions
     solver: Literal["per_limb", "coupled"] = eqx.field(static=True)
 
@@ -155,7 +156,7 @@ def total_weight(problem: Problem, doubt: Float[Array, ""] | float = 1.0) -> Flo
 
 def seen_at(poses: Poses, problem: Problem, with_second: bool = True) -> Seen:
     """Measurements as sums, set up in each limb's frame: a solve is for a small motion near the origin, and float32
-    keeps its digits wherever the person stands (pitfall P28).
+    keeps its digits wherever the person stands (docs/numerics.md#float32).
 
     `with_second`: second moments too, which only the coupled solver needs."""
     body, options = problem.body, problem.options
@@ -278,14 +279,14 @@ def solve_frame(
     """Repeats the step until the quality measure changes by less than epsilon (from a near start, not `patient`, by ten
     times that), or max_steps is reached (sec. 3.2).
 
-    The coupled solver goes further than a step asks where steps go the same way (see kernels.coupled.stretched). From a
-    near start it stops where the measure rises and no limb moves much any more, too: points then change
+    The coupled solver goes further than a step asks where steps go the same way (see kernels.gauss_newton.stretched).
+    From a near start it stops where the measure rises and no limb moves much any more, too: points then change
     limbs to and fro, and going on takes more than twice the steps and finds nothing better. Not where pairs that nobody
     measured may make it rise; with epsilon 0 all max_steps are taken.
 
     `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed too: every step
-    keeps little more than the poses that it began with, and is done once more on the way back (pitfall P9). `capacity`
-    bounds its steps at compile time.
+    keeps little more than the poses that it began with, and is done once more on the way back (docs/numerics.md#loops).
+    `capacity` bounds its steps at compile time.
     """
 
     options = problem.options

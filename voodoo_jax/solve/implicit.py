@@ -3,7 +3,7 @@
 Where the ICP step rests, the forces and torques that all pairs exert on every limb add up to zero, with either solver.
 That balance is differentiated instead of the step: the measured part of a limb depends on that limb's own motion alone,
 so six directions for all limbs at once give its whole derivative, and bands are few. Matches between points and limbs
-are held fixed (pitfall P8).
+are held fixed (docs/numerics.md#matches).
 """
 
 from typing import NamedTuple
@@ -164,7 +164,8 @@ def balance_slope(
 
 
 def _far(twists: Float[Array, "limb 6"], force: Float[Array, "limb 6"], problem: Problem) -> Float[Array, ""]:
-    """How far from rest: what a Newton step gains, as a root mean square over the frame's weight, metres (pitfall P16).
+    """How far from rest: what a Newton step gains, as a root mean square over the frame's weight, metres
+    (docs/numerics.md#stopping).
 
     Not the step's size: a round limb rolls a long way for nothing, and the near side's choice may keep it rolling.
     """
@@ -219,12 +220,12 @@ def carried(found: Rest, problem: Problem) -> Poses:
 def solution(start: Poses, problem: Problem, newton: int = 3, tolerance: float = 1e-3) -> Solution:
     """The poses that a step leaves as they are, with exact derivatives in forward and reverse mode.
 
-    **Arguments:** `start` where to begin; has no derivative (pitfall P13); `problem` the frame, its options say how
-    many ICP steps come first; `newton` Newton steps after them, with the points' limbs settled; `tolerance` metres:
-    `converged` is true where a further Newton step would move the measured points by less (see Solution.off).
+    **Arguments:** `start` where to begin; has no derivative (docs/numerics.md#start); `problem` the frame, its options
+    say how many ICP steps come first; `newton` Newton steps after them, with the points' limbs settled; `tolerance`
+    metres: `converged` is true where a further Newton step would move the measured points by less (see Solution.off).
 
-    **Returns:** see Solution. Derivatives are right only where `converged` is true (pitfall P10), and to the first
-    order: second derivatives leave out how the slope of the balance changes.
+    **Returns:** see Solution. Derivatives are right only where `converged` is true (docs/numerics.md#convergence), and
+    to the first order: second derivatives leave out how the slope of the balance changes.
     """
     found = resting(start, problem, newton)
     return Solution(carried(found, problem), found.limbs, found.steps, found.off, found.off < tolerance)
@@ -234,7 +235,7 @@ def weakest(poses: Poses, problem: Problem) -> Float[Array, ""]:
     """Least singular value of the balance's slope over the frame's weight: how well the worst direction is determined.
 
     Round limbs roll about their axes with nothing but the prior to hold them: expect about the prior's weight times the
-    square of its radius (pitfall P11); zero means that derivatives are not to be believed.
+    square of its radius (docs/numerics.md#null-directions); zero means that derivatives are not to be believed.
     """
     slope, _ = balance_slope(poses, problem, settled(poses, problem))
     return jnp.linalg.svd(slope, compute_uv=False)[-1] / total_weight(problem)

@@ -31,7 +31,7 @@ class FeatureNames:
         return max((len(self.look_up(n) or ()) for n in names), default=1) or 1
 
     def look_up(self, name: str) -> tuple[int, ...] | None:
-        """Rows of kernels.features.named_points that a name may stand for; None: the body has no such name."""
+        """Rows of kernels.landmarks.named_points that a name may stand for; None: the body has no such name."""
         return self.rows.get(self.plain(name))
 
     def plain(self, name: str) -> str:
@@ -40,7 +40,7 @@ class FeatureNames:
         return name if name in self.rows else plain_name(name)
 
     def find(self, name: str) -> tuple[tuple[int, ...], float] | None:
-        """Rows of kernels.features.named_points, of which the feature is one, and weight; None for a name that the
+        """Rows of kernels.landmarks.named_points, of which the feature is one, and weight; None for a name that the
         body does not have."""
         name = self.plain(name)
         if name not in self.rows:

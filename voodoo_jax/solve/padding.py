@@ -65,7 +65,8 @@ def pad_frames(
     """Pads `frames` to `length` frames of `capacity` points each.
 
     More points than `most` (the capacity) are thinned at random, the same way on every run, and counted. Padded points
-    lie on the first sensor with weight zero (pitfall P7: finite, never NaN). `parts` None: all points are free.
+    lie on the first sensor with weight zero (docs/numerics.md#padding: finite, never NaN). `parts` None: all points are
+    free.
     """
     most = capacity if most is None else min(most, capacity)
     xyz = np.zeros((length, capacity, 3), np.float32)

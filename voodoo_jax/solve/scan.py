@@ -134,7 +134,7 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
 
 def at_rest(poses: Poses) -> State:
     """A state without motion."""
-    # of NumPy's arrays where the poses are: see pose.AnyArray
+    # of NumPy's arrays where the poses are: see geometry.rigid.AnyArray
     array = np if isinstance(poses.translation, np.ndarray) else jnp
     zero = array.zeros_like(poses.translation)
     nowhere = array.zeros((*poses.translation.shape[:-2], 4), poses.translation.dtype)

@@ -1,4 +1,5 @@
-"""Messages with colour, grey or compressed images: what they hold, still packed. `io.pictures` unpacks them."""
+"""Messages with colour, grey or compressed images: what they hold, still packed. `io.decode.image_codec` unpacks
+them."""
 
 from typing import Any
 

@@ -36,7 +36,7 @@ class Beginning(NamedTuple):
     frame: int
     body: Body  # with its size
     poses: Poses
-    cost: float  # see tracking.cost_of and start.unlikely
+    cost: float  # see solve.scan.cost_of and body_size.unlikely
     noise: float = 0.0  # of the points that it was tried on, metres, at least USUAL
     rival: "Beginning | None" = None  # faces the other way
 

@@ -47,8 +47,8 @@ def spans(bodies: Sequence[tuple[int, Body]], count: int) -> list[tuple[int, int
 class Session:
     """Tracks one recording's person frames: start, chunks of frames, changes of the body on the way.
 
-    `changes` are those of the settings, loaded, and `body` is prepared for them (see changes.prepared); `visit`
-    runs the program, None: here and now.
+    `changes` are those of the settings, loaded, and `body` is prepared for them (see model.attachments.prepared);
+    `visit` runs the program, None: here and now.
     """
 
     def __init__(

@@ -72,7 +72,7 @@ def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, rows: Ro
     **Arguments:** `people` and `rows` frames, and what was tracked in them (arrays of Tracks); `names` of features.
     """
     body, t = on_host(body), body.topology
-    limbs = (*t.site_limbs, *t.centre_limbs)  # as in kernels.features.named_points
+    limbs = (*t.site_limbs, *t.centre_limbs)  # as in kernels.landmarks.named_points
     tracked = np.flatnonzero(rows["status"] == Status.TRACKED)
     gaps, named = [], []
     for side in "lr":

@@ -1,0 +1,88 @@
+"""Long recordings: tracked in spans, their points in files."""
+
+import mmap
+import tempfile
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.small_logs import SETTINGS, small_body, small_log
+from voodoo_jax.detect.disk_buffer import ARRAYS, spilled
+from voodoo_jax.io.log_reader import read_log
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.trackers.icp import sequence
+from voodoo_jax.trackers.icp.tracker import track
+
+
+def cloud(i: int, count: int, parts: bool = True) -> PersonFrame:
+    rng = np.random.default_rng(i)
+    points = rng.standard_normal((count, 3)).astype(np.float32)
+    part = rng.integers(-1, 2, count).astype(np.int32) if parts else None
+    return PersonFrame(i, points, np.zeros(count, np.int64), np.zeros((1, 3), np.float32), part=part, parts=("body",))
+
+
+def in_file(array: np.ndarray) -> bool:
+    while isinstance(array, np.ndarray) and array.base is not None:
+        array = array.base
+    return isinstance(array, (mmap.mmap, memoryview)) or isinstance(getattr(array, "obj", None), mmap.mmap)
+
+
+def test_frames_come_back_as_they_were():
+    frames = [cloud(i, count, i % 3 > 0) for i, count in enumerate([100, 0, 1, 333, 50, 0, 7])]
+    kept = spilled(frames, block=3000)
+    assert len(kept) == len(frames) and in_file(kept[0].points) and not in_file(kept[-1].points)
+    for a, b in zip(frames, kept, strict=True):
+        assert a.time_ns == b.time_ns and a.parts == b.parts and a.origins is b.origins
+        for name in ARRAYS:
+            one, other = getattr(a, name), getattr(b, name)
+            assert (one is None) == (other is None)
+            if one is not None:
+                np.testing.assert_array_equal(one, other)
+                assert one.dtype == other.dtype and one.shape == other.shape
+
+
+def test_memory_does_not_grow_with_the_number_of_frames():
+    def stream(count: int) -> Iterator[PersonFrame]:
+        return (cloud(i, 5000, False) for i in range(count))
+
+    peaks = []
+    for count in (50, 400):
+        tracemalloc.start()
+        kept = spilled(stream(count), block=1 << 20)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert len(kept) == count
+    # what is left of a frame's 100 kB
+    assert (peaks[1] - peaks[0]) / 350 < 4000
+
+
+def test_where_no_file_can_be_written_points_stay_in_memory(monkeypatch):
+    def full(*_: object, **__: object):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    kept = spilled([cloud(i, 100) for i in range(5)], block=100)
+    assert len(kept) == 5 and not in_file(kept[0].points)
+
+
+@pytest.fixture(scope="module")
+def swinging(tmp_path_factory):
+    return read_log(small_log(tmp_path_factory.mktemp("long") / "arm.mcap", 90))
+
+
+def test_spans_go_on_where_the_last_one_ended(swinging, monkeypatch):
+    """A long passage is tracked there and back span by span, with nothing lost at the seams."""
+    settings = replace(SETTINGS, track=replace(SETTINGS.track, both_ways=True))
+    done = []
+    whole = track(small_body(), swinging, settings, done.append)
+    assert sum(done) == 2 * len(swinging)
+    monkeypatch.setattr(sequence, "SPAN", 48)
+    done.clear()
+    parts = track(small_body(), swinging, settings, done.append)
+    assert sum(done) == 2 * len(swinging)
+    assert whole.tracked.all() and parts.tracked.all() and np.isfinite(parts.passes_apart).all()
+    apart = np.linalg.norm(whole.joints - parts.joints, axis=-1)
+    assert apart.max() < 0.02 and np.median(apart) < 0.001

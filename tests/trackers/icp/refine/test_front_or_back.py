@@ -1,0 +1,98 @@
+"""Somebody who may face the camera or turn their back to it: both are tracked, and the likelier one is kept."""
+
+import numpy as np
+import pytest
+
+from tests.support.in_front import error, in_front
+from voodoo_jax.geometry.rigid import Poses, compose, on_host
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human
+from voodoo_jax.model.pose_library import HIPS, exchanged
+from voodoo_jax.trackers.icp.initialise import Beginning
+from voodoo_jax.trackers.icp.refine.facing import gone_ahead, likelier_way
+from voodoo_jax.trackers.icp.segment import rows_of
+
+BODY, COUNT = scaled(human(), 1.75), 30
+
+
+def swinging(path, nearer: float = 0.0):
+    """Somebody with feet apart who swings the arms in front of them, and comes nearer."""
+    apart, swing = np.tile([0.12, 0.0, 0.0], (COUNT, 1)), np.zeros((COUNT, 3))
+    swing[:, 1] = -0.5 - 0.4 * np.sin(6 * np.arange(COUNT) / 30)
+    turns = {"l_hip": apart, "r_hip": -apart, "l_shoulder": swing, "r_shoulder": swing}
+    sim, run = in_front(path, BODY, turns, COUNT, nearer)
+    truth = Poses(sim.rotation, sim.translation)[0]
+    return sim, run, truth, turned_round(truth)
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    return swinging(tmp_path_factory.mktemp("seen") / "log.mcap")
+
+
+def turned_round(poses):
+    """The poses after half a turn about the vertical through the first limb."""
+    about = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
+    middle = np.asarray(poses.translation[0]) * [1, 1, 0]
+    return on_host(compose(Poses(about, (2 * middle).astype(np.float32)), poses))
+
+
+def way(run, first, second, cost: float = 1.0):
+    """What becomes of a start in the first poses with a rival in the second ones that costs so much more."""
+    start = Beginning(0, BODY, first, 1.0, rival=Beginning(0, BODY, second, cost))
+    return likelier_way(run, start, rows_of(run, run.forwards(first, 0, COUNT)[1], 0, COUNT))
+
+
+@pytest.mark.parametrize("legs", ["own", "exchanged"])
+def test_the_right_way_is_kept_whichever_is_first_even_with_the_legs_exchanged(seen, legs):
+    sim, run, truth, turned = seen
+    right = truth if legs == "own" else exchanged(on_host(BODY), truth, HIPS)
+    found, end = way(run, right, turned)
+    assert end is None and error(sim, found).mean() < 0.03
+    found, end = way(run, turned, right)
+    assert end is not None and error(sim, found).mean() < 0.03
+
+
+@pytest.mark.parametrize("nearer", [0.0, 1.2])
+def test_who_seems_to_go_backwards_is_looked_at_the_other_way_round_though_that_began_worse(tmp_path, nearer):
+    sim, run, truth, turned = swinging(tmp_path / "log.mcap", nearer)
+    found, end = way(run, turned, truth, 1.3)
+    assert (end is not None) == (nearer > 0)
+    assert (error(sim, found).mean() < 0.03) == (nearer > 0)
+    found, end = way(run, truth, turned, 1.3)
+    assert end is None and error(sim, found).mean() < 0.03
+
+
+def test_whose_joints_bend_the_wrong_way_is_looked_at_the_other_way_round_though_that_began_worse(tmp_path):
+    down = 0.5 - 0.5 * np.cos(np.arange(COUNT) / COUNT * 2 * np.pi)
+    knee, hip, arm = (np.outer(down, [0.0, angle, 0.0]) for angle in (1.4, -1.0, -1.4))
+    turns = {
+        f"{side}_{joint}": turn for side in "lr" for joint, turn in zip(("knee", "hip", "shoulder"), (knee, hip, arm))
+    }
+    sim, run = in_front(tmp_path / "log.mcap", BODY, turns, COUNT)
+    truth = Poses(sim.rotation, sim.translation)[0]
+    turned = turned_round(truth)
+    for cost, changes in ((1.3, True), (4.0, False)):
+        found, end = way(run, turned, truth, cost)
+        assert (end is not None) == changes and (error(sim, found).mean() < 0.03) == changes
+    found, end = way(run, truth, turned, 1.3)
+    assert end is None and error(sim, found).mean() < 0.03
+
+
+@pytest.mark.parametrize("rate", [10, 30])
+def test_going_ahead_is_counted_and_turning_is_not(rate):
+    time = np.arange(0, 3, 1 / rate)
+    place = np.zeros((len(time), BODY.limb_count, 3), np.float32)
+    place[..., 0] = (0.5 * time)[:, None]
+
+    def gone(yaw):
+        rotation = np.zeros((len(time), BODY.limb_count, 4), np.float32)
+        rotation[..., 0], rotation[..., 3] = np.cos(yaw / 2)[:, None], np.sin(yaw / 2)[:, None]
+        return gone_ahead(BODY, time, {"rotation": rotation, "translation": place, "cost": time})
+
+    assert gone(0 * time) == pytest.approx(1.35, abs=0.05)  # but for the last third of a second
+    assert gone(0 * time + np.pi) == pytest.approx(-1.35, abs=0.05)
+    assert gone(0 * time + np.pi / 2) == pytest.approx(0, abs=1e-5)
+    assert gone(2 * np.pi * time) == 0
+    place[len(time) // 2 :] = np.nan  # lost there
+    assert 0.5 < gone(0 * time) < 0.75

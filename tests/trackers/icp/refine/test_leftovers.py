@@ -1,0 +1,84 @@
+"""What is at rest and no part of the body goes, once the body is tracked."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from tests.support.helpers import frustum_mesh, inside_body, scipy_rotation, seen_points
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.tracks import Status
+from voodoo_jax.trackers.icp.refine.unexplained import FEWEST, OFF, _outside, without_leftovers
+
+BODY, COUNT = scaled(human(), 1.7), 40
+SENSOR = np.array([[3.0, 0.0, 1.2]], np.float32)
+STOOL = np.array([0.15, 0.3, 0.2])  # the middle of a round thing that touches a leg
+
+
+def rows(explained: float = 0.93, status: int = Status.TRACKED) -> dict[str, np.ndarray]:
+    """The rest pose, tracked as it is."""
+    return {
+        "rotation": np.tile(np.array(BODY.rest.rotation), (COUNT, 1, 1)),
+        "translation": np.tile(np.array(BODY.rest.translation), (COUNT, 1, 1)),
+        "status": np.full(COUNT, status, np.int8),
+        "explained": np.full(COUNT, explained, np.float32),
+    }
+
+
+def frames(rng, stool: int = 300) -> list[PersonFrame]:
+    """The body in the rest pose, and so many points of the stool, always in the same directions."""
+    ball = rng.normal(size=(4 * stool, 3))
+    ball = (STOOL + 0.2 * ball / np.linalg.norm(ball, axis=1, keepdims=True))[ball[:, 0] > 0][:stool]
+    points = np.concatenate([seen_points(rng, BODY, BODY.rest, SENSOR[0], 1500), ball])
+    rays = points - SENSOR
+    distance = np.linalg.norm(rays, axis=1, keepdims=True)
+    out = []
+    for k in range(COUNT):
+        noisy = (SENSOR + rays * (1 + rng.normal(0, 0.008, distance.shape) / distance)).astype(np.float32)
+        out.append(PersonFrame(k * 33_000_000, noisy, np.zeros(len(noisy), np.int32), SENSOR, noise=0.008))
+    return out
+
+
+def test_how_far_points_are_outside_against_meshes(rng):
+    points = rng.uniform([-0.5, -0.7, 0.1], [0.5, 0.7, 1.8], (400, 3))
+    found = _outside(BODY, points, np.zeros(400, int), rows())
+    inside = inside_body(BODY, BODY.rest, points)
+    np.testing.assert_array_equal(found < 1e-6, inside)
+    nearest = np.full(len(points), np.inf)
+    for k, size in enumerate(np.asarray(BODY.sizes)):
+        turn = scipy_rotation(BODY.rest.rotation[k])
+        here = turn.inv().apply(points - np.asarray(BODY.rest.translation[k]))
+        nearest = np.minimum(nearest, -trimesh.proximity.signed_distance(frustum_mesh(size, 48, 4), here))
+    # along the ellipse's radius it is farther, but never much
+    assert np.all(found[~inside] > nearest[~inside] - 0.005)
+    assert np.all(found[~inside] < 1.1 * nearest[~inside] + 0.02)
+
+
+def test_the_stool_goes_and_the_body_stays(rng):
+    people = frames(rng)
+    left = without_leftovers(people, [(0, BODY)], rows())
+    assert left is not None
+    for before, after in zip(people, left, strict=True):
+        there = {point.tobytes() for point in after.points}
+        kept = np.array([point.tobytes() in there for point in before.points])
+        assert kept[:1500].mean() > 0.97
+        far = _outside(BODY, before.points[1500:].astype(float), np.zeros(300, int), rows()) > OFF + 0.02
+        assert far.sum() > 100 and not kept[1500:][far].any()
+
+
+@pytest.mark.parametrize("why", ["explained", "lost", "small"])
+def test_else_nothing_is_done(rng, why):
+    people = frames(rng, FEWEST // 2 if why == "small" else 300)
+    found = {"explained": rows(0.997), "lost": rows(status=Status.LOST), "small": rows()}[why]
+    assert without_leftovers(people, [(0, BODY)], found) is None
+
+
+def test_each_frame_has_its_own_body(rng):
+    """Half of the frames with limbs so thick that the stool is in them: explained as often as not."""
+    thick = eqx.tree_at(lambda b: b.sizes, BODY, BODY.sizes + jnp.array([0.5, 0.5, 0.5, 0.5, 0.0]))
+    people = frames(rng)
+    assert without_leftovers(people, [(0, BODY), (COUNT // 2, thick)], rows()) is None
+    assert without_leftovers(people, [(0, thick), (COUNT // 8, BODY)], rows()) is not None

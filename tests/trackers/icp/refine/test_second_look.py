@@ -1,0 +1,116 @@
+"""Arms that were lost are found again where the passage explains too little."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.support.in_front import error, in_front
+from voodoo_jax.geometry.rigid import Poses, apply
+from voodoo_jax.model.body import joint_centres, scaled
+from voodoo_jax.model.body_file import human, load_body
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.tracks import Status
+from voodoo_jax.simulate.motion import _motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
+from voodoo_jax.trackers.icp.refine.limb_restart import LONGEST, in_doubt, looked_again, other_arms, other_legs
+from voodoo_jax.trackers.icp.segment import rows_of
+
+BODY = scaled(human(), 1.75)
+
+
+def frames(noise) -> list[PersonFrame]:
+    nothing = np.zeros((0, 3), np.float32)
+    return [PersonFrame(0, nothing, np.zeros(0, np.int32), nothing, noise=float(n)) for n in noise]
+
+
+def rows(cost, status=Status.TRACKED):
+    return {"cost": np.asarray(cost, float), "status": np.full(len(cost), status, np.int8)}
+
+
+def test_what_costs_more_than_noise_and_the_rest_is_in_doubt():
+    people = frames([0.01] * 60)
+    cost = np.full(60, 4e-4)
+    assert in_doubt(people, rows(cost)) == []
+    cost[20:40] = 12e-4
+    ((start, end),) = in_doubt(people, rows(cost))
+    assert 16 <= start <= 22 and 38 <= end <= 44
+    assert in_doubt(people, rows(cost, Status.LOST)) == []
+    # the farther away, the noisier
+    noise = np.linspace(0.01, 0.06, 60)
+    far = frames(noise)
+    assert in_doubt(far, rows(np.maximum(noise, 0.018) ** 2)) == []
+    cost[:] = 4e-4
+    cost[40] = 1e-3  # a single frame
+    assert in_doubt(people, rows(cost)) == []
+    assert in_doubt([], rows([])) == []
+
+
+def test_long_trouble_is_looked_at_in_parts():
+    people = frames([0.01] * 200)
+    cost = np.where(np.arange(200) < 100, 4e-4, 12e-4)
+    found = in_doubt(people, rows(cost))
+    assert len(found) >= 3 and max(end - start for start, end in found) == LONGEST
+    assert [b for _, b in found[:-1]] == [a for a, _ in found[1:]]
+
+
+def test_other_arms_hang_on_the_same_shoulders():
+    t, poses = BODY.topology, placed_poses()
+    found = other_arms(BODY, poses)
+    assert len(found) == 12
+    arms = [t.limbs.index(f"{side}_{limb}") for side in "lr" for limb in ("upper_arm", "forearm", "hand")]
+    parents, children = jnp.array(t.parents), jnp.array(t.children)
+    wrists = []
+    for other in found:
+        first = apply(other[parents], BODY.parent_anchor.translation)
+        second = apply(other[children], BODY.child_anchor.translation)
+        np.testing.assert_allclose(first, second, atol=1e-4)
+        rest = np.setdiff1d(np.arange(len(t.limbs)), arms)
+        np.testing.assert_array_equal(other.rotation[rest], poses.rotation[rest])
+        wrists.append(np.asarray(joint_centres(BODY, other))[[t.centres.index(f"{s}_radiocarpal") for s in "lr"]])
+    heights = np.array(wrists)[..., 2].round(2)
+    assert len(np.unique(heights, axis=0)) >= 9 and heights.max() > 1.8 and heights.min() < 0.9
+    assert all(other_arms(load_body(name), load_body(name).rest) == [] for name in ("dog", "arm"))
+
+
+def placed_poses() -> Poses:
+    sim = simulate(BODY, placed(_motion(BODY, np.arange(1) / 30, {}), 3.2, 0.3, 2.8), tof_camera())
+    return Poses(sim.rotation[0], sim.translation[0])
+
+
+@pytest.fixture(scope="module")
+def raised(tmp_path_factory):
+    """Somebody who holds both arms up, and moves them a little."""
+    time, up = np.arange(30) / 30, np.array([2.8, 0.0, 0.0])
+    wave = 0.15 * np.sin(8 * time)[:, None] * np.array([1.0, 0, 0])
+    turns = {"l_shoulder": up + wave, "r_shoulder": -up + wave}
+    return in_front(tmp_path_factory.mktemp("up") / "up.mcap", BODY, turns)
+
+
+def lost_on_the_way(sim, run, other):
+    """Rows tracked from the truth, and the same with other poses from frame 12 on."""
+    truth, count = Poses(sim.rotation, sim.translation), len(sim.time_ns)
+    good = rows_of(run, run.forwards(truth[0], 0, count)[1], 0, count)
+    lost = rows_of(run, run.forwards(other(truth[12]), 12, count)[1], 12, count - 12)
+    return good, {name: np.concatenate([row[:12], lost[name]]) for name, row in good.items()}
+
+
+def test_a_lost_arm_is_found_again(raised):
+    sim, run = raised
+    good, wrong = lost_on_the_way(sim, run, lambda poses: other_arms(BODY, poses)[0])
+    assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
+    found = looked_again(run, 0, wrong)
+    assert error(sim, found).max() < 0.06
+    assert found.keys() == wrong.keys() and all(found[name].shape == wrong[name].shape for name in wrong)
+    # what is good stays as it is, to the last digit
+    again = looked_again(run, 0, good)
+    np.testing.assert_array_equal(again["rotation"], good["rotation"])
+
+
+def test_a_lost_leg_is_found_again(tmp_path):
+    """One leg kicks towards the camera, and is tracked as if it were bent backwards."""
+    kick = {"l_hip": np.tile([0.0, -1.4, 0.0], (22, 1))}
+    sim, run = in_front(tmp_path / "leg.mcap", BODY, kick, 22)
+    _, wrong = lost_on_the_way(sim, run, lambda poses: other_legs(BODY, poses)[8])
+    assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
+    assert error(sim, looked_again(run, 0, wrong)).max() < 0.04
