@@ -59,13 +59,13 @@ def measure(promises: Sequence[Promise], data: Data, processes: int) -> list[Mea
     for p in promises:
         if p.alone:
             done |= _all([job for job in wanted[p.name] if job not in done], 1, p.name)
-    return [_measured(p, [done[job] for job in wanted[p.name]]) for p in promises]
+    return [_measured(p, [done[job] for job in wanted[p.name]], data.quick) for p in promises]
 
 
-def _measured(promise: Promise, done: list[Done]) -> Measured:
+def _measured(promise: Promise, done: list[Done], quick: bool) -> Measured:
     seconds = sum(d.seconds for d in done)
     if not done:
-        return Measured(promise, {}, 0.0, f"left out: {promise.data} not there")
+        return Measured(promise, {}, 0.0, f"left out: {'takes too long for --quick, or ' * quick}no {promise.data}")
     if bad := next((d.problem for d in done if d.problem), ""):
         return Measured(promise, {f.name: math.nan for f in promise.figures}, seconds, bad)
     outcomes = [d.value for d in done]

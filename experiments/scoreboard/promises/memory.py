@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from experiments.common import DEMO
-from experiments.scoreboard.board import Figure, Promise
+from experiments.scoreboard.board import Data, Figure, Promise
 
 # the demo there and back again and again, so that nobody jumps; results are kept as the command keeps them
 PROGRAM = """
@@ -57,6 +57,11 @@ class TrackFrames:
         return Used(self.frames, 1024 * float(out.split()[-1]))
 
 
+def jobs(data: Data) -> list[TrackFrames]:
+    """Two lengths, both longer than a span, which is tracked back before the next one begins; none when quick."""
+    return [] if data.quick or not Path("/proc/self/status").exists() else [TrackFrames(2400), TrackFrames(6000)]
+
+
 def measure(found: list[Used]) -> dict[str, float]:
     """Growth from the short to the long recording."""
     short, long = found
@@ -69,9 +74,7 @@ PROMISE = Promise(
     sentence="An hour of log needs little more memory than its results.",
     data="the demo, played there and back again and again (on Linux)",
     figures=(Figure("memory, kB a frame", 12.0, digits=1), Figure("memory of the short one, GB", 1.3)),
-    jobs=lambda data: (
-        [] if not Path("/proc/self/status").exists() else [TrackFrames(400), TrackFrames(1600 if data.quick else 3600)]
-    ),
+    jobs=jobs,
     measure=measure,
     alone=True,
 )

@@ -46,7 +46,7 @@ class EqualWork:
 
 def jobs(data: Data) -> list[ReplayLogs | EqualWork]:
     """All recordings, or some; the demo where there are none."""
-    logs = data.part(data.logs(), 4) or [DEMO / "demo.mcap"]
+    logs = data.part(data.logs(), 2) or [DEMO / "demo.mcap"]
     return [ReplayLogs(tuple(logs)), EqualWork(3 if data.quick else 7)]
 
 
