@@ -54,8 +54,7 @@ def main(
         dims = load_dims(path)
         for kind, people in (("features", log.people), ("depth alone", without_features(log.people))):
             tracks = log.track(body, usual, people)
-            rows = {name: getattr(tracks, name) for name in ("status", "rotation", "translation", "limb_weight")}
-            seen = stretch(tracks.body, people, names, rows)
+            seen = stretch(tracks.body, people, names, tracks)
             if seen is None:
                 raise SystemExit(f"{path}: no hand was seen in it, there is nothing to measure")
             found.append(seen)

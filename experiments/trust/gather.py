@@ -11,7 +11,7 @@ from experiments.judged import root_near, whole
 from experiments.stress.changes import changes
 from voodoo_jax.config.options import Settings
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.trackers.icp.confidence import CLOSE, SIGNS, clues
+from voodoo_jax.trackers.icp.confidence import CLOSE, clues
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,6 @@ def work(job: Job) -> Told:
     frame, near = nearest(log, tracks)
     told = near & np.isin(tracks.status[frame], (Status.TRACKED, Status.LOST))
     centres = tracks.body.topology.centres
-    signs = {name: getattr(tracks, name) for name in SIGNS}
-    found = clues(tracks.body.topology, signs, tracks.joints)[:, [centres.index(n) for n in log.names]]
+    found = clues(tracks)[:, [centres.index(n) for n in log.names]]
     close = errors(log, tracks) < CLOSE
     return Told(found[frame][told], close[told], root_near(log, tracks)[told], round(recorded.dims["stature"], 3))

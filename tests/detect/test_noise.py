@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.segments import blank_tracks
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.range_noise import FEWEST, range_noise, weighed
 from voodoo_jax.geometry.plane import Plane
@@ -14,7 +15,6 @@ from voodoo_jax.records.scene import Scene
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.sequence import blank
 
 ORIGIN = np.array([0.3, -0.2, 1.2], np.float32)
 
@@ -104,5 +104,5 @@ def test_a_noisy_log_says_so(rng, sigma, said):
     people = list(weighed([frame(cylinder(rng, 3.0, sigma))] * 3, settings.person.noise))
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), True)
     run = Session(body, options_from(settings.solve, settings.track), people, scene, settings)
-    notes = notes_on(run, blank(body, people), [])
+    notes = notes_on(run, blank_tracks(body, len(people)), [])
     assert any("Distances are noisy" in note for note in notes) == said

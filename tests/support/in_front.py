@@ -1,4 +1,4 @@
-"""Somebody in front of a simulated camera, ready to be tracked, and how far tracked rows are off."""
+"""Somebody in front of a simulated camera, ready to be tracked, and how far tracked segments are off."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,7 @@ from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import Body, joint_centres
-from voodoo_jax.records.segment import Rows
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import _motion, placed
 from voodoo_jax.simulate.recording import Simulation, simulate
@@ -33,7 +33,7 @@ def in_front(
     return sim, Session(body, options_from(settings.solve, settings.track, settings.features), people, scene, settings)
 
 
-def error(sim: Simulation, found: Rows) -> np.ndarray:
+def error(sim: Simulation, found: Segment) -> np.ndarray:
     """Mean joint error of each frame, metres."""
-    at = [np.asarray(joint_centres(sim.body, Poses(*p))) for p in zip(found["rotation"], found["translation"])]
+    at = [np.asarray(joint_centres(sim.body, Poses(*p))) for p in zip(found.rotation, found.translation)]
     return np.linalg.norm(at - sim.joints, axis=-1).mean(1)

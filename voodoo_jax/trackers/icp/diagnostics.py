@@ -7,9 +7,7 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.markers.diagnostics import marker_notes
 from voodoo_jax.markers.label_swaps import Exchange
 from voodoo_jax.markers.table import TO_START
-from voodoo_jax.model.body import Body
-from voodoo_jax.records.segment import Rows
-from voodoo_jax.records.tracks import Status
+from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.icp.runner import Session
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
@@ -17,13 +15,14 @@ NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
 SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named
 
 
-def _implausible(body: Body, out: Rows) -> list[str]:
+def _implausible(tracks: Tracks) -> list[str]:
     """Sentences on joints beyond their limits and limbs in each other, where they are so in many tracked frames."""
-    notes, tracked = [], out["status"] == Status.TRACKED
+    assert tracks.beyond_limits is not None and tracks.depth_inside is not None
+    notes, tracked, t = [], tracks.tracked, tracks.body.topology
     for what, names, found, most in (
-        (f"bent more than {FAR_BEYOND:.0f} degrees beyond their limits", body.topology.joints,
-         np.degrees(out["beyond_limits"]), FAR_BEYOND),
-        (f"more than {100 * DEEP:.0f} cm inside other limbs", body.topology.limbs, out["depth_inside"], DEEP),
+        (f"bent more than {FAR_BEYOND:.0f} degrees beyond their limits", t.joints,
+         np.degrees(tracks.beyond_limits), FAR_BEYOND),
+        (f"more than {100 * DEEP:.0f} cm inside other limbs", t.limbs, tracks.depth_inside, DEEP),
     ):  # fmt: skip
         with np.errstate(invalid="ignore"):
             share = (found[tracked] > most).mean(0) if tracked.any() else np.zeros(len(names))
@@ -33,25 +32,24 @@ def _implausible(body: Body, out: Rows) -> list[str]:
     return notes
 
 
-def _doubtful(body: Body, out: Rows) -> list[str]:
+def _doubtful(tracks: Tracks) -> list[str]:
     """A sentence on joints that can hardly be trusted."""
-    tracked = out["status"] == Status.TRACKED
-    if "joint_confidence" not in out or not tracked.any():
+    tracked = tracks.tracked
+    if tracks.joint_confidence is None or not tracked.any():
         return []
-    share = out["joint_confidence"][tracked].mean(0)
-    few = [f"{body.topology.centres[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
+    share = tracks.joint_confidence[tracked].mean(0)
+    few = [f"{tracks.body.topology.centres[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
     return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
 
 
-def notes_on(run: Session, out: Rows, exchanges: list[Exchange]) -> tuple[str, ...]:
-    """Notes on a tracked recording, `out` the arrays of its Tracks; `exchanges` of markers were put right before."""
-    notes = _implausible(run.body, out) + _doubtful(run.body, out)
+def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange]) -> tuple[str, ...]:
+    """Notes on a tracked recording; `exchanges` of markers were put right before."""
+    notes = _implausible(tracks) + _doubtful(tracks)
     if run.by_markers:
-        poses, stamps = Poses(out["rotation"], out["translation"]), np.array([f.time_ns for f in run.people], np.int64)
-        tracked = out["status"] == Status.TRACKED
+        poses = Poses(tracks.rotation, tracks.translation)
         if not run.table.enough(TO_START).any():
             notes.append(f"No frame has {TO_START} markers that features.names knows a point of this body for.")
-        return (*notes, *marker_notes(run.body, run.table, poses, stamps, tracked, exchanges))
+        return (*notes, *marker_notes(run.body, run.table, poses, tracks.time_ns, tracks.tracked, exchanges))
     if not run.scene.floor_seen:
         notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")
     moved = [T for frame in run.people if (T := frame.T_fixed_steady) is not None]
@@ -66,9 +64,9 @@ def notes_on(run: Session, out: Rows, exchanges: list[Exchange]) -> tuple[str, .
         notes.append(
             f"Distances are noisy: {100 * np.median(noise):.0f} cm (median, where the body is). Joints are less exact."
         )
-    if len(out["status"]) and np.all(out["status"] == Status.NOT_STARTED):
+    if len(tracks.status) and np.all(tracks.status == Status.NOT_STARTED):
         notes.append("Nothing of the body's height was found: not one frame is tracked.")
-    total = int(out["points"].sum())
+    total = int(tracks.points.sum())
     if run.left_out:
         share, most = 100 * run.left_out / total, run.settings.person.points
         notes.append(f"{share:.0f} % of the body's points were thinned out (person.points = {most} per frame).")

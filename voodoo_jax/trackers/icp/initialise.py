@@ -1,4 +1,4 @@
-"""Where and how a passage begins: the best of several starts, tracked as trials. Host side."""
+"""Where and how a segment begins: the best of several starts, tracked as trials. Host side."""
 
 from dataclasses import replace
 from typing import NamedTuple

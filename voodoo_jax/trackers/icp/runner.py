@@ -68,7 +68,7 @@ class Session:
         self.length = max(settings.track.chunk, settings.start.frames)  # frames that the program takes at once
         self.bodies = [(0, body)]  # first frame from which on the body is so
         self.sized = False  # whether the body has its size; the first start finds it
-        self.stances: dict[int, Stance] = {}  # that passages began in, by first frame, the last time they were tracked
+        self.stances: dict[int, Stance] = {}  # that segments began in, by first frame, the last time they were tracked
         first = people[0].time_ns if people else 0
         stamps = np.array([f.time_ns for f in people], np.int64)
         self.pending = [(int(np.searchsorted(stamps, first + round(c.time * 1e9))), c) for c in changes]

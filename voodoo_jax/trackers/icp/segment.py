@@ -1,4 +1,4 @@
-"""A passage, the frames from one start of the tracker to the next: tracked there and back in time, and made one."""
+"""Segments from the steps of the compiled program, tracked anew from other poses, and what they cost. Host side."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from jaxtyping import Float, Float32
 
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.joint_bend import wrong_bend
-from voodoo_jax.records.segment import SEEN, Rows
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.solve.scan import Step, cost_of
 from voodoo_jax.trackers.icp.runner import Session, status_of
 
@@ -24,29 +24,45 @@ FREE_BEND = 0.17  # radians beyond a joint's limits that say nothing: people dif
 WRONG_WAY = 0.1  # radians beyond, mean of all joints and frames, that count as much as costs e times higher
 
 
-def rows_of(run: Session, step: Step, first: int, count: int) -> Rows:
-    """What tracks keep of the steps of `count` frames from `first` on."""
+def segment_of(run: Session, step: Step, first: int, count: int) -> Segment:
+    """The steps of `count` frames from `first` on, as a segment of one pass."""
     span = slice(first, first + count)
-    status = status_of(step, run.settings.track.lost_explained, run.named[span], run.featured[span])
-    rows = {"rotation": step.poses.rotation, "translation": step.poses.translation, "cost": cost_of(step)}
-    rows |= {name: getattr(step, field) for name, field in SEEN.items()}
-    rows["passes_apart"] = np.full_like(rows["limb_weight"], np.nan)  # of one pass nobody knows
-    return {"status": status} | {name: np.asarray(row)[:count] for name, row in rows.items()}
+    weight = np.asarray(step.limb_weight)[:count]
+    return Segment(
+        first=first,
+        status=status_of(step, run.settings.track.lost_explained, run.named[span], run.featured[span])[:count],
+        rotation=np.asarray(step.poses.rotation)[:count],
+        translation=np.asarray(step.poses.translation)[:count],
+        cost=np.asarray(cost_of(step))[:count],
+        passes_apart=np.full_like(weight, np.nan),
+        residual=np.asarray(step.residual)[:count],
+        explained=np.asarray(step.explained)[:count],
+        steps=np.asarray(step.steps)[:count],
+        limb_weight=weight,
+        limb_covariance=np.asarray(step.covariance)[:count],
+    )
 
 
-def tracked_anew(run: Session, first: int, poses: Poses, low: int, at: int, high: int) -> Rows:
-    """Rows of frames `low` to `high` - 1 of a passage that begins in frame `first`, tracked both ways from `poses` in
-    frame `at`."""
-    back = rows_of(run, run.backwards(poses, first + low, first + at + 1), first + low, at + 1 - low)
-    forth = rows_of(run, run.forwards(poses, first + at, first + high)[1], first + at, high - at)
-    return {name: np.concatenate([row[:-1], forth[name]]) for name, row in back.items()}
+def forwards(run: Session, poses: Poses, first: int, end: int) -> Segment:
+    """Frames `first` to `end` - 1 of the recording, tracked from `poses` in the first of them."""
+    return segment_of(run, run.forwards(poses, first, end)[1], first, end - first)
 
 
-def pass_of(run: Session, rows: Rows) -> Pass:
+def backwards(run: Session, poses: Poses, first: int, end: int) -> Segment:
+    """Frames `first` to `end` - 1 of the recording, tracked back in time from `poses` in the last of them."""
+    return segment_of(run, run.backwards(poses, first, end), first, end - first)
+
+
+def tracked_anew(run: Session, poses: Poses, first: int, at: int, end: int) -> Segment:
+    """Frames `first` to `end` - 1 of the recording, tracked both ways from `poses` in frame `at`."""
+    return backwards(run, poses, first, at + 1)[:-1].joined(forwards(run, poses, at, end))
+
+
+def pass_of(run: Session, segment: Segment) -> Pass:
     """Poses of some frames, and what they cost; joints bent the wrong way cost more."""
-    return Pass(rows["rotation"], rows["translation"], rows["cost"] * np.exp(bent(run, rows) / WRONG_WAY))
+    return Pass(segment.rotation, segment.translation, segment.cost * np.exp(bent(run, segment) / WRONG_WAY))
 
 
-def bent(run: Session, rows: Rows) -> Float[np.ndarray, " frame"]:
+def bent(run: Session, segment: Segment) -> Float[np.ndarray, " frame"]:
     """How far joints are bent the wrong way, mean over the joints, radians."""
-    return np.mean(np.maximum(wrong_bend(run.body, rows["rotation"]) - FREE_BEND, 0.0), 1)
+    return np.mean(np.maximum(wrong_bend(run.body, segment.rotation) - FREE_BEND, 0.0), 1)

@@ -1,7 +1,9 @@
 """A whole recording: finds the body, starts, tracks in chunks, starts anew where it was lost. Host side."""
 
 import time
+from dataclasses import replace
 from threading import Thread
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -24,17 +26,17 @@ from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.segment import Rows
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.covariance import covariances
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
-from voodoo_jax.trackers.icp.confidence import doubted, joint_confidence, marker_confidence
+from voodoo_jax.trackers.icp.confidence import rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.refine.forearm_length import with_forearms
 from voodoo_jax.trackers.icp.refine.unexplained import without_leftovers
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session, by_markers, spans
-from voodoo_jax.trackers.icp.sequence import Progress, blank, follow
+from voodoo_jax.trackers.icp.sequence import Progress, follow
 
 FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)
 LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained
@@ -57,7 +59,7 @@ def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, 
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
     options = options_from(settings.solve, settings.track, settings.features)
     run = Session(body, options, frames, scene, settings, changes)
-    chunk = _padded(blank(body, frames), slice(0), settings.track.chunk)
+    chunk = _padded(Segment.blank(0, body.limb_count), settings.track.chunk)
     threads = [Thread(target=looked_at.prepare, args=(body, *chunk))]
     if sensors:  # markers alone have another program
         threads.insert(0, Thread(target=run.prepare))
@@ -66,15 +68,21 @@ def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, 
     return threads
 
 
+class Derived(NamedTuple):
+    """What follows from the poses of some frames. Leading axis: frame."""
+
+    joints: Float[Any, "frame joint 3"]  # joint centres `body.topology.centres`, metres
+    beyond_limits: Float[Any, "frame bodyjoint"]  # of `body.topology.joints`, radians
+    depth_inside: Float[Any, "frame limb"]  # in another limb, more than in the rest pose, metres
+    limb_covariance: Float[Any, "frame limb 6 6"]  # turn (rad), shift (m) in the limb's frame
+    joint_covariance: Float[Any, "frame joint 3 3"]  # square metres
+
+
 @program
-def looked_at(
-    body: Body, poses: Poses, twist: Float[Array, "frame limb 6 6"]
-) -> tuple[Float[Array, "frame centre 3"], dict[str, Array]]:
-    """Joint centres of a chunk of frames, how sure they are, and what is not plausible, by names of Tracks' arrays."""
+def looked_at(body: Body, poses: Poses, twist: Float[Array, "frame limb 6 6"]) -> Derived:
+    """Joint centres of a chunk of frames, how sure they are, and what is not plausible."""
     centres, odd = jax.vmap(lambda some: (joint_centres(body, some), check(body, some)))(poses)
-    of_limbs, of_joints = covariances(body, poses, twist)
-    return centres, {"beyond_limits": odd.beyond, "depth_inside": odd.depth, "limb_covariance": of_limbs,
-                     "joint_covariance": of_joints}  # fmt: skip
+    return Derived(centres, odd.beyond, odd.depth, *covariances(body, poses, twist))
 
 
 @users_cache()
@@ -135,7 +143,7 @@ def track_person(
     for looks in range(LOOKS if steady and settings.person.ahead else 0, -1, -1):
         run = Session(body, options, people, scene, settings, changes, visit)
         run.stances = stances
-        out = blank(body, people)
+        out = Segment.blank(count, body.limb_count)
         follow(run, at, enough, out, None if furniture else progress)
         left = without_leftovers(people, run.bodies, out) if looks else None
         if left is None:
@@ -144,51 +152,53 @@ def track_person(
     if settings.track.forearms and steady:
         run.body = with_forearms(run.body, run.people, run.names, out)
         run.bodies = [(0, run.body)]
-    del out["cost"]
-    out["residual"][out["status"] == Status.NO_DATA] = np.nan
-    to_fixed(people, out["rotation"], out["translation"])
-    joints = np.full((count, len(run.body.topology.centres), 3), np.nan, np.float32)
-    for first, end, body in spans(run.bodies, count):
-        absent = ~np.asarray(body.present)
-        for name in ("rotation", "translation", "limb_covariance"):
-            out[name][first:end, absent] = np.nan
-        _look_at(body, out, joints, first, end, settings.track.chunk)
-    if run.by_markers:  # a set for legs alone is none to doubt as a whole
-        out["joint_confidence"] = marker_confidence(run.body.topology, out, joints, settings.track.both_ways)
-    else:
-        out["joint_confidence"] = joint_confidence(run.body.topology, out, joints, settings.track.both_ways)
-        out["status"] = doubted(out["status"], out["joint_confidence"], settings.track.lost_confidence)
+    tracks = tracks_of(run, out, source, fixed_frame)
+    tracks = rated(tracks, settings.track.lost_confidence, settings.track.both_ways, from_markers)
     compiling = seconds_of_waiting() - waited
-    seconds = time.perf_counter() - began - compiling
-    stamps = np.array([f.time_ns for f in people], np.int64)
-    return Tracks(
-        source,
-        fixed_frame,
-        run.body,
-        stamps,
-        joints=joints,
-        seconds=seconds,
+    return replace(
+        tracks,
+        seconds=time.perf_counter() - began - compiling,
         compile_seconds=compiling,
-        notes=tuple(notes) + furniture + notes_on(run, out, exchanges),
-        **out,
+        notes=(*notes, *furniture, *notes_on(run, tracks, exchanges)),
     )
 
 
-def _padded(out: Rows, span: slice, chunk: int) -> tuple[Poses, jax.Array]:
+def tracks_of(run: Session, segment: Segment, source: str, fixed_frame: str) -> Tracks:
+    """Tracks of a whole recording, with all that follows from its poses; these are moved to the fixed frame in place.
+
+    **Arguments:** `segment` all frames of the recording; `source` its path.
+    """
+    to_fixed(run.people, segment.rotation, segment.translation)
+    segment.residual[segment.status == Status.NO_DATA] = np.nan
+    found, chunk = [], run.settings.track.chunk
+    for first, end, body in spans(run.bodies, len(segment)):
+        absent = ~np.asarray(body.present)
+        for array in (segment.rotation, segment.translation, segment.limb_covariance):
+            array[first:end, absent] = np.nan
+        found += [_derived(body, segment[at : min(at + chunk, end)], chunk) for at in range(first, end, chunk)]
+    derived = Derived(*map(np.concatenate, zip(*found))) if found else _derived(run.body, segment[:0], chunk)
+    return Tracks(
+        source, fixed_frame, run.body,
+        time_ns=np.array([f.time_ns for f in run.people], np.int64),
+        rotation=segment.rotation, translation=segment.translation, joints=derived.joints, status=segment.status,
+        residual=segment.residual, explained=segment.explained, steps=segment.steps,
+        points=np.array([len(f.points) for f in run.people], np.int32),
+        limb_weight=segment.limb_weight, passes_apart=segment.passes_apart, beyond_limits=derived.beyond_limits,
+        depth_inside=derived.depth_inside, limb_covariance=derived.limb_covariance,
+        joint_covariance=derived.joint_covariance,
+    )  # fmt: skip
+
+
+def _derived(body: Body, segment: Segment, chunk: int) -> Derived:
+    """What follows from the poses of up to `chunk` frames with one body; on the host, NaN where there is no pose."""
+    found = looked_at(body, *_padded(segment, chunk))
+    there = np.any(np.isfinite(segment.translation), (1, 2))
+    each = (np.asarray(array, np.float32)[: len(segment)] for array in found)
+    return Derived(*(np.where(there.reshape(-1, *[1] * (array.ndim - 1)), array, np.float32(np.nan)) for array in each))
+
+
+def _padded(segment: Segment, chunk: int) -> tuple[Poses, jax.Array]:
     """Poses of some frames and their limbs' covariances, as looked_at takes them: one program for every length."""
-    pad = ((0, chunk - len(out["status"][span])), (0, 0), (0, 0))
-    poses = Poses(np.pad(out["rotation"][span], pad), np.pad(out["translation"][span], pad))
-    return poses, jax.device_put(np.pad(out["limb_covariance"][span], (*pad, (0, 0))))
-
-
-def _look_at(body: Body, out: Rows, joints: np.ndarray, first: int, end: int, chunk: int) -> None:
-    """Fills in joints of some frames with one body, how sure they are, and what is not plausible about the poses."""
-    for at in range(first, end, chunk):
-        span = slice(at, min(at + chunk, end))
-        count = span.stop - at
-        centres, seen = looked_at(body, *_padded(out, span, chunk))
-        joints[span] = np.asarray(centres)[:count]
-        there = np.any(np.isfinite(out["translation"][span]), (1, 2))
-        for name, found in seen.items():
-            found = np.asarray(found)[:count]
-            out[name][span] = np.where(there.reshape(-1, *[1] * (found.ndim - 1)), found, np.nan)
+    pad = ((0, chunk - len(segment)), (0, 0), (0, 0))
+    poses = Poses(np.pad(segment.rotation, pad), np.pad(segment.translation, pad))
+    return poses, jax.device_put(np.pad(segment.limb_covariance, (*pad, (0, 0))))

@@ -4,19 +4,21 @@ import numpy as np
 import pytest
 
 from tests.support.in_front import error, in_front
+from tests.support.segments import tracked_segment
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.pose_library import HIPS, exchanged
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.refine.leg_swap import crossed, uncrossed
 from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.segment import rows_of, tracked_anew
+from voodoo_jax.trackers.icp.segment import forwards, tracked_anew
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
 
 def tracked(run, poses):
-    return rows_of(run, run.forwards(poses, 0, COUNT)[1], 0, COUNT)
+    return forwards(run, poses, 0, COUNT)
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +35,8 @@ def test_exchanged_legs_are_crossed():
     body = on_host(BODY)
     rest = Poses(np.asarray(body.rest.rotation), np.asarray(body.rest.translation))
     other = exchanged(body, rest, HIPS)
-    rows = {"rotation": np.stack([rest.rotation, other.rotation])}
-    rows |= {"translation": np.stack([rest.translation, other.translation])}
-    assert crossed(body, rows).tolist() == [False, True]
+    both = Poses(np.stack([rest.rotation, other.rotation]), np.stack([rest.translation, other.translation]))
+    assert crossed(body, tracked_segment(both)).tolist() == [False, True]
     np.testing.assert_array_equal(exchanged(body, other, HIPS).translation, rest.translation)
     legs = {f"{side}_{limb}" for side in "lr" for limb in ("thigh", "shank", "foot")}
     moved = np.any(other.translation != rest.translation, -1)
@@ -47,12 +48,12 @@ def test_legs_on_the_other_ones_points_are_exchanged(steps):
     truth = Poses(sim.rotation, sim.translation)
     wrong = tracked(run, exchanged(on_host(BODY), truth[0], HIPS))
     assert crossed(on_host(BODY), wrong)[5:].all() and error(sim, wrong)[5:].min() > 0.06  # it does not end by itself
-    found = uncrossed(run, 0, wrong)
+    found = uncrossed(run, wrong)
     assert not crossed(on_host(BODY), found).any() and error(sim, found).max() < 0.04
-    assert found.keys() == wrong.keys() and all(found[name].shape == wrong[name].shape for name in wrong)
+    assert (found.first, found.end) == (wrong.first, wrong.end)
     # what is good stays as it is, to the last digit
     good = tracked(run, truth[0])
-    assert uncrossed(run, 0, good) is good
+    assert uncrossed(run, good) is good
 
 
 def test_legs_are_exchanged_as_often_as_they_were(steps, monkeypatch):
@@ -60,17 +61,16 @@ def test_legs_are_exchanged_as_often_as_they_were(steps, monkeypatch):
     sim, run = steps
     wrong = tracked(run, exchanged(on_host(BODY), Poses(sim.rotation, sim.translation)[0], HIPS))
 
-    def for_a_while(run, first, poses, low, at, high):
+    def for_a_while(run, poses, first, at, end):
         near[max(0, at - 8) : at + 9] = True
-        pick = lambda x, bad: np.where(near[low:high].reshape(-1, *[1] * (x.ndim - 1)), x, bad)  # noqa: E731
-        return {n: pick(x, wrong[n][low:high]) for n, x in tracked_anew(run, first, poses, low, at, high).items()}
+        return wrong[first:end].picked(tracked_anew(run, poses, first, at, end), near[first:end])
 
     monkeypatch.setattr("voodoo_jax.trackers.icp.refine.leg_swap.tracked_anew", for_a_while)
     left = []
     for rounds in (1, 3):
         near = np.zeros(COUNT, bool)
         monkeypatch.setattr("voodoo_jax.trackers.icp.refine.leg_swap.MOST", rounds)
-        left.append(int(crossed(on_host(BODY), uncrossed(run, 0, wrong)).sum()))
+        left.append(int(crossed(on_host(BODY), uncrossed(run, wrong)).sum()))
     assert left[0] >= 5 > left[1]  # fewer than five frames are not worth a look
 
 
@@ -82,14 +82,14 @@ def test_legs_that_are_crossed_stay_so(tmp_path):
     )
     good = tracked(run, Poses(sim.rotation, sim.translation)[0])
     assert crossed(on_host(BODY), good).all() and error(sim, good).mean() < 0.05
-    assert error(sim, uncrossed(run, 0, good)).mean() < 0.05
+    assert error(sim, uncrossed(run, good)).mean() < 0.05
 
 
 def test_bodies_without_knees_are_left_alone():
     run = object.__new__(Session)
     run.body = load_body("arm")
-    rows = {"status": np.zeros(3, np.int8)}
-    assert uncrossed(run, 0, rows) is rows
+    segment = Segment.blank(3, run.body.limb_count)
+    assert uncrossed(run, segment) is segment
 
 
 def test_who_crosses_the_legs_has_them_exchanged_where_that_explains_much_more(tmp_path):
@@ -103,4 +103,4 @@ def test_who_crosses_the_legs_has_them_exchanged_where_that_explains_much_more(t
     body = on_host(BODY)
     assert crossed(body, wrong)[:8].all() and crossed(body, wrong).sum() < crossed(body, good).sum()
     # the last frame is farther from the crossed ones than is looked at
-    assert error(sim, wrong).min() > 0.06 and error(sim, uncrossed(run, 0, wrong))[:-1].max() < 0.02
+    assert error(sim, wrong).min() > 0.06 and error(sim, uncrossed(run, wrong))[:-1].max() < 0.02

@@ -6,11 +6,14 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from tests.support.segments import tracked_segment
 from voodoo_jax.config.options import FeatureSettings, Settings
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.trackers.icp.refine.forearm_length import (
@@ -30,17 +33,12 @@ NAMES = FeatureNames(BODY.topology, FeatureSettings())
 COUNT = 40
 
 
-def rows(body=BODY, off: float = 0.0) -> dict[str, np.ndarray]:
+def tracked(body=BODY, off: float = 0.0) -> Segment:
     """The rest pose, hands moved along the forearms by `off` metres: the forearms hang straight down."""
     place = np.array(body.rest.translation)
     for hand in (body.topology.limbs.index(f"{side}_hand") for side in "lr" if f"{side}_hand" in body.topology.limbs):
         place[hand, 2] -= off
-    return {
-        "rotation": np.tile(np.array(body.rest.rotation), (COUNT, 1, 1)),
-        "translation": np.tile(place, (COUNT, 1, 1)),
-        "status": np.full(COUNT, Status.TRACKED, np.int8),
-        "limb_weight": np.ones((COUNT, body.limb_count), np.float32),
-    }
+    return tracked_segment(Poses(*(np.tile(x, (COUNT, 1, 1)) for x in (np.array(body.rest.rotation), place))))
 
 
 def people(*named: str) -> list[PersonFrame]:
@@ -53,22 +51,22 @@ def people(*named: str) -> list[PersonFrame]:
 
 @pytest.mark.parametrize("off", [-0.01, 0.0, 0.02])
 def test_the_gap_is_how_far_the_hand_is_off(off):
-    found = stretch(BODY, people(), NAMES, rows(off=off))
+    found = stretch(BODY, people(), NAMES, tracked(off=off))
     assert found is not None and found.named == 0.0 and found.count == 2 * COUNT
     assert found.gap == pytest.approx(off / 1.8, abs=1e-6)
 
 
 def test_what_does_not_count():
     """Hands that nothing was seen of, lost frames, detections that may be the face, other limbs' detections."""
-    seen = rows(off=0.02)
-    seen["translation"][:10, BODY.topology.limbs.index("l_hand")] += 1.0
-    seen["limb_weight"][:10, BODY.topology.limbs.index("l_hand")] = 0.0
-    seen["translation"][30:] += np.linspace(0, 1, BODY.limb_count)[:, None]
-    seen["status"][30:] = Status.LOST
+    seen = tracked(off=0.02)
+    seen.translation[:10, BODY.topology.limbs.index("l_hand")] += 1.0
+    seen.limb_weight[:10, BODY.topology.limbs.index("l_hand")] = 0.0
+    seen.translation[30:] += np.linspace(0, 1, BODY.limb_count)[:, None]
+    seen.status[30:] = Status.LOST
     found = stretch(BODY, people("left_hand", "skin", "face"), NAMES, seen)
     assert found is not None and found.gap == pytest.approx(0.02 / 1.8, abs=1e-6)
     assert found.count == 50 and found.named == pytest.approx(20 / 50)
-    seen["status"][:] = Status.LOST
+    seen.status[:] = Status.LOST
     assert stretch(BODY, people(), NAMES, seen) is None
     assert with_forearms(BODY, people(), NAMES, seen) is BODY
 
@@ -85,7 +83,7 @@ def test_detections_stretch_more():
 
 
 def test_only_forearms_change():
-    seen = rows(off=0.0028)
+    seen = tracked(off=0.0028)
     longer = lengthened(stretch(BODY, people(), NAMES, seen) or Stretch(0, 0, 0))
     assert longer > 0.005
     found = segment_lengths(with_forearms(BODY, people(), NAMES, seen))
@@ -101,7 +99,9 @@ def test_only_forearms_change():
 @pytest.mark.parametrize("other", [with_proportions(BODY, {"l_thigh": 1.05}), load_body("human10"), load_body("dog")],
                          ids=["fitted", "human10", "dog"])  # fmt: skip
 def test_other_bodies_stay(other):
-    assert with_forearms(other, people(), FeatureNames(other.topology, FeatureSettings()), rows(other, 0.02)) is other
+    assert (
+        with_forearms(other, people(), FeatureNames(other.topology, FeatureSettings()), tracked(other, 0.02)) is other
+    )
 
 
 def test_tracks_say_what_they_found():

@@ -10,7 +10,7 @@ from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.trackers.icp.initialise import Beginning
 from voodoo_jax.trackers.icp.refine.facing import gone_ahead, likelier_way
-from voodoo_jax.trackers.icp.segment import rows_of
+from voodoo_jax.trackers.icp.segment import forwards
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
@@ -40,7 +40,7 @@ def turned_round(poses):
 def way(run, first, second, cost: float = 1.0):
     """What becomes of a start in the first poses with a rival in the second ones that costs so much more."""
     start = Beginning(0, BODY, first, 1.0, rival=Beginning(0, BODY, second, cost))
-    return likelier_way(run, start, rows_of(run, run.forwards(first, 0, COUNT)[1], 0, COUNT))
+    return likelier_way(run, start, forwards(run, first, 0, COUNT))
 
 
 @pytest.mark.parametrize("legs", ["own", "exchanged"])
@@ -88,7 +88,7 @@ def test_going_ahead_is_counted_and_turning_is_not(rate):
     def gone(yaw):
         rotation = np.zeros((len(time), BODY.limb_count, 4), np.float32)
         rotation[..., 0], rotation[..., 3] = np.cos(yaw / 2)[:, None], np.sin(yaw / 2)[:, None]
-        return gone_ahead(BODY, time, {"rotation": rotation, "translation": place, "cost": time})
+        return gone_ahead(BODY, time, Poses(rotation, place))
 
     assert gone(0 * time) == pytest.approx(1.35, abs=0.05)  # but for the last third of a second
     assert gone(0 * time + np.pi) == pytest.approx(-1.35, abs=0.05)

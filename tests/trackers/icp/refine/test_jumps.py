@@ -4,42 +4,43 @@ import numpy as np
 import pytest
 
 from tests.support.in_front import error, in_front
+from tests.support.segments import tracked_segment
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.trackers.icp.refine.discontinuity import jumps, without_jumps
-from voodoo_jax.trackers.icp.segment import rows_of
+from voodoo_jax.trackers.icp.segment import forwards
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
-    """Somebody who stands with feet apart and sways a little: what is so, the session, the rows tracked from there, and
-    those with the legs exchanged."""
+    """Somebody who stands with feet apart and sways a little: what is so, the session, what is tracked from there,
+    and that with the legs exchanged."""
     sway = 0.1 * np.sin(6 * np.arange(COUNT) / 30)[:, None] * np.array([0.0, 1.0, 0.0])
     apart = np.array([0.12, 0.0, 0.0])
     log = tmp_path_factory.mktemp("jumps") / "log.mcap"
     sim, run = in_front(log, BODY, {"l_hip": sway + apart, "r_hip": -sway - apart})
     start = Poses(sim.rotation, sim.translation)[0]
-    tracked = lambda poses: rows_of(run, run.forwards(poses, 0, COUNT)[1], 0, COUNT)  # noqa: E731
+    tracked = lambda poses: forwards(run, poses, 0, COUNT)  # noqa: E731
     good, wrong = tracked(start), tracked(exchanged(on_host(BODY), start, HIPS))
     assert error(sim, good).max() < 0.03 and error(sim, wrong).min() > 0.06
     return sim, run, good, wrong
 
 
 def put_together(first, second, at):
-    return {name: np.concatenate([row[:at], second[name][at:]]) for name, row in first.items()}
+    return first[:at].joined(second[at:])
 
 
-def moving(places) -> dict[str, np.ndarray]:
-    """Rows of a body that is at these places along x."""
+def moving(places) -> Segment:
+    """A body that is at these places along x."""
     rest = on_host(BODY.rest)
     shift = np.asarray(places, np.float32)[:, None, None] * np.array([1, 0, 0], np.float32)
-    rows = {"rotation": np.tile(rest.rotation, (len(places), 1, 1)), "translation": rest.translation + shift}
-    return rows | {"cost": np.ones(len(places)), "status": np.full(len(places), Status.TRACKED, np.int8)}
+    return tracked_segment(Poses(np.tile(rest.rotation, (len(places), 1, 1)), rest.translation + shift))
 
 
 def test_what_goes_much_farther_than_before_and_after_jumps():
@@ -52,35 +53,35 @@ def test_what_goes_much_farther_than_before_and_after_jumps():
     started = np.cumsum([0, 0, 0.1, 0.25, 0.35, 0.25, 0.1, 0, 0])
     assert jumps(BODY, moving(started)) == []
     gone = moving(stepped)
-    gone["status"][4] = Status.LOST
+    gone.status[4] = Status.LOST
     assert jumps(BODY, gone) == [7]
     assert jumps(BODY, moving(still[:1])) == []
     foot = moving(still)
-    foot["translation"][5:, BODY.topology.limbs.index("l_foot")] += np.float32(0.4)
+    foot.translation[5:, BODY.topology.limbs.index("l_foot")] += np.float32(0.4)
     assert jumps(BODY, foot) == []
 
 
 @pytest.mark.parametrize("good_first", [True, False])
 def test_the_side_that_explains_more_is_carried_on(seen, good_first):
     sim, run, good, wrong = seen
-    rows = put_together(good, wrong, 17) if good_first else put_together(wrong, good, 13)
-    assert jumps(BODY, rows)
-    found = without_jumps(run, 0, rows)
+    segment = put_together(good, wrong, 17) if good_first else put_together(wrong, good, 13)
+    assert jumps(BODY, segment)
+    found = without_jumps(run, segment)
     assert error(sim, found).max() < 0.03 and jumps(BODY, found) == []
-    assert found.keys() == rows.keys() and all(found[name].shape == rows[name].shape for name in rows)
+    assert (found.first, found.end) == (segment.first, segment.end)
 
 
 def test_a_stretch_between_two_jumps(seen):
     sim, run, good, wrong = seen
-    rows = put_together(put_together(good, wrong, 10), good, 20)
-    assert len(jumps(BODY, rows)) == 2
-    found = without_jumps(run, 0, rows)
+    segment = put_together(put_together(good, wrong, 10), good, 20)
+    assert len(jumps(BODY, segment)) == 2
+    found = without_jumps(run, segment)
     assert error(sim, found).max() < 0.03
     # what the sides agree on stays as it was, to the last digit
-    np.testing.assert_array_equal(found["rotation"][:10], good["rotation"][:10])
+    np.testing.assert_array_equal(found.rotation[:10], good.rotation[:10])
 
 
 def test_what_does_not_jump_stays_as_it_is(seen):
     _, run, good, wrong = seen
-    assert without_jumps(run, 0, good) is good
-    assert without_jumps(run, 0, wrong) is wrong
+    assert without_jumps(run, good) is good
+    assert without_jumps(run, wrong) is wrong

@@ -7,9 +7,12 @@ import pytest
 import trimesh
 
 from tests.support.helpers import frustum_mesh, inside_body, scipy_rotation, seen_points
+from tests.support.segments import tracked_segment
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.trackers.icp.refine.unexplained import FEWEST, OFF, _outside, without_leftovers
 
@@ -18,14 +21,11 @@ SENSOR = np.array([[3.0, 0.0, 1.2]], np.float32)
 STOOL = np.array([0.15, 0.3, 0.2])  # the middle of a round thing that touches a leg
 
 
-def rows(explained: float = 0.93, status: int = Status.TRACKED) -> dict[str, np.ndarray]:
+def tracked(explained: float = 0.93, status: int = Status.TRACKED) -> Segment:
     """The rest pose, tracked as it is."""
-    return {
-        "rotation": np.tile(np.array(BODY.rest.rotation), (COUNT, 1, 1)),
-        "translation": np.tile(np.array(BODY.rest.translation), (COUNT, 1, 1)),
-        "status": np.full(COUNT, status, np.int8),
-        "explained": np.full(COUNT, explained, np.float32),
-    }
+    rest = Poses(*(np.tile(np.array(x), (COUNT, 1, 1)) for x in (BODY.rest.rotation, BODY.rest.translation)))
+    arrays = {"status": np.full(COUNT, status, np.int8), "explained": np.full(COUNT, explained, np.float32)}
+    return tracked_segment(rest, **arrays)
 
 
 def frames(rng, stool: int = 300) -> list[PersonFrame]:
@@ -44,7 +44,7 @@ def frames(rng, stool: int = 300) -> list[PersonFrame]:
 
 def test_how_far_points_are_outside_against_meshes(rng):
     points = rng.uniform([-0.5, -0.7, 0.1], [0.5, 0.7, 1.8], (400, 3))
-    found = _outside(BODY, points, np.zeros(400, int), rows())
+    found = _outside(BODY, points, np.zeros(400, int), tracked())
     inside = inside_body(BODY, BODY.rest, points)
     np.testing.assert_array_equal(found < 1e-6, inside)
     nearest = np.full(len(points), np.inf)
@@ -59,20 +59,20 @@ def test_how_far_points_are_outside_against_meshes(rng):
 
 def test_the_stool_goes_and_the_body_stays(rng):
     people = frames(rng)
-    left = without_leftovers(people, [(0, BODY)], rows())
+    left = without_leftovers(people, [(0, BODY)], tracked())
     assert left is not None
     for before, after in zip(people, left, strict=True):
         there = {point.tobytes() for point in after.points}
         kept = np.array([point.tobytes() in there for point in before.points])
         assert kept[:1500].mean() > 0.97
-        far = _outside(BODY, before.points[1500:].astype(float), np.zeros(300, int), rows()) > OFF + 0.02
+        far = _outside(BODY, before.points[1500:].astype(float), np.zeros(300, int), tracked()) > OFF + 0.02
         assert far.sum() > 100 and not kept[1500:][far].any()
 
 
 @pytest.mark.parametrize("why", ["explained", "lost", "small"])
 def test_else_nothing_is_done(rng, why):
     people = frames(rng, FEWEST // 2 if why == "small" else 300)
-    found = {"explained": rows(0.997), "lost": rows(status=Status.LOST), "small": rows()}[why]
+    found = {"explained": tracked(0.997), "lost": tracked(status=Status.LOST), "small": tracked()}[why]
     assert without_leftovers(people, [(0, BODY)], found) is None
 
 
@@ -80,5 +80,5 @@ def test_each_frame_has_its_own_body(rng):
     """Half of the frames with limbs so thick that the stool is in them: explained as often as not."""
     thick = eqx.tree_at(lambda b: b.sizes, BODY, BODY.sizes + jnp.array([0.5, 0.5, 0.5, 0.5, 0.0]))
     people = frames(rng)
-    assert without_leftovers(people, [(0, BODY), (COUNT // 2, thick)], rows()) is None
-    assert without_leftovers(people, [(0, thick), (COUNT // 8, BODY)], rows()) is not None
+    assert without_leftovers(people, [(0, BODY), (COUNT // 2, thick)], tracked()) is None
+    assert without_leftovers(people, [(0, thick), (COUNT // 8, BODY)], tracked()) is not None

@@ -9,12 +9,11 @@ from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.records.tracks import Status
 from voodoo_jax.simulate.motion import _motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.refine.limb_restart import LONGEST, in_doubt, looked_again, other_arms, other_legs
-from voodoo_jax.trackers.icp.segment import rows_of
+from voodoo_jax.trackers.icp.segment import forwards
 
 BODY = scaled(human(), 1.75)
 
@@ -24,32 +23,32 @@ def frames(noise) -> list[PersonFrame]:
     return [PersonFrame(0, nothing, np.zeros(0, np.int32), nothing, noise=float(n)) for n in noise]
 
 
-def rows(cost, status=Status.TRACKED):
-    return {"cost": np.asarray(cost, float), "status": np.full(len(cost), status, np.int8)}
+def doubted(people, cost, tracked=True):
+    return in_doubt(people, np.asarray(cost, float), np.full(len(cost), tracked))
 
 
 def test_what_costs_more_than_noise_and_the_rest_is_in_doubt():
     people = frames([0.01] * 60)
     cost = np.full(60, 4e-4)
-    assert in_doubt(people, rows(cost)) == []
+    assert doubted(people, cost) == []
     cost[20:40] = 12e-4
-    ((start, end),) = in_doubt(people, rows(cost))
+    ((start, end),) = doubted(people, cost)
     assert 16 <= start <= 22 and 38 <= end <= 44
-    assert in_doubt(people, rows(cost, Status.LOST)) == []
+    assert doubted(people, cost, False) == []
     # the farther away, the noisier
     noise = np.linspace(0.01, 0.06, 60)
     far = frames(noise)
-    assert in_doubt(far, rows(np.maximum(noise, 0.018) ** 2)) == []
+    assert doubted(far, np.maximum(noise, 0.018) ** 2) == []
     cost[:] = 4e-4
     cost[40] = 1e-3  # a single frame
-    assert in_doubt(people, rows(cost)) == []
-    assert in_doubt([], rows([])) == []
+    assert doubted(people, cost) == []
+    assert doubted([], []) == []
 
 
 def test_long_trouble_is_looked_at_in_parts():
     people = frames([0.01] * 200)
     cost = np.where(np.arange(200) < 100, 4e-4, 12e-4)
-    found = in_doubt(people, rows(cost))
+    found = doubted(people, cost)
     assert len(found) >= 3 and max(end - start for start, end in found) == LONGEST
     assert [b for _, b in found[:-1]] == [a for a, _ in found[1:]]
 
@@ -88,23 +87,22 @@ def raised(tmp_path_factory):
 
 
 def lost_on_the_way(sim, run, other):
-    """Rows tracked from the truth, and the same with other poses from frame 12 on."""
+    """A segment tracked from the truth, and the same with other poses from frame 12 on."""
     truth, count = Poses(sim.rotation, sim.translation), len(sim.time_ns)
-    good = rows_of(run, run.forwards(truth[0], 0, count)[1], 0, count)
-    lost = rows_of(run, run.forwards(other(truth[12]), 12, count)[1], 12, count - 12)
-    return good, {name: np.concatenate([row[:12], lost[name]]) for name, row in good.items()}
+    good = forwards(run, truth[0], 0, count)
+    return good, good[:12].joined(forwards(run, other(truth[12]), 12, count))
 
 
 def test_a_lost_arm_is_found_again(raised):
     sim, run = raised
     good, wrong = lost_on_the_way(sim, run, lambda poses: other_arms(BODY, poses)[0])
     assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
-    found = looked_again(run, 0, wrong)
+    found = looked_again(run, wrong)
     assert error(sim, found).max() < 0.06
-    assert found.keys() == wrong.keys() and all(found[name].shape == wrong[name].shape for name in wrong)
+    assert (found.first, found.end) == (wrong.first, wrong.end)
     # what is good stays as it is, to the last digit
-    again = looked_again(run, 0, good)
-    np.testing.assert_array_equal(again["rotation"], good["rotation"])
+    again = looked_again(run, good)
+    np.testing.assert_array_equal(again.rotation, good.rotation)
 
 
 def test_a_lost_leg_is_found_again(tmp_path):
@@ -113,4 +111,4 @@ def test_a_lost_leg_is_found_again(tmp_path):
     sim, run = in_front(tmp_path / "leg.mcap", BODY, kick, 22)
     _, wrong = lost_on_the_way(sim, run, lambda poses: other_legs(BODY, poses)[8])
     assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
-    assert error(sim, looked_again(run, 0, wrong)).max() < 0.04
+    assert error(sim, looked_again(run, wrong)).max() < 0.04

@@ -1,4 +1,4 @@
-"""Takes out jumps of a passage: bodies do not jump from one frame to the next. Host side.
+"""Takes out jumps of a segment: bodies do not jump from one frame to the next. Host side.
 
 Where two passes that disagree are put together, or a stretch that was tracked anew, limbs may be elsewhere at once: one
 of the two sides is wrong. Each is carried on over the other one, and kept where that explains more.
@@ -8,62 +8,60 @@ import numpy as np
 
 from voodoo_jax.geometry.rotations import limb_ends
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.segment import Rows, part, pose_at, with_part
-from voodoo_jax.records.tracks import Status
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.segment import pass_of, rows_of
+from voodoo_jax.trackers.icp.segment import backwards, forwards, pass_of
 
 FAR = 0.2  # metres that a limb's end goes farther from one frame to the next than ...
 MOVES = 2.0  # ... so many times what it goes in the frames before and after: a jump
 SAME = 0.06  # metres between limbs' ends of poses that are the same
 MOST = 60  # frames over which one side is carried on, at most
 BETTER = 0.9  # it is kept where it costs less than this share
-EVERY = 30  # frames of a passage for each of the jumps that are looked at
+EVERY = 30  # frames of a segment for each of the jumps that are looked at
 
 
-def without_jumps(run: Session, first: int, rows: Rows) -> Rows:
-    """The rows of a passage that begins in frame `first`, with one side of a jump carried on over the other one."""
+def without_jumps(run: Session, segment: Segment) -> Segment:
+    """The segment with one side of a jump carried on over the other one."""
     left: set[int] = set()
-    for _ in range(1 + len(rows["cost"]) // EVERY):
-        found = [k for k in jumps(run.body, rows) if k not in left]
+    for _ in range(1 + len(segment) // EVERY):
+        found = [k for k in jumps(run.body, segment) if k not in left]
         if not found:
             break
-        other = _mended(run, first, rows, found[0])
-        if other is rows:
+        other = _mended(run, segment, found[0])
+        if other is segment:
             left.add(found[0])
-        rows = other
-    return rows
+        segment = other
+    return segment
 
 
-def jumps(body: Body, rows: Rows) -> list[int]:
+def jumps(body: Body, segment: Segment) -> list[int]:
     """Frames in which a limb that carries others is elsewhere than in the frame before, the farthest jump first. Hands
     and feet alone flicker where few points tell of them."""
     carries = np.array(sorted(set(body.topology.parents)), int)
-    if len(rows["cost"]) < 2:
+    if len(segment) < 2:
         return []
     lengths = np.asarray(body.sizes)[carries, 4]
-    ends = limb_ends(rows["rotation"][:, carries], rows["translation"][:, carries], lengths)
+    ends = limb_ends(segment.rotation[:, carries], segment.translation[:, carries], lengths)
     gone = np.max(np.linalg.norm(np.diff(ends, axis=1), axis=-1), 0)  # [frame - 1, limb]
     usual = np.pad(gone, ((1, 1), (0, 0)))
     over = np.max(gone - MOVES * np.maximum(usual[:-2], usual[2:]), 1)
-    tracked = rows["status"] == Status.TRACKED
+    tracked = segment.tracked
     over = np.where(tracked[1:] & tracked[:-1], over, 0.0)
     found = 1 + np.flatnonzero(over > FAR)
     return found[np.argsort(-over[found - 1])].tolist()
 
 
-def _mended(run: Session, first: int, rows: Rows, at: int) -> Rows:
-    """The rows with the cheaper one of the sides of the jump into frame `at` carried on over the other one, up to where
-    both are the same; the same rows if none explains more."""
-    lengths = np.asarray(run.body.sizes)[:, 4]
-    low, high = max(0, at - MOST), min(len(rows["cost"]), at + MOST)
-    before, after = pose_at(rows, at - 1), pose_at(rows, at)
-    ahead = rows_of(run, run.forwards(before, first + at - 1, first + high)[1], first + at - 1, high - at + 1)
-    back = rows_of(run, run.backwards(after, first + low, first + at + 1), first + low, at + 1 - low)
-    found, least = rows, BETTER
-    for other, begin, end, order in ((part(ahead, 1, None), at, high, 1), (part(back, None, -1), low, at, -1)):
-        both = part(rows, begin, end), other
-        mine, theirs = (limb_ends(some["rotation"], some["translation"], lengths) for some in both)
+def _mended(run: Session, segment: Segment, at: int) -> Segment:
+    """The segment with the cheaper one of the sides of the jump into its frame `at` carried on over the other one, up
+    to where both are the same; the same segment if none explains more."""
+    lengths, first = np.asarray(run.body.sizes)[:, 4], segment.first
+    low, high = max(0, at - MOST), min(len(segment), at + MOST)
+    ahead = forwards(run, segment.pose_at(at - 1), first + at - 1, first + high)
+    back = backwards(run, segment.pose_at(at), first + low, first + at + 1)
+    found, least = segment, BETTER
+    for other, begin, end, order in ((ahead[1:], at, high, 1), (back[:-1], low, at, -1)):
+        both = segment[begin:end], other
+        mine, theirs = (limb_ends(some.rotation, some.translation, lengths) for some in both)
         same = np.max(np.linalg.norm(mine - theirs, axis=-1), (0, 2)) < SAME
         used = np.logical_and.accumulate(~same[::order])[::order]
         if not used.any():
@@ -71,5 +69,5 @@ def _mended(run: Session, first: int, rows: Rows, at: int) -> Rows:
         costs = [np.log(pass_of(run, some).cost[used]) for some in both]
         share = float(np.exp(np.mean(costs[1] - costs[0])))
         if share < least:
-            found, least = with_part(rows, begin, other, used), share
+            found, least = segment.spliced(begin, other, used), share
     return found

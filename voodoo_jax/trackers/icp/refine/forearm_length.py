@@ -16,8 +16,8 @@ from voodoo_jax.geometry.rigid import Poses, apply, on_host, unrotate
 from voodoo_jax.model.body import Body, scaled, with_proportions
 from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.records.segment import Rows
-from voodoo_jax.records.tracks import Status
+from voodoo_jax.records.segment import Segment
+from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
 
 # A wrist's bands are stretched by this share of what the forearm is too short by (as far as people differ): told by
@@ -39,7 +39,7 @@ class Stretch(NamedTuple):
     count: int  # frames of one arm in which the hand is seen
 
 
-def with_forearms(body: Body, people: list[PersonFrame], names: FeatureNames, rows: Rows) -> Body:
+def with_forearms(body: Body, people: list[PersonFrame], names: FeatureNames, segment: Segment) -> Body:
     """The body with the forearms that its tracks ask for; the same one where it is not the body that comes with the
     package in its usual proportions, which alone this was measured for.
 
@@ -47,7 +47,7 @@ def with_forearms(body: Body, people: list[PersonFrame], names: FeatureNames, ro
 
     **Arguments:** as for `stretch`.
     """
-    found = stretch(body, people, names, rows) if _is_usual(body) else None
+    found = stretch(body, people, names, segment) if _is_usual(body) else None
     if found is None:
         return body
     length = np.asarray(body.sizes)[body.topology.limbs.index("l_forearm"), 4]
@@ -66,19 +66,19 @@ def asked(gap: Some, named: Some, by_points: float = BY_POINTS, by_names: float 
     return gap / (by_points + by_names * named) - hand
 
 
-def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, rows: Rows) -> Stretch | None:
+def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, segment: Segment | Tracks) -> Stretch | None:
     """What the wrists tell in frames where the body is tracked and the hand is seen; None without any.
 
-    **Arguments:** `people` and `rows` frames, and what was tracked in them (arrays of Tracks); `names` of features.
+    **Arguments:** `people` and `segment` frames, and what was tracked in them; `names` of features.
     """
     body, t = on_host(body), body.topology
     limbs = (*t.site_limbs, *t.centre_limbs)  # as in kernels.landmarks.named_points
-    tracked = np.flatnonzero(rows["status"] == Status.TRACKED)
+    tracked = np.flatnonzero(segment.tracked)
     gaps, named = [], []
     for side in "lr":
         joint, hand = t.joints.index(f"{side}_wrist"), t.limbs.index(f"{side}_hand")
-        frames = tracked[rows["limb_weight"][tracked, hand] > 0]
-        gaps.append(_gap(body, Poses(rows["rotation"][frames], rows["translation"][frames]), joint))
+        frames = tracked[segment.limb_weight[tracked, hand] > 0]
+        gaps.append(_gap(body, Poses(segment.rotation[frames], segment.translation[frames]), joint))
         # surely on the hand, that is
         on_hand = lambda name, hand=hand: {limbs[point] for point in names.look_up(name) or ()} == {hand}  # noqa: E731
         named += [any(map(on_hand, (*people[k].rays.names, *people[k].pairs.names))) for k in frames]

@@ -4,6 +4,7 @@ A limb that one pass loses in a fast movement the other one meets before the tro
 is nearer to the truth than either, for each lags behind in its own direction of time.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +12,10 @@ from jaxtyping import Bool, Float, Float32
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rotations import _axis, _half_turn, limb_ends, rotations
-from voodoo_jax.records.segment import Rows, part, pose_at
-from voodoo_jax.records.tracks import Status
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.initialise import fresh
 from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.segment import Pass, pass_of, rows_of
+from voodoo_jax.trackers.icp.segment import Pass, backwards, pass_of
 
 AGREE = 0.12  # metres between the passes' places of a limb's ends, below which they are averaged
 WINDOW = 7  # frames over which costs are compared: single frames decide by noise
@@ -70,20 +70,18 @@ def combined(forward: Pass, backward: Pass, lengths: Float[np.ndarray, " limb"])
     return Combined(rotation, translation, taken, apart.astype(np.float32))
 
 
-def there_and_back(run: Session, first: int, forward: Rows) -> Rows:
-    """A passage that began in frame `first` and was tracked forwards, made one with a pass back from its last good
-    frame."""
-    good = np.flatnonzero(forward["status"] == Status.TRACKED)
+def there_and_back(run: Session, forward: Segment) -> Segment:
+    """A segment that was tracked forwards, made one with a pass back from its last good frame."""
+    good = np.flatnonzero(forward.tracked)
     if not len(good):
         return forward
     count = int(good[-1]) + 1
-    forth = part(forward, None, count)
-    poses = fresh(run, first, forth["cost"], forth["rotation"])
+    forth = forward[:count]
+    poses = fresh(run, forth.first, forth.cost, forth.rotation)
     if poses is None:
-        poses = pose_at(forth, -1)
-    back = rows_of(run, run.backwards(poses, first, first + count), first, count)
+        poses = forth.pose_at(-1)
+    back = backwards(run, poses, forth.first, forth.end)
     both = combined(pass_of(run, forth), pass_of(run, back), np.asarray(run.body.sizes)[:, 4])
-    pick = lambda old, new: np.where(both.backward.reshape(-1, *[1] * (old.ndim - 1)), new, old)  # noqa: E731
-    found = {name: pick(forth[name], back[name]) for name in forth}
-    found |= {"rotation": both.rotation, "translation": both.translation, "passes_apart": both.apart}
-    return {name: np.concatenate([found[name], row[count:]]) for name, row in forward.items()}
+    found = forth.picked(back, both.backward)
+    found = replace(found, rotation=both.rotation, translation=both.translation, passes_apart=both.apart)
+    return found.joined(forward[count:])

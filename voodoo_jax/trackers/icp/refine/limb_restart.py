@@ -1,4 +1,4 @@
-"""Looks again where a passage explains what was measured worse than elsewhere: a limb may be lost there. Host side.
+"""Looks again where a segment explains what was measured worse than elsewhere: a limb may be lost there. Host side.
 
 A limb that no point reaches any more is not found again from where it is. So arms and legs are started anew in the
 middle of the trouble, and the whole body where it may be lost, in several poses, tracked there and back in time, and
@@ -6,20 +6,20 @@ kept where they explain more.
 """
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.records.segment import Rows, part, pose_at, with_part
-from voodoo_jax.records.tracks import Status
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.initialise import USUAL, soon
 from voodoo_jax.trackers.icp.refine.forward_backward import backward_is_better, smoothed
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session
 from voodoo_jax.trackers.icp.segment import pass_of, tracked_anew
 from voodoo_jax.trackers.icp.trials import standing_places
 
-WORSE = 1.6  # times what a frame costs where the passage goes well: here it is in doubt
+WORSE = 1.6  # times what a frame costs where the segment goes well: here it is in doubt
 LOST = 2.5  # times that: all of the body may be lost
 WELL = 10  # percent of the frames cost less where it goes well
 BETTER = 0.85  # what is started anew is followed where it costs less than this share
@@ -42,49 +42,49 @@ LEGS: tuple[tuple[Turn, ...], ...] = (
 )
 
 
-def looked_again(run: Session, first: int, rows: Rows) -> Rows:
-    """The rows of a passage that begins in frame `first`, with other limbs where those explain more."""
-    for start, end in in_doubt(run.people[first : first + len(rows["cost"])], rows):
-        rows = _looked(run, first, rows, start, end)
-    return rows
+def looked_again(run: Session, segment: Segment) -> Segment:
+    """The segment with other limbs where those explain more."""
+    for start, end in in_doubt(run.people[segment.first : segment.end], segment.cost, segment.tracked):
+        segment = _looked(run, segment, start, end)
+    return segment
 
 
-def in_doubt(people: list[PersonFrame], rows: Rows) -> list[tuple[int, int]]:
-    """Begin and end of the stretches of frames that cost more than noise and the rest of the passage explain."""
-    tracked = rows["status"] == Status.TRACKED
+def in_doubt(
+    people: list[PersonFrame], cost: Float[np.ndarray, " frame"], tracked: Bool[np.ndarray, " frame"]
+) -> list[tuple[int, int]]:
+    """Begin and end of the stretches of `tracked` frames that cost more than noise and the rest of them explain."""
     if not tracked.any():
         return []
-    cost = smoothed(rows["cost"] / np.maximum([f.noise for f in people], USUAL) ** 2)
+    cost = smoothed(cost / np.maximum([f.noise for f in people], USUAL) ** 2)
     bad = np.flatnonzero(tracked & (cost > WORSE * np.percentile(cost[tracked], WELL)))
     runs = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)
     found = [(int(r[k]), int(r[min(k + LONGEST, len(r)) - 1]) + 1) for r in runs for k in range(0, len(r), LONGEST)]
     return [(start, end) for start, end in found if end - start >= FEWEST]
 
 
-def _looked(run: Session, first: int, rows: Rows, start: int, end: int) -> Rows:
-    """The rows with limbs that were started anew between two frames, where they cost less."""
-    count = len(rows["cost"])
-    at = start + int(np.argmax(smoothed(rows["cost"])[start:end]))
-    frames = soon(run.people[first + at : first + count], run.settings.start)
+def _looked(run: Session, segment: Segment, start: int, end: int) -> Segment:
+    """The segment with limbs that were started anew between two of its frames, where they cost less."""
+    first, count, cost = segment.first, len(segment), segment.cost
+    at = start + int(np.argmax(smoothed(cost)[start:end]))
+    frames = soon(run.people[first + at : segment.end], run.settings.start)
     last = at + len(frames) - 1
-    poses = pose_at(rows, last)
+    poses = segment.pose_at(last)
     limbs = [starts for starts in (other_arms(run.body, poses), other_legs(run.body, poses)) if starts]
     if not limbs or any(len(f.points) < FEW_POINTS for f in frames):
-        return rows
-    here = float(np.mean(rows["cost"][at : last + 1]))
-    if here > LOST * np.percentile(rows["cost"], WELL):
+        return segment
+    here = float(np.mean(cost[at : last + 1]))
+    if here > LOST * np.percentile(cost, WELL):
         limbs.append(standing_places(run.body, frames[::-1], run.scene.floor, run.settings.start.headings))
     # not all at once: the best few after two frames might all be of one kind
     tried = [run.trials(run.body, frames, starts) for starts in limbs]
     trial = min(tried, key=lambda t: np.min(t.cost))
     best = int(np.argmin(trial.cost))
     if not trial.cost[best] < BETTER * here:
-        return rows
-    poses = trial.state.poses[best]
+        return segment
     low, high = max(0, start - AROUND), min(count, end + AROUND)
-    other = tracked_anew(run, first, poses, low, at, high)
-    costs = (pass_of(run, some).cost for some in (part(rows, low, high), other))
-    return with_part(rows, low, other, backward_is_better(*costs))
+    other = tracked_anew(run, trial.state.poses[best], first + low, first + at, first + high)
+    costs = (pass_of(run, some).cost for some in (segment[low:high], other))
+    return segment.spliced(low, other, backward_is_better(*costs))
 
 
 def other_arms(body: Body, poses: Poses) -> list[Poses]:

@@ -12,8 +12,7 @@ from voodoo_jax.detect.touched_furniture import WINDOW
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame, assigned
-from voodoo_jax.records.segment import Rows
-from voodoo_jax.records.tracks import Status
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.runner import spans
 
 WELL = 0.99  # of the points explained, mean of all frames: nothing is left over
@@ -26,12 +25,12 @@ AROUND = 0.05  # metres around them
 
 
 def without_leftovers(
-    people: list[PersonFrame], bodies: list[tuple[int, Body]], rows: Rows
+    people: list[PersonFrame], bodies: list[tuple[int, Body]], segment: Segment
 ) -> Iterator[PersonFrame] | None:
-    """The frames without what is at rest and not explained by the body, tracked as `rows` say; None if there is hardly
-    anything. `bodies` [(first frame, body)] as they were tracked."""
+    """The frames without what is at rest and not explained by the body, tracked as `segment` says; None if there is
+    hardly anything. `bodies` [(first frame, body)] as they were tracked."""
     windows = [slice(at, min(at + WINDOW, len(people))) for at in range(0, len(people), WINDOW)]
-    found = [_leftovers(people, bodies, rows, window) for window in windows]
+    found = [_leftovers(people, bodies, segment, window) for window in windows]
     if not any(map(len, found)):
         return None
     return (frame for window, points in zip(windows, found) for frame in _without(people[window], points))
@@ -46,12 +45,12 @@ def _without(frames: list[PersonFrame], points: Float[np.ndarray, "point 3"]) ->
 
 
 def _leftovers(
-    people: list[PersonFrame], bodies: list[tuple[int, Body]], rows: Rows, window: slice
+    people: list[PersonFrame], bodies: list[tuple[int, Body]], segment: Segment, window: slice
 ) -> Float[np.ndarray, "point 3"]:
     """Points at rest that are furniture; none if those are few."""
     nothing = np.zeros((0, 3))
-    tracked = rows["status"] == Status.TRACKED
-    explained = rows["explained"][window][tracked[window]]
+    tracked = segment.tracked
+    explained = segment.explained[window][tracked[window]]
     if not len(explained) or np.mean(explained) > WELL:
         return nothing
     rest = resting(people[window])
@@ -62,7 +61,7 @@ def _leftovers(
     outside = np.zeros(len(frame))
     for first, end, body in spans(bodies, len(people)):
         mine = (frame >= first) & (frame < end)
-        outside[mine] = _outside(body, rest.points[which[mine]], frame[mine], rows)
+        outside[mine] = _outside(body, rest.points[which[mine]], frame[mine], segment)
     count = np.bincount(which, minlength=len(rest.points))
     off = np.bincount(which, outside > OFF, len(rest.points))
     found = (count >= SEEN) & (off > MOSTLY * count)
@@ -70,13 +69,13 @@ def _leftovers(
 
 
 def _outside(
-    body: Body, points: Float[np.ndarray, "point 3"], frame: np.ndarray, rows: Rows
+    body: Body, points: Float[np.ndarray, "point 3"], frame: np.ndarray, segment: Segment
 ) -> Float[np.ndarray, " point"]:
     """How far each point is outside of the limbs as they were in its frame, metres; inside 0, caps as if they were
     flat."""
     nearest = np.full(len(points), np.inf)
     for limb, (a, b, c, d, length) in enumerate(np.asarray(body.sizes, float)):
-        rotation, place = rows["rotation"][frame, limb], rows["translation"][frame, limb]
+        rotation, place = segment.rotation[frame, limb], segment.translation[frame, limb]
         x, y, z = rotations(rotation).inv().apply(points - place).T
         along = np.clip(z / max(length, 1e-6), 0, 1)
         wide, deep = a + (c - a) * along, b + (d - b) * along
