@@ -1,7 +1,7 @@
 """What wrists tell of the forearms' lengths: python -m experiments.forearms RECORDINGS
 
 Every recording is tracked with the usual forearms, with the 2D features and without. The constants of
-voodoo_jax/trackers/icp/refine/forearm_length.py are fitted to what the truth says (people count alike, however many
+voodoo_jax/trackers/icp/refine/fit_forearms.py are fitted to what the truth says (people count alike, however many
 recordings there are of them), and for every person to the others alone: that column is what a stranger can expect.
 Writes forearms.md and forearms.png.
 """
@@ -19,9 +19,9 @@ from experiments.common import DEMO, human, load_dims, load_log, log_files, tabl
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.solve.names import FeatureNames
-from voodoo_jax.trackers.icp.refine.forearm_length import BY_NAMES, BY_POINTS, HAND, Stretch, asked, lengthened, stretch
+from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms, Stretch, stretch
 
-NOW = (BY_POINTS, BY_NAMES, HAND)
+NOW = (FitForearms.by_points, FitForearms.by_names, FitForearms.hand)
 
 
 def fitted(gap: np.ndarray, named: np.ndarray, true: np.ndarray, person: np.ndarray) -> np.ndarray:
@@ -29,7 +29,9 @@ def fitted(gap: np.ndarray, named: np.ndarray, true: np.ndarray, person: np.ndar
     share = np.sqrt(1 / np.bincount(person)[person])
     start, scale = np.array(NOW), 100.0
     # by logarithms: a share that is stretched is never negative
-    found = least_squares(lambda x: scale * share * (asked(gap, named, *start * np.exp(x)) - true), np.zeros(3))
+    found = least_squares(
+        lambda x: scale * share * (FitForearms(*start * np.exp(x)).asked(gap, named) - true), np.zeros(3)
+    )
     return start * np.exp(found.x)
 
 
@@ -45,7 +47,7 @@ def main(
         out: folder for forearms.md and forearms.png.
     """
     body, settings = human(), Settings()
-    usual = replace(settings, track=replace(settings.track, forearms=False))
+    usual = replace(settings, track=replace(settings.track, skip=("fit_forearms",)))
     names = FeatureNames(body.topology, settings.features)
     found: list[Stretch] = []
     labels, scale, true, stature = [], [], [], []
@@ -67,12 +69,12 @@ def main(
     persons = sorted(set(stature))
     person = np.array([persons.index(s) for s in stature])
     # of every recording: error with the usual forearm, with the constants of now, with those of the other people
-    now = np.array([lengthened(s) for s in found])
+    now = np.array([FitForearms().lengthened(s) for s in found])
     others = np.full(len(found), np.nan)
     for one in range(len(persons) if len(persons) > 2 else 0):
         rest = person != one
         constants = fitted(gap[rest], named[rest], true[rest], np.unique(person[rest], return_inverse=True)[1])
-        others[~rest] = asked(gap, named, *constants)[~rest]
+        others[~rest] = FitForearms(*constants).asked(gap, named)[~rest]
     off = 100 * scale[:, None] * (np.stack([0 * now, now, others], 1) - true[:, None])
     cell = lambda x: f"{x:+.2f}" if np.isfinite(x) else "-"  # noqa: E731
     lines = [[*label, f"{1000 * s.gap:.2f}", f"{s.named:.2f}", *map(cell, row)]
@@ -85,7 +87,7 @@ def main(
     text = table(head, lines, left=2)
     if len(persons) > 2:
         best = " / ".join(f"{x:.4f}" for x in fitted(gap, named, true, person))
-        text += f"\nConstants that fit all best (BY_POINTS / BY_NAMES / HAND): {best}; used: {NOW}.\n"
+        text += f"\nConstants that fit all best (by_points / by_names / hand): {best}; used: {NOW}.\n"
     figure, axes = plt.subplots(figsize=(6, 4.5), layout="constrained")
     for kind, marker in (("features", "o"), ("depth alone", "x")):
         chosen = np.array([k == kind for _, k in labels])

@@ -36,7 +36,8 @@ class Told(NamedTuple):
 def work(job: Job) -> Told:
     """Tracks it and compares."""
     settings = Settings()
-    settings = replace(settings, track=replace(settings.track, both_ways=job.both_ways))
+    if not job.both_ways:
+        settings = replace(settings, track=replace(settings.track, skip=("looks_ahead",)))
     recorded = changes(human(), settings)[job.change](whole(job.log, job.frames))
     log = recorded.log(human(), settings)
     tracks = log.track(human(), settings)

@@ -9,7 +9,7 @@ from voodoo_jax.cli import commands
 from voodoo_jax.cli import main as cli
 from voodoo_jax.config.options import (
     Change,
-    PersonSettings,
+    DetectSettings,
     Settings,
     SettingsError,
     SolveSettings,
@@ -21,14 +21,18 @@ from voodoo_jax.config.toml import _help_texts, read_settings, settings_text
 
 CHANGED = replace(
     Settings(),
-    person=PersonSettings(link=0.2, forget=7),
+    detect=DetectSettings(link=0.2, forget=7),
     solve=SolveSettings(solver="per_limb", robust_scale=float("inf"), near_side=False, epsilon=1e-12),
     start=StartSettings(scale=1.83),
+    online=True,
 )
 
 
 def as_lists(values: dict) -> dict:
-    return {stage: {k: list(v) if isinstance(v, tuple) else v for k, v in of.items()} for stage, of in values.items()}
+    return {
+        stage: {k: list(v) if isinstance(v, tuple) else v for k, v in of.items()} if isinstance(of, dict) else of
+        for stage, of in values.items()
+    }
 
 
 @pytest.mark.parametrize("settings", [Settings(), CHANGED], ids=["defaults", "changed"])
@@ -73,7 +77,7 @@ def test_a_file_changes_only_what_it_names(tmp_path):
         ("[solve]\nratio = true", ["solve.ratio", "a number"]),
         ("[solve]\nratio = -0.1", ["solve.ratio = -0.1", "negative"]),
         ("[solve]\nratio = nan", ["solve.ratio = nan"]),
-        ("[person]\npoints = -5", ["person.points = -5", "negative"]),
+        ("[detect]\npoints = -5", ["detect.points = -5", "negative"]),
         ("[solve]\nsolver = 'Coupled'", ["solve.solver", "'coupled'", "'per_limb'"]),
         ("[solve]\nsolver = ['coupled']", ["solve.solver", "'coupled'", "'per_limb'"]),
         ("[read]\ntopics = '/depth'", ["read.topics", "list of texts"]),
@@ -106,6 +110,9 @@ def test_every_option_has_a_meaning():
     lines = settings_text().splitlines()
     for stage in fields(Settings):
         cls = Change if stage.name == "changes" else type(getattr(Settings(), stage.name))
+        if stage.name == "online":
+            assert any(_help_texts(Settings)[stage.name] in line for line in lines)
+            continue
         texts = _help_texts(cls)
         for option in fields(cls):
             assert len(texts.get(option.name, "")) > 12, f"{stage.name}.{option.name}"
@@ -179,7 +186,7 @@ def test_wrong_flags_are_refused(words, capsys):
     assert stopped.value.code == 2 and words[0].split(".")[1] in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--solve.max-steps", "-3"], ["--person.link", "-0.1"], ["--start.scale", "nan"]])
+@pytest.mark.parametrize("words", [["--solve.max-steps", "-3"], ["--detect.link", "-0.1"], ["--start.scale", "nan"]])
 def test_flags_are_checked_as_the_file_is(words, tmp_path, capsys):
     """The same value must not be an error in a file and be taken as a flag."""
     assert cli.main(["replay", str(tmp_path / "none.mcap"), "--out", str(tmp_path / "o"), *words]) == 2

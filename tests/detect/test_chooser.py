@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame
-from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import candidate
 from voodoo_jax.detect.segmentation import PersonFinder
 from voodoo_jax.detect.target_selection import ENOUGH, HELD, PATIENCE, Chooser, Follower
@@ -17,11 +17,11 @@ from voodoo_jax.simulate.room import Box, hit_box
 
 SCENE = Scene(FLOOR, (), True)
 COATS = figure(3.2, -0.6, 1.75)  # on a stand: as high and wide as a person
-AHEAD, ONLINE = PersonSettings(), PersonSettings(ahead=False)
+SETTINGS = DetectSettings()
 
 
-def chosen(clouds, settings=AHEAD) -> tuple[list[np.ndarray], Chooser]:
-    chooser = Chooser(SCENE, build_of(1.75), settings)
+def chosen(clouds, ahead=True) -> tuple[list[np.ndarray], Chooser]:
+    chooser = Chooser(SCENE, build_of(1.75), SETTINGS, ahead)
     return [f.points for f in chooser(frame(c, i) for i, c in enumerate(clouds))], chooser
 
 
@@ -36,7 +36,7 @@ def waits_then_walks(still: int, moving: int):
 
 
 def test_without_looking_ahead_the_coats_are_likelier():
-    assert not of_person(PersonFinder(SCENE, build_of(1.75), AHEAD)(frame(next(waits_then_walks(1, 0)))).points)
+    assert not of_person(PersonFinder(SCENE, build_of(1.75), SETTINGS)(frame(next(waits_then_walks(1, 0)))).points)
 
 
 @pytest.mark.parametrize("still", [0, 40])
@@ -47,17 +47,17 @@ def test_the_one_that_moves_is_the_body_from_the_first_frame_on(still):
 
 
 def test_who_may_not_wait_changes_over_once_it_is_known():
-    got, _ = chosen(waits_then_walks(40, 60), ONLINE)
+    got, _ = chosen(waits_then_walks(40, 60), False)
     right = np.array([of_person(points) for points in got])
     assert not right[: PATIENCE - 1].any() and right[40 + PATIENCE // 2 + 8 :].all()
 
 
 def test_the_frame_says_so_from_which_on_something_else_is_taken():
     changed = {}
-    for settings in (AHEAD, ONLINE):
-        chooser = Chooser(SCENE, build_of(1.75), settings)
+    for ahead in (True, False):
+        chooser = Chooser(SCENE, build_of(1.75), SETTINGS, ahead)
         got = list(chooser(frame(c, i) for i, c in enumerate(waits_then_walks(40, 60))))
-        changed[settings.ahead] = [i for i, f in enumerate(got) if f.other]
+        changed[ahead] = [i for i, f in enumerate(got) if f.other]
         right = [of_person(f.points) for f in got]
     assert changed == {True: [], False: [right.index(True)]}
 
@@ -72,7 +72,7 @@ def test_nobody_moves():
     """The likeliest is taken, as if nothing else were there; frames come out before the log ends."""
     clouds = [np.concatenate([COATS, figure(3.0, 0.6, 1.6)])] * (HELD + 5)
     frames = iter([frame(c, i) for i, c in enumerate(clouds)])
-    out = Chooser(SCENE, build_of(1.75), AHEAD)(frames)
+    out = Chooser(SCENE, build_of(1.75), SETTINGS)(frames)
     first = next(out)
     assert sum(1 for _ in frames) == 5 and not of_person(first.points)
 
@@ -110,7 +110,7 @@ class Told(PersonFinder):
     """Finds what is within some distances ahead of the sensor."""
 
     def __init__(self, near: float, far: float):
-        super().__init__(SCENE, build_of(1.75), AHEAD)
+        super().__init__(SCENE, build_of(1.75), SETTINGS)
         self.near, self.far = near, far
 
     def __call__(self, frame):
@@ -193,7 +193,7 @@ def test_of_what_more_is_seen_from_the_second_frame_on_has_not_moved():
 def test_who_was_mixed_up_with_something_is_found_again():
     """What is followed as another thing ends up at the likeliest one, as somebody may who passes close by it."""
     person = [figure(3.0, 0.6 + 0.03 * max(0, i - 8), 1.6) for i in range(60)]
-    chooser = Chooser(SCENE, build_of(1.75), AHEAD)
+    chooser = Chooser(SCENE, build_of(1.75), SETTINGS)
     clouds = iter([frame(np.concatenate([COATS, p]), i) for i, p in enumerate(person)])
     for _ in range(6):
         chooser._follow(next(clouds))
@@ -217,14 +217,14 @@ def test_assigned_points_need_no_choice():
     points = np.concatenate([COATS, person]).astype(np.float32)
     part = np.where((np.arange(len(points)) >= len(COATS)) & (points[:, 2] > 1.4), 0, -1).astype(np.int32)
     seen = Frame(0, points, np.zeros(len(points), np.int32), ORIGIN, part=part, parts=("head",))
-    got = next(Chooser(SCENE, build_of(1.75), AHEAD)(iter([seen] * 3)))
+    got = next(Chooser(SCENE, build_of(1.75), SETTINGS)(iter([seen] * 3)))
     assert of_person(got.points)
 
 
 def test_what_stood_there_all_the_time_is_not_the_body_when_that_has_left():
     far = COATS + [0, -1.5, 0]  # out of reach of the body
     clouds = [np.concatenate([far, figure(3.0, 0.6 + 0.03 * i)]) for i in range(60)]
-    got, _ = chosen(clouds + [far] * (AHEAD.forget + 40))
+    got, _ = chosen(clouds + [far] * (SETTINGS.forget + 40))
     assert all(map(of_person, got[:60])) and not any(map(len, got[60:]))
 
 
@@ -252,5 +252,5 @@ def test_who_may_not_wait_gets_frames_one_by_one():
             asked.append(i)
             yield frame(figure(2.5, 0.0), i)
 
-    stream = Chooser(SCENE, build_of(1.75), ONLINE)(source())
+    stream = Chooser(SCENE, build_of(1.75), SETTINGS, False)(source())
     assert len(next(stream).points) > 100 and asked == [0]

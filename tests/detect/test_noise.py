@@ -101,7 +101,7 @@ def test_noise_grows_on_the_way(rng):
 @pytest.mark.parametrize("sigma, said", [(0.02, False), (0.09, True)])
 def test_a_noisy_log_says_so(rng, sigma, said):
     body, settings = human(), Settings()
-    people = list(weighed([frame(cylinder(rng, 3.0, sigma))] * 3, settings.person.noise))
+    people = list(weighed([frame(cylinder(rng, 3.0, sigma))] * 3, settings.detect.noise))
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), True)
     run = Session(body, options_from(settings.solve, settings.track), people, scene, settings)
     notes = notes_on(run, blank_tracks(body, len(people)), [])

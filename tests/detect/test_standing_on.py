@@ -9,7 +9,7 @@ import pytest
 
 import voodoo_jax as vj
 from tests.support.rooms import FLOOR, box, build_of, figure, frame, grid, room
-from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.raised_floor import on_its_floor
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.geometry.plane import Plane
@@ -31,7 +31,7 @@ def level(x: float, y: float, deep: float, wide: float, height: float) -> np.nda
 def raised_by(rng, *things: np.ndarray, count: int = 3) -> float:
     clouds = [np.concatenate([room(rng), *things]) for _ in range(count)]
     clouds = [cloud + rng.normal(0, 0.005, cloud.shape) for cloud in clouds]
-    return on_its_floor([frame(c, i) for i, c in enumerate(clouds)], ROOM, BODY, PersonSettings()).floor.offset
+    return on_its_floor([frame(c, i) for i, c in enumerate(clouds)], ROOM, BODY, DetectSettings()).floor.offset
 
 
 def standing(x: float, y: float, on: float) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_what_nobody_stands_on_is_no_floor(rng):
         (figure(2.8, 0),),
     ):
         assert raised_by(rng, *things) == 0
-    assert on_its_floor([], ROOM, BODY, PersonSettings()) is ROOM
+    assert on_its_floor([], ROOM, BODY, DetectSettings()) is ROOM
 
 
 def test_who_only_begins_on_a_step_has_the_rooms_floor(rng):
@@ -69,7 +69,7 @@ def test_who_only_begins_on_a_step_has_the_rooms_floor(rng):
     clouds = [np.concatenate([room(rng), step, standing(2.8, 0.0, 0.2)])] * 2
     clouds.append(np.concatenate([room(rng), step, figure(2.8, 1.1)]))
     frames = [frame(cloud, i) for i, cloud in enumerate(clouds)]
-    assert on_its_floor(frames, ROOM, BODY, PersonSettings()) is ROOM
+    assert on_its_floor(frames, ROOM, BODY, DetectSettings()) is ROOM
 
 
 def test_a_larger_stage_than_floor(rng):
@@ -77,7 +77,7 @@ def test_a_larger_stage_than_floor(rng):
     stage, floor = level(2.8, 0.0, 1.8, 2.6, 0.3), room(rng)[::3]
     clouds = [np.concatenate([floor, stage, standing(2.8, 0.0, 0.3)])] * 3
     frames = [frame(cloud, i) for i, cloud in enumerate(clouds)]
-    scene = on_its_floor(frames, find_scene(frames, UP), BODY, PersonSettings())
+    scene = on_its_floor(frames, find_scene(frames, UP), BODY, DetectSettings())
     assert scene.floor_seen and scene.floor.offset == pytest.approx(0.3, abs=0.01)
 
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import voodoo_jax.detect.gravity
 from tests.support.rooms import FLOOR, box, build_of, figure, frame, room
-from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.gravity import upright
 from voodoo_jax.detect.scene import find_scene, shows_floor
 from voodoo_jax.records.recording import Frame
@@ -26,7 +26,7 @@ def seen(points, i: int) -> Frame:
 
 def found(clouds, up, sure: bool = False) -> np.ndarray:
     frames = [seen(cloud, i) for i, cloud in enumerate(clouds)]
-    return upright(frames, find_scene(frames, up, sure), up, sure, BODY, PersonSettings())
+    return upright(frames, find_scene(frames, up, sure), up, sure, BODY, DetectSettings())
 
 
 WAYS = {
@@ -63,7 +63,7 @@ def test_where_nobody_is_nothing_else_is_taken_for_up(rng):
     for way in WAYS.values():
         assert found([turned(room(rng), way)] * 3, UP) is UP
     assert found([np.zeros((0, 3), np.float32)] * 3, UP) is UP
-    assert upright([], find_scene([], UP), UP, False, BODY, PersonSettings()) is UP
+    assert upright([], find_scene([], UP), UP, False, BODY, DetectSettings()) is UP
 
 
 def test_somebody_before_a_wall_without_floor_is_as_the_frame_says():
@@ -79,7 +79,7 @@ def test_who_is_found_at_once_costs_one_look(rng, monkeypatch):
     monkeypatch.setattr(voodoo_jax.detect.gravity, "PersonFinder", lambda *a: looks.append(a) or finder(*a))
     frames = [frame(np.concatenate([room(rng), figure(2.5, 0.0)]), i) for i in range(3)]
     for sure, count in ((True, 0), (False, 1)):  # who is sure and has a floor needs none
-        assert upright(frames, Scene(FLOOR, (), True), UP, sure, BODY, PersonSettings()) is UP and len(looks) == count
+        assert upright(frames, Scene(FLOOR, (), True), UP, sure, BODY, DetectSettings()) is UP and len(looks) == count
 
 
 def test_a_child_before_a_wall_does_not_lie_on_it(rng):

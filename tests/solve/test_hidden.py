@@ -11,7 +11,7 @@ from voodoo_jax.geometry.rigid import Poses, apply, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.solve.scan import State, at_rest, options_from, predict
-from voodoo_jax.trackers.icp.refine.limb_restart import other_arms
+from voodoo_jax.trackers.icp.refine.restart_limbs import other_arms
 from voodoo_jax.trackers.icp.trials import place
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")

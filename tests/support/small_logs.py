@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from voodoo_jax.config.options import PersonSettings, Settings, StartSettings, TrackSettings
+from voodoo_jax.config.options import DetectSettings, Settings, StartSettings, TrackSettings
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate.mcap import write_simulation
@@ -17,9 +17,9 @@ FLAGS = (
     "--track.no-both-ways"
 ).split()
 SETTINGS = Settings(
-    person=PersonSettings(points=256),
+    detect=DetectSettings(points=256),
     start=StartSettings(scale=0.8, headings=3, frames=2),
-    track=TrackSettings(chunk=16, both_ways=False),
+    track=TrackSettings(chunk=16, skip=("looks_ahead",)),
 )
 NOT_COMPARED = {"seconds", "source", "run_key"}  # of the time taken, and of where the log lay
 

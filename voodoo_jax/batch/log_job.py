@@ -65,7 +65,7 @@ def track_log(
     log = open_log(path, settings.read)
     if visit is None:
         prepare(body, settings, len(log.sensors), log.named_at_once, bool(log.parts))
-    total, done = max(1, (2 + settings.track.both_ways) * len(log)), 0  # read, track there, and back
+    total, done = max(1, (2 + settings.looks_ahead("track")) * len(log)), 0  # read, track there, and back
 
     def more(count: int) -> None:
         nonlocal done

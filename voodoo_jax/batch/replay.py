@@ -62,11 +62,13 @@ def replay(
     from voodoo_jax.batch.resume import recipe_key
     from voodoo_jax.batch.summary_file import summary_name, write_summary
     from voodoo_jax.model.body_file import load_on_host
+    from voodoo_jax.trackers.stages import check_stages
 
     if not smooth_seconds >= 0:
         raise ValueError(f"--smooth {smooth_seconds}: must not be negative")
     if workers < 0:
         raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
+    check_stages(settings or Settings())
     number, count = parse_shard(shard)
     places = list(dict.fromkeys(_absolute(place) for log in logs for place in expanded(log)))
     within = folders_within(places)
@@ -172,8 +174,9 @@ def _absolute(place: str | os.PathLike[str]) -> str:
 
 def _parameters(settings: Settings, smooth_seconds: float) -> tuple[tuple[str, str], ...]:
     """All settings as text."""
-    stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
+    stages = {stage: values for stage, values in asdict(settings).items() if stage not in ("changes", "online")}
     out = {f"{stage}.{k}": str(v) for stage, values in stages.items() for k, v in values.items()}
+    out["online"] = str(settings.online)
     out["smooth_seconds"] = str(smooth_seconds)
     return tuple((out | {f"change.{n}": str(change) for n, change in enumerate(settings.changes, 1)}).items())
 

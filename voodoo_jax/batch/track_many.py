@@ -60,7 +60,7 @@ def track_many(
 
         def tracked(visit: Visit) -> Tracks:
             try:
-                key = id(recording), id(body), own.person, own.start.scale
+                key = id(recording), id(body), own.detect, own.online, own.start.scale
                 if key not in people:
                     people[key] = find_person(recording, recording.up, body, own)
                 scene, seen = people[key]

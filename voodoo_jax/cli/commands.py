@@ -34,8 +34,6 @@ class Replay:
     body: Annotated[str, arg(help=BODY_HELP)] = ""
     preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
-    online: bool = False
-    """No look into the future, as on a robot: one pass in time, and no furniture told by later frames."""
     smooth: float = 0.0
     """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
     picture: bool = False

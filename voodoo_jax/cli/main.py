@@ -4,6 +4,7 @@ import atexit
 import gc
 import os
 import sys
+import warnings
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -11,9 +12,10 @@ import tyro
 from tyro.conf import arg
 
 from voodoo_jax.cli.commands import PRESET_BODIES, Command, Config, Demo, FitCommand, Info, Replay
+from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
-from voodoo_jax.config.presets import PRESETS, online, preset
-from voodoo_jax.config.toml import check_settings, read_settings, settings_text
+from voodoo_jax.config.presets import PRESETS, preset
+from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
 
 
 def body_name(command: Replay) -> str:
@@ -26,13 +28,14 @@ def run_replay(command: Replay) -> int:
     if not command.logs:
         print("voodoo-jax replay: name at least one log", file=sys.stderr)
         return 2
-    if command.online and command.smooth:
+    if command.settings.online and command.smooth:
         print("voodoo-jax replay: --smooth averages over later frames too; leave it out with --online", file=sys.stderr)
         return 2
     gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.batch.replay import replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
+    from voodoo_jax.trackers.stages import check_stages
 
     gc.enable()
 
@@ -48,9 +51,9 @@ def run_replay(command: Replay) -> int:
         without_cache(problem)
     try:
         body = load_on_host(body_name(command))
-        settings = online(command.settings) if command.online else command.settings
+        check_stages(command.settings)
         outcomes = replay(
-            command.logs, command.out, body, settings, smooth_seconds=command.smooth, picture=command.picture,
+            command.logs, command.out, body, command.settings, smooth_seconds=command.smooth, picture=command.picture,
             again=command.again, workers=command.workers, engine=command.engine, shard=command.shard,
             compile_cache=cache or "off",
         )  # fmt: skip
@@ -121,9 +124,15 @@ def main(argv: list[str] | None = None) -> int:
         print(f"voodoo-jax {__version__}")
         return 0
     try:
-        path, name = _flag(argv, "--config"), _flag(argv, "--preset")
-        base = preset(name) if name in PRESETS else Settings()
-        base = read_settings(path, base) if path else base
+        with warnings.catch_warnings(record=True) as hints:
+            warnings.simplefilter("always", FutureWarning)
+            argv, said = with_new_flags(argv)
+            path, name = _flag(argv, "--config"), _flag(argv, "--preset")
+            base = preset(name) if name in PRESETS else Settings()
+            base = read_settings(path, base) if path else base
+            base = settings_from(with_new_names(said, base), base, "command line")
+        for text in dict.fromkeys(str(hint.message) for hint in hints):
+            print(f"voodoo-jax: {text}", file=sys.stderr)
     except SettingsError as problem:
         print(f"voodoo-jax: {problem}", file=sys.stderr)
         return 2

@@ -37,7 +37,7 @@ class ReadSettings:
 
 
 @dataclass(frozen=True)
-class PersonSettings:
+class DetectSettings:
     """How the person (or any tracked body) is told apart from floor, walls and furniture."""
 
     floor_margin: float = 0.035
@@ -54,12 +54,12 @@ class PersonSettings:
     """Things farther than this from where the body was are dropped, metres; grows with the body's size."""
     points: int = 1024
     """Points per frame given to the tracker: a random choice where there are more."""
-    ahead: bool = True
-    """Tell furniture that the body touches, and seats, by all frames; false: by those before each frame only."""
     steady: bool = True
     """Take out how the sensors move of which no transform tells, by floor and walls."""
     noise: float = 0.03
     """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
+    skip: tuple[str, ...] = ()
+    """Stages that are left out, by name; looks_ahead: all that use later frames."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class StartSettings:
     """Frames over which the size is measured."""
     later: tuple[float, ...] = (0.5, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0)
     """Where the beginning is in doubt, times after it, in seconds, at which a clearer pose to start from is looked for;
-    from there the body is followed back to the beginning (with track.both_ways only)."""
+    from there the body is followed back to the beginning (not online)."""
     sure: float = 0.00014
     """Mean squared distance beyond what noise makes, square metres, below which a start is in no doubt."""
 
@@ -184,10 +184,9 @@ class TrackSettings:
     """After so many lost or empty frames on end the body is looked for anew."""
     chunk: int = 128
     """Frames per compiled run."""
-    both_ways: bool = True
-    """Track backwards in time too and combine both passes; false: each frame by what came before it only."""
-    forearms: bool = True
-    """In the end give the body that comes with the package forearms as long as its tracks ask for; with both passes."""
+    skip: tuple[str, ...] = ()
+    """Stages that are left out, by name; looks_ahead: all that use later frames, so that each frame is tracked by what
+    came before it only."""
 
 
 @dataclass(frozen=True)
@@ -223,12 +222,25 @@ class Settings:
     """All options."""
 
     read: ReadSettings = field(default_factory=ReadSettings)
-    person: PersonSettings = field(default_factory=PersonSettings)
+    detect: DetectSettings = field(default_factory=DetectSettings)
     start: StartSettings = field(default_factory=StartSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
     solve: SolveSettings = field(default_factory=SolveSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     changes: tuple[Change, ...] = ()
+    online: bool = False
+    """No look into the future, as on a robot: one pass in time, and no furniture told by later frames."""
+
+    def looks_ahead(self, section: Literal["detect", "track"]) -> bool:
+        """Whether later frames may be used there."""
+        return not self.online and LOOKS_AHEAD not in getattr(self, section).skip
+
+    def skips(self, section: Literal["detect", "track"], stage: str, looks_ahead: bool) -> bool:
+        """Whether a stage is left out; `looks_ahead`: it uses later frames."""
+        return stage in getattr(self, section).skip or (looks_ahead and not self.looks_ahead(section))
+
+
+LOOKS_AHEAD = "looks_ahead"  # in place of a stage's name: all that use later frames
 
 
 class SettingsError(ValueError):

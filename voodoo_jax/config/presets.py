@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 from voodoo_jax.config.options import (
+    LOOKS_AHEAD,
+    DetectSettings,
     FeatureSettings,
-    PersonSettings,
     ReadSettings,
     Settings,
     SettingsError,
@@ -26,7 +27,7 @@ def preset(name: str) -> Settings:
     inf = float("inf")
     return Settings(
         read=ReadSettings(laser=True),
-        person=PersonSettings(noise=0.0),
+        detect=DetectSettings(noise=0.0),
         features=FeatureSettings(
             # sec. 7
             weights=("face=30", "left_hand=20", "right_hand=20", "skin=20"), weight=20.0, robust_scale=inf,
@@ -43,7 +44,7 @@ def preset(name: str) -> Settings:
             prior=1e-6, prior_radius=0.4,  # next to nothing: keeps a limb where it is that nothing was measured of
             limits=0.0, collisions=0.0,
         ),
-        track=TrackSettings(damping=0.0, both_ways=False),  # sec. 5.2: each frame starts from the last one's pose
+        track=TrackSettings(damping=0.0, skip=(LOOKS_AHEAD,)),  # sec. 5.2: each frame starts from the last one's pose
     )  # fmt: skip
 
 
@@ -53,6 +54,4 @@ PRESETS = ("default", "knoop2007")
 def online(settings: Settings) -> Settings:
     """The settings without a look into the future: every frame is tracked by what came before it, but for the half
     second after each start, over which starts and the person's size are compared."""
-    return replace(
-        settings, person=replace(settings.person, ahead=False), track=replace(settings.track, both_ways=False)
-    )
+    return replace(settings, online=True)

@@ -11,10 +11,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
+from voodoo_jax.config.old_names import with_new_names
 from voodoo_jax.config.options import (
     Change,
+    DetectSettings,
     FeatureSettings,
-    PersonSettings,
     ReadSettings,
     Settings,
     SettingsError,
@@ -78,9 +79,23 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
         content = tomllib.loads(Path(path).read_text())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise SettingsError(f"{path}: not a TOML file: {problem}") from problem
-    stages = {}
+    try:
+        return settings_from(with_new_names(content, base), base, path)
+    except SettingsError as problem:
+        raise problem if str(problem).startswith(f"{path}") else SettingsError(f"{path}: {problem}") from None
+
+
+def settings_from(content: dict[str, Any], base: "Settings", path: str | os.PathLike[str]) -> "Settings":
+    """Settings from the content of a TOML file, see read_settings; `path` is named in errors, and bodies of changes are
+    looked for beside it. Raises SettingsError."""
+    stages: dict[str, Any] = {}
     changes = base.changes
     for stage, values in content.items():
+        if stage == "online":
+            if not isinstance(values, bool):
+                raise SettingsError(f"{path}: online = {values!r}: must be true or false")
+            stages[stage] = values
+            continue
         if stage == "change":
             if not isinstance(values, list) or not all(isinstance(table, dict) for table in values):
                 raise SettingsError(f"{path}: changes are tables [[change]], with two brackets")
@@ -171,6 +186,7 @@ def settings_text(settings: "Settings | None" = None) -> str:
     """Settings as a TOML file with every option's meaning as a comment."""
     settings = settings or Settings()
     lines = ["# Settings of voodoo-jax. Use: voodoo-jax replay LOG... --out DIR --config THIS_FILE"]
+    lines += ["", f"# {_help_texts(Settings)['online']}", f"online = {json.dumps(settings.online)}"]
     for stage, cls in _STAGES.items():
         texts = _help_texts(cls)
         lines += ["", f"# {cls.__doc__}", f"[{stage}]"]
@@ -197,7 +213,7 @@ def settings_text(settings: "Settings | None" = None) -> str:
 
 _STAGES: dict[str, type] = {
     "read": ReadSettings,
-    "person": PersonSettings,
+    "detect": DetectSettings,
     "start": StartSettings,
     "features": FeatureSettings,
     "solve": SolveSettings,
@@ -220,7 +236,7 @@ _EXAMPLES = {
 }
 _BOUNDS: dict[str, tuple[float, float]] = {
     "read.max_points": (1, float("inf")),
-    "person.points": (1, 8192),
+    "detect.points": (1, 8192),
     "start.headings": (1, 360),
     "start.frames": (1, 1000),
     "start.seconds": (0.0, 1000.0),

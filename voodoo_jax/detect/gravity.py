@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.scene import find_scene, shows_floor
 from voodoo_jax.detect.segmentation import PersonFinder
@@ -24,7 +24,7 @@ def upright(
     up: Float32[np.ndarray, "3"],
     up_is_sure: bool,
     body: Build,
-    settings: PersonSettings,
+    settings: DetectSettings,
 ) -> Float32[np.ndarray, "3"]:
     """`up`, or another direction if with that there is a floor on which something is like a body, as with `up` there is
     not: the camera may be on its side, on its head, or look down. All are right to some 40 degrees only.
@@ -52,7 +52,7 @@ def upright(
 
 
 def _likely(
-    scene: Scene, frames: Sequence[Frame], body: Build, settings: PersonSettings, enough: float = np.inf
+    scene: Scene, frames: Sequence[Frame], body: Build, settings: DetectSettings, enough: float = np.inf
 ) -> float:
     """How like a body something in the frames is, 0..1, or more than `enough`."""
     likely = 0.0

@@ -42,19 +42,20 @@ def find_person(
     sure = bool(up[2] > 0.99)
     scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
     some = first[:: SCENE_FRAMES // 2]
-    other = upright(some, scene, up, sure, build, settings.person)
+    other = upright(some, scene, up, sure, build, settings.detect)
     if other is not up:
         scene, planes = steady_scene(first, other, False, SCENE_EVERY)
-    scene = on_its_floor(some, scene, build, settings.person)
+    scene = on_its_floor(some, scene, build, settings.detect)
     all_frames = chain(first, stream)
-    if settings.person.steady:
+    if settings.detect.steady:
         all_frames = steadied(all_frames, planes)
-    chooser = Chooser(scene, build, settings.person)
-    found = weighed(chooser(all_frames), settings.person.noise)
+    ahead = settings.looks_ahead("detect")
+    chooser = Chooser(scene, build, settings.detect, ahead)
+    found = weighed(chooser(all_frames), settings.detect.noise)
     windows = iter(lambda: list(islice(found, WINDOW)), [])
     flat = body.scale_name != "stature"  # a machine may be
     told = chain.from_iterable(_told(window, chooser.finder, flat) for window in windows)
-    people = spilled(told if settings.person.ahead else found)
+    people = spilled(told if ahead else found)
     return chooser.finder.scene, people  # the floor may have been found with the body
 
 

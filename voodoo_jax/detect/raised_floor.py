@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32
 
-from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.segmentation import PersonFinder
 from voodoo_jax.geometry.voxels import cells_of, unique_cells, within
@@ -25,7 +25,7 @@ FEW = 0.02  # of as many points as in the direction with most
 SECTORS, SEEN = 8, 6  # ... in so many of so many directions, at least
 
 
-def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: PersonSettings) -> Scene:
+def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: DetectSettings) -> Scene:
     """The scene, its floor as high as what somebody stands on, if somebody does in all frames that show a body."""
     frames = [frame for frame in frames if len(frame.points)]
     for top in _tops(frames[0], scene) if frames else ():
@@ -53,7 +53,7 @@ def _tops(frame: Frame, scene: Scene) -> list[float]:
     return [top for _, top in sorted(found, reverse=True)]
 
 
-def _stands(frame: Frame, raised: Scene, body: Build, settings: PersonSettings) -> bool | None:
+def _stands(frame: Frame, raised: Scene, body: Build, settings: DetectSettings) -> bool | None:
     """Whether somebody stands on the raised floor; None: there is nobody."""
     seen = PersonFinder(raised, body, settings)(frame).points
     if len(seen) < 30:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
-from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build, candidate
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
@@ -47,7 +47,7 @@ class PersonFinder:
     Points that are assigned already pass all tests; what they touch is the body, of whatever height.
     """
 
-    def __init__(self, scene: Scene, body: Build, settings: PersonSettings):
+    def __init__(self, scene: Scene, body: Build, settings: DetectSettings):
         self.scene, self.settings, self.body, self._given = scene, settings, body, scene
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
@@ -122,7 +122,7 @@ class PersonFinder:
         self._surveyed_ns = frame.time_ns
         return index[near[index]], points[index[~near[index]]]
 
-    def another(self, settings: PersonSettings) -> "PersonFinder":
+    def another(self, settings: DetectSettings) -> "PersonFinder":
         """One that follows nothing yet, for the same sensors."""
         other = PersonFinder(self._given, self.body, settings)
         other._spacing, other._gap = dict(self._spacing), dict(self._gap)

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.segmentation import PersonFinder
 from voodoo_jax.detect.visibility import Nearest
@@ -134,12 +134,12 @@ def _same(one: Follower, other: Follower) -> bool:
 class Chooser:
     """The body's points frame by frame, of the thing that turns out to be the body.
 
-    `settings.ahead`: frames wait until that is known (HELD of them at most); else each is given at once, by what is
+    `ahead`: frames wait until that is known (HELD of them at most); else each is given at once, by what is
     likeliest then.
     """
 
-    def __init__(self, scene: Scene, body: Build, settings: PersonSettings):
-        self.settings = settings
+    def __init__(self, scene: Scene, body: Build, settings: DetectSettings, ahead: bool = True):
+        self.settings, self.ahead = settings, ahead
         self._main = Follower(PersonFinder(scene, body, settings))
         self._others: list[Follower] = []
         self._known = False
@@ -159,7 +159,7 @@ class Chooser:
             self._follow(frame)
             full = len(self._main.frames) >= HELD
             self._decide(assigned=bool(assigned(frame).any()), full=full)
-            if self._known or full or not self.settings.ahead:
+            if self._known or full or not self.ahead:
                 yield from self._release()
         self._decide(full=True)
         yield from self._release()
@@ -199,7 +199,7 @@ class Chooser:
         """Takes the likeliest for the body if it has moved, or another thing that has, and the likeliest has not.
 
         `assigned`: somebody has said what is the body; `full`: frames can wait no longer."""
-        main, ahead = self._main, self.settings.ahead
+        main, ahead = self._main, self.ahead
         best = max(self._others, key=lambda other: other.moved, default=None)
         if assigned or main.moves and (best is None or FAIR * main.moved >= best.moved):
             self._known = True

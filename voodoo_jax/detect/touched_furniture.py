@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from voodoo_jax.config.options import PersonSettings
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.segmentation import stands_aside
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import cells_of, components, touching, unique_cells, within
@@ -23,7 +23,7 @@ def without_things(
     frames: list[PersonFrame],
     floor: Plane,
     apart: Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]],
-    link: float = PersonSettings.link,
+    link: float = DetectSettings.link,
 ) -> list[PersonFrame]:
     """Takes out things that were seen apart from the body in other frames, before or afterwards.
 

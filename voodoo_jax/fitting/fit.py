@@ -182,7 +182,8 @@ def _again(seen: Seen, body: Body, settings: Settings) -> Seen:
     from voodoo_jax.trackers.icp.tracker import track_person
 
     start = replace(settings.start, scale=float(body.scale))
-    known = replace(settings, start=start, track=replace(settings.track, forearms=False))
+    track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms"))
+    known = replace(settings, start=start, track=track)
     found = track_person(body, seen.scene, seen.people, known, seen.tracks.source, seen.tracks.fixed_frame)
     return seen._replace(tracks=found)
 

@@ -102,15 +102,7 @@ def test_the_command(tmp_path, capsys):
     log = str(files("voodoo_jax") / "data" / "demo.mcap")
     assert main(["replay", log, "--out", str(tmp_path), "--online", "--smooth", "0.1"]) == 2
     assert "--online" in capsys.readouterr().err
-    assert (
-        SETTINGS
-        == vj.online(Settings())
-        == replace(
-            Settings(),
-            person=replace(Settings().person, ahead=False),
-            track=replace(Settings().track, both_ways=False),
-        )
-    )
+    assert SETTINGS == vj.online(Settings()) == replace(Settings(), online=True)
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, Settings()], ids=["online", "both ways"])

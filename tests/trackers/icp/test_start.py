@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.config.options import PersonSettings, Settings, StartSettings
+from voodoo_jax.config.options import DetectSettings, Settings, StartSettings
 from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.exporters.foxglove import limb_mesh
 from voodoo_jax.geometry.plane import Plane
@@ -218,7 +218,7 @@ def trials(tmp_path_factory):
     options = options_from(settings.solve, settings.track, settings.features)
 
     def run(count: int, length: int, headings: int, chunk: int = 128):
-        few = replace(settings, start=replace(settings.start, frames=length), person=PersonSettings(points=256))
+        few = replace(settings, start=replace(settings.start, frames=length), detect=DetectSettings(points=256))
         few = replace(few, track=replace(settings.track, chunk=chunk))
         starts = standing_places(body, people[:count], scene.floor, headings)
         return Session(body, options, people, scene, few).trials(body, people[:count], starts)

@@ -57,7 +57,7 @@ def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange]) -> tuple[s
         turns = [Rotation.from_matrix(T[:3, :3]).magnitude() for T in moved]
         notes.append(
             f"The sensors move, by up to {np.degrees(max(turns)):.0f} degrees, and no transform says so: this was taken"
-            f" out while tracking in {len(moved)} frames (person.steady)."
+            f" out while tracking in {len(moved)} frames (steady_sensors)."
         )
     noise = [frame.noise for frame in run.people if frame.noise > 0]
     if noise and np.median(noise) > NOISY:
@@ -68,8 +68,8 @@ def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange]) -> tuple[s
         notes.append("Nothing of the body's height was found: not one frame is tracked.")
     total = int(tracks.points.sum())
     if run.left_out:
-        share, most = 100 * run.left_out / total, run.settings.person.points
-        notes.append(f"{share:.0f} % of the body's points were thinned out (person.points = {most} per frame).")
+        share, most = 100 * run.left_out / total, run.settings.detect.points
+        notes.append(f"{share:.0f} % of the body's points were thinned out (detect.points = {most} per frame).")
     for name, count in run.unknown.items():
         notes.append(f"Feature '{name}' was not used ({count} times): features.names gives it no point of this body.")
     if run.parts is not None and run.parts.unknown:
@@ -77,7 +77,7 @@ def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange]) -> tuple[s
         notes.append(f"The body has no limb {names}: points assigned to it count as on the body, on whichever limb.")
     for _, change in run.pending:
         notes.append(f"The change at {change.time:g} s comes after the last frame: not made.")
-    if run.settings.changes and run.settings.track.both_ways:
+    if run.settings.changes and run.settings.looks_ahead("track"):
         notes.append("The body changes on the way, so it was tracked forwards only.")
     if run.features_left_out:
         notes.append(f"{run.features_left_out} features were left out: more in a frame than there is room for.")

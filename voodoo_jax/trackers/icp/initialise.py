@@ -218,7 +218,7 @@ def _trial(run: Session, at: int, body: Body, before: Poses | None = None, rest:
 
 def _later(run: Session, at: int) -> list[int]:
     """Frames after `at` to start from: with points on end until there, and before the body changes."""
-    if not run.settings.track.both_ways:
+    if not run.settings.looks_ahead("track"):
         return []
     end = min([len(run.people), *(frame for frame, _ in run.pending)])
     seconds = np.array([f.time_ns - run.people[at].time_ns for f in run.people[at:end]]) / 1e9

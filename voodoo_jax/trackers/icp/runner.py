@@ -51,7 +51,7 @@ class Session:
     `visit` runs the program, None: here and now.
     """
 
-    def __init__(
+    def __init__(  # 7 parameters, each once: what is tracked, how, and by whom
         self,
         body: Body,
         options: TrackOptions,
@@ -63,8 +63,9 @@ class Session:
     ):
         self.body, self.options, self.people, self.scene, self.settings = body, options, people, scene, settings
         self.visit = visit or track_visits
+        self._given = body, changes  # as they were before the first frame
         self.sensors = len(people[0].origins) if people else 1
-        self.capacity = bucket(settings.person.points)
+        self.capacity = bucket(settings.detect.points)
         self.length = max(settings.track.chunk, settings.start.frames)  # frames that the program takes at once
         self.bodies = [(0, body)]  # first frame from which on the body is so
         self.sized = False  # whether the body has its size; the first start finds it
@@ -73,7 +74,7 @@ class Session:
         stamps = np.array([f.time_ns for f in people], np.int64)
         self.pending = [(int(np.searchsorted(stamps, first + round(c.time * 1e9))), c) for c in changes]
         self.others = [k for k, f in enumerate(people) if f.other]  # frames in which something else becomes the body
-        self.left_out = 0  # points beyond settings.person.points
+        self.left_out = 0  # points beyond settings.detect.points
         self.names = FeatureNames(body.topology, settings.features)
         named = [(*f.rays.names, *f.pairs.names) for f in people]
         self.feature_capacity = bucket(max(map(len, named), default=0), FEATURE_BUCKETS) if self.names.rows else 0
@@ -91,6 +92,21 @@ class Session:
         if self.by_markers:
             self.capacity, self.sized = 8, True
             self.options = replace(options, by_features=True)
+
+    def anew(self, people: list[PersonFrame]) -> "Session":
+        """The same recording with other points on the body, before its first frame; segments that began in other
+        stances may do so again."""
+        body, changes = self._given
+        other = Session(body, self.options, people, self.scene, self.settings, changes, self.visit)
+        other.stances = self.stances
+        return other
+
+    @property
+    def offers(self) -> frozenset[str]:
+        """What stages may need: "points", "one body" (that does not change on the way), and the body's joints."""
+        points = {"points"} if not self.by_markers else set()
+        one_body = {"one body"} if not self.settings.changes else set()
+        return frozenset({*points, *one_body, *self.body.topology.joints})
 
     def can_start(self, at: int) -> bool:
         """Whether the frames from `at` on hold something to start from."""
@@ -239,7 +255,7 @@ class Session:
 
     def _padded(self, frames: list[PersonFrame], previous_ns: int | None) -> tuple[Chunk, Features | None]:
         """The frames as the one program takes them."""
-        most = self.settings.person.points
+        most = self.settings.detect.points
         chunk = pad_frames(frames, self.capacity, self.length, previous_ns, self.sensors, most, self.parts)
         return chunk, pad_features(frames, self.length, self.feature_capacity, self.names, self.choices)
 

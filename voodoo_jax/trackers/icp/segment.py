@@ -1,5 +1,6 @@
 """Segments from the steps of the compiled program, tracked anew from other poses, and what they cost. Host side."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -8,8 +9,17 @@ from jaxtyping import Float, Float32
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.joint_bend import wrong_bend
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.solve.scan import Step, cost_of
+from voodoo_jax.solve.scan import State, Step, cost_of
+from voodoo_jax.trackers.icp.initialise import Beginning
 from voodoo_jax.trackers.icp.runner import Session, status_of
+
+
+@dataclass(frozen=True)
+class Followed(Segment):
+    """A segment, and what this tracker knows of it."""
+
+    start: Beginning | None = None  # that it was tracked from
+    state: State | None = None  # after its last frame, where another start took the place of its own
 
 
 class Pass(NamedTuple):
@@ -24,11 +34,11 @@ FREE_BEND = 0.17  # radians beyond a joint's limits that say nothing: people dif
 WRONG_WAY = 0.1  # radians beyond, mean of all joints and frames, that count as much as costs e times higher
 
 
-def segment_of(run: Session, step: Step, first: int, count: int) -> Segment:
+def segment_of(run: Session, step: Step, first: int, count: int) -> Followed:
     """The steps of `count` frames from `first` on, as a segment of one pass."""
     span = slice(first, first + count)
     weight = np.asarray(step.limb_weight)[:count]
-    return Segment(
+    return Followed(
         first=first,
         status=status_of(step, run.settings.track.lost_explained, run.named[span], run.featured[span])[:count],
         rotation=np.asarray(step.poses.rotation)[:count],
@@ -43,17 +53,17 @@ def segment_of(run: Session, step: Step, first: int, count: int) -> Segment:
     )
 
 
-def forwards(run: Session, poses: Poses, first: int, end: int) -> Segment:
+def forwards(run: Session, poses: Poses, first: int, end: int) -> Followed:
     """Frames `first` to `end` - 1 of the recording, tracked from `poses` in the first of them."""
     return segment_of(run, run.forwards(poses, first, end)[1], first, end - first)
 
 
-def backwards(run: Session, poses: Poses, first: int, end: int) -> Segment:
+def backwards(run: Session, poses: Poses, first: int, end: int) -> Followed:
     """Frames `first` to `end` - 1 of the recording, tracked back in time from `poses` in the last of them."""
     return segment_of(run, run.backwards(poses, first, end), first, end - first)
 
 
-def tracked_anew(run: Session, poses: Poses, first: int, at: int, end: int) -> Segment:
+def tracked_anew(run: Session, poses: Poses, first: int, at: int, end: int) -> Followed:
     """Frames `first` to `end` - 1 of the recording, tracked both ways from `poses` in frame `at`."""
     return backwards(run, poses, first, at + 1)[:-1].joined(forwards(run, poses, at, end))
 

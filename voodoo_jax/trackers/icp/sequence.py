@@ -5,22 +5,21 @@ meanwhile does not grow with the length of a recording.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import jax
 import numpy as np
 from jaxtyping import Bool
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.records.segment import Segment
+from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.scan import State, at_rest
 from voodoo_jax.trackers.icp.initialise import Beginning, begin, clearer
-from voodoo_jax.trackers.icp.refine.discontinuity import without_jumps
-from voodoo_jax.trackers.icp.refine.facing import likelier_way
-from voodoo_jax.trackers.icp.refine.limb_restart import looked_again
+from voodoo_jax.trackers.icp.refine.stage import Named, Stage, is_active, refined
 from voodoo_jax.trackers.icp.runner import Session, first_run
-from voodoo_jax.trackers.icp.segment import segment_of
+from voodoo_jax.trackers.icp.segment import Followed, segment_of
 
 Progress = Callable[[int], None]
 SPAN = 1800  # frames after which a segment is tracked back, even if it goes on
@@ -29,10 +28,53 @@ DOUBT = 15  # frames after which a start that is in doubt is compared with anoth
 OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not good before it has settled
 
 
-def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Segment, progress: Progress | None) -> None:
-    """Tracks from frame `at` to the end and fills in `out`; `enough` the frames with points enough to look anew."""
-    ahead = run.settings.track.both_ways  # whether later frames may be looked at
-    both_ways = ahead and not run.by_markers and not run.settings.changes
+@dataclass(frozen=True)
+class Whole:
+    """A recording that is tracked, on its way through the stages that look at all of it."""
+
+    run: Session
+    segment: Followed  # all its frames
+    begin: int  # frame in which tracking began
+    enough: Bool[np.ndarray, " frame"]  # frames with points enough to look anew for a body that was lost
+    notes: tuple[str, ...] = ()  # what stages want to be known
+
+    def tracked_anew(self, people: list[PersonFrame], stages: tuple[Stage, ...]) -> "Whole":
+        """The recording tracked once more, with other points on the body."""
+        return track_whole(self.run.anew(people), self.begin, self.enough, stages)
+
+
+@runtime_checkable
+class RecordingStage(Named, Protocol):
+    """One correction of a recording, once all of it is tracked."""
+
+    def __call__(self, whole: Whole) -> Whole: ...
+
+
+def track_whole(
+    run: Session,
+    begin: int,
+    enough: Bool[np.ndarray, " frame"],
+    stages: tuple[Stage, ...],
+    progress: Progress | None = None,
+) -> Whole:
+    """Tracks from frame `begin` on; each segment goes through the stages. `enough` see Whole."""
+    segment = Followed.blank(len(run.people), run.body.limb_count)
+    follow(run, begin, enough, segment, stages, progress)
+    return Whole(run, segment, begin, enough)
+
+
+# 65 lines: one state machine, whose steps share eight variables
+def follow(
+    run: Session,
+    at: int,
+    enough: Bool[np.ndarray, " frame"],
+    out: Followed,
+    stages: tuple[Stage, ...],
+    progress: Progress | None,
+) -> None:
+    """Tracks from frame `at` to the end and fills in `out`; `enough` see Whole."""
+    ahead = run.settings.looks_ahead("track")  # whether later frames may be looked at
+    refines = any(is_active(run, stage) for stage in stages)
     count, patience = len(run.people), run.settings.track.patience
     wait = 0 if ahead else patience  # frames until it is known that the body is gone
     say = progress or (lambda _: None)
@@ -67,9 +109,9 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Segme
         at, state = at + keep, after
         say(keep)
         over = keep < taken or at == count or at in run.others
-        if both_ways and start is not None and (over or at - start.frame >= SPAN):
+        if refines and start is not None and (over or at - start.frame >= SPAN):
             until = at if over else at - OVERLAP
-            state = _turned(run, start, until, at, out) or state
+            state = _refined(run, start, until, at, out, stages) or state
             say(until - start.frame)
             start = Beginning(until, run.body, state.poses, 0.0)
         if doubt and keep == taken and at < count and (better := clearer(run, at)) is not None:
@@ -86,11 +128,13 @@ def follow(run: Session, at: int, enough: Bool[np.ndarray, " frame"], out: Segme
             tried = at + patience
 
 
-def _turned(run: Session, start: Beginning, until: int, at: int, out: Segment) -> State | None:
-    """Fills in a span, tracked forwards to before frame `at`, with what the pass back makes of it up to `until`; the
-    state to go on with, where that is another one."""
+def _refined(
+    run: Session, start: Beginning, until: int, at: int, out: Followed, stages: tuple[Stage, ...]
+) -> State | None:
+    """Fills in a span, tracked forwards to before frame `at`, with what the stages make of it up to `until`; the state
+    to go on with, where that is another one."""
     first = start.frame
-    found, end = likelier_way(run, start, out[first:at])
-    last = until if end is None else at  # the rival's frames take the place of all
-    out.put(without_jumps(run, looked_again(run, found))[: last - first])
-    return end
+    found = refined(run, replace(out[first:at], start=start), stages)
+    last = until if found.state is None else at  # another start's frames take the place of all
+    out.put(found[: last - first])
+    return found.state

@@ -13,7 +13,6 @@ from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.compile.executable import program, seconds_of_waiting
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.camera_motion import to_fixed
-from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
@@ -22,7 +21,6 @@ from voodoo_jax.markers.label_swaps import Exchange, jumps, put_right
 from voodoo_jax.markers.table import TO_START, marker_table, sized_by_markers, without_gaps
 from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body, joint_centres
-from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
@@ -33,13 +31,11 @@ from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
 from voodoo_jax.trackers.icp.confidence import rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
-from voodoo_jax.trackers.icp.refine.forearm_length import with_forearms
-from voodoo_jax.trackers.icp.refine.unexplained import without_leftovers
+from voodoo_jax.trackers.icp.pipeline import FINISH, REFINE
+from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session, by_markers, spans
-from voodoo_jax.trackers.icp.sequence import Progress, follow
-
-FURNITURE_NOTE = ("Something at rest that touches the body was taken for furniture, and all tracked again without it.",)
-LOOKS = 4  # times that a recording is tracked anew without what the body left unexplained
+from voodoo_jax.trackers.icp.sequence import Progress, track_whole
+from voodoo_jax.trackers.stages import check_stages
 
 
 def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, ...]], parts: bool) -> list[Thread]:
@@ -92,11 +88,12 @@ def track(
     """Tracks a body through a recording; nothing about the person need be known.
 
     **Arguments:** `body` any body, scaled to what is seen unless `settings.start.scale` says otherwise; `progress` is
-    called with the number of frames done since the last call, for each pass (see settings.track.both_ways).
+    called with the number of frames done since the last call, for each pass (see README).
 
     **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
     """
     settings = settings or Settings()
+    check_stages(settings)
     if first := recording.frames[:1]:
         sensors = len(first[0].origins) if any(len(f.points) for f in recording) else 0
         names = {(*f.rays.names, *f.pairs.names) for f in recording}
@@ -105,6 +102,7 @@ def track(
     return track_person(body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress)
 
 
+# 9 parameters: what a log says of itself, and who looks on; a record of the subject will take their place
 def track_person(
     body: Body,
     scene: Scene,
@@ -137,29 +135,20 @@ def track_person(
     changes = loaded(settings.changes)
     body = prepared(body, changes)
     options = options_from(settings.solve, settings.track, settings.features)
-    steady = settings.track.both_ways and not from_markers and not changes  # looks ahead, at one body
-    furniture: tuple[str, ...] = ()
-    stances: dict[int, Stance] = {}
-    for looks in range(LOOKS if steady and settings.person.ahead else 0, -1, -1):
-        run = Session(body, options, people, scene, settings, changes, visit)
-        run.stances = stances
-        out = Segment.blank(count, body.limb_count)
-        follow(run, at, enough, out, None if furniture else progress)
-        left = without_leftovers(people, run.bodies, out) if looks else None
-        if left is None:
-            break
-        people, furniture = spilled(left), FURNITURE_NOTE
-    if settings.track.forearms and steady:
-        run.body = with_forearms(run.body, run.people, run.names, out)
-        run.bodies = [(0, run.body)]
-    tracks = tracks_of(run, out, source, fixed_frame)
-    tracks = rated(tracks, settings.track.lost_confidence, settings.track.both_ways, from_markers)
+    run = Session(body, options, people, scene, settings, changes, visit)
+    whole = track_whole(run, at, enough, REFINE, progress)
+    for stage in FINISH:
+        if is_active(whole.run, stage):
+            whole = stage(whole)
+    run = whole.run
+    tracks = tracks_of(run, whole.segment, source, fixed_frame)
+    tracks = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), from_markers)
     compiling = seconds_of_waiting() - waited
     return replace(
         tracks,
         seconds=time.perf_counter() - began - compiling,
         compile_seconds=compiling,
-        notes=(*notes, *furniture, *notes_on(run, tracks, exchanges)),
+        notes=(*notes, *whole.notes, *notes_on(run, tracks, exchanges)),
     )
 
 

@@ -5,14 +5,15 @@ import pytest
 
 from tests.support.in_front import error, in_front
 from tests.support.segments import tracked_segment
+from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.pose_library import HIPS, exchanged
-from voodoo_jax.records.segment import Segment
-from voodoo_jax.trackers.icp.refine.leg_swap import crossed, uncrossed
+from voodoo_jax.trackers.icp.refine.stage import refined
+from voodoo_jax.trackers.icp.refine.swap_legs import SwapLegs, crossed
 from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.segment import forwards, tracked_anew
+from voodoo_jax.trackers.icp.segment import Followed, forwards, tracked_anew
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
@@ -48,12 +49,12 @@ def test_legs_on_the_other_ones_points_are_exchanged(steps):
     truth = Poses(sim.rotation, sim.translation)
     wrong = tracked(run, exchanged(on_host(BODY), truth[0], HIPS))
     assert crossed(on_host(BODY), wrong)[5:].all() and error(sim, wrong)[5:].min() > 0.06  # it does not end by itself
-    found = uncrossed(run, wrong)
+    found = SwapLegs()(run, wrong)
     assert not crossed(on_host(BODY), found).any() and error(sim, found).max() < 0.04
     assert (found.first, found.end) == (wrong.first, wrong.end)
     # what is good stays as it is, to the last digit
     good = tracked(run, truth[0])
-    assert uncrossed(run, good) is good
+    assert SwapLegs()(run, good) is good
 
 
 def test_legs_are_exchanged_as_often_as_they_were(steps, monkeypatch):
@@ -65,12 +66,11 @@ def test_legs_are_exchanged_as_often_as_they_were(steps, monkeypatch):
         near[max(0, at - 8) : at + 9] = True
         return wrong[first:end].picked(tracked_anew(run, poses, first, at, end), near[first:end])
 
-    monkeypatch.setattr("voodoo_jax.trackers.icp.refine.leg_swap.tracked_anew", for_a_while)
+    monkeypatch.setattr("voodoo_jax.trackers.icp.refine.swap_legs.tracked_anew", for_a_while)
     left = []
     for rounds in (1, 3):
         near = np.zeros(COUNT, bool)
-        monkeypatch.setattr("voodoo_jax.trackers.icp.refine.leg_swap.MOST", rounds)
-        left.append(int(crossed(on_host(BODY), uncrossed(run, wrong)).sum()))
+        left.append(int(crossed(on_host(BODY), SwapLegs(most=rounds)(run, wrong)).sum()))
     assert left[0] >= 5 > left[1]  # fewer than five frames are not worth a look
 
 
@@ -82,14 +82,15 @@ def test_legs_that_are_crossed_stay_so(tmp_path):
     )
     good = tracked(run, Poses(sim.rotation, sim.translation)[0])
     assert crossed(on_host(BODY), good).all() and error(sim, good).mean() < 0.05
-    assert error(sim, uncrossed(run, good)).mean() < 0.05
+    assert error(sim, SwapLegs()(run, good)).mean() < 0.05
 
 
 def test_bodies_without_knees_are_left_alone():
     run = object.__new__(Session)
     run.body = load_body("arm")
-    segment = Segment.blank(3, run.body.limb_count)
-    assert uncrossed(run, segment) is segment
+    run.settings, run.by_markers = Settings(), False
+    segment = Followed.blank(3, run.body.limb_count)
+    assert refined(run, segment, [SwapLegs()]) is segment
 
 
 def test_who_crosses_the_legs_has_them_exchanged_where_that_explains_much_more(tmp_path):
@@ -103,4 +104,4 @@ def test_who_crosses_the_legs_has_them_exchanged_where_that_explains_much_more(t
     body = on_host(BODY)
     assert crossed(body, wrong)[:8].all() and crossed(body, wrong).sum() < crossed(body, good).sum()
     # the last frame is farther from the crossed ones than is looked at
-    assert error(sim, wrong).min() > 0.06 and error(sim, uncrossed(run, wrong))[:-1].max() < 0.02
+    assert error(sim, wrong).min() > 0.06 and error(sim, SwapLegs()(run, wrong))[:-1].max() < 0.02

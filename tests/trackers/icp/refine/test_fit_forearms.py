@@ -16,21 +16,13 @@ from voodoo_jax.records.recording import Rays
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.names import FeatureNames
-from voodoo_jax.trackers.icp.refine.forearm_length import (
-    BY_NAMES,
-    BY_POINTS,
-    FARTHEST,
-    FEW,
-    HAND,
-    Stretch,
-    lengthened,
-    stretch,
-    with_forearms,
-)
+from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms, Stretch, stretch
 
 BODY = scaled(human(), 1.8)
 NAMES = FeatureNames(BODY.topology, FeatureSettings())
 COUNT = 40
+STAGE = FitForearms()
+BY_POINTS, BY_NAMES, HAND, FARTHEST, FEW = STAGE.by_points, STAGE.by_names, STAGE.hand, STAGE.farthest, STAGE.few
 
 
 def tracked(body=BODY, off: float = 0.0) -> Segment:
@@ -68,25 +60,25 @@ def test_what_does_not_count():
     assert found.count == 50 and found.named == pytest.approx(20 / 50)
     seen.status[:] = Status.LOST
     assert stretch(BODY, people(), NAMES, seen) is None
-    assert with_forearms(BODY, people(), NAMES, seen) is BODY
+    assert STAGE.fitted(BODY, people(), NAMES, seen) is BODY
 
 
 def test_detections_stretch_more():
     usual, many = HAND * BY_POINTS, 10**6
-    assert lengthened(Stretch(usual, 0.0, many)) == pytest.approx(0.0, abs=1e-6)
+    assert STAGE.lengthened(Stretch(usual, 0.0, many)) == pytest.approx(0.0, abs=1e-6)
     one = 0.005  # of the stature
-    assert lengthened(Stretch((HAND + one) * BY_POINTS, 0.0, many)) == pytest.approx(one, rel=1e-3)
-    assert lengthened(Stretch((HAND + one) * (BY_POINTS + BY_NAMES), 1.0, many)) == pytest.approx(one, rel=1e-3)
-    assert lengthened(Stretch((HAND + one) * BY_POINTS, 0.0, FEW)) == pytest.approx(one / 2, rel=1e-3)
-    assert lengthened(Stretch(0.1, 0.0, many)) == pytest.approx(FARTHEST, rel=1e-3)
-    assert lengthened(Stretch(-0.1, 1.0, many)) == pytest.approx(-FARTHEST, rel=1e-3)
+    assert STAGE.lengthened(Stretch((HAND + one) * BY_POINTS, 0.0, many)) == pytest.approx(one, rel=1e-3)
+    assert STAGE.lengthened(Stretch((HAND + one) * (BY_POINTS + BY_NAMES), 1.0, many)) == pytest.approx(one, rel=1e-3)
+    assert STAGE.lengthened(Stretch((HAND + one) * BY_POINTS, 0.0, FEW)) == pytest.approx(one / 2, rel=1e-3)
+    assert STAGE.lengthened(Stretch(0.1, 0.0, many)) == pytest.approx(FARTHEST, rel=1e-3)
+    assert STAGE.lengthened(Stretch(-0.1, 1.0, many)) == pytest.approx(-FARTHEST, rel=1e-3)
 
 
 def test_only_forearms_change():
     seen = tracked(off=0.0028)
-    longer = lengthened(stretch(BODY, people(), NAMES, seen) or Stretch(0, 0, 0))
+    longer = STAGE.lengthened(stretch(BODY, people(), NAMES, seen) or Stretch(0, 0, 0))
     assert longer > 0.005
-    found = segment_lengths(with_forearms(BODY, people(), NAMES, seen))
+    found = segment_lengths(STAGE.fitted(BODY, people(), NAMES, seen))
     usual = segment_lengths(BODY)
     top, bottom = (float(BODY.sizes[BODY.topology.limbs.index("l_forearm"), 4]), usual["forearm"])
     # the joints are not quite at the limb's ends
@@ -99,9 +91,7 @@ def test_only_forearms_change():
 @pytest.mark.parametrize("other", [with_proportions(BODY, {"l_thigh": 1.05}), load_body("human10"), load_body("dog")],
                          ids=["fitted", "human10", "dog"])  # fmt: skip
 def test_other_bodies_stay(other):
-    assert (
-        with_forearms(other, people(), FeatureNames(other.topology, FeatureSettings()), tracked(other, 0.02)) is other
-    )
+    assert STAGE.fitted(other, people(), FeatureNames(other.topology, FeatureSettings()), tracked(other, 0.02)) is other
 
 
 def test_tracks_say_what_they_found():
@@ -115,8 +105,8 @@ def test_tracks_say_what_they_found():
     settings = Settings()
     scene, found = find_person(frames, source.up, human(), settings)
     lengths = {}
-    for name, changes in (("on", {}), ("off", {"forearms": False}), ("one pass", {"both_ways": False})):
-        how = replace(settings, track=replace(settings.track, **changes))
+    for name, skip in (("on", ()), ("off", ("fit_forearms",)), ("one pass", ("looks_ahead",))):
+        how = replace(settings, track=replace(settings.track, skip=skip))
         tracks = track_person(human(), scene, found, how, "demo", "base")
         lengths[name] = segment_lengths(tracks.body)["forearm"], tracks
     usual = segment_lengths(scaled(human(), float(lengths["off"][1].body.scale)))["forearm"]

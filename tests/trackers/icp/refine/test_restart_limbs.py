@@ -12,7 +12,7 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.simulate.motion import _motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
-from voodoo_jax.trackers.icp.refine.limb_restart import LONGEST, in_doubt, looked_again, other_arms, other_legs
+from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs, other_arms, other_legs
 from voodoo_jax.trackers.icp.segment import forwards
 
 BODY = scaled(human(), 1.75)
@@ -24,7 +24,7 @@ def frames(noise) -> list[PersonFrame]:
 
 
 def doubted(people, cost, tracked=True):
-    return in_doubt(people, np.asarray(cost, float), np.full(len(cost), tracked))
+    return RestartLimbs().in_doubt(people, np.asarray(cost, float), np.full(len(cost), tracked))
 
 
 def test_what_costs_more_than_noise_and_the_rest_is_in_doubt():
@@ -49,7 +49,7 @@ def test_long_trouble_is_looked_at_in_parts():
     people = frames([0.01] * 200)
     cost = np.where(np.arange(200) < 100, 4e-4, 12e-4)
     found = doubted(people, cost)
-    assert len(found) >= 3 and max(end - start for start, end in found) == LONGEST
+    assert len(found) >= 3 and max(end - start for start, end in found) == RestartLimbs.longest
     assert [b for _, b in found[:-1]] == [a for a, _ in found[1:]]
 
 
@@ -97,11 +97,11 @@ def test_a_lost_arm_is_found_again(raised):
     sim, run = raised
     good, wrong = lost_on_the_way(sim, run, lambda poses: other_arms(BODY, poses)[0])
     assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
-    found = looked_again(run, wrong)
+    found = RestartLimbs()(run, wrong)
     assert error(sim, found).max() < 0.06
     assert (found.first, found.end) == (wrong.first, wrong.end)
     # what is good stays as it is, to the last digit
-    again = looked_again(run, good)
+    again = RestartLimbs()(run, good)
     np.testing.assert_array_equal(again.rotation, good.rotation)
 
 
@@ -111,4 +111,4 @@ def test_a_lost_leg_is_found_again(tmp_path):
     sim, run = in_front(tmp_path / "leg.mcap", BODY, kick, 22)
     _, wrong = lost_on_the_way(sim, run, lambda poses: other_legs(BODY, poses)[8])
     assert error(sim, wrong)[16:].min() > 0.1  # it does not come back by itself
-    assert error(sim, looked_again(run, wrong)).max() < 0.04
+    assert error(sim, RestartLimbs()(run, wrong)).max() < 0.04

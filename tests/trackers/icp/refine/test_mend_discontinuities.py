@@ -11,7 +11,7 @@ from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.trackers.icp.refine.discontinuity import jumps, without_jumps
+from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
 from voodoo_jax.trackers.icp.segment import forwards
 
 BODY, COUNT = scaled(human(), 1.75), 30
@@ -45,37 +45,37 @@ def moving(places) -> Segment:
 
 def test_what_goes_much_farther_than_before_and_after_jumps():
     still = np.zeros(10)
-    assert jumps(BODY, moving(still)) == []
+    assert MendDiscontinuities().jumps(BODY, moving(still)) == []
     stepped = np.where(np.arange(10) < 4, 0.0, 0.3)
     stepped[7:] += 0.5
-    assert jumps(BODY, moving(stepped)) == [7, 4]  # the farthest first
-    assert jumps(BODY, moving(0.4 * np.arange(10))) == []  # fast all the time
+    assert MendDiscontinuities().jumps(BODY, moving(stepped)) == [7, 4]  # the farthest first
+    assert MendDiscontinuities().jumps(BODY, moving(0.4 * np.arange(10))) == []  # fast all the time
     started = np.cumsum([0, 0, 0.1, 0.25, 0.35, 0.25, 0.1, 0, 0])
-    assert jumps(BODY, moving(started)) == []
+    assert MendDiscontinuities().jumps(BODY, moving(started)) == []
     gone = moving(stepped)
     gone.status[4] = Status.LOST
-    assert jumps(BODY, gone) == [7]
-    assert jumps(BODY, moving(still[:1])) == []
+    assert MendDiscontinuities().jumps(BODY, gone) == [7]
+    assert MendDiscontinuities().jumps(BODY, moving(still[:1])) == []
     foot = moving(still)
     foot.translation[5:, BODY.topology.limbs.index("l_foot")] += np.float32(0.4)
-    assert jumps(BODY, foot) == []
+    assert MendDiscontinuities().jumps(BODY, foot) == []
 
 
 @pytest.mark.parametrize("good_first", [True, False])
 def test_the_side_that_explains_more_is_carried_on(seen, good_first):
     sim, run, good, wrong = seen
     segment = put_together(good, wrong, 17) if good_first else put_together(wrong, good, 13)
-    assert jumps(BODY, segment)
-    found = without_jumps(run, segment)
-    assert error(sim, found).max() < 0.03 and jumps(BODY, found) == []
+    assert MendDiscontinuities().jumps(BODY, segment)
+    found = MendDiscontinuities()(run, segment)
+    assert error(sim, found).max() < 0.03 and MendDiscontinuities().jumps(BODY, found) == []
     assert (found.first, found.end) == (segment.first, segment.end)
 
 
 def test_a_stretch_between_two_jumps(seen):
     sim, run, good, wrong = seen
     segment = put_together(put_together(good, wrong, 10), good, 20)
-    assert len(jumps(BODY, segment)) == 2
-    found = without_jumps(run, segment)
+    assert len(MendDiscontinuities().jumps(BODY, segment)) == 2
+    found = MendDiscontinuities()(run, segment)
     assert error(sim, found).max() < 0.03
     # what the sides agree on stays as it was, to the last digit
     np.testing.assert_array_equal(found.rotation[:10], good.rotation[:10])
@@ -83,5 +83,5 @@ def test_a_stretch_between_two_jumps(seen):
 
 def test_what_does_not_jump_stays_as_it_is(seen):
     _, run, good, wrong = seen
-    assert without_jumps(run, good) is good
-    assert without_jumps(run, wrong) is wrong
+    assert MendDiscontinuities()(run, good) is good
+    assert MendDiscontinuities()(run, wrong) is wrong

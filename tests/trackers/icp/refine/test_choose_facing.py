@@ -1,5 +1,7 @@
 """Somebody who may face the camera or turn their back to it: both are tracked, and the likelier one is kept."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,9 @@ from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.trackers.icp.initialise import Beginning
-from voodoo_jax.trackers.icp.refine.facing import gone_ahead, likelier_way
+from voodoo_jax.trackers.icp.pipeline import SETTLE
+from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing, gone_ahead
+from voodoo_jax.trackers.icp.refine.stage import refined
 from voodoo_jax.trackers.icp.segment import forwards
 
 BODY, COUNT = scaled(human(), 1.75), 30
@@ -40,7 +44,9 @@ def turned_round(poses):
 def way(run, first, second, cost: float = 1.0):
     """What becomes of a start in the first poses with a rival in the second ones that costs so much more."""
     start = Beginning(0, BODY, first, 1.0, rival=Beginning(0, BODY, second, cost))
-    return likelier_way(run, start, forwards(run, first, 0, COUNT))
+    settled = refined(run, replace(forwards(run, first, 0, COUNT), start=start), SETTLE)
+    found = ChooseFacing(SETTLE)(run, settled)
+    return found, found.state
 
 
 @pytest.mark.parametrize("legs", ["own", "exchanged"])

@@ -6,8 +6,9 @@ measured on people of known lengths, see experiments/forearms. Of all limbs only
 hands are seen, and named by detectors, and nothing hangs on them.
 """
 
+from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -19,14 +20,7 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
-
-# A wrist's bands are stretched by this share of what the forearm is too short by (as far as people differ): told by
-# points alone, and so much more where a detector names the hand in every frame. What suits lengths best (0.113, 0.167,
-# 0.0089) puts wrists 0.1 cm farther off than this does: people's hands are no cylinders.
-BY_POINTS, BY_NAMES = 0.09, 0.145
-HAND = 0.0083  # of the stature: people's hands reach so much farther than the body's
-FARTHEST = 0.016  # of the stature: forearms of people differ by less (two standard deviations)
-FEW = 30  # frames of one arm with which it counts half
+from voodoo_jax.trackers.icp.sequence import Whole
 
 Some = TypeVar("Some", float, np.ndarray)
 
@@ -39,31 +33,50 @@ class Stretch(NamedTuple):
     count: int  # frames of one arm in which the hand is seen
 
 
-def with_forearms(body: Body, people: list[PersonFrame], names: FeatureNames, segment: Segment) -> Body:
-    """The body with the forearms that its tracks ask for; the same one where it is not the body that comes with the
-    package in its usual proportions, which alone this was measured for.
+@dataclass(frozen=True)
+class FitForearms:
+    """Forearms as long as a recording's wrists say, of the body that comes with the package in its usual proportions,
+    which alone this was measured for. The poses stay as they are: forearms begin at the elbows, and reach farther.
 
-    The poses stay as they are: forearms begin at the elbows as before, and reach farther.
-
-    **Arguments:** as for `stretch`.
+    A wrist's bands are stretched by a share of what the forearm is too short by (as far as people differ): told by
+    points alone, and so much more where a detector names the hand in every frame. From experiments/forearms; what suits
+    lengths best (0.113, 0.167, 0.0089) puts wrists 0.1 cm farther off than this does: people's hands are no cylinders.
     """
-    found = stretch(body, people, names, segment) if _is_usual(body) else None
-    if found is None:
-        return body
-    length = np.asarray(body.sizes)[body.topology.limbs.index("l_forearm"), 4]
-    longer = lengthened(found) * float(body.scale) / float(length)
-    return with_proportions(body, dict.fromkeys(("l_forearm", "r_forearm"), 1.0 + longer))
 
+    name: ClassVar = "fit_forearms"
+    looks_ahead: ClassVar = True
+    needs: ClassVar = frozenset({"points", "one body"})
 
-def lengthened(found: Stretch) -> float:
-    """How much longer a forearm is than the body's, share of the body's scale."""
-    longer = asked(found.gap, found.named)
-    return float(np.clip(longer, -FARTHEST, FARTHEST)) * found.count / (found.count + FEW)
+    by_points: float = 0.09  # share of what the forearm is too short by that a wrist's bands are stretched by
+    by_names: float = 0.145  # the same, in addition, where a detector names the hand
+    hand: float = 0.0083  # of the stature: people's hands reach so much farther than the body's
+    farthest: float = 0.016  # of the stature: forearms of people differ by less (two standard deviations)
+    few: int = 30  # frames of one arm with which it counts half
 
+    def __call__(self, whole: Whole) -> Whole:
+        run = whole.run
+        run.body = self.fitted(run.body, run.people, run.names, whole.segment)
+        run.bodies = [(0, run.body)]
+        return whole
 
-def asked(gap: Some, named: Some, by_points: float = BY_POINTS, by_names: float = BY_NAMES, hand: float = HAND) -> Some:
-    """How much longer a forearm is than the body's by its wrist's gap, share of the body's scale; of one or of many."""
-    return gap / (by_points + by_names * named) - hand
+    def fitted(self, body: Body, people: list[PersonFrame], names: FeatureNames, segment: Segment) -> Body:
+        """The body with the forearms that its tracks ask for, or the same one. **Arguments:** as for `stretch`."""
+        found = stretch(body, people, names, segment) if _is_usual(body) else None
+        if found is None:
+            return body
+        length = np.asarray(body.sizes)[body.topology.limbs.index("l_forearm"), 4]
+        longer = self.lengthened(found) * float(body.scale) / float(length)
+        return with_proportions(body, dict.fromkeys(("l_forearm", "r_forearm"), 1.0 + longer))
+
+    def lengthened(self, found: Stretch) -> float:
+        """How much longer a forearm is than the body's, share of the body's scale."""
+        longer = self.asked(found.gap, found.named)
+        return float(np.clip(longer, -self.farthest, self.farthest)) * found.count / (found.count + self.few)
+
+    def asked(self, gap: Some, named: Some) -> Some:
+        """How much longer a forearm is than the body's by its wrist's gap, share of the body's scale; of one or of
+        many."""
+        return gap / (self.by_points + self.by_names * named) - self.hand
 
 
 def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, segment: Segment | Tracks) -> Stretch | None:

@@ -14,9 +14,10 @@ from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.trackers.icp.refine.unexplained import FEWEST, OFF, _outside, without_leftovers
+from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained, distance_outside
 
 BODY, COUNT = scaled(human(), 1.7), 40
+STAGE = DropUnexplained(among=())
 SENSOR = np.array([[3.0, 0.0, 1.2]], np.float32)
 STOOL = np.array([0.15, 0.3, 0.2])  # the middle of a round thing that touches a leg
 
@@ -44,7 +45,7 @@ def frames(rng, stool: int = 300) -> list[PersonFrame]:
 
 def test_how_far_points_are_outside_against_meshes(rng):
     points = rng.uniform([-0.5, -0.7, 0.1], [0.5, 0.7, 1.8], (400, 3))
-    found = _outside(BODY, points, np.zeros(400, int), tracked())
+    found = distance_outside(BODY, points, np.zeros(400, int), tracked())
     inside = inside_body(BODY, BODY.rest, points)
     np.testing.assert_array_equal(found < 1e-6, inside)
     nearest = np.full(len(points), np.inf)
@@ -59,26 +60,28 @@ def test_how_far_points_are_outside_against_meshes(rng):
 
 def test_the_stool_goes_and_the_body_stays(rng):
     people = frames(rng)
-    left = without_leftovers(people, [(0, BODY)], tracked())
+    left = STAGE.without(people, [(0, BODY)], tracked())
     assert left is not None
     for before, after in zip(people, left, strict=True):
         there = {point.tobytes() for point in after.points}
         kept = np.array([point.tobytes() in there for point in before.points])
         assert kept[:1500].mean() > 0.97
-        far = _outside(BODY, before.points[1500:].astype(float), np.zeros(300, int), tracked()) > OFF + 0.02
+        far = (
+            distance_outside(BODY, before.points[1500:].astype(float), np.zeros(300, int), tracked()) > STAGE.off + 0.02
+        )
         assert far.sum() > 100 and not kept[1500:][far].any()
 
 
 @pytest.mark.parametrize("why", ["explained", "lost", "small"])
 def test_else_nothing_is_done(rng, why):
-    people = frames(rng, FEWEST // 2 if why == "small" else 300)
+    people = frames(rng, STAGE.fewest // 2 if why == "small" else 300)
     found = {"explained": tracked(0.997), "lost": tracked(status=Status.LOST), "small": tracked()}[why]
-    assert without_leftovers(people, [(0, BODY)], found) is None
+    assert STAGE.without(people, [(0, BODY)], found) is None
 
 
 def test_each_frame_has_its_own_body(rng):
     """Half of the frames with limbs so thick that the stool is in them: explained as often as not."""
     thick = eqx.tree_at(lambda b: b.sizes, BODY, BODY.sizes + jnp.array([0.5, 0.5, 0.5, 0.5, 0.0]))
     people = frames(rng)
-    assert without_leftovers(people, [(0, BODY), (COUNT // 2, thick)], tracked()) is None
-    assert without_leftovers(people, [(0, thick), (COUNT // 8, BODY)], tracked()) is not None
+    assert STAGE.without(people, [(0, BODY), (COUNT // 2, thick)], tracked()) is None
+    assert STAGE.without(people, [(0, thick), (COUNT // 8, BODY)], tracked()) is not None

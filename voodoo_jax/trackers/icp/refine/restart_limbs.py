@@ -1,0 +1,131 @@
+"""Looks again where a segment explains what was measured worse than elsewhere: a limb may be lost there. Host side.
+
+A limb that no point reaches any more is not found again from where it is. So arms and legs are started anew in the
+middle of the trouble, and the whole body where it may be lost, in several poses, tracked there and back in time, and
+kept where they explain more.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
+from voodoo_jax.model.body import Body
+from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.trackers.icp.initialise import USUAL, soon
+from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session
+from voodoo_jax.trackers.icp.segment import Followed, pass_of, tracked_anew
+from voodoo_jax.trackers.icp.trials import standing_places
+
+# against the rest pose, in which they hang: as there, forwards, to the side and bent, up
+ARMS: tuple[tuple[Turn, ...], ...] = (
+    (),
+    (*both("shoulder", "y", -80.0), *both("elbow", "y", -20.0)),
+    (*both("shoulder", "x", 80.0), *both("elbow", "y", -60.0)),
+    both("shoulder", "x", 165.0),
+)
+# hanging, forwards, forwards and bent, to the side, backwards and bent
+LEGS: tuple[tuple[Turn, ...], ...] = (
+    (),
+    both("hip", "y", -85.0),
+    (*both("hip", "y", -85.0), *both("knee", "y", 95.0)),
+    both("hip", "x", 70.0),
+    (*both("hip", "y", 30.0), *both("knee", "y", 80.0)),
+)
+
+
+@dataclass(frozen=True)
+class RestartLimbs:
+    """Limbs, or the whole body, started anew where little is explained, and kept where that explains more. Numbers were
+    chosen by hand."""
+
+    name: ClassVar = "restart_limbs"
+    looks_ahead: ClassVar = True
+    needs: ClassVar = frozenset({"points", "one body"})
+
+    worse: float = 1.6  # times what a frame costs where the segment goes well: here it is in doubt
+    lost: float = 2.5  # times that: all of the body may be lost
+    well: float = 10  # percent of the frames cost less where it goes well
+    better: float = 0.85  # what is started anew is followed where it costs less than this share
+    fewest: int = 3  # frames in doubt on end that are worth a look
+    longest: int = 30  # frames in doubt on end that one look is for
+    around: int = 15  # frames before and after them that are tracked anew, too
+    passes: ForwardBackward = ForwardBackward()  # by which passes are compared frame by frame
+
+    def __call__(self, run: Session, segment: Followed) -> Followed:
+        for start, end in self.in_doubt(run.people[segment.first : segment.end], segment.cost, segment.tracked):
+            segment = self._looked(run, segment, start, end)
+        return segment
+
+    def in_doubt(
+        self, people: list[PersonFrame], cost: Float[np.ndarray, " frame"], tracked: Bool[np.ndarray, " frame"]
+    ) -> list[tuple[int, int]]:
+        """Begin and end of the stretches of `tracked` frames that cost more than noise and the rest of them explain."""
+        if not tracked.any():
+            return []
+        cost, longest = self.passes.smoothed(cost / np.maximum([f.noise for f in people], USUAL) ** 2), self.longest
+        bad = np.flatnonzero(tracked & (cost > self.worse * np.percentile(cost[tracked], self.well)))
+        runs = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)
+        found = [(int(r[k]), int(r[min(k + longest, len(r)) - 1]) + 1) for r in runs for k in range(0, len(r), longest)]
+        return [(start, end) for start, end in found if end - start >= self.fewest]
+
+    def _looked(self, run: Session, segment: Followed, start: int, end: int) -> Followed:
+        """The segment with limbs that were started anew between two of its frames, where they cost less."""
+        first, count, cost = segment.first, len(segment), segment.cost
+        at = start + int(np.argmax(self.passes.smoothed(cost)[start:end]))
+        frames = soon(run.people[first + at : segment.end], run.settings.start)
+        last = at + len(frames) - 1
+        poses = segment.pose_at(last)
+        limbs = [starts for starts in (other_arms(run.body, poses), other_legs(run.body, poses)) if starts]
+        if not limbs or any(len(f.points) < FEW_POINTS for f in frames):
+            return segment
+        here = float(np.mean(cost[at : last + 1]))
+        if here > self.lost * np.percentile(cost, self.well):
+            limbs.append(standing_places(run.body, frames[::-1], run.scene.floor, run.settings.start.headings))
+        # not all at once: the best few after two frames might all be of one kind
+        tried = [run.trials(run.body, frames, starts) for starts in limbs]
+        trial = min(tried, key=lambda t: np.min(t.cost))
+        best = int(np.argmin(trial.cost))
+        if not trial.cost[best] < self.better * here:
+            return segment
+        low, high = max(0, start - self.around), min(count, end + self.around)
+        other = tracked_anew(run, trial.state.poses[best], first + low, first + at, first + high)
+        costs = (pass_of(run, some).cost for some in (other, segment[low:high]))
+        return segment.spliced(low, other, self.passes.is_better(*costs))
+
+
+def other_arms(body: Body, poses: Poses) -> list[Poses]:
+    """The poses with the left arm, the right one or both in other places; nothing for a body without arms."""
+    return _others(body, poses, ARMS, (SHOULDERS[:1], SHOULDERS[1:], SHOULDERS))
+
+
+def other_legs(body: Body, poses: Poses) -> list[Poses]:
+    """The poses with the left or the right leg in other places, or both exchanged; nothing for a body without legs."""
+    found = _others(body, poses, LEGS, (HIPS[:1], HIPS[1:]))
+    return found and [*found, exchanged(body, poses, HIPS)]
+
+
+def _others(
+    body: Body, poses: Poses, turned: tuple[tuple[Turn, ...], ...], sides: tuple[tuple[str, ...], ...]
+) -> list[Poses]:
+    """The poses with the limbs on some joints as each of the stances holds them; nothing for a body without these."""
+    stances = [stance for turns in turned if (stance := in_stance(body, Stance(turns, (1.0,)))) is not None]
+    if len(stances) < len(turned):
+        return []
+    return [_with_limbs(stance, poses, some) for stance in stances for some in sides]
+
+
+def _with_limbs(stance: Body, poses: Poses, joints: tuple[str, ...]) -> Poses:
+    """The poses with what hangs on some joints as the stance holds it against the limb before them."""
+    t, rest = stance.topology, on_host(stance.rest)
+    rotation, translation = np.array(poses.rotation), np.array(poses.translation)
+    for name in joints:
+        joint = t.joints.index(name)
+        limbs, parent = beyond(stance, joint), t.parents[joint]
+        held = compose(compose(poses[parent], inverse(rest[parent])), rest[limbs])
+        rotation[limbs], translation[limbs] = held.rotation, held.translation
+    return Poses(rotation, translation)
