@@ -10,13 +10,12 @@ from scipy.spatial.transform import Rotation
 from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame, grid, room
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.drop_touched_furniture import without_furniture
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.detect.segmentation import PersonFinder
-from voodoo_jax.detect.touched_furniture import without_furniture, without_things
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import components
-from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -270,63 +269,6 @@ def test_a_room_without_anybody_is_learned():
     assert (cKDTree(chair).query(got)[0] < 1e-5).mean() < 0.02 and len(got) > 0.9 * (person[:, 2] > 0.1).sum()
 
 
-def walking(count: int, chair, start: float, speed: float) -> list[PersonFrame]:
-    frames = []
-    for i in range(count):
-        points = np.concatenate([figure(2.5, start + speed * i), chair]).astype(np.float32)
-        frames.append(PersonFrame(i, points, np.zeros(len(points), np.int32), ORIGIN))
-    return frames
-
-
-def test_furniture_goes_when_the_person_walks_away():
-    chair = box(2.5, -0.35, 0.3, 0.6).astype(np.float32)
-    frames = walking(40, chair, 0.0, 0.04)
-    cleaned = without_furniture(frames, FLOOR.normal)
-    on_chair = lambda f: (cKDTree(chair).query(f.points)[0] < 1e-5).sum()  # noqa: E731
-    assert sum(map(on_chair, frames)) == 40 * len(chair) and sum(map(on_chair, cleaned)) == 0
-    for i in (20, 39):  # away from the chair the person is whole
-        assert len(cleaned[i].points) > 0.98 * len(frames[i].points) - len(chair)
-    assert [f.time_ns for f in cleaned] == list(range(40)) and all(len(f.sensor) == len(f.points) for f in cleaned)
-
-
-def test_a_person_who_stays_or_walks_alone_is_left_whole():
-    none = np.zeros((0, 3), np.float32)
-    for frames in (
-        walking(30, box(2.5, -0.35, 0.3, 0.6), 0.0, 0.0),
-        walking(40, none, 0.0, 0.04),
-        walking(5, none, 0, 1),
-    ):
-        for before, after in zip(frames, without_furniture(frames, FLOOR.normal)):
-            np.testing.assert_array_equal(before.points, after.points)
-
-
-def test_what_remains_where_somebody_was_is_not_the_body():
-    """Somebody touches a thing, is out of view, and comes back a step farther on; the thing stays."""
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
-    thing, there, back = box(2.45, 0.43, 0.5, 0.6), figure(2.5, 0.0), figure(2.5, -1.2)
-    clouds = [np.concatenate([there, thing])] * 12 + [thing] * 35 + [np.concatenate([back, thing])] * 8
-    frames = [finder(frame(points, i)) for i, points in enumerate(clouds)]
-    assert [len(f.points) > 0 for f in frames] == [True] * 12 + [False] * 35 + [True] * 8
-    assert all(len(f.points) == (back[:, 2] > DetectSettings().floor_margin).sum() for f in frames[-8:])
-    cleaned = without_things(frames, FLOOR, finder.apart())
-    on_thing = lambda f: (cKDTree(thing).query(f.points)[0] < 1e-5).sum()  # noqa: E731
-    assert on_thing(frames[0]) > 0.9 * len(thing) and sum(map(on_thing, cleaned)) == 0
-    # what is so near that it might be the thing goes too
-    assert all(len(f.points) > 0.8 * len(there) for f in cleaned[:12])
-
-
-def test_what_is_left_behind_is_not_the_body():
-    """Somebody touches a box at first and walks away from it: once it is alone, it is a box all the time."""
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
-    thing = box(2.45, 0.43, 0.5, 0.8)
-    frames = [finder(frame(np.concatenate([figure(2.5, -0.12 * i), thing]), i)) for i in range(6)]
-    share = [(cKDTree(f.points).query(thing.astype(np.float32))[0] < 1e-5).mean() for f in frames]
-    assert share[0] > 0.9 and share[-1] == 0
-    cleaned = without_things(frames, FLOOR, finder.apart())
-    assert all((cKDTree(f.points).query(thing.astype(np.float32))[0] > 1e-5).all() for f in cleaned)
-    assert all(len(f.points) > 0.7 * len(figure(2.5, 0.0)) for f in cleaned)
-
-
 def test_a_box_with_more_points_than_the_body_is_left_too():
     """The body is what is tall, not what has most points."""
     finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
@@ -334,16 +276,6 @@ def test_a_box_with_more_points_than_the_body_is_left_too():
     assert len(thing) > 1.2 * len(body)
     frames = [finder(frame(np.concatenate([body - [0, 0.12 * i, 0], thing]), i)) for i in range(12)]
     assert (frames[-1].points[:, 1] < -1).all() and len(frames[-1].points) > 0.9 * len(body)
-
-
-def test_what_remains_of_a_thing_goes_with_it():
-    """Only the middle of a box is known: what hangs together with it goes, the foot before it and the body stay."""
-    thing, body, foot = box(2.5, 0.6, 0.8, 0.5), figure(2.5, -0.1), figure(2.4, 0.1, 0.1, 0.05)
-    points = np.concatenate([body, foot, thing]).astype(np.float32)
-    seen = PersonFrame(0, points, np.zeros(len(points), np.int32), ORIGIN)
-    known = lambda p: (np.abs(p[:, 1] - 0.45) < 0.25) & (p[:, 0] > 2.45)  # noqa: E731
-    cleaned = without_things([seen], FLOOR, known)[0].points
-    assert len(cleaned) == len(body) + len(foot) and cleaned[:, 1].max() < 0.2
 
 
 def test_a_leg_that_seems_apart_is_the_body_still():
@@ -357,23 +289,6 @@ def test_a_leg_that_seems_apart_is_the_body_still():
             leg = shank + [0, step * i, 0]
             got = finder(frame(np.concatenate([upper, leg]), i + 1)).points
             assert (cKDTree(got).query(leg[leg[:, 2] > 0.05].astype(np.float32))[0] < 1e-5).mean() > 0.9
-
-
-def test_somebody_half_hidden_for_a_moment_is_left_whole():
-    """Only the legs are seen for some frames: they are not taken for furniture when the rest is seen again."""
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
-    body = figure(2.5, 0.0)
-    clouds = [body] * 12 + [body[body[:, 2] < 0.7]] * 10 + [body] * 12
-    frames = [finder(frame(points, i)) for i, points in enumerate(clouds)]
-    whole = len(frames[0].points)
-    assert all(len(f.points) == whole for f in without_things(frames, FLOOR, finder.apart())[-12:])
-
-
-def test_the_place_of_another_thing_may_be_where_the_body_was():
-    """A thing stood where the body stands in other frames: frames that would lose their head are left as they are."""
-    body = PersonFrame(0, figure(2.5, 0.0).astype(np.float32), np.zeros(len(figure(2.5, 0.0)), np.int32), ORIGIN)
-    assert without_things([body], FLOOR, lambda points: points[:, 2] > 0.9) == [body]
-    assert len(without_things([body], FLOOR, lambda points: points[:, 2] < 0.3)[0].points) < len(body.points)
 
 
 def known(free, sure, names: tuple[str, ...] = ("body",), part: int = 0, i: int = 0) -> Frame:
@@ -450,17 +365,6 @@ def test_a_log_of_assigned_points_only():
     people = list(map(PersonFinder(scene, build_of(1.75), DetectSettings()), frames))
     for got in without_furniture(people, scene.floor.normal):
         np.testing.assert_array_equal(got.points, person.astype(np.float32))
-
-
-def test_furniture_keeps_assigned_points():
-    chair = box(2.5, -0.35, 0.3, 0.6).astype(np.float32)
-    frames = []
-    for f in walking(40, chair, 0.0, 0.04):
-        part = np.where(np.arange(len(f.points)) >= len(f.points) - 5, 0, -1).astype(np.int32)
-        frames.append(PersonFrame(f.time_ns, f.points, f.sensor, f.origins, part=part, parts=("body",)))
-    for got in without_furniture(frames, FLOOR.normal):
-        assert got.part is not None and (got.part == 0).sum() == 5
-        assert (cKDTree(chair).query(got.points[got.part == -1])[0] < 1e-5).sum() == 0
 
 
 @pytest.mark.parametrize("dense_first", [True, False])

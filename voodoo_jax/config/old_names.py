@@ -10,6 +10,7 @@ SECTIONS = {"person": "detect"}  # old -> new
 # switch that was -> what is left out, by section, where it is false
 SWITCHES = {
     ("detect", "ahead"): {"detect": (LOOKS_AHEAD,), "track": ("drop_unexplained",)},
+    ("detect", "steady"): {"detect": ("steady_sensors",)},
     ("track", "both_ways"): {"track": (LOOKS_AHEAD,)},
     ("track", "forearms"): {"track": ("fit_forearms",)},
 }

@@ -54,8 +54,6 @@ class DetectSettings:
     """Things farther than this from where the body was are dropped, metres; grows with the body's size."""
     points: int = 1024
     """Points per frame given to the tracker: a random choice where there are more."""
-    steady: bool = True
-    """Take out how the sensors move of which no transform tells, by floor and walls."""
     noise: float = 0.03
     """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
     skip: tuple[str, ...] = ()

@@ -24,7 +24,9 @@ class PersonFrame:
     part: Int32[np.ndarray, " point"] | None = None  # as in Frame
     parts: tuple[str, ...] = ()
     weight: Float32[np.ndarray, " point"] | None = None
-    noise: float = 0.0  # standard deviation of the points' distances, metres; 0: not known (see detect/range_noise.py)
+    noise: float = (
+        0.0  # standard deviation of the points' distances, metres; 0: not known (see detect/weigh_by_noise.py)
+    )
     doubt: float = (
         1.0  # how much less the points weigh because of it: sum of the weights that they would have, over theirs
     )

@@ -3,9 +3,10 @@
 from difflib import get_close_matches
 
 from voodoo_jax.config.options import LOOKS_AHEAD, Settings, SettingsError
+from voodoo_jax.detect import pipeline as detection
 from voodoo_jax.trackers.icp import pipeline as icp
 
-SECTIONS = {"track": icp.stages}  # section of the settings -> its stages
+SECTIONS = {"detect": detection.stages, "track": icp.stages}  # section of the settings -> its stages
 
 
 def check_stages(settings: Settings) -> None:

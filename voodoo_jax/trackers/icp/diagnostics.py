@@ -57,7 +57,7 @@ def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange]) -> tuple[s
         turns = [Rotation.from_matrix(T[:3, :3]).magnitude() for T in moved]
         notes.append(
             f"The sensors move, by up to {np.degrees(max(turns)):.0f} degrees, and no transform says so: this was taken"
-            f" out while tracking in {len(moved)} frames (steady_sensors)."
+            f" out while tracking in {len(moved)} frames (stage steady_sensors)."
         )
     noise = [frame.noise for frame in run.people if frame.noise > 0]
     if noise and np.median(noise) > NOISY:

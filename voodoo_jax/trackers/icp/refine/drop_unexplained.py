@@ -10,8 +10,8 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from voodoo_jax.detect.disk_buffer import spilled
+from voodoo_jax.detect.stage import WINDOW
 from voodoo_jax.detect.static_points import resting
-from voodoo_jax.detect.touched_furniture import WINDOW
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame, assigned

@@ -156,7 +156,7 @@ def test_who_is_seen_by_a_camera_in_a_hand_is_tracked_as_from_a_tripod():
     assert not any("sensors move" in note for note in still.notes)
     wanted = np.stack([move(joints, f, *way) for joints, f, way in zip(still.joints, frames, ways)])
     assert np.linalg.norm(moved.joints - wanted, axis=-1).mean() < 0.015
-    untold = replace(Settings(), detect=replace(Settings().detect, steady=False))
+    untold = replace(Settings(), detect=replace(Settings().detect, skip=("steady_sensors",)))
     assert not any("sensors move" in note for note in tracks(held, untold).notes)
 
 

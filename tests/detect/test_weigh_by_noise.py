@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.segments import blank_tracks
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.range_noise import FEWEST, range_noise, weighed
+from voodoo_jax.detect.weigh_by_noise import FEWEST, range_noise, weighed
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import PersonFrame

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import voodoo_jax.detect.gravity
+import voodoo_jax.detect.find_gravity
 from tests.support.rooms import FLOOR, box, build_of, figure, frame, room
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.gravity import upright
+from voodoo_jax.detect.find_gravity import upright
 from voodoo_jax.detect.scene import find_scene, shows_floor
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -75,8 +75,8 @@ def test_somebody_before_a_wall_without_floor_is_as_the_frame_says():
 
 def test_who_is_found_at_once_costs_one_look(rng, monkeypatch):
     looks = []
-    finder = voodoo_jax.detect.gravity.PersonFinder
-    monkeypatch.setattr(voodoo_jax.detect.gravity, "PersonFinder", lambda *a: looks.append(a) or finder(*a))
+    finder = voodoo_jax.detect.find_gravity.PersonFinder
+    monkeypatch.setattr(voodoo_jax.detect.find_gravity, "PersonFinder", lambda *a: looks.append(a) or finder(*a))
     frames = [frame(np.concatenate([room(rng), figure(2.5, 0.0)]), i) for i in range(3)]
     for sure, count in ((True, 0), (False, 1)):  # who is sure and has a floor needs none
         assert upright(frames, Scene(FLOOR, (), True), UP, sure, BODY, DetectSettings()) is UP and len(looks) == count

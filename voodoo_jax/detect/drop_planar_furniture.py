@@ -1,9 +1,11 @@
 """Flat faces of furniture that the body touches all the time: seats, backs, fronts of sofas, tables. No person is flat
 to some millimetres. Host side, NumPy; looks ahead."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,7 +13,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from voodoo_jax.detect.stage import windows
 from voodoo_jax.detect.static_points import Resting, resting
+from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import PersonFrame, assigned
 
@@ -48,6 +52,19 @@ class Face:
         level = points[found] - height[found, None] * self.normal
         found[found] = self.tree.query(level, distance_upper_bound=ASIDE)[0] < np.inf
         return found
+
+
+@dataclass(frozen=True)
+class DropPlanarFurniture:
+    """Flat faces that the body touches all the time. A machine may have flat faces, too: of people alone."""
+
+    name: ClassVar = "drop_planar_furniture"
+    looks_ahead: ClassVar = True
+    needs: ClassVar = frozenset({"person"})
+
+    def __call__(self, frames: Iterable[PersonFrame], chooser: Chooser) -> Iterator[PersonFrame]:
+        for window in windows(frames):
+            yield from without_faces(window, chooser.finder.scene.floor)
 
 
 def without_faces(frames: list[PersonFrame], floor: Plane) -> list[PersonFrame]:

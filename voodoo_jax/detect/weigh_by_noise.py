@@ -5,18 +5,32 @@ errs by 1 cm at 2 m and 4 cm at 5 m, a stereo pair by more, a laser scanner by 2
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float32
 from scipy.spatial import KDTree
 
+from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.records.observation import PersonFrame
 
 MOST, ASKED = 3000, 150  # points that neighbours are looked for among, and points whose neighbours are looked at
 NEIGHBOURS = 9  # of a point, itself among them: a plane has three numbers
 FEWEST = 60  # points of a sensor from which its noise can be told
 EVERY = 8  # frames after which it is measured again
+
+
+@dataclass(frozen=True)
+class WeighByNoise:
+    """Points weigh less where the sensor is noisy; without it nothing is known of noise."""
+
+    name: ClassVar = "weigh_by_noise"
+    looks_ahead: ClassVar = False
+    needs: ClassVar = frozenset()
+
+    def __call__(self, frames: Iterable[PersonFrame], chooser: Chooser) -> Iterator[PersonFrame]:
+        return weighed(frames, chooser.settings.noise)
 
 
 def range_noise(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:

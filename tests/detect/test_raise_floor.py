@@ -10,7 +10,7 @@ import pytest
 import voodoo_jax as vj
 from tests.support.rooms import FLOOR, box, build_of, figure, frame, grid, room
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.raised_floor import on_its_floor
+from voodoo_jax.detect.raise_floor import on_its_floor
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import open_log

@@ -1,7 +1,8 @@
 """Somebody who stands on something level: a treadmill, a stage, a step. Its top is their floor. Host side, NumPy."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float32
@@ -9,6 +10,7 @@ from jaxtyping import Float32
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.stage import Surroundings
 from voodoo_jax.geometry.voxels import cells_of, unique_cells, within
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -23,6 +25,18 @@ FEET = 0.2  # metres above it
 AROUND = 0.2, 0.5  # metres from the feet: there its top is seen ...
 FEW = 0.02  # of as many points as in the direction with most
 SECTORS, SEEN = 8, 6  # ... in so many of so many directions, at least
+
+
+@dataclass(frozen=True)
+class RaiseFloor:
+    """The top of what somebody stands on is their floor."""
+
+    name: ClassVar = "raise_floor"
+    looks_ahead: ClassVar = False
+    needs: ClassVar = frozenset()
+
+    def __call__(self, found: Surroundings) -> Surroundings:
+        return replace(found, scene=on_its_floor(found.some, found.scene, found.build, found.settings))
 
 
 def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: DetectSettings) -> Scene:

@@ -1,7 +1,8 @@
 """Which way is up where a log does not say so, or says it as if the camera stood level. Host side, NumPy."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float32
@@ -11,11 +12,25 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.scene import find_scene, shows_floor
 from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.stage import Surroundings
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
 LOW = 0.5  # of its height: so low the body may be, if up is where the log says
 LIKELIER = 2.0  # times as like a body something must be if another way is up
+
+
+@dataclass(frozen=True)
+class FindGravity:
+    """Which way is up, where what the log says of it shows nobody; floor and walls are found anew then."""
+
+    name: ClassVar = "find_gravity"
+    looks_ahead: ClassVar = False
+    needs: ClassVar = frozenset()
+
+    def __call__(self, found: Surroundings) -> Surroundings:
+        up = upright(found.some, found.scene, found.up, found.up_is_sure, found.build, found.settings)
+        return found if up is found.up else replace(found, up=up, up_is_sure=False).with_planes()
 
 
 def upright(

@@ -1,0 +1,76 @@
+"""What the stages of detection take and give.
+
+The name of a stage is its file, its switch (`detect.skip`), its test file and its row in experiments/ablation.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32
+
+from voodoo_jax.config.options import DetectSettings
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.camera_motion import Planes, steady_scene
+from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
+
+SCENE_FRAMES, SCENE_EVERY = 15, 3  # floor and walls are looked for in every third of so many first frames; by hand
+WINDOW = 1800  # frames by which furniture is told from the body at once; by hand
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What is known of a recording before the body is looked for."""
+
+    frames: Iterable[Frame]  # all, one by one
+    first: list[Frame]  # of them
+    up: Float32[np.ndarray, "3"]  # unit vector, fixed frame
+    up_is_sure: bool
+    scene: Scene
+    planes: Planes  # what stays where it is while sensors move
+    build: Build  # of the body
+    settings: DetectSettings
+
+    @property
+    def some(self) -> list[Frame]:
+        """A few of the first frames, evenly spread."""
+        return self.first[:: SCENE_FRAMES // 2]
+
+    def with_planes(self) -> "Surroundings":
+        """The same with floor and walls found anew."""
+        scene, planes = steady_scene(self.first, self.up, self.up_is_sure, SCENE_EVERY)
+        return replace(self, scene=scene, planes=planes)
+
+
+@runtime_checkable
+class Named(Protocol):
+    """What every stage says of itself."""
+
+    name: ClassVar[str]
+    looks_ahead: ClassVar[bool]  # uses later frames: left out with Settings.online
+    needs: ClassVar[frozenset[str]]  # "person": passed over for animals and machines
+
+
+@runtime_checkable
+class SceneStage(Named, Protocol):
+    """One correction of what is known of the scene."""
+
+    def __call__(self, found: Surroundings) -> Surroundings: ...
+
+
+@runtime_checkable
+class PointStage(Named, Protocol):
+    """One correction of the points on the body, frame by frame, as they come."""
+
+    def __call__(self, frames: Iterable[PersonFrame], chooser: Chooser) -> Iterator[PersonFrame]: ...
+
+
+def windows(frames: Iterable[PersonFrame]) -> Iterator[list[PersonFrame]]:
+    """So many successive frames as are looked at together."""
+    stream = iter(frames)
+    return iter(lambda: list(islice(stream, WINDOW)), [])
