@@ -75,9 +75,14 @@ def whole(path: Path, frames: int = 0) -> Recorded:
 @cache
 def told_apart(path: Path, step: int = 1, frames: int = 0) -> tuple[Recorded, Log]:
     """A recording, every `step`-th of its frames, with the person told apart; the points of the room are not kept."""
-    recorded = read(path, Settings(), frames)
+    return segmented(path, Settings(), step, frames)
+
+
+def segmented(path: Path, settings: Settings, step: int = 1, frames: int = 0) -> tuple[Recorded, Log]:
+    """The same with other settings; read anew."""
+    recorded = read(path, settings, frames)
     recorded = replace(recorded, frames=recorded.frames[::step])
-    return replace(recorded, frames=[]), recorded.log(human(), Settings())
+    return replace(recorded, frames=[]), recorded.log(human(), settings)
 
 
 @dataclass(frozen=True)

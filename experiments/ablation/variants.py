@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from experiments.common import human, settings_with, without_features
-from experiments.judged import Verdict, judge, told_apart
+from experiments.judged import Verdict, judge, segmented, told_apart
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect import pipeline as detection
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import load_body
+from voodoo_jax.trackers.icp import pipeline as icp
 
 # stage and option of the settings = value; "body" names another body
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -33,6 +35,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "at most 6 steps": {"solve.max_steps": 6},
     "epsilon 1e-5": {"solve.epsilon": 1e-5},
     "exact closest points (refine 4)": {"solve.refine": 4},
+    # each stage of detection and of tracking, in the order in which they run
+    **{f"without {stage.name}": {"detect.skip": (stage.name,)} for stage in detection.stages()},
+    **{f"without {stage.name}": {"track.skip": (stage.name,)} for stage in icp.stages()},
 }
 
 
@@ -55,7 +60,10 @@ def variant(name: str) -> tuple[Body, Settings]:
 
 def work(job: Job) -> Verdict:
     """Tracks and judges."""
-    recorded, log = told_apart(job.log, job.step, job.frames)
     body, settings = variant(job.variant)
+    if settings.detect.skip:  # not kept for other variants
+        recorded, log = segmented(job.log, settings, job.step, job.frames)
+    else:
+        recorded, log = told_apart(job.log, job.step, job.frames)
     people = log.people if settings.read.features else without_features(log.people)
     return judge(recorded, log, log.track(body, settings, people))
