@@ -13,8 +13,8 @@ from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 
 FLAGS = (
-    "--body arm --start.scale 0.8 --start.headings 3 --start.frames 2 --person.points 256 --track.chunk 16 "
-    "--track.no-both-ways"
+    "--body arm --start.scale 0.8 --start.headings 3 --start.frames 2 --detect.points 256 --track.chunk 16 "
+    "--track.skip looks_ahead"
 ).split()
 SETTINGS = Settings(
     detect=DetectSettings(points=256),

@@ -204,7 +204,7 @@ def test_a_hand_above_the_head_makes_nobody_taller(tmp_path):
 
 def test_without_a_look_ahead_the_first_frames_settle_the_size(rising):
     _, recording = rising
-    settings = replace(Settings(), track=replace(Settings().track, both_ways=False))
+    settings = replace(Settings(), track=replace(Settings().track, skip=("looks_ahead",)))
     assert float(track(human(), recording, settings).body.scale) < 1.7
 
 

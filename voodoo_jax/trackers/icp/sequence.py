@@ -63,7 +63,7 @@ def track_whole(
     return Whole(run, segment, begin, enough)
 
 
-# 65 lines: one state machine, whose steps share eight variables
+# 62 lines: one state machine, whose steps share eight variables
 def follow(
     run: Session,
     at: int,
