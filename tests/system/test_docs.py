@@ -1,0 +1,72 @@
+"""What README and docs/ tell people to type exists: commands, flags, settings, public names."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import voodoo_jax as vj
+from voodoo_jax.cli.main import main
+from voodoo_jax.config.options import Settings
+from voodoo_jax.config.toml import read_settings
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"voodoo-jax (\w+)((?: [^#\n|&>]*)?)")
+FLAG = re.compile(r"(?<![\w-])--[a-z][\w.-]*\w")
+
+
+def blocks(language: str) -> list[tuple[str, str]]:
+    """Name of the page and text of every fenced block of a language."""
+    found = [(page.name, match) for page in PAGES for match in BLOCK.finditer(page.read_text())]
+    return [(name, match[2]) for name, match in found if match[1] == language]
+
+
+def flags(command: str, capsys) -> set[str]:
+    """The flags that a command has, as its help says."""
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0, f"voodoo-jax {command} is no command"
+    return set(FLAG.findall(capsys.readouterr().out))
+
+
+def test_commands_and_their_flags_exist(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    said = {(page, *match.groups()) for page, text in blocks("sh") for match in COMMAND.finditer(text)}
+    known = {name: flags(name, capsys) for name in sorted({command for _, command, _ in said})}
+    assert {"demo", "replay", "info", "fit", "config"} <= known.keys()
+    wrong = {
+        (page, command, flag)
+        for page, command, rest in said
+        for flag in FLAG.findall(rest)
+        if flag not in known[command]
+    }
+    assert not wrong
+    # settings that are named in the running text
+    dotted = {(page.name, flag) for page in PAGES for flag in FLAG.findall(page.read_text()) if "." in flag}
+    assert dotted and not {(page, flag) for page, flag in dotted if flag not in known["replay"]}
+
+
+def test_settings_files_are_read(tmp_path):
+    texts = [text for _, text in blocks("toml") if re.match(r"\[(\w+|\[change\])\]", text)]
+    assert len(texts) >= 2
+    for text in texts:
+        (tmp_path / "settings.toml").write_text(text)
+        assert read_settings(tmp_path / "settings.toml", Settings()) != Settings()
+
+
+def test_bodies_are_read(tmp_path):
+    texts = [text for _, text in blocks("toml") if text.startswith("name =")]
+    assert texts
+    for text in texts:
+        (tmp_path / "body.toml").write_text(text)
+        assert vj.read_body(tmp_path / "body.toml").limb_count > 1
+
+
+def test_python_names_are_public():
+    texts = [text for _, text in blocks("python")]
+    used = {name for text in texts for name in re.findall(r"\bvj\.(\w+)", text)}
+    assert "track" in used and used <= set(vj.__all__)
+    for text in texts:
+        compile(text, "documentation", "exec")
