@@ -74,7 +74,7 @@ def generated(kind: str, what: str, uri: str, files: Files) -> str:
     if kind == "include":
         path = ROOT / what
         text = path.read_text() if path.exists() else NOT_MEASURED
-        text = re.sub(r"\A# .*\n+", "", text)
+        text = re.sub(r"^#", "##", re.sub(r"\A# .*\n+", "", text), flags=re.MULTILINE)  # below the page's own heading
         return rewritten(text, posixpath.dirname(what), uri, files)
     module, name = public_names()[what]
     if kind == "fields":
