@@ -37,6 +37,13 @@ class Fit:
         """Whether the fitted body is better than the one before; if not, `body` is the one before."""
         return self.verdict.better
 
+    @property
+    def report(self) -> str:
+        """The report as Markdown."""
+        from voodoo_jax.fitting.report import report_text  # which takes what stands here
+
+        return report_text(self)
+
     def undetermined(self) -> list[str]:
         """Parameters that the data do not tell: they stayed where they were."""
         return [name for name, stays in zip(self.names, self.stays) if stays]
