@@ -15,6 +15,7 @@ from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.stages import check_stages
 
 
 @users_cache()
@@ -48,6 +49,8 @@ def track_many(
     if any(len(some) not in (1, count) for some in given):
         lengths = ", ".join(f"{len(some)} {name}" for some, name in zip(given, ("bodies", "recordings", "settings")))
         raise ValueError(f"{lengths}: give one of each, or as many as of the others")
+    for some in given[2]:
+        check_stages(some)
     if lanes < 0:
         raise ValueError(f"lanes = {lanes}: must be 1 or more, or 0 for as many as are good for the devices")
     cases = list(zip(*(some * (count // len(some)) for some in given)))
