@@ -8,12 +8,16 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
+import jax
 from tqdm import tqdm
 
 from experiments.scoreboard.board import Data, Job, Measured, Promise
 from voodoo_jax.compile.cache_dir import cache_folder, keep_compiled, use_compile_cache
 
-JOBS_PER_PROCESS = 60  # then a fresh one: JAX keeps what it compiled, some 20 MB a program
+JOBS_BETWEEN = 40  # after so many a process forgets its compiled programs, some 20 MB each; they are kept on disk
+
+
+_done: list[Job] = []  # of this process
 
 
 class Done(NamedTuple):
@@ -33,6 +37,9 @@ def _work(job: Job) -> Done:
         value, problem = None, f"{type(error).__name__}: {error}"
         traceback.print_exc()
     keep_compiled()
+    _done.append(job)
+    if len(_done) % JOBS_BETWEEN == 0:
+        jax.clear_caches()
     return Done(value, time.perf_counter() - began, problem)
 
 
@@ -42,7 +49,8 @@ def _all(jobs: list[Job], processes: int, title: str) -> dict[Job, Done]:
     done: dict[Job, Done] = {}
     if not jobs:
         return done
-    pool = ProcessPoolExecutor(min(processes, len(jobs)), get_context("spawn"), max_tasks_per_child=JOBS_PER_PROCESS)
+    # not with max_tasks_per_child: Python 3.11 and 3.12 may wait for ever once all processes have done so many
+    pool = ProcessPoolExecutor(min(processes, len(jobs)), get_context("spawn"))
     with pool, tqdm(total=len(jobs), desc=title, unit="job", disable=None) as bar:
         waiting: dict[Future[Done], Job] = {pool.submit(_work, job): job for job in jobs}
         for future in as_completed(waiting):
