@@ -49,8 +49,9 @@ def track_many(
     if any(len(some) not in (1, count) for some in given):
         lengths = ", ".join(f"{len(some)} {name}" for some, name in zip(given, ("bodies", "recordings", "settings")))
         raise ValueError(f"{lengths}: give one of each, or as many as of the others")
-    for some in given[2]:
-        check_stages(some)
+    for one in given[2]:
+        assert isinstance(one, Settings)
+        check_stages(one)
     if lanes < 0:
         raise ValueError(f"lanes = {lanes}: must be 1 or more, or 0 for as many as are good for the devices")
     cases = list(zip(*(some * (count // len(some)) for some in given)))
