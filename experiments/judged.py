@@ -166,10 +166,10 @@ def trials(work: Callable[[Job], Out], jobs: list[Job], processes: int) -> Itera
         yield from map(work, jobs)
         return
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        yield from pool.map(partial(_sharing, work), jobs)
+        yield from pool.map(partial(sharing, work), jobs)
 
 
-def _sharing(work: Callable[[Job], Out], job: Job) -> Out:
+def sharing(work: Callable[[Job], Out], job: Job) -> Out:
     """Does a job with the programs that any process has compiled before."""
     use_compile_cache(cache_folder(""))
     outcome = work(job)

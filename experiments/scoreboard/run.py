@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import jax
 from tqdm import tqdm
 
+from experiments.judged import sharing
 from experiments.scoreboard.board import Data, Job, Measured, Promise
-from voodoo_jax.compile.cache_dir import cache_folder, keep_compiled, use_compile_cache
 
 JOBS_BETWEEN = 40  # after so many a process forgets its compiled programs, some 20 MB each; they are kept on disk
 
@@ -29,14 +29,12 @@ class Done(NamedTuple):
 
 
 def _work(job: Job) -> Done:
-    use_compile_cache(cache_folder(""))
     began = time.perf_counter()
     try:
-        value, problem = job.run(), ""
+        value, problem = sharing(lambda one: one.run(), job), ""
     except Exception as error:  # one job that fails costs its promises only
         value, problem = None, f"{type(error).__name__}: {error}"
         traceback.print_exc()
-    keep_compiled()
     _done.append(job)
     if len(_done) % JOBS_BETWEEN == 0:
         jax.clear_caches()

@@ -40,7 +40,7 @@ def demo(out: Path) -> int:
         target = Path(out) / "demo.png"
         picture(tracks, read_log(log), target, truth=_on_frames(tracks, truth))
     print(f"\nLook at {target}: cloud and tracked body side by side; crosses are the truth.")
-    print(f"In Foxglove or Rerun open {Path(out) / 'demo.voodoo.mcap'}.")
+    print(f"In Foxglove open {Path(out) / 'demo.voodoo.mcap'}.")
     return 0
 
 
