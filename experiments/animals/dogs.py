@@ -12,7 +12,7 @@ from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate.mcap import write_simulation
-from voodoo_jax.simulate.motion import Motion, _grounded, _motion
+from voodoo_jax.simulate.motion import Motion, grounded, motion_of_turns
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.room import Box, Room
 from voodoo_jax.simulate.sensor import tof_camera
@@ -56,7 +56,7 @@ def steps(body: Body, effort: float) -> Motion:
     turns["neck"] = vector(0.25 * np.sin(1.3 * time), 0.3 * np.sin(1.7 * time + 1), 0.4 * np.sin(0.9 * time))
     turns["skull"] = vector(0, 0.3 * np.sin(2.1 * time), 0.2 * np.sin(1.1 * time))
     turns["tail"] = vector(0, 0.3, 0.6 * np.sin(9 * time))
-    return _grounded(body, _motion(body, time, turns))
+    return grounded(body, motion_of_turns(body, time, turns))
 
 
 def moved(motion: Motion, what: str, rng: np.random.Generator) -> Motion:

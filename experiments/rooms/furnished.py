@@ -60,7 +60,7 @@ def work(job: Draw) -> Found:
     name = list(CAMERAS)[0] if rng.random() < 0.6 else str(rng.choice(list(CAMERAS)))
     camera, noise = CAMERAS[name]
     vertices, camera = _in_view(vertices, camera, rng)
-    room = _room(vertices, rng)
+    room = room_around(vertices, rng)
     empty, rays = render_room(camera, room), camera.rays().reshape(camera.height, camera.width, 3)
     origin, frames, theirs = np.array(camera.position, np.float32), [], []
     for k, frame in enumerate(vertices):
@@ -72,10 +72,10 @@ def work(job: Draw) -> Found:
         frames.append(Frame(int(k * 1e9 / RATE), points, np.zeros(len(points), np.int32), origin[None]))
     people = find_person(frames, np.array([0, 0, 1], np.float32), human(), Settings())[1]
     what = f"{clip} by somebody of {figure.dims['stature']:.2f} m, {len(room.boxes)} things"
-    return Found(job.seed, name, what, *_shares(theirs, [f.points for f in people]))
+    return Found(job.seed, name, what, *shares_of(theirs, [f.points for f in people]))
 
 
-def _shares(theirs: list[np.ndarray], found: list[np.ndarray]) -> tuple[float, float]:
+def shares_of(theirs: list[np.ndarray], found: list[np.ndarray]) -> tuple[float, float]:
     """Means over frames of the share of the person's points near a found one, and of found ones near the person's."""
     share, right = [], []
     for points, got in zip(theirs, found):
@@ -114,7 +114,7 @@ def _in_view(vertices: np.ndarray, camera: Camera, rng: np.random.Generator) -> 
     return vertices + shift.astype(np.float32), camera
 
 
-def _room(vertices: np.ndarray, rng: np.random.Generator) -> Room:
+def room_around(vertices: np.ndarray, rng: np.random.Generator) -> Room:
     """Up to six things where nobody runs into them, nor stands behind them all the time; a wall mostly, side walls."""
     points, boxes = vertices[:, ::7].reshape(-1, 3), []
     bearing = np.median(points[:, 1] / points[:, 0])

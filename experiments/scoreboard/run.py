@@ -28,7 +28,7 @@ class Done(NamedTuple):
     problem: str  # empty: none
 
 
-def _work(job: Job) -> Done:
+def outcome_of(job: Job) -> Done:
     began = time.perf_counter()
     try:
         value, problem = sharing(lambda one: one.run(), job), ""
@@ -41,7 +41,7 @@ def _work(job: Job) -> Done:
     return Done(value, time.perf_counter() - began, problem)
 
 
-def _all(jobs: list[Job], processes: int, title: str) -> dict[Job, Done]:
+def outcomes_of(jobs: list[Job], processes: int, title: str) -> dict[Job, Done]:
     """Outcomes of all jobs, the long ones first so that both cores are busy to the end."""
     jobs = sorted(jobs, key=lambda job: -getattr(job, "seconds", 1.0))
     done: dict[Job, Done] = {}
@@ -50,7 +50,7 @@ def _all(jobs: list[Job], processes: int, title: str) -> dict[Job, Done]:
     # not with max_tasks_per_child: Python 3.11 and 3.12 may wait for ever once all processes have done so many
     pool = ProcessPoolExecutor(min(processes, len(jobs)), get_context("spawn"))
     with pool, tqdm(total=len(jobs), desc=title, unit="job", disable=None) as bar:
-        waiting: dict[Future[Done], Job] = {pool.submit(_work, job): job for job in jobs}
+        waiting: dict[Future[Done], Job] = {pool.submit(outcome_of, job): job for job in jobs}
         for future in as_completed(waiting):
             done[waiting[future]] = future.result()
             bar.update(1)
@@ -61,10 +61,10 @@ def measure(promises: Sequence[Promise], data: Data, processes: int) -> list[Mea
     """What is found for each promise. Those about time and memory are measured after the others, one job at a time."""
     wanted = {p.name: list(p.jobs(data)) for p in promises}
     beside = list(dict.fromkeys(job for p in promises if not p.alone for job in wanted[p.name]))
-    done = _all(beside, processes, "scoreboard")
+    done = outcomes_of(beside, processes, "scoreboard")
     for p in promises:
         if p.alone:
-            done |= _all([job for job in wanted[p.name] if job not in done], 1, p.name)
+            done |= outcomes_of([job for job in wanted[p.name] if job not in done], 1, p.name)
     return [_measured(p, [done[job] for job in wanted[p.name]], data.quick) for p in promises]
 
 

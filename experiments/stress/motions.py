@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body, parse_body
-from voodoo_jax.simulate.motion import Motion, _ease, _grounded, _motion, pose_body
+from voodoo_jax.simulate.motion import Motion, eased, grounded, motion_of_turns, pose_body
 
 RATE = 30.0  # frames per second
 Pose = dict[str, tuple[float, float, float]]  # rotation vectors of joints about the body frame's axes, radians
@@ -79,20 +79,20 @@ def posed(body: Body, keys: list[tuple[float, Pose]], ground: bool = False) -> M
     for name in {name for _, pose in keys for name in pose}:
         value = np.tile(np.array(keys[0][1].get(name, still), float), (len(time), 1))
         for k, (_, pose) in enumerate(keys[1:], 1):
-            share = _ease(time, ends[k - 1], ends[k])[:, None]
+            share = eased(time, ends[k - 1], ends[k])[:, None]
             value += share * (np.array(pose.get(name, still)) - np.array(keys[k - 1][1].get(name, still)))
         turns[name] = value
     lean, at = turns.pop("lean", None), turns.pop("at", 0.0)
-    motion = _motion(body, time, turns, lean=lean)
-    return _moved(_on_its_feet(body, _grounded(body, motion)) if ground else motion, at)
+    motion = motion_of_turns(body, time, turns, lean=lean)
+    return _moved(_on_its_feet(body, grounded(body, motion)) if ground else motion, at)
 
 
 def turning(body: Body, angle: float, seconds: float) -> Motion:
     """Standing relaxed, turned in place by `angle` (radians, to the left)."""
     time = np.arange(round(seconds * RATE)) / RATE
-    lean = _ease(time, 0, seconds)[:, None] * np.array([0.0, 0.0, angle])
+    lean = eased(time, 0, seconds)[:, None] * np.array([0.0, 0.0, angle])
     turns = {name: np.tile(np.array(v), (len(time), 1)) for name, v in RELAXED.items()}
-    return _motion(body, time, turns, lean=lean)
+    return motion_of_turns(body, time, turns, lean=lean)
 
 
 def running(body: Body, keys: list[tuple[float, float]]) -> Motion:
@@ -110,7 +110,7 @@ def running(body: Body, keys: list[tuple[float, float]]) -> Motion:
         turns[f"{side}_ankle"] = vector(0, 0.3 * reach * np.sin(phase), 0)
         turns[f"{side}_shoulder"] = vector(0.1 * sign, reach * 0.7 * np.sin(phase), 0)
         turns[f"{side}_elbow"] = vector(0, -0.15 - 1.3 * reach, 0)
-    motion = _grounded(body, _motion(body, time, turns, lean=vector(0, 0.22 * reach, 0)))
+    motion = grounded(body, motion_of_turns(body, time, turns, lean=vector(0, 0.22 * reach, 0)))
     return _moved(motion, vector(np.cumsum(speed) / RATE, 0, 0))
 
 

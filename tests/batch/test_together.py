@@ -36,14 +36,14 @@ def assert_equal_tracks(one: vj.Tracks, other: vj.Tracks) -> None:
 def test_each_gets_what_it_gets_alone(recordings):
     body = small_body()
     alone = [vj.track(body, recording, SETTINGS) for recording in recordings]
-    programs = lanes._program(False)._cached._cache_size()
+    programs = lanes.program_of(False)._cached._cache_size()
     for count in (1, 2, 3):  # one program, whatever is beside it and however long
         together = vj.track_many(body, recordings[:count], SETTINGS, lanes=2)
         assert [t.source for t in together] == [r.path for r in recordings[:count]]
         for one, other in zip(alone, together):
             assert one.tracked.any()
             assert_equal_tracks(one, other)
-    assert lanes._program(False)._cached._cache_size() - programs <= 2  # with one lane, and with two
+    assert lanes.program_of(False)._cached._cache_size() - programs <= 2  # with one lane, and with two
 
 
 def test_one_recording_with_many_settings_and_bodies(recordings):

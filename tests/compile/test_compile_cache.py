@@ -233,7 +233,7 @@ import voodoo_jax as vj
 from tests.support.small_logs import SETTINGS, small_body
 from voodoo_jax.compile.executable import Program
 
-counted, made = {"traced": 0, "compiled": 0}, Program._traced
+counted, made = {"traced": 0, "compiled": 0}, Program.traced
 def traced(*args):
     counted["traced"] += 1
     return made(*args)
@@ -243,7 +243,7 @@ def compiled(event, *_, **__):
     counted["compiled"] += event == "/jax/core/compile/backend_compile_duration"
 
 if __name__ == "__main__":  # workers import this file
-    Program._traced = traced
+    Program.traced = traced
     jax.monitoring.register_event_listener(loaded)
     jax.monitoring.register_event_duration_secs_listener(compiled)
     log, out = sys.argv[1:]

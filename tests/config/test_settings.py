@@ -17,7 +17,7 @@ from voodoo_jax.config.options import (
     TrackSettings,
 )
 from voodoo_jax.config.presets import preset
-from voodoo_jax.config.toml import _help_texts, read_settings, settings_text
+from voodoo_jax.config.toml import help_texts, read_settings, settings_text
 
 CHANGED = replace(
     Settings(),
@@ -111,9 +111,9 @@ def test_every_option_has_a_meaning():
     for stage in fields(Settings):
         cls = Change if stage.name == "changes" else type(getattr(Settings(), stage.name))
         if stage.name == "online":
-            assert any(_help_texts(Settings)[stage.name] in line for line in lines)
+            assert any(help_texts(Settings)[stage.name] in line for line in lines)
             continue
-        texts = _help_texts(cls)
+        texts = help_texts(cls)
         for option in fields(cls):
             assert len(texts.get(option.name, "")) > 12, f"{stage.name}.{option.name}"
             assert any(texts[option.name] in line for line in lines)

@@ -36,7 +36,7 @@ def promise(name="one", numbers=(1.9,), alone=False) -> Promise:
 
 def here(monkeypatch):
     """Jobs run in this process, in their order."""
-    monkeypatch.setattr(run, "_all", lambda jobs, processes, title: {job: run._work(job) for job in jobs})
+    monkeypatch.setattr(run, "outcomes_of", lambda jobs, processes, title: {job: run.outcome_of(job) for job in jobs})
 
 
 @pytest.mark.parametrize(
@@ -69,8 +69,8 @@ def test_a_promise_that_is_not_measured_any_more_has_fallen():
 def test_equal_jobs_are_done_once_and_a_failing_one_costs_its_promise_only(monkeypatch):
     here(monkeypatch)
     done: list[Value] = []
-    work = run._work
-    monkeypatch.setattr(run, "_work", lambda job: (done.append(job), work(job))[1])
+    work = run.outcome_of
+    monkeypatch.setattr(run, "outcome_of", lambda job: (done.append(job), work(job))[1])
     some = [promise("a", (1.0, 0.5)), promise("b", (1.0,)), promise("c", (-1.0,)), promise("d", (), True)]
     found = {m.promise.name: m for m in run.measure(some, Data(None), 2)}
     assert len(done) == 3

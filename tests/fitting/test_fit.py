@@ -319,7 +319,7 @@ def test_a_loss_of_ones_own():
 
 def test_a_body_that_nothing_rests_with_gains_nothing():
     """A step is taken as far as frames come to rest, and the fit goes on."""
-    from voodoo_jax.fitting.gauss_newton import FitError, Place, Search, _along
+    from voodoo_jax.fitting.gauss_newton import FitError, Place, Search, along
 
     class Slope(Search):
         """Falls for ever; beyond 1.5 no frame comes to rest."""
@@ -334,7 +334,7 @@ def test_a_body_that_nothing_rests_with_gains_nothing():
 
     here = Place(0.0, (), (), (), ())
     for step, wanted in ((1.0, 1.0), (2.0, 0.5), (20.0, 0.2)):
-        share, gain, there = _along(object.__new__(Slope), np.zeros(1), np.array([step]), here, ())
+        share, gain, there = along(object.__new__(Slope), np.zeros(1), np.array([step]), here, ())
         if step < 20:
             assert share == wanted and gain == wanted * step == -there.loss
         else:

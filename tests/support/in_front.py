@@ -12,7 +12,7 @@ from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.simulate.mcap import write_simulation
-from voodoo_jax.simulate.motion import _motion, placed
+from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import Simulation, simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
@@ -24,7 +24,7 @@ def in_front(
 ) -> tuple[Simulation, Session]:
     """A second, 3.2 m away and in the end `nearer` by so many metres, with some joints turned (rotation vectors [frame,
     3], radians): what is so, and the session that tracks it. Writes a log at `path`."""
-    moved = _motion(body, np.arange(count) / 30, turns)
+    moved = motion_of_turns(body, np.arange(count) / 30, turns)
     gone = np.outer(np.linspace(0, nearer, count), [1.0, 0, 0]).astype(np.float32)
     moved = replace(moved, root=Poses(moved.root.rotation, moved.root.translation + gone))
     sim = simulate(body, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))

@@ -22,7 +22,7 @@ def furnished(monkeypatch):
 def test_nobody_runs_into_things_and_none_is_before_them(furnished, seed):
     rng = np.random.default_rng(seed)
     vertices = np.stack([figure(3.0 + 0.05 * k, -0.3 + 0.03 * k) for k in range(20)])
-    room = furnished._room(vertices, rng)
+    room = furnished.room_around(vertices, rng)
     points = vertices.reshape(-1, 3)
     assert room.wall is None or room.wall > points[:, 0].max() + 0.1
     for box in room.boxes:
@@ -39,8 +39,8 @@ def test_what_is_found_and_what_of_it_is_right(furnished):
     chair = person + np.array([0.0, 2.0, 0.0], np.float32)
     half = person[person[:, 2] > 0.9]
     nothing = np.zeros((0, 3), np.float32)
-    assert furnished._shares([person], [person]) == (1.0, 1.0)
-    assert furnished._shares([person, person], [person, nothing]) == (0.5, 1.0)
-    share, right = furnished._shares([person], [np.concatenate([half, chair[: len(half)]])])
+    assert furnished.shares_of([person], [person]) == (1.0, 1.0)
+    assert furnished.shares_of([person, person], [person, nothing]) == (0.5, 1.0)
+    share, right = furnished.shares_of([person], [np.concatenate([half, chair[: len(half)]])])
     assert 0.45 < share < 0.6 and right == pytest.approx(0.5, abs=0.02)
-    assert furnished._shares([person], [chair]) == (0.0, 0.0)
+    assert furnished.shares_of([person], [chair]) == (0.0, 0.0)

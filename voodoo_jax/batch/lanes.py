@@ -71,7 +71,7 @@ def visit_lanes(asked: list[tuple], lanes: int) -> list[tuple[State, Step]]:
         stacked = jax.tree.map(
             lambda *x: np.stack([np.asarray(each) for each in x]), *mine, *[idle] * (lanes - len(mine))
         )
-        found = jax.tree.map(np.asarray, _program(jax.default_backend() != "cpu")(*stacked))
+        found = jax.tree.map(np.asarray, program_of(jax.default_backend() != "cpu")(*stacked))
         out |= {number: jax.tree.map(lambda x, k=k: x[k], found) for k, number in enumerate(numbers)}
     return [out[number] for number in range(len(asked))]
 
@@ -81,7 +81,7 @@ def _nobody(visits: Visits) -> Visits:
 
 
 @cache
-def _program(lockstep: bool) -> Any:
+def program_of(lockstep: bool) -> Any:
     """Lanes of each device in step, or one after the other: on a processor, where a lane in step waits for the slowest
     and gains nothing."""
     mesh = Mesh(np.array(jax.devices()), ("lane",))

@@ -124,20 +124,20 @@ class Program(Generic[P, R]):
     def _made(self, key: Hashable, leaves: list[Any], tree: Any, arrays: list[Any]) -> Made:
         text = repr((self.__module__, self.function.__qualname__, code_fingerprint(), key, _surroundings()))
         if " at 0x" in text:  # an address is another one in every process
-            return self._traced(leaves, tree, arrays)[:2]
+            return self.traced(leaves, tree, arrays)[:2]
         name = hashlib.sha256(text.encode()).hexdigest()
         if (found := _known(name, arrays)) is None:
             with alone(name):  # others that want the same wait for it
                 found = _known(name, arrays)
                 if found is None:
-                    run, form, content = self._traced(leaves, tree, arrays)
+                    run, form, content = self.traced(leaves, tree, arrays)
                     found = run, form
                     # not every structure can be pickled: only slower next time
                     with suppress(Exception):
                         keep(name, pickle.dumps((content, jax.tree.unflatten(form, range(form.num_leaves)))))
         return found
 
-    def _traced(self, leaves: list[Any], tree: Any, arrays: list[Any]) -> tuple[Run, Any, str]:
+    def traced(self, leaves: list[Any], tree: Any, arrays: list[Any]) -> tuple[Run, Any, str]:
         """Made as ever: executable, structure of the results, and the name under which the executable is kept."""
         places = [i for i, leaf in enumerate(leaves) if eqx.is_array(leaf)]
         forms = []

@@ -171,7 +171,7 @@ def check_settings(settings: "Settings") -> None:
             _check(stage, f, list(value) if isinstance(value, tuple) else value)
 
 
-def _help_texts(cls: type) -> dict[str, str]:
+def help_texts(cls: type) -> dict[str, str]:
     """The text under each field of a settings class."""
     node = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0]
     assert isinstance(node, ast.ClassDef)
@@ -186,9 +186,9 @@ def settings_text(settings: "Settings | None" = None) -> str:
     """Settings as a TOML file with every option's meaning as a comment."""
     settings = settings or Settings()
     lines = ["# Settings of voodoo-jax. Use: voodoo-jax replay LOG... --out DIR --config THIS_FILE"]
-    lines += ["", f"# {_help_texts(Settings)['online']}", f"online = {json.dumps(settings.online)}"]
+    lines += ["", f"# {help_texts(Settings)['online']}", f"online = {json.dumps(settings.online)}"]
     for stage, cls in _STAGES.items():
-        texts = _help_texts(cls)
+        texts = help_texts(cls)
         lines += ["", f"# {cls.__doc__}", f"[{stage}]"]
         for f in fields(cls):
             value = getattr(getattr(settings, stage), f.name)
@@ -196,7 +196,7 @@ def settings_text(settings: "Settings | None" = None) -> str:
             written = {"Infinity": "inf"}.get(written, written)
             choices = f" ({', '.join(get_args(f.type))})" if get_origin(f.type) is Literal else ""
             lines += [f"# {texts[f.name]}{choices}", f"{f.name} = {written}"]
-    texts = _help_texts(Change)
+    texts = help_texts(Change)
     lines += ["", f"# {Change.__doc__}", "# [[change]]"]
     for f in fields(Change):
         lines += [f"# {f.name}: {texts[f.name]}"]

@@ -232,7 +232,7 @@ def run_search(
         step[~search.held] = -np.linalg.solve(full, sums.slope[~search.held])
         # at most one and a half usual deviations at once: matches change on the way
         step *= min(1.0, 1.5 / max(float(np.max(np.abs(step) / search.sd)), 1e-9))
-        share, gain, there = _along(search, progress.x, step, here, starts)
+        share, gain, there = along(search, progress.x, step, here, starts)
         if gain > 0:
             small = bool(gain < GAIN * here.loss + LEAST)
             progress = replace(
@@ -249,7 +249,7 @@ def run_search(
     return progress, place
 
 
-def _along(
+def along(
     search: Search, x: np.ndarray, step: np.ndarray, here: Place, starts: tuple[Poses, ...]
 ) -> tuple[float, float, Place]:
     """Share of the step that gains most, what it gains, and what was found there.

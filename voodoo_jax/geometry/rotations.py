@@ -11,7 +11,7 @@ def limb_ends(
     lengths: Float[np.ndarray, " limb"],
 ) -> Float[np.ndarray, "2 frame limb 3"]:
     """Where both ends of every limb's axis are, metres."""
-    return np.stack([translation, translation + lengths[None, :, None] * _axis(rotation)])
+    return np.stack([translation, translation + lengths[None, :, None] * axis_of(rotation)])
 
 
 def rotations(q: np.ndarray) -> Rotation:
@@ -21,11 +21,11 @@ def rotations(q: np.ndarray) -> Rotation:
     return Rotation.from_quat(np.where(there, flat, [1.0, 0, 0, 0]), scalar_first=True)
 
 
-def _axis(q: np.ndarray) -> np.ndarray:
+def axis_of(q: np.ndarray) -> np.ndarray:
     return rotations(q).apply([0.0, 0.0, 1.0]).reshape(*q.shape[:-1], 3)
 
 
-def _half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Quaternions xyzw that turn unit vectors a halfway to b: by construction half of the smallest turn."""
     middle = a + b
     length = np.linalg.norm(middle, axis=-1, keepdims=True)

@@ -37,8 +37,8 @@ def pose_body(body: Body, root: Poses, rotations: Float[np.ndarray, "*frame join
     t = body.topology
     rotations = np.asarray(rotations, np.float64)
     turns = Rotation.from_rotvec(rotations.reshape(-1, 3)).as_matrix().reshape(*rotations.shape, 3)
-    (parent_turn, parent_at), (child_turn, child_at) = _arrays(body.parent_anchor), _arrays(body.child_anchor)
-    found = {0: _arrays(root)}
+    (parent_turn, parent_at), (child_turn, child_at) = as_arrays(body.parent_anchor), as_arrays(body.child_anchor)
+    found = {0: as_arrays(root)}
     for j in tree_order(t):
         turn, at = found[t.parents[j]]
         at = at + turn @ parent_at[j]
@@ -57,9 +57,9 @@ def make_motion(body: Body, name: str, seconds: float = 3.0, rate: float = 30.0)
     """
     time = np.arange(round(seconds * rate)) / rate
     if name == "swing":
-        return _motion(body, time, {}, _swing_rotations(body, time))
+        return motion_of_turns(body, time, {}, _swing_rotations(body, time))
     one, zero = np.ones_like(time), np.zeros_like(time)
-    window = _ease(time, 0, min(0.7, seconds / 3)) * (1 - _ease(time, seconds - min(0.7, seconds / 3), seconds))
+    window = eased(time, 0, min(0.7, seconds / 3)) * (1 - eased(time, seconds - min(0.7, seconds / 3), seconds))
     vector = lambda x, y, z: np.stack([x * one, y * one, z * one], -1)  # noqa: E731
     bend = lambda angle: vector(0, -angle, 0)  # noqa: E731  limb swings forward, about the axis to the right
     mix = lambda relaxed, target: relaxed + window[:, None] * (target - relaxed)  # noqa: E731
@@ -67,13 +67,13 @@ def make_motion(body: Body, name: str, seconds: float = 3.0, rate: float = 30.0)
     turns = {"l_elbow": bend(0.15), "r_elbow": bend(0.15)}
     turns |= {"l_shoulder": vector(0.1, 0, 0), "r_shoulder": vector(-0.1, 0, 0)}
     if name == "stand":
-        return _motion(body, time, turns)
+        return motion_of_turns(body, time, turns)
     if name == "wave":
         # upper arm to the side, turned about itself so that the bent elbow points the forearm up
         lifted = (Rotation.from_rotvec([-1.7, 0, 0]) * Rotation.from_rotvec([0, 0, -np.pi / 2])).as_rotvec()
         turns["r_shoulder"] = mix(turns["r_shoulder"], vector(*lifted))
         turns["r_elbow"] = mix(turns["r_elbow"], bend(1.2 + 0.4 * np.sin(2 * np.pi * 1.5 * time)))
-        return _motion(body, time, turns)
+        return motion_of_turns(body, time, turns)
     if name == "bow":
         angle = 0.75 * window
         share = 0.5 if "waist" in body.topology.joints else 1.0  # of the pelvis; the waist does the rest
@@ -81,7 +81,7 @@ def make_motion(body: Body, name: str, seconds: float = 3.0, rate: float = 30.0)
         turns |= {"l_hip": bend(share * angle), "r_hip": bend(share * angle)}
         turns["l_shoulder"] = turns["l_shoulder"] + bend(0.9 * angle)
         turns["r_shoulder"] = turns["r_shoulder"] + bend(0.9 * angle)
-        return _grounded(body, _motion(body, time, turns, lean=bend(-share * angle)))
+        return grounded(body, motion_of_turns(body, time, turns, lean=bend(-share * angle)))
     if name == "walk":
         for side, phase in (("l", 0.0), ("r", np.pi)):
             stride = 2 * np.pi * 0.9 * time + phase
@@ -91,7 +91,7 @@ def make_motion(body: Body, name: str, seconds: float = 3.0, rate: float = 30.0)
             turns[f"{side}_ankle"] = bend(window * 0.6 * np.clip(knee - hip, -0.3, 0.3))
             turns[f"{side}_shoulder"] = turns[f"{side}_shoulder"] + bend(-window * 0.35 * np.sin(stride))
             turns[f"{side}_elbow"] = bend(0.15 + 0.2 * window)
-        return _grounded(body, _motion(body, time, turns, lean=vector(zero, 0.06 * window, zero)), rolling=True)
+        return grounded(body, motion_of_turns(body, time, turns, lean=vector(zero, 0.06 * window, zero)), rolling=True)
     raise ValueError(f"no motion named '{name}'; there are {', '.join(MOTIONS)}")
 
 
@@ -113,12 +113,12 @@ def placed(motion: Motion, x: float, y: float, yaw: float) -> Motion:
     return replace(motion, root=compose(place, motion.root))
 
 
-def _ease(t, start: float, end: float):
+def eased(t, start: float, end: float):
     s = np.clip((t - start) / max(end - start, 1e-9), 0, 1)
     return s * s * (3 - 2 * s)
 
 
-def _motion(body: Body, time, turns: Mapping[str, np.ndarray], rotations=None, lean=None) -> Motion:
+def motion_of_turns(body: Body, time, turns: Mapping[str, np.ndarray], rotations=None, lean=None) -> Motion:
     """From rotation vectors about the body frame's axes; `lean` [frame, 3] turns the root about the hips' middle."""
     t, count = body.topology, len(time)
     rotations = np.zeros((count, len(t.joints), 3), np.float32) if rotations is None else rotations
@@ -141,11 +141,11 @@ def _swing_rotations(body: Body, time) -> Float32[np.ndarray, "frame joint 3"]:
     amplitude = np.where(axes.all(1), 0.12, np.where(axes.any(1), 0.5, 0.3))[:, None] * free
     # golden ratio: no two joints or axes in step
     phase = 2 * np.pi * ((np.arange(amplitude.size) * 0.6180339887) % 1).reshape(amplitude.shape)
-    wave = np.sin(2 * np.pi * 0.4 * time[:, None, None] + phase) * _ease(time, 0, 0.7)[:, None, None]
+    wave = np.sin(2 * np.pi * 0.4 * time[:, None, None] + phase) * eased(time, 0, 0.7)[:, None, None]
     return (amplitude * wave).astype(np.float32)
 
 
-def _grounded(body: Body, motion: Motion, rolling: bool = False) -> Motion:
+def grounded(body: Body, motion: Motion, rolling: bool = False) -> Motion:
     """Moves the root up or down so that the lowest point stays at its height in the rest pose.
 
     rolling: also forward, so that the lowest limb end does not slide over the floor.
@@ -164,14 +164,14 @@ def _grounded(body: Body, motion: Motion, rolling: bool = False) -> Motion:
 
 def _limb_ends(body: Body, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
     """Centres [..., 2 limb, 3] of all end ellipses and the height of each ellipse's lowest point [..., 2 limb]."""
-    sizes, (rotation, translation) = np.asarray(body.sizes, np.float64), _arrays(poses)
+    sizes, (rotation, translation) = np.asarray(body.sizes, np.float64), as_arrays(poses)
     top = translation + rotation[..., 2] * sizes[:, 4:]
     drop = lambda a, b: np.hypot(a * rotation[..., 2, 0], b * rotation[..., 2, 1])  # noqa: E731
     heights = [translation[..., 2] - drop(sizes[:, 0], sizes[:, 1]), top[..., 2] - drop(sizes[:, 2], sizes[:, 3])]
     return np.concatenate([translation, top], -2), np.concatenate(heights, -1)
 
 
-def _arrays(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+def as_arrays(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
     """Rotation matrices [..., 3, 3] and translations [..., 3] in float64."""
     q = np.asarray(poses.rotation, np.float64)
     matrix = Rotation.from_quat(q.reshape(-1, 4), scalar_first=True).as_matrix()

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt16
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.simulate.motion import Motion, _arrays, pose_body
-from voodoo_jax.simulate.room import Room, _keep_nearest, render_room
+from voodoo_jax.simulate.motion import Motion, as_arrays, pose_body
+from voodoo_jax.simulate.room import Room, keep_nearest, render_room
 from voodoo_jax.simulate.sensor import TOF_NOISE, Camera, Noise, add_noise, tof_camera
 
 FIXED_FRAME = "base"
@@ -31,7 +31,7 @@ def render(
     """
     rays, origin = camera.rays(), np.array(camera.position)
     depth, cosine = (image.ravel() for image in render_room(camera, room))
-    sizes, (rotation, translation) = np.asarray(body.sizes, np.float64), _arrays(poses)
+    sizes, (rotation, translation) = np.asarray(body.sizes, np.float64), as_arrays(poses)
     centres = translation + rotation[..., 2] * sizes[:, 4:] / 2 - origin
     radii = np.hypot(sizes[:, :4].max(1), sizes[:, 4] / 2)
     for limb in np.flatnonzero(np.asarray(body.present)):
@@ -39,7 +39,7 @@ def render(
         # only the rays that meet the limb's bounding sphere
         along = rays @ centre
         near = np.nonzero((along > 0) & (along**2 > (centre @ centre - radius**2) * (rays**2).sum(1)))[0]
-        _keep_nearest(depth, cosine, near, *_hit_frustum(size, (origin - t) @ r, rays[near] @ r))
+        keep_nearest(depth, cosine, near, *_hit_frustum(size, (origin - t) @ r, rays[near] @ r))
     return depth.reshape(camera.height, camera.width), cosine.reshape(camera.height, camera.width)
 
 

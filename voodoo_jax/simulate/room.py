@@ -41,13 +41,13 @@ def render_room(
     with np.errstate(divide="ignore", invalid="ignore"):
         length = np.linalg.norm(rays, axis=1)
         for axis, at in planes:
-            _keep_nearest(depth, cosine, every, (at - origin[axis]) / rays[:, axis], np.abs(rays[:, axis]) / length)
+            keep_nearest(depth, cosine, every, (at - origin[axis]) / rays[:, axis], np.abs(rays[:, axis]) / length)
         for box in room.boxes if room else ():
-            _keep_nearest(depth, cosine, every, *hit_box(box, origin, rays))
+            keep_nearest(depth, cosine, every, *hit_box(box, origin, rays))
     return depth.reshape(camera.height, camera.width), cosine.reshape(camera.height, camera.width)
 
 
-def _keep_nearest(depth, cosine, index, t, c) -> None:
+def keep_nearest(depth, cosine, index, t, c) -> None:
     with np.errstate(invalid="ignore"):
         closer = (t > 0) & (t < depth[index])
     depth[index[closer]], cosine[index[closer]] = t[closer], c[closer]

@@ -10,7 +10,8 @@ from voodoo_jax.detect import pipeline as detection
 from voodoo_jax.trackers.icp import pipeline as icp
 
 ROOT = Path(__file__).parents[3]
-PLACES = [("detect", s) for s in detection.stages()] + [("trackers/icp/refine", s) for s in icp.stages()]
+PLACES = [("detect", s) for s in detection.stages()]
+PLACES += [(f"trackers/icp/{'start' if s in (*icp.START, icp.END) else 'refine'}", s) for s in icp.stages()]
 
 
 @pytest.mark.parametrize("folder, stage", PLACES, ids=[stage.name for _, stage in PLACES])

@@ -11,14 +11,13 @@ from voodoo_jax.config.options import DetectSettings, Settings, StartSettings
 from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.exporters.foxglove import limb_mesh
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.simulate.mcap import write_simulation
-from voodoo_jax.simulate.motion import Motion, _motion, make_motion, placed, sequence
+from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
@@ -158,54 +157,6 @@ def test_the_right_heading_is_found(degrees, tmp_path):
     cosine = np.sum(found * true, 1) / np.linalg.norm(found, axis=1) / np.linalg.norm(true, axis=1)
     assert cosine.min() > np.cos(np.radians(20))
     assert np.linalg.norm(tracks.joints - sim.joints, axis=-1).mean() < 0.03
-
-
-@pytest.fixture(scope="module")
-def rising(tmp_path_factory):
-    """A person who is bent over when the recording begins, and stands up."""
-    body = scaled(human(), 1.8)
-    motion = placed(make_motion(body, "bow", 3.0, 15.0), 3.2, 0.0, np.radians(150))
-    bent = len(motion) // 2
-    motion = Motion(motion.time[bent:], motion.root[bent:], motion.rotations[bent:])
-    sim = simulate(body, motion, tof_camera(1.0, 0.07))
-    return sim, read_log(write_simulation(sim, tmp_path_factory.mktemp("rising") / "rising.mcap"))
-
-
-def test_who_does_not_stand_at_first_is_followed_back_from_where_they_do(rising):
-    sim, recording = rising
-    tracks = track(human(), recording, Settings())
-    assert abs(float(tracks.body.scale) - 1.8) < 0.03 and tracks.tracked.all()
-    assert np.linalg.norm(tracks.joints - sim.joints, axis=-1).mean() < 0.03
-
-
-def test_who_jumps_is_not_taller(tmp_path):
-    """Somebody who is bent at first, stands up, and jumps meanwhile or not."""
-    body, bent, sizes = scaled(human(), 1.8), 22, []
-    whole = sequence(make_motion(body, "bow", 3.0, 15.0), make_motion(body, "stand", 2.0, 15.0))
-    motion = placed(whole, 3.2, 0.0, np.radians(150))
-    for high in (0.0, 0.2):
-        lift = np.zeros((len(motion) - bent, 3), np.float32)
-        lift[20:36, 2] = high
-        root = Poses(motion.root.rotation[bent:], motion.root.translation[bent:] + lift)
-        sim = simulate(body, Motion(motion.time[bent:], root, motion.rotations[bent:]), tof_camera(1.0, 0.07))
-        sizes.append(track(human(), read_log(write_simulation(sim, tmp_path / "jump.mcap"))).body.scale)
-    assert abs(float(sizes[1] - sizes[0])) < 0.06
-
-
-def test_a_hand_above_the_head_makes_nobody_taller(tmp_path):
-    """Far away, where noise leaves a doubt and later frames are asked; in some of them a hand is what is highest."""
-    body, time = scaled(human(), 1.7), np.arange(60) / 30
-    up = np.interp(time, [1.0, 1.3, 1.7, 2.0], [0.0, 1.0, 1.0, 0.0])[:, None] * np.array([3.3, 0.0, 0.0])
-    moved = placed(_motion(body, time, {"l_shoulder": up, "r_shoulder": -up}), 4.6, 0.0, np.pi)
-    recording = read_log(write_simulation(simulate(body, moved, tof_camera(1.2, 0.0)), tmp_path / "up.mcap"))
-    tracks = track(human(), recording)
-    assert tracks.tracked.all() and float(tracks.body.scale) == pytest.approx(1.7, abs=0.06)
-
-
-def test_without_a_look_ahead_the_first_frames_settle_the_size(rising):
-    _, recording = rising
-    settings = replace(Settings(), track=replace(Settings().track, skip=("looks_ahead",)))
-    assert float(track(human(), recording, settings).body.scale) < 1.7
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,9 @@ import pytest
 
 from voodoo_jax.compile.executable import forget
 from voodoo_jax.config.options import Settings, TrackSettings
-from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.model.body import joint_centres, scaled
+from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.recording import Frame, Rays, Recording
 from voodoo_jax.records.tracks import Status
@@ -23,11 +22,9 @@ from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import render, simulate
 from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
-from voodoo_jax.solve.scan import options_from, track_visits
-from voodoo_jax.trackers.icp.initialise import fresh
-from voodoo_jax.trackers.icp.runner import Session, first_run
+from voodoo_jax.solve.scan import track_visits
+from voodoo_jax.trackers.icp.runner import first_run
 from voodoo_jax.trackers.icp.tracker import looked_at, prepare, track
-from voodoo_jax.trackers.icp.trials import facing, place
 
 CAMERA = tof_camera(1.0, 0.07)
 NO, YES, GONE = Status.NOT_STARTED, Status.TRACKED, Status.NO_DATA
@@ -180,29 +177,3 @@ def test_what_another_thread_compiles_meanwhile_takes_no_time_from_tracking(reco
 )
 def testfirst_run(mask, length, at):
     assert first_run(np.array([c == "1" for c in mask], bool), length) == at
-
-
-def test_a_wrong_track_is_left_for_a_fresh_start_that_explains_more(recording, standing, monkeypatch):
-    settings, body = Settings(), scaled(human(), float(standing.body.scale))
-    scene, people = find_person(recording, recording.up, body, settings)
-    people = [replace(f, time_ns=f.time_ns + 10**9 * turn) for turn in range(3) for f in people]
-    options = options_from(settings.solve, settings.track, settings.features)
-    run, count = Session(body, options, people, scene, settings), len(people)
-    assert count >= 12
-    ahead, up = np.eye(3, dtype=np.float32)[::2]
-    towards, away = (np.tile(place(body, 0 * up, up, x).rotation, (count, 1, 1)) for x in (-ahead, ahead))
-    assert fresh(run, 0, np.full(count, 1e-4), towards) is None  # the track is better
-    assert fresh(run, count - 3, np.full(3, 1e-2), towards[:3]) is None  # too few frames to tell
-    run.people = [f.only(np.zeros(len(f.points), bool)) for f in people]
-    assert fresh(run, 0, np.full(count, 1e-2), towards) is None  # nothing to start from
-    run.people = people
-    poses = fresh(run, 0, np.full(count, 1e-2), towards)
-    assert poses is not None
-    error = np.linalg.norm(np.asarray(joint_centres(body, poses)) - standing.joints[-1], axis=-1)
-    assert error.mean() < 0.03
-    # where front and back cost the same it is the track that knows
-    monkeypatch.setattr("voodoo_jax.trackers.icp.initialise.RIVAL", 1e6)
-    for ways in (towards, away):
-        found = fresh(run, 0, np.full(count, 1e-2), ways)
-        assert found is not None
-        assert np.prod(facing(body, np.stack([np.asarray(found.rotation), ways[0]]))[:, 0]) > 0.5

@@ -1,8 +1,11 @@
 """The stages of tracking, in the order in which they run.
 
-A new correction is a file in refine/, a line here, a test file and a row of experiments/ablation of the same name.
+A segment begins by trials in all headings and the stages of START (see initialise.py). A new kind of start is a file in
+start/, a new correction one in refine/; each has a line in its list, a test file and a row of experiments/ablation of
+the same name.
 """
 
+from voodoo_jax.trackers.icp.initialise import START
 from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
 from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained
 from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms
@@ -12,10 +15,13 @@ from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
 from voodoo_jax.trackers.icp.refine.stage import Named, Stage
 from voodoo_jax.trackers.icp.refine.swap_legs import SwapLegs
 from voodoo_jax.trackers.icp.sequence import RecordingStage
+from voodoo_jax.trackers.icp.start.fresh_end import FreshEnd
 
+# where the pass back in time begins
+END = FreshEnd()
 # of every segment, and of each that competes with it: before the ways to face are compared, for who faces the right way
 # with the legs exchanged costs more than who faces the other way
-SETTLE: tuple[Stage, ...] = (ForwardBackward(), SwapLegs())
+SETTLE: tuple[Stage, ...] = (ForwardBackward(end=END), SwapLegs())
 # of every segment
 REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities())
 # of the recording
@@ -24,4 +30,4 @@ FINISH: tuple[RecordingStage, ...] = (DropUnexplained(among=REFINE), FitForearms
 
 def stages() -> tuple[Named, ...]:
     """All stages of tracking."""
-    return (*REFINE, *FINISH)
+    return (*START, END, *REFINE, *FINISH)

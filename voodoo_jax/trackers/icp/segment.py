@@ -10,8 +10,8 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.joint_bend import wrong_bend
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.solve.scan import State, Step, cost_of
-from voodoo_jax.trackers.icp.initialise import Beginning
 from voodoo_jax.trackers.icp.runner import Session, status_of
+from voodoo_jax.trackers.icp.start.hypothesis import Beginning
 
 
 @dataclass(frozen=True)

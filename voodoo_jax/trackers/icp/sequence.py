@@ -16,10 +16,11 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.scan import State, at_rest
-from voodoo_jax.trackers.icp.initialise import Beginning, begin, clearer
+from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.refine.stage import Named, Stage, is_active, refined
 from voodoo_jax.trackers.icp.runner import Session, first_run
 from voodoo_jax.trackers.icp.segment import Followed, segment_of
+from voodoo_jax.trackers.icp.start.hypothesis import Beginning
 
 Progress = Callable[[int], None]
 SPAN = 1800  # frames after which a segment is tracked back, even if it goes on

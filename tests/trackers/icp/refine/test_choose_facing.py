@@ -10,11 +10,11 @@ from voodoo_jax.geometry.rigid import Poses, compose, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
-from voodoo_jax.trackers.icp.initialise import Beginning
 from voodoo_jax.trackers.icp.pipeline import SETTLE
 from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing, gone_ahead
 from voodoo_jax.trackers.icp.refine.stage import refined
 from voodoo_jax.trackers.icp.segment import forwards
+from voodoo_jax.trackers.icp.start.hypothesis import Beginning
 
 BODY, COUNT = scaled(human(), 1.75), 30
 

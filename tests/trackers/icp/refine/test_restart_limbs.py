@@ -9,7 +9,7 @@ from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.simulate.motion import _motion, placed
+from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs, other_arms, other_legs
@@ -73,7 +73,7 @@ def test_other_arms_hang_on_the_same_shoulders():
 
 
 def placed_poses() -> Poses:
-    sim = simulate(BODY, placed(_motion(BODY, np.arange(1) / 30, {}), 3.2, 0.3, 2.8), tof_camera())
+    sim = simulate(BODY, placed(motion_of_turns(BODY, np.arange(1) / 30, {}), 3.2, 0.3, 2.8), tof_camera())
     return Poses(sim.rotation[0], sim.translation[0])
 
 

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.trackers.icp.initialise import RIVAL, Beginning
 from voodoo_jax.trackers.icp.refine.stage import Stage, refined
 from voodoo_jax.trackers.icp.runner import Session
 from voodoo_jax.trackers.icp.segment import WRONG_WAY, Followed, bent, segment_of
+from voodoo_jax.trackers.icp.start.hypothesis import RIVAL, Beginning
 from voodoo_jax.trackers.icp.trials import facing
 
 WHILE, STRAIGHT = 0.3, 0.95  # seconds in which who goes ahead turns by no more than the angle of that cosine

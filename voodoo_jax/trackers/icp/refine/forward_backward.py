@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.geometry.rotations import _axis, _half_turn, limb_ends, rotations
-from voodoo_jax.trackers.icp.initialise import fresh
+from voodoo_jax.geometry.rotations import axis_of, half_turn, limb_ends, rotations
+from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import Session
 from voodoo_jax.trackers.icp.segment import Followed, Pass, backwards, pass_of
+from voodoo_jax.trackers.icp.start.fresh_end import FreshEnd
 
 
 class Combined(NamedTuple):
@@ -33,6 +34,7 @@ class ForwardBackward:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"points", "one body"})
 
+    end: FreshEnd = FreshEnd()
     agree: float = 0.12  # metres between the passes' places of a limb's ends, below which they are averaged
     window: int = 7  # frames over which costs are compared: single frames decide by noise
     better: float = 0.97  # the backward pass is taken where it costs less than this share of the forward one
@@ -43,7 +45,7 @@ class ForwardBackward:
             return segment
         count = int(good[-1]) + 1
         forth = segment[:count]
-        poses = fresh(run, forth.first, forth.cost, forth.rotation)
+        poses = self.end(run, forth.first, forth.cost, forth.rotation) if is_active(run, self.end) else None
         if poses is None:
             poses = forth.pose_at(-1)
         back = backwards(run, poses, forth.first, forth.end)
@@ -86,11 +88,11 @@ def combined(
     pick = lambda a, b: np.where(taken[:, None, None], a, b)  # noqa: E731
     rotation, other_rotation = pick(backward.rotation, forward.rotation), pick(forward.rotation, backward.rotation)
     place, other = pick(backward.translation, forward.translation), pick(forward.translation, backward.translation)
-    axis, other_axis = _axis(rotation), _axis(other_rotation)
+    axis, other_axis = axis_of(rotation), axis_of(other_rotation)
     ends = limb_ends(rotation, place, lengths) - limb_ends(other_rotation, other, lengths)
     apart = np.max(np.linalg.norm(ends, axis=-1), 0)
     close = apart < agree  # NaN does not agree
-    half = _half_turn(axis, other_axis)
+    half = half_turn(axis, other_axis)
     turned = (Rotation.from_quat(half.reshape(-1, 4)) * rotations(rotation)).as_quat(scalar_first=True)
     turned = turned.reshape(rotation.shape)
     rotation = np.where(close[..., None], turned, rotation).astype(np.float32)

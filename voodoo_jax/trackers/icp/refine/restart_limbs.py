@@ -15,10 +15,10 @@ from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
 from voodoo_jax.records.observation import PersonFrame
-from voodoo_jax.trackers.icp.initialise import USUAL, soon
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session
 from voodoo_jax.trackers.icp.segment import Followed, pass_of, tracked_anew
+from voodoo_jax.trackers.icp.start.hypothesis import USUAL, soon
 from voodoo_jax.trackers.icp.trials import standing_places
 
 # against the rest pose, in which they hang: as there, forwards, to the side and bent, up

@@ -1,0 +1,1 @@
+"""How a segment begins: start hypotheses, and the stages that better the first one."""

@@ -1,0 +1,109 @@
+"""A start hypothesis: the best of trials in all headings from one frame, and what it costs. Host side."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from voodoo_jax.config.options import StartSettings
+from voodoo_jax.geometry.rigid import Poses, on_host
+from voodoo_jax.model.body import Body
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.trackers.icp.body_size import sized, unlikely
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session
+from voodoo_jax.trackers.icp.trials import opposite, standing_places
+
+RIVAL = (
+    1.1  # a start that faces the other way is looked at where it costs less than so much more than the best; by hand
+)
+FAR_RIVAL = 3.0  # and if it costs less than so much more where something else speaks for it; by hand
+OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher jumps; if even higher, feet are hidden
+USUAL = 0.018  # metres of noise that a start is allowed in any case; by hand
+NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is; by hand
+
+
+class Beginning(NamedTuple):
+    """A start hypothesis."""
+
+    frame: int
+    body: Body  # with its size
+    poses: Poses
+    cost: float  # see solve.scan.cost_of and body_size.unlikely
+    noise: float = 0.0  # of the points that it was tried on, metres, at least USUAL
+    rival: "Beginning | None" = None  # faces the other way
+
+    def clear(self, sure: float) -> bool:
+        """Whether neither what it costs nor noise leaves a doubt that it is right."""
+        return self.unexplained <= sure and self.noise <= NOISY
+
+    @property
+    def close_rival(self) -> "Beginning | None":
+        """The rival, if it costs hardly more."""
+        return self.rival if self.rival is not None and self.rival.cost < RIVAL * self.cost else None
+
+    @property
+    def unexplained(self) -> float:
+        """What it costs beyond what noise would, square metres."""
+        return self.cost - self.noise**2
+
+
+def trial(run: Session, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> Beginning:
+    """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
+
+    `rest` the body with another rest pose, to begin with that.
+    """
+    s: StartSettings = run.settings.start
+    frames = tried_on(run, at)
+    places = standing_places(rest or body, frames[::-1], run.scene.floor, s.headings)
+    if before is not None:
+        there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
+        shift = (there - np.median(last.translation, 0)).astype(np.float32)
+        places.append(Poses(last.rotation, last.translation + shift))
+    noise = noise_of(frames)
+    tried = run.trials(body, frames, places)
+    odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # of a size that is known nobody doubts
+    found = [
+        Beginning(at, body, jax.tree.map(lambda x, k=k: x[k], tried.state.poses), odds * float(tried.cost[k]), noise)
+        for k in opposite(body, tried, FAR_RIVAL)
+    ]
+    return found[0]._replace(rival=found[1] if len(found) > 1 else None)
+
+
+def sized_at(run: Session, at: int, low: float = np.inf) -> Body:
+    """The body in the size that it is known to have, or else in the one that it seems to have, see measured_at."""
+    return run.body if run.sized else measured_at(run, at, low)
+
+
+def measured_at(run: Session, at: int, low: float = np.inf) -> Body:
+    """The body in the size that it seems to have from frame `at` on.
+
+    `low` how high above the floor the lowest points are when it stands, metres: in the air it is as much lower."""
+    s: StartSettings = run.settings.start
+    frames, up = run.people[at : at + s.size_frames], run.scene.floor.normal
+    lifts = (lowest(run, frame) - low for frame in frames)
+    lowered = [replace(f, points=f.points - by * up) if OFF_FLOOR < by < HIDDEN else f for f, by in zip(frames, lifts)]
+    return sized(run.body, lowered, run.scene.floor, s)
+
+
+def lowest(run: Session, frame: PersonFrame) -> float:
+    """How high above the floor the lowest points are, metres."""
+    return float(np.percentile(run.scene.floor.height(frame.points), 1)) if len(frame.points) else -np.inf
+
+
+def tried_on(run: Session, at: int) -> list[PersonFrame]:
+    """The frames from `at` on by which trials are compared."""
+    s: StartSettings = run.settings.start
+    return soon([f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS], s)
+
+
+def soon(frames: list[PersonFrame], s: StartSettings) -> list[PersonFrame]:
+    """As many of the frames, from the first on, as trials are compared by: over a longer time starts that are right
+    are lost, too."""
+    return [f for k, f in enumerate(frames[: s.frames]) if k < 3 or f.time_ns - frames[0].time_ns <= s.seconds * 1e9]
+
+
+def noise_of(frames: list[PersonFrame]) -> float:
+    """What noise a start from these frames is allowed, metres."""
+    # people are no cylinders: a quieter sensor does not come nearer to them
+    return max(USUAL, float(np.median([f.noise for f in frames])))

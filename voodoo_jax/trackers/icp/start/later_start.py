@@ -1,0 +1,46 @@
+"""A start that is in doubt is compared with starts in later frames, where there may be more to see. Host side."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session, first_run
+from voodoo_jax.trackers.icp.start.hypothesis import lowest, sized_at, trial
+from voodoo_jax.trackers.icp.start.stage import Search
+
+
+@dataclass(frozen=True)
+class LaterStart:
+    """The best of starts at `start.later` seconds, where the first one is in doubt. Numbers were chosen by hand."""
+
+    name: ClassVar = "later_start"
+    looks_ahead: ClassVar = True
+    needs: ClassVar = frozenset({"points"})
+
+    clearer: float = 0.5  # a later start is taken where it costs less than this share of the first
+
+    def __call__(self, run: Session, search: Search) -> Search:
+        first, found = search.best, list(search.found)
+        if first.clear(run.settings.start.sure):
+            return search
+        low = lowest(run, run.people[search.at])
+        for frame in frames_after(run, search.at):
+            found.append(trial(run, frame, sized_at(run, frame, low)))
+            if found[-1].clear(0.0):  # who was in doubt is not easily sure again
+                break
+        cheapest = min(found, key=lambda b: b.cost)
+        best = cheapest if cheapest.cost < self.clearer * first.cost else first
+        return search._replace(best=best, found=tuple(found))
+
+
+def frames_after(run: Session, at: int) -> list[int]:
+    """Frames after `at` to start from: with points on end until there, and before the body changes."""
+    end = min([len(run.people), *(frame for frame, _ in run.pending)])
+    seconds = np.array([f.time_ns - run.people[at].time_ns for f in run.people[at:end]]) / 1e9
+    empty = np.array([len(f.points) < FEW_POINTS for f in run.people[at:end]], bool)
+    # the first pause that is longer than what a start reaches over
+    pause = first_run(empty, run.settings.track.patience)
+    found = [int(np.searchsorted(seconds, t)) for t in run.settings.start.later]
+    last = len(empty) - run.settings.start.frames  # of fewer frames some leg explains another one's points
+    return [at + k for k in dict.fromkeys(found) if 0 < k < pause and k <= last and not empty[k]]

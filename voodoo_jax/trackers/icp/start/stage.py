@@ -1,0 +1,27 @@
+"""What a stage of the start takes and gives.
+
+The name of a stage is its file, its switch (`track.skip`), its test file and its row in experiments/ablation.
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+from voodoo_jax.model.pose_library import Stance
+from voodoo_jax.trackers.icp.refine.stage import Named
+from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.start.hypothesis import Beginning
+
+
+class Search(NamedTuple):
+    """The search for how a segment begins."""
+
+    at: int  # frame in which it begins
+    best: Beginning  # may be of a later frame
+    found: tuple[Beginning, ...]  # standing, of this frame and of later ones
+    stance: Stance | None = None  # of the best one, if it does not stand
+
+
+@runtime_checkable
+class StartStage(Named, Protocol):
+    """One more kind of start that is tried."""
+
+    def __call__(self, run: Session, search: Search) -> Search: ...
