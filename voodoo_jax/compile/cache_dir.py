@@ -25,6 +25,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 
+import platformdirs
+
 LOCK = "lock-"
 PATIENCE = 300.0  # seconds that a process waits for what another one compiles
 DIGEST = 32  # bytes of checksum before an entry of `keep`
@@ -48,12 +50,10 @@ def cache_folder(asked: str) -> str:
     asked = asked or os.environ.get("VOODOO_JAX_COMPILE_CACHE", "")
     if asked:
         return "" if asked == "off" else str(Path(asked).expanduser().absolute())
-    home = os.environ.get("XDG_CACHE_HOME", "")
     try:
-        base = Path(home) if os.path.isabs(home) else Path.home() / ".cache"
+        return str(platformdirs.user_cache_path("voodoo_jax", appauthor=False))
     except RuntimeError:  # no HOME, and a user whom the system does not know, as in containers
         return str(Path(tempfile.gettempdir()) / f"voodoo_jax-{os.geteuid() if os.name == 'posix' else 'cache'}")
-    return str(base / "voodoo_jax")
 
 
 def refused(folder: str) -> str:

@@ -23,6 +23,14 @@ def _stack(components: list[Any]) -> AnyArray:
     return (np if all(isinstance(c, (np.ndarray, np.generic)) for c in components) else jnp).stack(components, -1)
 
 
+def cross_matrix(v: Float[AnyArray, "*b 3"]) -> Float[Any, "*b 3 3"]:
+    """Matrix of the cross product: cross_matrix(v) w = v x w."""
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    o = np.zeros_like(x) if isinstance(v, np.ndarray) else jnp.zeros_like(x)
+    rows = [_stack(row) for row in ([o, -z, y], [z, o, -x], [-y, x, o])]
+    return (np if isinstance(v, np.ndarray) else jnp).stack(rows, -2)
+
+
 def on_host(tree: Any) -> Any:
     """A tree with NumPy arrays for JAX's, to be computed with on the host; as it is where something in it is traced."""
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree)):

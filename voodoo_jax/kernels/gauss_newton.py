@@ -14,17 +14,10 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
-from voodoo_jax.geometry.rigid import Poses, matrix, quat_exp
+from voodoo_jax.geometry.rigid import Poses, cross_matrix, matrix, quat_exp
 from voodoo_jax.model.body import Links, LinkTables, Topology, tree_order
 
 TURN_RADIUS = 0.1  # metres: what turns by one radian moves by so much
-
-
-def _cross(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
-    """Matrix of the cross product: _cross(v) w = v x w."""
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    o = jnp.zeros_like(x)
-    return jnp.stack([jnp.stack(r, -1) for r in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
 
 
 def _product(a: Float[Array, "*b row k"], b: Float[Array, "*b k column"]) -> Float[Array, "*b row column"]:
@@ -41,7 +34,7 @@ def pair_normals(
     """
     weight, c, p, cp = moments[0, 0], moments[1:, 0], moments[0, 1:], moments[1:, 1:]
     turn = jnp.trace(second) * jnp.eye(3, dtype=second.dtype) - second
-    mixed = _cross(c)
+    mixed = cross_matrix(c)
     # sum of w c x p, from the antisymmetric part of the cross moments
     torque = jnp.stack([cp[1, 2] - cp[2, 1], cp[2, 0] - cp[0, 2], cp[0, 1] - cp[1, 0]])
     h = jnp.block([[turn, mixed], [-mixed, weight * jnp.eye(3, dtype=second.dtype)]])
@@ -61,7 +54,7 @@ class Linked(NamedTuple):
 def _slopes(points: Float[Array, "link pair 3"]) -> Float[Array, "link pair 3 7"]:
     """How points move with their limb's twist, in the limb's frame, and the points themselves."""
     eye = jnp.broadcast_to(jnp.eye(3, dtype=points.dtype), (*points.shape[:-1], 3, 3))
-    return jnp.concatenate([-_cross(points), eye, points[..., None]], -1)
+    return jnp.concatenate([-cross_matrix(points), eye, points[..., None]], -1)
 
 
 def link_tables(links: Links) -> LinkTables:
@@ -219,6 +212,6 @@ def _inverse(a: Float[Array, "row row"]) -> Float[Array, "row row"]:
 def point_covariance(twist: Float[Array, "6 6"], pose: Poses, point: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Covariance in the world frame of a point of a limb (limb frame, metres) from that of the limb's twist."""
     turn = matrix(pose.rotation)
-    slope = jnp.concatenate([-_cross(point), jnp.eye(3, dtype=point.dtype)], -1)
+    slope = jnp.concatenate([-cross_matrix(point), jnp.eye(3, dtype=point.dtype)], -1)
     local = jnp.matmul(jnp.matmul(slope, twist, precision="highest"), slope.T, precision="highest")
     return jnp.matmul(jnp.matmul(turn, local, precision="highest"), turn.T, precision="highest")

@@ -4,13 +4,9 @@ import numpy as np
 from jaxtyping import Int
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.geometry.rigid import cross_matrix
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.model.body import Body, tree_order
-
-
-def _skew(v: np.ndarray) -> np.ndarray:
-    """Matrices of the cross product, [..., 3, 3]."""
-    return np.cross(v[..., None, :], np.eye(3)).swapaxes(-1, -2)
 
 
 class Chain:
@@ -75,7 +71,7 @@ class Chain:
         """Derivatives of the markers by the poses (shift of the root, turn of each limb) and by x."""
         n = len(self.limb)
         lever = np.einsum("mk,ki,kl->mli", self.sum[:n], places, self.turned_by)
-        by_turn = -np.einsum("flij,mljk->fmilk", turn, _skew(lever)).reshape(len(turn), n, 3, -1)
+        by_turn = -np.einsum("flij,mljk->fmilk", turn, cross_matrix(lever)).reshape(len(turn), n, 3, -1)
         by_root = np.broadcast_to(np.eye(3), (len(turn), n, 3, 3))
         by_x = np.einsum("mk,fkip->fmip", self.sum[:n], turn[:, self.owner] @ slope)
         return np.concatenate([by_root, by_turn], -1), by_x
@@ -86,7 +82,7 @@ class Chain:
         between = of_parent.swapaxes(-1, -2) @ of_child
         angle = Rotation.from_matrix(between.reshape(-1, 3, 3)).as_rotvec().reshape(*between.shape[:2], 3)
         size = np.maximum(np.linalg.norm(angle, axis=-1), 1e-4)[..., None, None]
-        cross = _skew(angle)
+        cross = cross_matrix(angle)
         bend = 1 / size**2 - (1 + np.cos(size)) / (2 * size * np.maximum(np.sin(size), 1e-3))
         inverse = np.eye(3) + cross / 2 + bend * cross @ cross
         by_child = inverse @ self.frames[1].swapaxes(-1, -2)
