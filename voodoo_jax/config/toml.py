@@ -61,7 +61,8 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
     for word in words:
         key, _, value = word.partition("=")
         try:
-            good = bool(key and value) and (not numbers or 0 <= float(value) < float("inf"))
+            least = -float("inf") if name in _SIGNED else 0
+            good = bool(key and value) and (not numbers or least <= float(value) < float("inf"))
             if name == "read.labels":
                 int(key)
         except ValueError:
@@ -226,13 +227,18 @@ _PAIRS = {
     "read.parts": False,
     "read.labels": False,
     "read.weights": True,
+    "read.scale": True,
+    "read.delays": True,
 }
+_SIGNED = ("read.delays",)
 _EXAMPLES = {
     "features.names": "name=point, such as face=sellion",
     "features.weights": "name=number, such as face=10",
     "read.parts": "topic=part, such as /people/points=body or /hands/left=l_forearm",
     "read.labels": "number=part, such as 3=head, 7=body or 0=free",
     "read.weights": "topic=number, such as /stereo/points=0.5",
+    "read.scale": "topic=metres per unit, such as /camera/depth=0.001",
+    "read.delays": "topic=seconds, such as /lidar/points=0.25",
 }
 _BOUNDS: dict[str, tuple[float, float]] = {
     "read.max_points": (1, float("inf")),

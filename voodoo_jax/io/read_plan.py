@@ -63,7 +63,13 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     if not sources:
         raise LogError(_no_depth(scan, settings.features))
     notes = []
-    reported = ("a depth image w", "2D features w", "a stereo pair, but the", "no message can be decoded")
+    reported = (
+        "a depth image w",
+        "2D features w",
+        "a stereo pair, but the",
+        "no message can be decoded",
+        "its clock is",
+    )
     for name, use in scan.uses.items():
         if any(why in use for why in reported):
             notes.append(f"'{name}' is left out: {use.removeprefix('not used: ')}.")

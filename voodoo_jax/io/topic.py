@@ -26,4 +26,5 @@ class Topic:
     features: list[Features] = field(default_factory=list)  # one per entry of log_times
     gathered: Gathered | None = None  # all of them, for a topic of features
     count: int = 0
+    foreign: str = ""  # why it cannot be used though it can be decoded: its clock
     stated: int = 0  # number of messages by the file's own statistics

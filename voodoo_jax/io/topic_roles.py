@@ -74,7 +74,9 @@ def _empty(topic: Topic) -> str:
         if topic.stated:
             return f"not used: none of its {topic.stated} messages can be read"
         return "not used: no messages"
-    return "" if topic.sample is not None else f"not used: no message can be decoded ({topic.error})"
+    if topic.sample is None:
+        return f"not used: no message can be decoded ({topic.error})"
+    return f"not used: {topic.foreign}" if topic.foreign else ""
 
 
 def _feature_use(topics: dict[str, Topic], name: str) -> str:

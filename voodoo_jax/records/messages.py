@@ -1,7 +1,7 @@
 """What a decoded message holds, in whatever format it came: clouds, images, calibrations, named features."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from sys import intern
 from typing import Any
 
@@ -127,6 +127,12 @@ def features(stamp_ns: int, items: Sequence[Named], dim: int) -> Features:
         values[kept],
         np.nan_to_num(np.array([items[i].score for i in kept], float)),
     )
+
+
+def moved(found: Features, by_ns: int) -> Features:
+    """The same features so much later; what has no stamp keeps none."""
+    stamps = np.where(found.stamps == 0, 0, found.stamps + by_ns)
+    return replace(found, stamp_ns=found.stamp_ns and found.stamp_ns + by_ns, stamps=stamps)
 
 
 def many(n: int) -> str:
