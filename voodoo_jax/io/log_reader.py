@@ -19,6 +19,7 @@ from voodoo_jax.io.calibrations import bare, calibration_of
 from voodoo_jax.io.container import LogError, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
+from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, survey
 from voodoo_jax.io.read_plan import Plan, make_plan
@@ -250,16 +251,14 @@ class LogReader:
         if key not in self._rays:
             c = calibration_of(self._scan.topics, topic)
             assert c is not None
+            size = c.width, c.height
+            c, assumed = fitted(c, image.shape)
+            if assumed:
+                own = f"{image.shape[1]} x {image.shape[0]}"
+                self._notes.append(f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}.")
             # By ROS custom a topic called image_rect... is rectified: P holds, and the lens is undone already.
             rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
             K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)
             height, width = image.shape
-            if c.width and c.height and (c.width, c.height) != (width, height):
-                scale = np.array([width / c.width, height / c.height])
-                K[:2, :2] *= scale[:, None]
-                K[:2, 2] = (K[:2, 2] + 0.5) * scale - 0.5
-                self._notes.append(
-                    f"'{topic}' is {width} x {height} pixels, its calibration {c.width} x {c.height}: scaled to fit."
-                )
             self._rays[key] = lens.pixel_rays(K, D, c.model, width, height)[::k, ::k].copy()
         return self._rays[key]

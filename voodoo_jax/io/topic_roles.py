@@ -6,6 +6,7 @@ from voodoo_jax.io.calibrations import calibration_of, camera_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.decode.registry import DEPTH_KINDS, FEATURE_KINDS
+from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import label_field
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
@@ -115,6 +116,7 @@ def _depth_use(topics: dict[str, Topic], name: str) -> str:
     try:
         # A small part is enough to learn whether the lens model is known.
         lens.pixel_rays(calibration.K, calibration.D, calibration.model, 2, 2)
+        fitted(calibration, topic.sample.shape)
     except ValueError as error:
         return f"not used: a depth image whose calibration is unusable: {error}"
     return "depth image"

@@ -80,6 +80,7 @@ class Calibration:
     K: Float[np.ndarray, "3 3"]
     P: Float[np.ndarray, "3 4"]
     R: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))  # rotation, camera to rectified camera
+    others: tuple["Calibration", ...] = ()  # without the region of interest, the binning, or both, if one is stated
 
 
 @dataclass(frozen=True)
