@@ -14,7 +14,7 @@ from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compil
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks, given_from
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
@@ -79,7 +79,8 @@ def track_log(
             yield frame
 
     scene, people = find_person(counted(), log.up, body, settings)
-    return track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more, visit)
+    tracks = track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more, visit)
+    return given_from(tracks, log.origin)
 
 
 def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
@@ -92,7 +93,8 @@ def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: 
     reader = open_log(log or tracks.source, settings.read)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
     frames = tuple(frame for frame in reader.frames() if frame.time_ns in wanted)
-    picture(tracks, Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames), target, count)
+    read = Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames, origin=reader.origin)
+    picture(tracks, read, target, count)
 
 
 def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = None) -> Outcome:

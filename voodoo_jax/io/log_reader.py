@@ -54,7 +54,16 @@ def read_log(
     """Read a whole log into memory: see `open_log`, `LogReader.frames` and `Recording`. Raises as `open_log`."""
     log = open_log(path, settings)
     frames = tuple(log.frames(progress))
-    return Recording(log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes)
+    return Recording(
+        log.path,
+        log.fixed_frame,
+        log.up,
+        log.sensors,
+        frames,
+        features=log.features,
+        notes=log.notes,
+        origin=log.origin,
+    )
 
 
 @dataclass(frozen=True)
@@ -72,6 +81,7 @@ class LogReader:
     def __init__(self, scan: Scan, plan: Plan, settings: ReadSettings):
         self._scan, self._settings = scan, settings
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
+        self.origin = plan.origin
         self.features, self.parts = plan.features, plan.parts.names
         self._whole, self._stamps, self._plan = plan, plan.stamps, plan.frames
         self._plan_parts = plan.parts
@@ -223,10 +233,6 @@ class LogReader:
                 rotation = rotation @ content.pose[0]
             points, labels = points[keep] @ rotation.T + translation, None if labels is None else labels[keep]
         part = self._plan_parts.numbers(topic, labels, len(points))
-        if np.abs(translation).max() > 1e4:
-            note = f"Coordinates in '{self.fixed_frame}' exceed 10 km, inexact in float32: set another fixed_frame."
-            if note not in self._notes:
-                self._notes.append(note)
         return _Measured(points, translation, part)
 
     def _in_range(self, square: Float[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:

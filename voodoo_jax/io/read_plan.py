@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.calibrations import frame_of
@@ -20,6 +20,7 @@ from voodoo_jax.io.stereo_pairs import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.records.recording import Pairs, Rays
 
+FAR = 1000.0  # metres: float32 has steps of 0.06 mm there, and of 25 cm in UTM
 NEEDED = (
     "Needed is a depth image (sensor_msgs/msg/Image or foxglove.RawImage, 16UC1 in mm or 32FC1 in m, or packed as "
     "compressedDepth) with its calibration, or a point cloud (sensor_msgs/msg/PointCloud2 or foxglove.PointCloud), or "
@@ -37,6 +38,7 @@ class Plan:
     """How a log becomes frames. `notes`: what is left out or assumed, one sentence each."""
 
     fixed_frame: str
+    origin: Float64[np.ndarray, "3"]  # in it; all places are given from there
     up: Float32[np.ndarray, "3"]  # unit, in the fixed frame
     sensors: tuple[str, ...]  # topics that give points
     stamps: tuple[Int64[np.ndarray, " _"], ...]  # of the messages per sensor, nanoseconds, in the order of reading
@@ -103,6 +105,8 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
         if name not in leaders:
             for frame, message in join_one(at, stamps[name]):
                 frames[frame][1].append((sensors.index(name), message))
+    origin = _near_origin(scan, fixed, leaders[0], frames[0][0], notes)
+    scan.tree.give_from(fixed, origin)
     features = plan_features(scan, fixed, of["rays"] + of["pairs"], at, parts)
     if settings.skin:
         skin = plan_skin(scan, fixed, at, parts)
@@ -112,6 +116,7 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     up = _upward(scan, fixed, leaders[0], frames[0][0])
     return Plan(
         fixed_frame=fixed,
+        origin=origin,
         up=up,
         sensors=tuple(sensors),
         stamps=tuple(stamps.values()),
@@ -183,6 +188,22 @@ def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[
             f"from {missing}. Choose another fixed_frame or record the transforms (/tf, /tf_static)."
         )
     return fixed, kept
+
+
+def _near_origin(scan: Scan, fixed: str, sensor: str, time_ns: int, notes: list[str]) -> np.ndarray:
+    """A place in the fixed frame, in whole metres, near which all is: 0 but for coordinates of a country (UTM)."""
+    pose = scan.tree.lookup(fixed, frame_of(scan.topics, sensor), time_ns, hold_ns=None)
+    rotation, place = pose if pose else (np.eye(3), np.zeros(3))
+    gathered = scan.topics[sensor].gathered
+    if gathered is not None and gathered.values.shape[1:] == (3,) and len(gathered.values):
+        place = rotation @ np.median(gathered.values, axis=0) + place
+    origin = np.where(np.abs(place) > FAR, np.round(place), 0.0)
+    if origin.any():
+        at = ", ".join(f"{x:.0f}" for x in origin)
+        notes.append(
+            f"Coordinates in '{fixed}' are large: computed from ({at}) m, and written in '{fixed}' in float64."
+        )
+    return origin
 
 
 def _upward(scan: Scan, fixed: str, sensor: str, time_ns: int) -> np.ndarray:

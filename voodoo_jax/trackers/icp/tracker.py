@@ -25,7 +25,7 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Status, Tracks, given_from
 from voodoo_jax.solve.covariance import covariances
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
@@ -99,7 +99,10 @@ def track(
         names = {(*f.rays.names, *f.pairs.names) for f in recording}
         prepare(body, settings, sensors, names, first[0].part is not None)
     scene, people = find_person(recording, recording.up, body, settings)
-    return track_person(body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress)
+    tracks = track_person(
+        body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress
+    )
+    return given_from(tracks, recording.origin)
 
 
 # 9 parameters: what a log says of itself, and who looks on; a record of the subject will take their place
