@@ -78,7 +78,7 @@ def track_log(
             more(1)
             yield frame
 
-    scene, people = find_person(counted(), log.up, body, settings)
+    scene, people = find_person(counted(), log.up, body, settings, log.up_is_given)
     tracks = track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more, visit)
     return given_from(tracks, log.origin)
 

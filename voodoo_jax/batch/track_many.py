@@ -66,7 +66,7 @@ def track_many(
             try:
                 key = id(recording), id(body), own.detect, own.online, own.start.scale
                 if key not in people:
-                    people[key] = find_person(recording, recording.up, body, own)
+                    people[key] = find_person(recording, recording.up, body, own, recording.up_is_given)
                 scene, seen = people[key]
                 r = recording
                 tracks = track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=visit)

@@ -8,6 +8,7 @@ import textwrap
 import tomllib
 from dataclasses import Field, fields, replace
 from difflib import get_close_matches
+from math import hypot
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -45,6 +46,8 @@ def _check(stage: str, f: Field, value: Any) -> Any:
         return tuple(value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
+    if name == "read.up" and value:
+        direction(str(value))
     if type(value) is not type(default):
         raise SettingsError(f"{name} = {value!r}: must be {_WORDS[type(default)]}, such as {default!r}")
     if isinstance(value, (int, float)) and not isinstance(value, bool) and not value >= 0:
@@ -70,6 +73,22 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
         if not good:
             raise SettingsError(f"{name}: '{word}' must look like {_EXAMPLES[name]}")
     return dict(word.split("=", 1) for word in words)
+
+
+def direction(word: str) -> tuple[float, float, float]:
+    """Unit vector of a text such as z, -y or 0,0.1,1. Raises SettingsError."""
+    axis = word.strip().lower().removeprefix("+")
+    sign = -1.0 if axis.startswith("-") else 1.0
+    if (name := axis.removeprefix("-")) in ("x", "y", "z"):
+        return (sign * (name == "x"), sign * (name == "y"), sign * (name == "z"))
+    try:
+        x, y, z = (float(number) for number in axis.split(","))
+        length = hypot(x, y, z)
+        if 0 < length < float("inf"):
+            return (x / length, y / length, z / length)
+    except ValueError:
+        pass
+    raise SettingsError(f"read.up = '{word}': must be x, y, z, -x, -y, -z or three numbers such as 0,0.1,1")
 
 
 def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) -> "Settings":

@@ -204,7 +204,7 @@ def tracked(
             source = open_log(log, settings.read)
             frames = source.frames()
         tell(f"tracking {Path(source.path).name}")
-        scene, people = find_person(frames, source.up, body, settings)
+        scene, people = find_person(frames, source.up, body, settings, source.up_is_given)
         found = track_person(body, scene, people, settings, source.path, source.fixed_frame)
         seen.append(Seen(found, people, scene, body))
     return seen

@@ -63,6 +63,7 @@ def read_log(
         features=log.features,
         notes=log.notes,
         origin=log.origin,
+        up_is_given=log.up_is_given,
     )
 
 
@@ -81,7 +82,7 @@ class LogReader:
     def __init__(self, scan: Scan, plan: Plan, settings: ReadSettings):
         self._scan, self._settings = scan, settings
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
-        self.origin = plan.origin
+        self.origin, self.up_is_given = plan.origin, bool(settings.up)
         self.features, self.parts = plan.features, plan.parts.names
         self._whole, self._stamps, self._plan = plan, plan.stamps, plan.frames
         self._plan_parts = plan.parts

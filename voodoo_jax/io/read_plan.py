@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from voodoo_jax.config.options import ReadSettings
+from voodoo_jax.config.toml import direction
 from voodoo_jax.io.calibrations import frame_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.registry import DEPTH_KINDS
@@ -113,7 +114,8 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
         features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}
         features.topics += tuple(name for name in skin.topics if name not in features.topics)
         notes += skin.notes
-    up = _upward(scan, fixed, leaders[0], frames[0][0])
+    given = np.array(direction(settings.up), np.float32) if settings.up else None
+    up = _upward(scan, fixed, leaders[0], frames[0][0]) if given is None else given
     return Plan(
         fixed_frame=fixed,
         origin=origin,

@@ -98,7 +98,7 @@ def track(
         sensors = len(first[0].origins) if any(len(f.points) for f in recording) else 0
         names = {(*f.rays.names, *f.pairs.names) for f in recording}
         prepare(body, settings, sensors, names, first[0].part is not None)
-    scene, people = find_person(recording, recording.up, body, settings)
+    scene, people = find_person(recording, recording.up, body, settings, recording.up_is_given)
     tracks = track_person(
         body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress
     )
