@@ -58,11 +58,11 @@ def track_log(
     visit: Visit | None = None,
 ) -> Tracks:
     """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError."""
-    from voodoo_jax.detect.pipeline import find_person
-    from voodoo_jax.io.log_reader import open_log
+    from voodoo_jax.detect.opening import open_checked
+    from voodoo_jax.detect.pipeline import build_of, find_person
     from voodoo_jax.trackers.icp.tracker import prepare, track_person
 
-    log = open_log(path, settings.read)
+    log = open_checked(path, settings.read, build_of(body, settings.start.scale), settings.detect)
     if visit is None:
         prepare(body, settings, len(log.sensors), log.named_at_once, bool(log.parts))
     total, done = max(1, (2 + settings.looks_ahead("track")) * len(log)), 0  # read, track there, and back
@@ -86,11 +86,13 @@ def track_log(
 def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
     """Writes a picture of some frames of a tracked log, reading it (or its copy `log`) once more but keeping these
     frames only."""
-    from voodoo_jax.io.log_reader import open_log
+    from voodoo_jax.detect.opening import open_checked
+    from voodoo_jax.detect.pipeline import build_of
     from voodoo_jax.records.recording import Recording
     from voodoo_jax.viz.figures import picture, spread
 
-    reader = open_log(log or tracks.source, settings.read)
+    build = build_of(tracks.body, settings.start.scale)
+    reader = open_checked(log or tracks.source, settings.read, build, settings.detect)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
     frames = tuple(frame for frame in reader.frames() if frame.time_ns in wanted)
     read = Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames, origin=reader.origin)

@@ -61,7 +61,7 @@ def upright(
     if up_is_sure and scene.floor_seen:
         return up
     low = replace(settings, min_height=min(settings.min_height, LOW))  # a child's
-    usual = _likely(scene, frames, body, low, enough=0.0 if scene.floor_seen else np.inf)
+    usual = likely_body(scene, frames, body, low, enough=0.0 if scene.floor_seen else np.inf)
     seen = max(frames, key=lambda frame: len(frame.points), default=None)
     if usual > 0 and scene.floor_seen or seen is None or not len(seen.points):
         return up
@@ -72,7 +72,7 @@ def upright(
             there = find_scene([seen], other, up_is_sure=False)
             if there.floor.height(seen.origins).max() < BELOW:
                 continue
-            found = _likely(there, frames, body, settings)
+            found = likely_body(there, frames, body, settings)
             if found > likeliest:
                 best, likeliest = other, found
     return best
@@ -93,7 +93,7 @@ def _others(up: Float32[np.ndarray, "3"], seen: Frame, down: bool) -> list[Float
     return found
 
 
-def _likely(
+def likely_body(
     scene: Scene, frames: Sequence[Frame], body: Build, settings: DetectSettings, enough: float = np.inf
 ) -> float:
     """How like a body something in the frames is, 0..1, or more than `enough`."""

@@ -49,7 +49,7 @@ def find_person(
     stream: Iterator[Frame] = iter(frames)
     first, sure = list(islice(stream, SCENE_FRAMES)), bool(up[2] > 0.99)
     scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
-    build = _build(body, settings.start.scale)
+    build = build_of(body, settings.start.scale)
     found = Surroundings(chain(first, stream), first, up, sure, scene, planes, build, settings.detect)
     for stage in SCENE:
         if _is_active(stage, body, settings) and not (up_is_given and isinstance(stage, FindGravity)):
@@ -68,7 +68,7 @@ def _is_active(stage: Named, body: Body, settings: Settings) -> bool:
     return not skipped and stage.needs <= ({"person"} if body.scale_name == "stature" else set())
 
 
-def _build(body: Body, scale: float) -> Build:
+def build_of(body: Body, scale: float) -> Build:
     """What is known of the body's size; `scale` 0: it is to be found."""
     # a body's scale need not be its height
     rested = scaled(body, scale) if scale > 0 else body

@@ -23,7 +23,7 @@ from voodoo_jax.io.decode.registry import (
     quick_stamp,
     reason_unused,
 )
-from voodoo_jax.io.landmark_table import gather
+from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
@@ -71,6 +71,7 @@ class Scan:
             if topic.kind in FEATURE_KINDS:
                 topic.gathered = gather(name, topic.features, topic.log_times, self.notes)
                 topic.features.clear()
+                self._settle_unit(name, topic.gathered, settings)
         for name, why in self._foreign.items():
             if name in self.topics:
                 self.topics[name].foreign = why
@@ -133,6 +134,18 @@ class Scan:
                 stamp = content.stamp_ns
             topic.stamps.append(message.log_time if stamp is None else stamp)
             topic.log_times.append(message.log_time)
+
+    def _settle_unit(self, name: str, found: Gathered, settings: ReadSettings) -> None:
+        """Brings 3D features to metres."""
+        given = check_pairs("read.scale", settings.scale, numbers=True)
+        unit = float(given.get(name, 0.0)) or unit_of(found)
+        if unit != 1.0 and self.topics[name].kind == "pairs":
+            self.topics[name].gathered = replace(found, values=found.values * unit)
+            if name not in given:
+                word = {0.001: "millimetres", 0.01: "centimetres"}.get(unit, "")
+                self.notes.append(
+                    f"'{name}': its coordinates are taken for {word}, to judge by their extent. read.scale settles it."
+                )
 
     def _bring_clocks_together(self, settings: ReadSettings) -> None:
         """Shifts the stamps of measurements and transforms that are of another clock than the others'."""

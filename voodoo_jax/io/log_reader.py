@@ -8,12 +8,14 @@ images.
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from voodoo_jax.config.options import ReadSettings
+from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import bare, calibration_of
 from voodoo_jax.io.container import LogError, guarded
@@ -31,6 +33,7 @@ from voodoo_jax.records.recording import Frame, Pairs, Rays, Recording
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
 Progress = Callable[[int, int], None]
+TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
 
 
 def open_log(path: str | os.PathLike[str], settings: ReadSettings | None = None) -> "LogReader":
@@ -52,19 +55,25 @@ def read_log(
     path: str | os.PathLike[str], settings: ReadSettings | None = None, progress: Progress | None = None
 ) -> Recording:
     """Read a whole log into memory: see `open_log`, `LogReader.frames` and `Recording`. Raises as `open_log`."""
-    log = open_log(path, settings)
+    return read_whole(open_log(path, settings), progress)
+
+
+def read_whole(log: "LogReader", progress: Progress | None = None) -> Recording:
+    """All frames of an opened log in memory. Raises as `LogReader.frames`."""
     frames = tuple(log.frames(progress))
     return Recording(
-        log.path,
-        log.fixed_frame,
-        log.up,
-        log.sensors,
-        frames,
-        features=log.features,
-        notes=log.notes,
-        origin=log.origin,
-        up_is_given=log.up_is_given,
-    )
+        log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes,
+        origin=log.origin, up_is_given=log.up_is_given,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One message of a depth topic, for looking at it before all are read."""
+
+    number: int  # of the topic's messages
+    content: Cloud | Image
+    distances: Float[np.ndarray, " point"]  # from the sensor, in metres if its unit is the usual one
 
 
 @dataclass(frozen=True)
@@ -90,6 +99,69 @@ class LogReader:
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
         self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        given = check_pairs("read.scale", settings.scale, numbers=True)
+        self.scales = {
+            name: float(value) for name, value in given.items()
+        }  # metres per unit, where it is not the usual
+
+    def unit(self, topic: str) -> float:
+        """Metres per unit of a depth topic's numbers, as is usual for its encoding."""
+        sample = self._scan.topics[topic].sample
+        return sample.unit if isinstance(sample, Image) else 1.0
+
+    def with_scales(self, scales: dict[str, float]) -> "LogReader":
+        """The same log with other units of some topics, metres per unit."""
+        other = copy(self)
+        other.scales, other._notes, other._counted = {**self.scales, **scales}, list(self._notes), Counter()
+        return other
+
+    def say(self, note: str) -> None:
+        """Adds a sentence to the notes."""
+        self._notes.append(note)
+
+    def sampled(self, topic: str, count: int, spread: bool = False) -> list[Sample]:
+        """Some messages of a depth topic that show something: the first ones, or `spread` over the log."""
+        total = len(self._scan.topics[topic].stamps)
+        step = max(1, total // count) if spread else 1
+        found, decoder, number = [], Decoder(), -1
+        stereo = {pair.left for pair in self._scan.stereo}
+        wanted = lambda s, c: c.topic == topic and self._scan.kind(s, c) == self._scan.topics[topic].kind  # noqa: E731
+        for schema, channel, message in guarded(self._scan.log, wanted) if topic not in stereo else ():
+            number += 1
+            if number % step or schema is None:
+                continue
+            try:
+                content = decoder.message(schema, channel, message.data)
+                distances = self._distances(topic, content)
+            except DECODE_ERRORS:
+                continue
+            if len(distances) >= TELLING:
+                found.append(Sample(number, content, distances))
+            if len(found) == count or (not spread and number >= 60):  # two seconds of darkness
+                break
+        return found
+
+    def frame_of(self, topic: str, sample: Sample) -> Frame | None:
+        """What one message shows, alone, in the fixed frame; None if there is no transform."""
+        at = int(self._stamps[self.sensors.index(topic)][sample.number])
+        measured = self._measure(topic, sample.content, at)
+        if measured is None:
+            return None
+        sensor = np.zeros(len(measured.points), np.int32)
+        return Frame(at, measured.points.astype(np.float32), sensor, measured.origin[None].astype(np.float32))
+
+    def _distances(self, topic: str, content: Cloud | Image) -> np.ndarray:
+        """Of a few thousand points from the sensor, in the usual unit; without those that saw nothing."""
+        if isinstance(content, Image):
+            raw = content.raw if content.packed is None else unpacked(content)
+            k = stride(*content.shape, FEW_POINTS)
+            # nothing, and the largest number, which some drivers write for it
+            z = np.zeros(0) if raw is None else raw[::k, ::k].ravel()
+            z = z[(z > 0) & (z < 65535)] if z.dtype == np.uint16 else z
+            found = z.astype(float) * content.unit
+        else:
+            found = np.linalg.norm(content.points(FEW_POINTS), axis=1)
+        return found[np.isfinite(found) & (found > 0)]
 
     def __len__(self) -> int:
         """Number of frames planned; fewer come out if messages turn out to be broken or have no transform."""
@@ -212,7 +284,7 @@ class LogReader:
             if raw is None:
                 raise ValueError(f"encoding changed to {content.encoding}")
             k = stride(*content.shape, s.max_points)
-            z = raw[::k, ::k].ravel().astype(np.float32) * np.float32(content.unit)
+            z = raw[::k, ::k].ravel().astype(np.float32) * np.float32(self.scales.get(topic, content.unit))
             rays, square = self._directions(topic, content, k, rotation)
             with np.errstate(invalid="ignore", over="ignore"):
                 keep = np.flatnonzero(self._in_range(square * (z * z)) & (z > 0))
@@ -222,6 +294,8 @@ class LogReader:
                 np.add(np.take(rays[axis], keep) * depth, place, out=points[:, axis])
         else:
             points = content.points(s.max_points)
+            if topic in self.scales:
+                points *= self.scales[topic]
             if field := self._plan_parts.field(topic):
                 if field in content.fields:
                     labels = content.field(field, s.max_points)

@@ -1,0 +1,39 @@
+"""A log opened for tracking: what it says of units and clocks is compared with what it shows. Host side."""
+
+import os
+from collections.abc import Callable
+
+from voodoo_jax.config.options import DetectSettings, ReadSettings
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.units import with_units
+from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
+from voodoo_jax.records.recording import Recording
+
+PERSON = Build(1.70, 0.44)  # where nobody says who is looked for: the size of the body file `human`, measured
+
+
+def open_checked(
+    path: str | os.PathLike[str],
+    settings: ReadSettings | None = None,
+    build: Build = PERSON,
+    detect: DetectSettings | None = None,
+) -> LogReader:
+    """A log as `io.log_reader.open_log` gives it, its units checked by what the first messages show.
+
+    **Arguments:** `build` how large the body is that is looked for. Raises as `open_log`, and LogError where units are
+    in doubt.
+    """
+    return with_units(open_log(path, settings), build, detect or DetectSettings())
+
+
+def read_log(
+    path: str | os.PathLike[str],
+    settings: ReadSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Recording:
+    """Read a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`.
+
+    Raises LogError if the log cannot be read, holds nothing to track, or its units are in doubt; ValueError if
+    `settings.max_points` is less than 1.
+    """
+    return read_whole(open_checked(path, settings), progress)
