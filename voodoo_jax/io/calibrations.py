@@ -13,6 +13,8 @@ def bare(topic: str) -> str:
 def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:
     """That of the same frame, else of the same namespace; then the one of the same size."""
     image: Image = topics[name].sample
+    if isinstance(image, Image) and image.calibration is not None:
+        return image.calibration
     space = bare(name).rsplit("/", 1)[0]
     found = []
     for other, topic in topics.items():

@@ -98,7 +98,7 @@ class Scan:
         return self.topics[channel.topic]
 
     def _take(self, topic: Topic, schema: Schema, channel: Channel, message: Any) -> None:
-        content, stamp = None, quick_stamp(channel, message.data)
+        content, stamp = None, quick_stamp(schema, channel, message.data)
         depth = topic.kind in (*DEPTH_KINDS, COLOUR_KIND)
         if topic.sample is None or stamp is None or not depth:
             try:

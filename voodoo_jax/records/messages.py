@@ -65,6 +65,7 @@ class Image:
     colour: Colour | None = None  # if it is one of colour or grey
     packed: bytes | None = None  # a compressed depth image, instead of `raw`; `io.decode.depth_codec` unpacks it
     start: int = 0  # bytes before the image itself in `packed`
+    calibration: "Calibration | None" = None  # if it comes with the image
 
 
 @dataclass(frozen=True)
