@@ -11,7 +11,7 @@ from typing import Any
 
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
-from voodoo_jax.config.options import Settings
+from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.tracks import Tracks, given_from
@@ -108,7 +108,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
     use_compile_cache(job.compile_cache)
     try:
         outcome = _done(job, progress, visit)
-    except LogError as problem:
+    except (LogError, SettingsError) as problem:
         outcome = Outcome(job.log, error=str(problem))
     except MemoryError:
         outcome = Outcome(job.log, error="out of memory: use fewer --workers, or cut the log in pieces")

@@ -23,6 +23,7 @@ from voodoo_jax.io.decode.registry import (
     quick_stamp,
     reason_unused,
 )
+from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
@@ -44,8 +45,11 @@ class Scan:
     def __init__(self, path: str | os.PathLike[str], settings: ReadSettings):
         self.log = LogFile(path)
         self.topics: dict[str, Topic] = {}
+        cameras = given_cameras(settings.camera)
         self.tree = TransformTree()
         self.notes: list[str] = []
+        for transform in given_transforms(settings.transform):  # first: what the log has besides is no match for it
+            self.tree.add(transform, True)
         self.log_times: tuple[int, int] | None = None
         self._decoder = Decoder()
         self._moving: dict[tuple[str, str], list[tuple[Transform, int]]] = {}  # by topic and child; with log times
@@ -72,6 +76,10 @@ class Scan:
                 topic.gathered = gather(name, topic.features, topic.log_times, self.notes)
                 topic.features.clear()
                 self._settle_unit(name, topic.gathered, settings)
+        for name, topic in self.topics.items():
+            topic.given, topic.fallback = cameras.get(name), cameras.get("")
+        for name in cameras.keys() - self.topics.keys() - {""}:
+            self.notes.append(f"read.camera does not count here: the log has no topic '{name}'.")
         for name, why in self._foreign.items():
             if name in self.topics:
                 self.topics[name].foreign = why

@@ -139,8 +139,13 @@ def _no_depth(scan: Scan, features: bool) -> str:
         uses = "; ".join(f"'{name}' is {scan.uses[name].removeprefix('not used: ')}" for name in blind)
         return (
             f"'{scan.log.path}' has no depth image that can be used: {uses}. "
-            "Record the camera's calibration (sensor_msgs/msg/CameraInfo or foxglove.CameraCalibration) with it."
+            "Record the camera's calibration (sensor_msgs/msg/CameraInfo or foxglove.CameraCalibration) with it, or "
+            "give it: --read.camera FILE, a camera_info as YAML, TOML or JSON."
         )
+    lossy = [name for name, use in scan.uses.items() if "JPEG" in use]
+    if lossy:
+        uses = "; ".join(f"'{name}' is {scan.uses[name].removeprefix('not used: ')}" for name in lossy)
+        return f"'{scan.log.path}' has no depth that can be used: {uses}."
     uses_of_depth = {n: scan.uses[n] for n in scan.uses if scan.topics[n].kind in DEPTH_KINDS}
     dead = [name for name, use in uses_of_depth.items() if "no message can be decoded" in use]
     if dead:
@@ -173,8 +178,8 @@ def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[
         lone = ", ".join(f"'{f}'" for f in sorted(set(frame.values())))
         raise LogError(
             f"'{path}': no {what} is in the transform tree, nothing links {lone} to any of "
-            f"{', '.join(tree.frames)}. Record the missing transform, or set fixed_frame to '{frame[best]}' "
-            "to track in the sensor's own frame."
+            f"{', '.join(tree.frames)}. Record the missing transform, give it by read.transform, or set fixed_frame to "
+            f"'{frame[best]}' to track in the sensor's own frame."
         )
     fixed = asked or roots[best]
     if not tree.frames:
@@ -187,7 +192,8 @@ def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[
         missing = ", ".join(f"'{f}'" for f in sorted(set(frame.values())))
         raise LogError(
             f"'{path}': no {what} is connected to the fixed frame '{fixed}', transforms are missing "
-            f"from {missing}. Choose another fixed_frame or record the transforms (/tf, /tf_static)."
+            f"from {missing}. Choose another fixed_frame, record the transforms (/tf, /tf_static), or give them by "
+            "read.transform."
         )
     return fixed, kept
 

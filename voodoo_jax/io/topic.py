@@ -23,6 +23,8 @@ class Topic:
     error: str = ""  # why the first broken message could not be
     broken: int = 0
     calibration: Calibration | None = None
+    given: Calibration | None = None  # by the settings, for this topic
+    fallback: Calibration | None = None  # by the settings, for whatever has none
     features: list[Features] = field(default_factory=list)  # one per entry of log_times
     gathered: Gathered | None = None  # all of them, for a topic of features
     count: int = 0

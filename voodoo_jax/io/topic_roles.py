@@ -2,7 +2,7 @@
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import calibration_of, camera_of
+from voodoo_jax.io.calibrations import bare, calibration_of, camera_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.decode.registry import DEPTH_KINDS, FEATURE_KINDS
@@ -10,7 +10,7 @@ from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import label_field
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
-from voodoo_jax.records.messages import Image
+from voodoo_jax.records.messages import DEPTH_ENCODINGS, Colour, Image
 
 
 def decide_uses(
@@ -26,7 +26,7 @@ def decide_uses(
         if topic.kind in DEPTH_KINDS:
             uses[name] = _depth_use(topics, name)
         elif topic.kind == COLOUR_KIND:
-            uses[name] = _empty(topic) or "not used: a colour image"
+            uses[name] = _empty(topic) or f"not used: {_picture(name, topic)}"
     for pair in pairs:
         rig = [n for n, use in uses.items() if use in ("depth image", "point cloud") and n.startswith(pair.rig)]
         if pair.problem:
@@ -62,6 +62,18 @@ def decide_uses(
             notes.append(f"'{name}' is left out: it is the same camera as '{first}' (frame '{frame}').")
         seen.setdefault(frame, name)
     return uses
+
+
+def _picture(name: str, topic: Topic) -> str:
+    """What a compressed image without depth is."""
+    encoding = topic.sample.encoding if isinstance(topic.sample, Colour) else ""
+    depth = encoding.upper().startswith(tuple(DEPTH_ENCODINGS)) or "depth" in name.lower()
+    if depth and ("jpeg" in encoding or "jpg" in encoding):
+        return (
+            "depth packed as JPEG, which keeps 8 of its 16 bits and changes these: nothing can bring it back. Record "
+            f"'{bare(name)}/compressedDepth' or '{bare(name)}' itself"
+        )
+    return "a colour image"
 
 
 def _is_mono(topics: dict[str, Topic], name: str) -> bool:
