@@ -15,7 +15,7 @@ from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.tracks import Tracks, given_from
-from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined
+from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined, log_name
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
 Visit = Callable[..., Any]  # solve.scan.Visit, which takes long to import
@@ -40,7 +40,7 @@ class Job:
 
 def output_paths(log: str | os.PathLike[str], out: str | os.PathLike[str]) -> tuple[Path, Path]:
     """Where the tracks of a log go: `<stem>.tracks.npz` and `<stem>.voodoo.mcap` in `out`."""
-    stem = Path(log).name.removesuffix(".mcap")
+    stem = log_name(os.fspath(log))
     return Path(out) / f"{stem}.tracks.npz", Path(out) / f"{stem}{TRACKS}"
 
 
@@ -121,7 +121,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
-    from voodoo_jax.batch.resume import log_fingerprint, run_key
+    from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
@@ -141,8 +141,8 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         if job.only_picture:
             tracks = read_tracks_npz(stack.enter_context(fetched(place)))
         else:
-            with suppress(OSError), open(log, "rb") as stream:  # before reading: it may be changed meanwhile
-                key = run_key(job.recipe, log_fingerprint(stream))
+            with suppress(OSError):  # before reading: it may be changed meanwhile
+                key = run_key(job.recipe, fingerprint_of(log))
             try:
                 tracks = track_log(log, on_device(job.body), job.settings, progress, visit)
             except LogError as problem:

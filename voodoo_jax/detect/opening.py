@@ -1,11 +1,11 @@
 """A log opened for tracking: what it says of units and clocks is compared with what it shows. Host side."""
 
-import os
 from collections.abc import Callable
 
 from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.units import with_units
+from voodoo_jax.io.container import Place
 from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
 from voodoo_jax.records.recording import Recording
 
@@ -13,7 +13,7 @@ PERSON = Build(1.70, 0.44)  # where nobody says who is looked for: the size of t
 
 
 def open_checked(
-    path: str | os.PathLike[str],
+    path: Place,
     settings: ReadSettings | None = None,
     build: Build = PERSON,
     detect: DetectSettings | None = None,
@@ -27,7 +27,7 @@ def open_checked(
 
 
 def read_log(
-    path: str | os.PathLike[str],
+    path: Place,
     settings: ReadSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Recording:

@@ -11,7 +11,7 @@ from mcap.records import Channel, Schema
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.clocks import Stamps, shifts
-from voodoo_jax.io.container import LogError, LogFile, guarded
+from voodoo_jax.io.container import LogError, Place, guarded, open_files
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.decode.registry import (
     DECODE_ERRORS,
@@ -31,6 +31,7 @@ from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Transform, TransformTree
 from voodoo_jax.records.messages import Calibration, Features, Image, many, moved
+from voodoo_jax.storage.urls import bag_of
 
 
 class Scan:
@@ -42,12 +43,20 @@ class Scan:
     `settings` name is not in the log.
     """
 
-    def __init__(self, path: str | os.PathLike[str], settings: ReadSettings):
-        self.log = LogFile(path)
+    def __init__(self, path: Place, settings: ReadSettings):
+        self.log = open_files(path)
         self.topics: dict[str, Topic] = {}
         cameras = given_cameras(settings.camera)
         self.tree = TransformTree()
         self.notes: list[str] = []
+        self.part_of = ""  # if others were recorded with it, what to do
+        folder, files = bag_of(self.log.path)
+        if folder:
+            self.part_of = (
+                f"This is one of the {len(files)} files of a recording, and what was sent once may be in another: give "
+                f"the folder '{os.path.basename(folder)}' to read them as one."
+            )
+            self.notes.append(self.part_of)
         for transform in given_transforms(settings.transform):  # first: what the log has besides is no match for it
             self.tree.add(transform, True)
         self.log_times: tuple[int, int] | None = None

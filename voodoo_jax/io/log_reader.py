@@ -5,7 +5,6 @@ frame; the second decodes the depth messages one by one. So memory stays bounded
 images.
 """
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from copy import copy
@@ -18,7 +17,7 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import bare, calibration_of
-from voodoo_jax.io.container import LogError, guarded
+from voodoo_jax.io.container import LogError, Place, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.image_fit import fitted
@@ -36,8 +35,10 @@ Progress = Callable[[int, int], None]
 TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
 
 
-def open_log(path: str | os.PathLike[str], settings: ReadSettings | None = None) -> "LogReader":
+def open_log(path: Place, settings: ReadSettings | None = None) -> "LogReader":
     """Look through a log and plan its frames; `frames()` of the result then gives them one by one.
+
+    **Arguments:** `path` of a file, of a bag's folder, or those of several files that were recorded together.
 
     Raises LogError if the file cannot be read, holds neither usable depth data nor named features, or a name in
     `settings` is not in the log; ValueError if `settings.max_points` is less than 1.
@@ -48,12 +49,13 @@ def open_log(path: str | os.PathLike[str], settings: ReadSettings | None = None)
             f"max_points must be >= 1, not {settings.max_points}: it is how many points of a frame are kept"
         )
     scan = Scan(path, settings)
-    return LogReader(scan, make_plan(scan, settings), settings)
+    try:
+        return LogReader(scan, make_plan(scan, settings), settings)
+    except LogError as problem:
+        raise LogError(f"{problem} {scan.part_of}".strip()) from problem
 
 
-def read_log(
-    path: str | os.PathLike[str], settings: ReadSettings | None = None, progress: Progress | None = None
-) -> Recording:
+def read_log(path: Place, settings: ReadSettings | None = None, progress: Progress | None = None) -> Recording:
     """Read a whole log into memory: see `open_log`, `LogReader.frames` and `Recording`. Raises as `open_log`."""
     return read_whole(open_log(path, settings), progress)
 
