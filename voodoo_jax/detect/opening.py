@@ -1,9 +1,11 @@
 """A log opened for tracking: what it says of units and clocks is compared with what it shows. Host side."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.delays import offsets
 from voodoo_jax.detect.units import with_units
 from voodoo_jax.io.container import Place
 from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
@@ -23,7 +25,18 @@ def open_checked(
     **Arguments:** `build` how large the body is that is looked for. Raises as `open_log`, and LogError where units are
     in doubt.
     """
-    return with_units(open_log(path, settings), build, detect or DetectSettings())
+    settings, detect = settings or ReadSettings(), detect or DetectSettings()
+    reader = with_units(open_log(path, settings), build, detect)
+    if settings.delays or not (found := offsets(reader, build, detect)):
+        return reader
+    late = tuple(f"{topic}={by:g}" for topic, by in found.items())
+    reader = with_units(open_log(path, replace(settings, delays=late)), build, detect)
+    for topic, by in found.items():
+        reader.say(
+            f"'{topic}': its stamps are {abs(by):.2f} s {'late' if by > 0 else 'early'}, to judge by what it and "
+            "another sensor see move: taken out. read.delays settles it."
+        )
+    return reader
 
 
 def read_log(

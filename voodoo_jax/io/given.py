@@ -62,11 +62,12 @@ def _calibration(place: str) -> Calibration:
     if not (K[0, 0] > 0 and K[1, 1] > 0):
         raise SettingsError(f"read.camera: '{place}' has no focal length (K, camera_matrix, or fx, fy, cx, cy)")
     D, R, P = (_numbers(content, name, count) for name, count in (("D", 0), ("R", 9), ("P", 12)))
-    size = [int(content.get(name, 0) or content.get(f"image_{name}", 0)) for name in ("width", "height")]
+    width, height = (int(content.get(n, 0) or content.get(f"image_{n}", 0)) for n in ("width", "height"))
     model = str(content.get("distortion_model") or content.get("camera_model") or "plumb_bob")
     P = np.hstack([K, np.zeros((3, 1))]) if P is None else P.reshape(3, 4)
     D = np.zeros(0) if D is None else D
-    return Calibration(0, frame, *size, model, D, K, P, np.eye(3) if R is None or not R.any() else R.reshape(3, 3))
+    R = np.eye(3) if R is None or not R.any() else R.reshape(3, 3)
+    return Calibration(0, frame, width, height, model, D, K, P, R)
 
 
 def _content(place: str) -> dict[str, Any]:

@@ -8,10 +8,10 @@ images.
 from collections import Counter
 from collections.abc import Callable, Iterator
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int32, Int64
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
@@ -117,14 +117,25 @@ class LogReader:
         other.scales, other._notes, other._counted = {**self.scales, **scales}, list(self._notes), Counter()
         return other
 
+    def coarse(self, max_points: int) -> "LogReader":
+        """The same log with so many points of each message only."""
+        other = self.with_scales({})
+        other._settings = replace(self._settings, max_points=max_points)
+        return other
+
+    def stamps(self, topic: str) -> Int64[np.ndarray, " message"]:
+        """Of the messages of a depth topic in the order of reading, nanoseconds."""
+        return self._stamps[self.sensors.index(topic)]
+
     def say(self, note: str) -> None:
         """Adds a sentence to the notes."""
         self._notes.append(note)
 
-    def sampled(self, topic: str, count: int, spread: bool = False) -> list[Sample]:
-        """Some messages of a depth topic that show something: the first ones, or `spread` over the log."""
+    def sampled(self, topic: str, count: int, spread: bool = False, step: int = 1) -> list[Sample]:
+        """Some messages of a depth topic that show something: the first ones (every so many-th), or `spread` over the
+        log."""
         total = len(self._scan.topics[topic].stamps)
-        step = max(1, total // count) if spread else 1
+        step = max(1, total // count) if spread else step
         found, decoder, number = [], Decoder(), -1
         stereo = {pair.left for pair in self._scan.stereo}
         wanted = lambda s, c: c.topic == topic and self._scan.kind(s, c) == self._scan.topics[topic].kind  # noqa: E731
@@ -139,7 +150,7 @@ class LogReader:
                 continue
             if len(distances) >= TELLING:
                 found.append(Sample(number, content, distances))
-            if len(found) == count or (not spread and number >= 60):  # two seconds of darkness
+            if len(found) == count or (not spread and number >= 60 + step * count):  # two seconds of darkness
                 break
         return found
 
