@@ -100,3 +100,9 @@ def test_one_stamp_gone_wrong(tmp_path):
     log = clouds(Log(), "/lidar", lambda i: 1 if i == 3 else START + i * PERIOD)
     recording = read_log(log.write(tmp_path / "a.mcap"))
     assert times(recording) == list(range(COUNT)) and "of no clock" in " ".join(recording.notes)
+
+
+def test_gaps_are_said(tmp_path):
+    at = lambda i: START + i * PERIOD + (12 * 10**9 if i >= 5 else 0)  # noqa: E731
+    recording = read_log(clouds(Log(), "/lidar", at, at).write(tmp_path / "a.mcap"))
+    assert "gap of 12.0 s, after 0.1 s" in " ".join(recording.notes)

@@ -27,6 +27,7 @@ from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.records.messages import Cloud, Image, many, stride
+from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame, Pairs, Rays, Recording
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
@@ -190,7 +191,7 @@ class LogReader:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out, missing or damaged, one sentence each."""
-        return tuple(self._notes + self._losses())
+        return as_few(self._notes + self._losses())
 
     def _losses(self) -> list[str]:
         counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]

@@ -8,6 +8,7 @@ from voodoo_jax.io.container import LogError, Place
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.skin_rays import SKIN_USE
+from voodoo_jax.records.notes import as_few
 
 
 @dataclass(frozen=True)
@@ -61,4 +62,4 @@ def survey(path: Place, settings: ReadSettings | None = None) -> LogSurvey:
     topics = [
         TopicSurvey(n, t.type, t.encoding, t.count, scan.uses[n] + said[n]) for n, t in sorted(scan.topics.items())
     ]
-    return LogSurvey(scan.log.path, start, (end - start) / 1e9, tuple(topics), tuple(warnings))
+    return LogSurvey(scan.log.path, start, (end - start) / 1e9, tuple(topics), as_few(warnings))

@@ -21,6 +21,7 @@ from voodoo_jax.io.stereo_pairs import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.records.recording import Pairs, Rays
 
+PAUSE = 3.0  # seconds without a frame that a user should know of
 FAR = 1000.0  # metres: float32 has steps of 0.06 mm there, and of 25 cm in UTM
 NEEDED = (
     "Needed is a depth image (sensor_msgs/msg/Image or foxglove.RawImage, 16UC1 in mm or 32FC1 in m, or packed as "
@@ -102,6 +103,7 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     alone = [t[in_pauses(at, t)] for t in thin]
     frames = sorted(frames + [(t, []) for t, _ in plan_frames(alone, alone)], key=lambda frame: frame[0])
     at = np.array([t for t, _ in frames], np.int64)
+    notes += _gaps(at)
     for name in sensors:
         if name not in leaders:
             for frame, message in join_one(at, stamps[name]):
@@ -130,6 +132,16 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
         parts=parts,
         notes=tuple(notes + features.notes),
     )
+
+
+def _gaps(times: Int64[np.ndarray, " frame"]) -> list[str]:
+    """A sentence on where there are no frames for long."""
+    apart = np.diff(times) / 1e9
+    long = np.flatnonzero(apart > max(PAUSE, 10 * np.median(apart))) if len(apart) else apart
+    if not len(long):
+        return []
+    first = f"{apart[long[0]]:.1f} s, after {(times[long[0]] - times[0]) / 1e9:.1f} s"
+    return [f"The log has {'a gap of ' if len(long) == 1 else f'{len(long)} gaps, the first of '}{first}."]
 
 
 def _no_depth(scan: Scan, features: bool) -> str:

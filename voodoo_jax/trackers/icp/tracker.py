@@ -21,6 +21,7 @@ from voodoo_jax.markers.label_swaps import Exchange, jumps, put_right
 from voodoo_jax.markers.table import TO_START, marker_table, sized_by_markers, without_gaps
 from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
@@ -151,7 +152,7 @@ def track_person(
         tracks,
         seconds=time.perf_counter() - began - compiling,
         compile_seconds=compiling,
-        notes=(*notes, *whole.notes, *notes_on(run, tracks, exchanges)),
+        notes=as_few((*notes, *whole.notes, *notes_on(run, tracks, exchanges))),
     )
 
 
