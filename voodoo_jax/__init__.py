@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from voodoo_jax.config.options import Settings as Settings
     from voodoo_jax.config.presets import online as online
     from voodoo_jax.config.presets import preset as preset
+    from voodoo_jax.detect.opening import read_log as read_log
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.fitting.custom_loss import solve_frames as solve_frames
     from voodoo_jax.fitting.fit import fit as fit
     from voodoo_jax.io.log_reader import LogError as LogError
-    from voodoo_jax.io.log_reader import read_log as read_log
     from voodoo_jax.io.log_reader import survey as survey
     from voodoo_jax.model.attachments import attach as attach
     from voodoo_jax.model.body import Body as Body
@@ -61,7 +61,7 @@ _PUBLIC = {
     "online": ("config.presets", "online"),
     "preset": ("config.presets", "preset"),
     "read_body": ("model.body_file", "read_body"),
-    "read_log": ("io.log_reader", "read_log"),
+    "read_log": ("detect.opening", "read_log"),
     "read_tracks": ("exporters.npz", "read_tracks_npz"),
     "replay_logs": ("batch.replay", "replay"),
     "save_picture": ("viz.figures", "picture"),

@@ -5,10 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import voodoo_jax.detect.find_gravity
+from tests.support.logs import depth_log
 from tests.support.rooms import FLOOR, box, build_of, figure, frame, room
-from voodoo_jax.config.options import DetectSettings
+from voodoo_jax.config.options import DetectSettings, ReadSettings, Settings, SettingsError
 from voodoo_jax.detect.find_gravity import upright
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.detect.scene import find_scene, shows_floor
+from voodoo_jax.io.log_reader import read_log
+from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -95,3 +99,29 @@ def test_a_floor_is_seen_from_any_side_that_is_told(rng):
     assert shows_floor(frame(cloud), UP)
     assert not shows_floor(frame(room(rng)), -UP)
     assert not shows_floor(frame(cloud[:10]), UP) and not shows_floor(frame(cloud[:0]), UP)
+
+
+OPTICAL = Rotation.from_matrix(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))  # x right, y down, z forward
+Y_UP = Rotation.from_euler("x", 90, degrees=True)
+
+
+@pytest.mark.parametrize("sure", [True, False])
+@pytest.mark.parametrize("way", [OPTICAL, OPTICAL * Rotation.from_euler("z", 180, degrees=True), Y_UP])
+def test_a_frame_whose_z_is_not_up_is_found_by_its_floor(rng, way, sure):
+    """Cameras whose frames look along z whatever they are called, on their head too, and laboratories with y up."""
+    clouds = [turned(np.concatenate([room(rng), figure(2.5, 0.1 * i)]), way) for i in range(3)]
+    assert found(clouds, UP, sure) @ way.inv().apply(UP) > np.cos(np.radians(40))
+
+
+def test_what_a_user_says_of_up_is_not_looked_for(rng, tmp_path):
+    clouds = [turned(np.concatenate([room(rng), figure(2.5, 0.1 * i)]), OPTICAL) for i in range(3)]
+    frames = [seen(cloud, i * 33_000_000) for i, cloud in enumerate(clouds)]
+    scene, _ = find_person(frames, UP, load_on_host("human"), Settings())
+    assert scene.floor.normal @ [0, -1, 0] > 0.99 and "read.up" in " ".join(scene.notes)
+    scene, people = find_person(frames, UP, load_on_host("human"), Settings(), up_is_given=True)
+    assert scene.floor.normal @ UP > 0.7 and not scene.notes
+    log = depth_log(1).write(tmp_path / "a.mcap")
+    recording = read_log(log, ReadSettings(up="-y"))
+    assert recording.up_is_given and recording.up.tolist() == [0, -1, 0]
+    with pytest.raises(SettingsError, match="read.up"):
+        read_log(log, ReadSettings(up="upwards"))

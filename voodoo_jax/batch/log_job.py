@@ -11,11 +11,11 @@ from typing import Any
 
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
-from voodoo_jax.config.options import Settings
+from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined
+from voodoo_jax.records.tracks import Tracks, given_from
+from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined, log_name
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
 Visit = Callable[..., Any]  # solve.scan.Visit, which takes long to import
@@ -40,7 +40,7 @@ class Job:
 
 def output_paths(log: str | os.PathLike[str], out: str | os.PathLike[str]) -> tuple[Path, Path]:
     """Where the tracks of a log go: `<stem>.tracks.npz` and `<stem>.voodoo.mcap` in `out`."""
-    stem = Path(log).name.removesuffix(".mcap")
+    stem = log_name(os.fspath(log))
     return Path(out) / f"{stem}.tracks.npz", Path(out) / f"{stem}{TRACKS}"
 
 
@@ -58,11 +58,11 @@ def track_log(
     visit: Visit | None = None,
 ) -> Tracks:
     """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError."""
-    from voodoo_jax.detect.pipeline import find_person
-    from voodoo_jax.io.log_reader import open_log
+    from voodoo_jax.detect.opening import open_checked
+    from voodoo_jax.detect.pipeline import build_of, find_person
     from voodoo_jax.trackers.icp.tracker import prepare, track_person
 
-    log = open_log(path, settings.read)
+    log = open_checked(path, settings.read, build_of(body, settings.start.scale), settings.detect)
     if visit is None:
         prepare(body, settings, len(log.sensors), log.named_at_once, bool(log.parts))
     total, done = max(1, (2 + settings.looks_ahead("track")) * len(log)), 0  # read, track there, and back
@@ -78,21 +78,25 @@ def track_log(
             more(1)
             yield frame
 
-    scene, people = find_person(counted(), log.up, body, settings)
-    return track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more, visit)
+    scene, people = find_person(counted(), log.up, body, settings, log.up_is_given)
+    tracks = track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more, visit)
+    return given_from(tracks, log.origin)
 
 
 def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
     """Writes a picture of some frames of a tracked log, reading it (or its copy `log`) once more but keeping these
     frames only."""
-    from voodoo_jax.io.log_reader import open_log
+    from voodoo_jax.detect.opening import open_checked
+    from voodoo_jax.detect.pipeline import build_of
     from voodoo_jax.records.recording import Recording
     from voodoo_jax.viz.figures import picture, spread
 
-    reader = open_log(log or tracks.source, settings.read)
+    build = build_of(tracks.body, settings.start.scale)
+    reader = open_checked(log or tracks.source, settings.read, build, settings.detect)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
     frames = tuple(frame for frame in reader.frames() if frame.time_ns in wanted)
-    picture(tracks, Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames), target, count)
+    read = Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames, origin=reader.origin)
+    picture(tracks, read, target, count)
 
 
 def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = None) -> Outcome:
@@ -104,7 +108,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
     use_compile_cache(job.compile_cache)
     try:
         outcome = _done(job, progress, visit)
-    except LogError as problem:
+    except (LogError, SettingsError) as problem:
         outcome = Outcome(job.log, error=str(problem))
     except MemoryError:
         outcome = Outcome(job.log, error="out of memory: use fewer --workers, or cut the log in pieces")
@@ -117,7 +121,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
-    from voodoo_jax.batch.resume import log_fingerprint, run_key
+    from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
@@ -137,8 +141,8 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         if job.only_picture:
             tracks = read_tracks_npz(stack.enter_context(fetched(place)))
         else:
-            with suppress(OSError), open(log, "rb") as stream:  # before reading: it may be changed meanwhile
-                key = run_key(job.recipe, log_fingerprint(stream))
+            with suppress(OSError):  # before reading: it may be changed meanwhile
+                key = run_key(job.recipe, fingerprint_of(log))
             try:
                 tracks = track_log(log, on_device(job.body), job.settings, progress, visit)
             except LogError as problem:

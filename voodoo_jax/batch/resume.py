@@ -16,7 +16,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.io.container import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
-from voodoo_jax.storage.urls import Readable, opened
+from voodoo_jax.storage.urls import Readable, log_parts, opened
 
 BLOCK = 1 << 16  # bytes of each sample of a log
 # what a file that is missing, cut or of another kind raises
@@ -35,6 +35,15 @@ def log_fingerprint(stream: Readable) -> str:
         stream.seek(max(0, (length - BLOCK) * part // 3))
         digest.update(stream.read(BLOCK))
     return digest.hexdigest()
+
+
+def fingerprint_of(log: str) -> str:
+    """That of a log at a place, of all its files if it has several. Raises OSError."""
+    found = []
+    for part in log_parts(log):
+        with opened(part) as stream:
+            found.append(log_fingerprint(stream))
+    return found[0] if len(found) == 1 else hashlib.sha256(" ".join(found).encode()).hexdigest()
 
 
 def _body_bytes(body: Body) -> bytes:
@@ -71,8 +80,7 @@ def finished_arrays(log: str, npz: str, mcap: str, recipe: str) -> dict[str, np.
         with opened(npz) as stream, np.load(stream, allow_pickle=False) as data:
             if "run_key" not in data.files:
                 return None
-            with opened(log) as measured:
-                key = run_key(recipe, log_fingerprint(measured))
+            key = run_key(recipe, fingerprint_of(log))
             if str(data["run_key"]) != key:
                 return None
             arrays = {name: data[name] for name in ("body_json", "residual", "tracked", "seconds", "notes")}

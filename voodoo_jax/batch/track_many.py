@@ -12,7 +12,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks, given_from
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.icp.tracker import track_person
 from voodoo_jax.trackers.stages import check_stages
@@ -66,10 +66,11 @@ def track_many(
             try:
                 key = id(recording), id(body), own.detect, own.online, own.start.scale
                 if key not in people:
-                    people[key] = find_person(recording, recording.up, body, own)
+                    people[key] = find_person(recording, recording.up, body, own, recording.up_is_given)
                 scene, seen = people[key]
                 r = recording
-                return track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=visit)
+                tracks = track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=visit)
+                return given_from(tracks, r.origin)
             except Exception as problem:
                 problem.add_note(f"Number {number} of {count} (from 0): '{recording.path}'")
                 raise

@@ -34,6 +34,17 @@ class ReadSettings:
     """Value of that field = limb, body or free; others are free, but without any entry all except 0 are body."""
     weights: tuple[str, ...] = ()
     """Topic = weight of each of its points or features; a point of a depth camera weighs 1."""
+    up: str = ""
+    """Which way is up in the fixed frame: x, y, z, -x, -y, -z, or three numbers with commas; empty: it is found."""
+    scale: tuple[str, ...] = ()
+    """Topic = metres per unit of its distances or coordinates (0.001: millimetres); without an entry it is found."""
+    delays: tuple[str, ...] = ()
+    """Topic = seconds by which its stamps are late (negative: early); without an entry clocks are brought together."""
+    camera: tuple[str, ...] = ()
+    """Calibration of depth images and cameras: topic = file (a camera_info as YAML, TOML or JSON), or one file for all
+    images whose calibration is not in the log."""
+    transform: tuple[str, ...] = ()
+    """Transforms that the log lacks: "parent child x y z qx qy qz qw", metres and a quaternion, each of them a text."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import textwrap
 import tomllib
 from dataclasses import Field, fields, replace
 from difflib import get_close_matches
+from math import hypot
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -45,6 +46,8 @@ def _check(stage: str, f: Field, value: Any) -> Any:
         return tuple(value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
+    if name == "read.up" and value:
+        direction(str(value))
     if type(value) is not type(default):
         raise SettingsError(f"{name} = {value!r}: must be {_WORDS[type(default)]}, such as {default!r}")
     if isinstance(value, (int, float)) and not isinstance(value, bool) and not value >= 0:
@@ -61,7 +64,8 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
     for word in words:
         key, _, value = word.partition("=")
         try:
-            good = bool(key and value) and (not numbers or 0 <= float(value) < float("inf"))
+            least = -float("inf") if name in _SIGNED else 0
+            good = bool(key and value) and (not numbers or least <= float(value) < float("inf"))
             if name == "read.labels":
                 int(key)
         except ValueError:
@@ -69,6 +73,22 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
         if not good:
             raise SettingsError(f"{name}: '{word}' must look like {_EXAMPLES[name]}")
     return dict(word.split("=", 1) for word in words)
+
+
+def direction(word: str) -> tuple[float, float, float]:
+    """Unit vector of a text such as z, -y or 0,0.1,1. Raises SettingsError."""
+    axis = word.strip().lower().removeprefix("+")
+    sign = -1.0 if axis.startswith("-") else 1.0
+    if (name := axis.removeprefix("-")) in ("x", "y", "z"):
+        return (sign * (name == "x"), sign * (name == "y"), sign * (name == "z"))
+    try:
+        x, y, z = (float(number) for number in axis.split(","))
+        length = hypot(x, y, z)
+        if 0 < length < float("inf"):
+            return (x / length, y / length, z / length)
+    except ValueError:
+        pass
+    raise SettingsError(f"read.up = '{word}': must be x, y, z, -x, -y, -z or three numbers such as 0,0.1,1")
 
 
 def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) -> "Settings":
@@ -226,13 +246,18 @@ _PAIRS = {
     "read.parts": False,
     "read.labels": False,
     "read.weights": True,
+    "read.scale": True,
+    "read.delays": True,
 }
+_SIGNED = ("read.delays",)
 _EXAMPLES = {
     "features.names": "name=point, such as face=sellion",
     "features.weights": "name=number, such as face=10",
     "read.parts": "topic=part, such as /people/points=body or /hands/left=l_forearm",
     "read.labels": "number=part, such as 3=head, 7=body or 0=free",
     "read.weights": "topic=number, such as /stereo/points=0.5",
+    "read.scale": "topic=metres per unit, such as /camera/depth=0.001",
+    "read.delays": "topic=seconds, such as /lidar/points=0.25",
 }
 _BOUNDS: dict[str, tuple[float, float]] = {
     "read.max_points": (1, float("inf")),

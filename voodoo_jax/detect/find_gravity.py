@@ -18,6 +18,14 @@ from voodoo_jax.records.scene import Scene
 
 LOW = 0.5  # of its height: so low the body may be, if up is where the log says
 LIKELIER = 2.0  # times as like a body something must be if another way is up
+LEAST = 0.04  # so like a body it must be; measured: up to 0.024 in wrong directions, people 0.12 to 0.27
+BELOW = -0.1  # metres under the floor: no sensor is there; by hand
+SAME = 0.87  # cosine, 30 degrees: floors are found within 40 of where up is thought to be; by hand
+
+SAID = (
+    "Up is ({}) in the fixed frame, not as the log's frames say: a floor is seen there, with somebody on it. "
+    "read.up settles it."
+)
 
 
 @dataclass(frozen=True)
@@ -30,7 +38,11 @@ class FindGravity:
 
     def __call__(self, found: Surroundings) -> Surroundings:
         up = upright(found.some, found.scene, found.up, found.up_is_sure, found.build, found.settings)
-        return found if up is found.up else replace(found, up=up, up_is_sure=False).with_planes()
+        if up is found.up:
+            return found
+        found = replace(found, up=up, up_is_sure=False).with_planes()
+        way = ", ".join(f"{x:.1f}" for x in found.scene.floor.normal + 0.0)
+        return replace(found, scene=replace(found.scene, notes=(*found.scene.notes, SAID.format(way))))
 
 
 def upright(
@@ -49,24 +61,39 @@ def upright(
     if up_is_sure and scene.floor_seen:
         return up
     low = replace(settings, min_height=min(settings.min_height, LOW))  # a child's
-    usual = _likely(scene, frames, body, low, enough=0.0 if scene.floor_seen or up_is_sure else np.inf)
+    usual = likely_body(scene, frames, body, low, enough=0.0 if scene.floor_seen else np.inf)
     seen = max(frames, key=lambda frame: len(frame.points), default=None)
-    if usual > 0 and (scene.floor_seen or up_is_sure) or seen is None or not len(seen.points):
+    if usual > 0 and scene.floor_seen or seen is None or not len(seen.points):
         return up
-    best, likeliest = up, LIKELIER * usual
-    away = np.mean(seen.points - seen.origins[seen.sensor], 0)
-    ahead = away / max(float(np.linalg.norm(away)), 1e-6)
-    turned = [Rotation.from_rotvec(k * np.pi / 2 * ahead).apply(up).astype(np.float32) for k in (1, 2, 3)]
-    down = [] if scene.floor_seen else [(-ahead).astype(np.float32)]  # a wall may be taken for a floor then
-    for other in (*turned, *down):
+    # somebody on a floor that is seen tells more than a name, but the log's transforms are more than that
+    best, likeliest = up, max(LEAST, LIKELIER * usual if up_is_sure else usual)
+    for other in _others(up, seen, down=not scene.floor_seen):
         if shows_floor(seen, other):
-            found = _likely(find_scene([seen], other, up_is_sure=False), frames, body, settings)
+            there = find_scene([seen], other, up_is_sure=False)
+            if there.floor.height(seen.origins).max() < BELOW:
+                continue
+            found = likely_body(there, frames, body, settings)
             if found > likeliest:
                 best, likeliest = other, found
     return best
 
 
-def _likely(
+def _others(up: Float32[np.ndarray, "3"], seen: Frame, down: bool) -> list[Float32[np.ndarray, "3"]]:
+    """Directions that may be up instead: by quarter turns about where the sensor looks, the axes of the frame, and, if
+    the sensor may look `down`, against where it looks; each more than 30 degrees from those before."""
+    away = np.mean(seen.points - seen.origins[seen.sensor], 0)
+    ahead = away / max(float(np.linalg.norm(away)), 1e-6)
+    turned = [Rotation.from_rotvec(k * np.pi / 2 * ahead).apply(up) for k in (1, 2, 3)]
+    found: list[np.ndarray] = []
+    # a wall may be taken for a floor if another floor is seen already
+    for other in (*turned, *([-ahead] if down else []), *np.eye(3), *-np.eye(3)):
+        against = not down and other @ -ahead > SAME
+        if not against and all(other @ known < SAME for known in (up, *found)):
+            found.append(other.astype(np.float32))
+    return found
+
+
+def likely_body(
     scene: Scene, frames: Sequence[Frame], body: Build, settings: DetectSettings, enough: float = np.inf
 ) -> float:
     """How like a body something in the frames is, 0..1, or more than `enough`."""

@@ -40,16 +40,19 @@ def stages() -> tuple[Named, ...]:
 
 
 def find_person(
-    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
 ) -> tuple[Scene, list[PersonFrame]]:
-    """Floor and walls, and the body's points of every frame. Of the frames, taken one by one, only these are kept."""
+    """Floor and walls, and the body's points of every frame. Of the frames, taken one by one, only these are kept.
+
+    **Arguments:** `up_is_given` a user has said it: nothing else is looked for.
+    """
     stream: Iterator[Frame] = iter(frames)
     first, sure = list(islice(stream, SCENE_FRAMES)), bool(up[2] > 0.99)
     scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
-    build = _build(body, settings.start.scale)
+    build = build_of(body, settings.start.scale)
     found = Surroundings(chain(first, stream), first, up, sure, scene, planes, build, settings.detect)
     for stage in SCENE:
-        if _is_active(stage, body, settings):
+        if _is_active(stage, body, settings) and not (up_is_given and isinstance(stage, FindGravity)):
             found = stage(found)
     chooser = Chooser(found.scene, build, settings.detect, settings.looks_ahead("detect"))
     people = chooser(found.frames)
@@ -65,7 +68,7 @@ def _is_active(stage: Named, body: Body, settings: Settings) -> bool:
     return not skipped and stage.needs <= ({"person"} if body.scale_name == "stature" else set())
 
 
-def _build(body: Body, scale: float) -> Build:
+def build_of(body: Body, scale: float) -> Build:
     """What is known of the body's size; `scale` 0: it is to be found."""
     # a body's scale need not be its height
     rested = scaled(body, scale) if scale > 0 else body

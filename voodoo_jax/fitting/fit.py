@@ -192,8 +192,8 @@ def tracked(
     body: Body, logs: Sequence[Log], settings: Settings, tell: Callable[[str], None] = lambda what: None
 ) -> list[Seen]:
     """Every log tracked with the body, and the person's frames."""
-    from voodoo_jax.detect.pipeline import find_person
-    from voodoo_jax.io.log_reader import open_log
+    from voodoo_jax.detect.opening import open_checked
+    from voodoo_jax.detect.pipeline import build_of, find_person
     from voodoo_jax.trackers.icp.tracker import track_person
 
     seen = []
@@ -201,10 +201,10 @@ def tracked(
         if isinstance(log, Recording):
             source, frames = log, iter(log)
         else:
-            source = open_log(log, settings.read)
+            source = open_checked(log, settings.read, build_of(body, settings.start.scale), settings.detect)
             frames = source.frames()
         tell(f"tracking {Path(source.path).name}")
-        scene, people = find_person(frames, source.up, body, settings)
+        scene, people = find_person(frames, source.up, body, settings, source.up_is_given)
         found = track_person(body, scene, people, settings, source.path, source.fixed_frame)
         seen.append(Seen(found, people, scene, body))
     return seen

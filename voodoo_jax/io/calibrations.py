@@ -1,5 +1,7 @@
 """Which calibration, and which coordinate frame, belongs to a topic."""
 
+from dataclasses import replace
+
 from voodoo_jax.io.decode.registry import DEPTH_KINDS
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Calibration, Image
@@ -13,6 +15,10 @@ def bare(topic: str) -> str:
 def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:
     """That of the same frame, else of the same namespace; then the one of the same size."""
     image: Image = topics[name].sample
+    if topics[name].given is not None:
+        return topics[name].given
+    if isinstance(image, Image) and image.calibration is not None:
+        return image.calibration
     space = bare(name).rsplit("/", 1)[0]
     found = []
     for other, topic in topics.items():
@@ -25,12 +31,21 @@ def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:
                 other,
             )
             found.append((key, c))
-    return min(found, key=lambda pair: pair[0])[1] if found else None
+    best = min(found, key=lambda pair: pair[0])[1] if found else None
+    return topics[name].fallback or best if best is None or best.K[0, 0] <= 0 else best
 
 
 def camera_of(topics: dict[str, Topic], name: str, frame: str) -> Calibration | None:
     """The camera of 2D features: that of the same frame, else of the same namespace; without a frame also the
     only one that is not a depth sensor's, or the only one at all."""
+    if (given := topics[name].given) is not None:
+        return replace(given, frame=frame or given.frame)
+    found = _camera_of(topics, name, frame)
+    fallback = topics[name].fallback
+    return replace(fallback, frame=frame or fallback.frame) if found is None and fallback is not None else found
+
+
+def _camera_of(topics: dict[str, Topic], name: str, frame: str) -> Calibration | None:
     space = name.rsplit("/", 1)[0]
     known = {other: t.calibration for other, t in sorted(topics.items()) if t.calibration is not None}
     near = {other: c for other, c in known.items() if other.rsplit("/", 1)[0] == space}

@@ -1,11 +1,17 @@
 """Message iteration over an MCAP file that may be damaged: keeps all that can be read and says what could not be."""
 
+import heapq
 import os
 import struct
+import tempfile
+import weakref
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from io import BytesIO
+from itertools import chain
 from typing import BinaryIO
 
 import zstandard
@@ -17,7 +23,10 @@ from mcap.records import Channel, Chunk, DataEnd, Message, Schema, Statistics
 from mcap.stream_reader import CRCValidationError, breakup_chunk
 from mcap.summary import Summary
 
+from voodoo_jax.storage.urls import TOGETHER, log_parts
+
 MAGIC = b"\x89MCAP0\r\n"
+ZSTD = b"\x28\xb5\x2f\xfd"  # how data packed with zstd begin
 COMPRESSIONS = ("", "lz4", "zstd")
 KEPT = 256 << 20  # bytes of unpacked chunks that stay in memory until the next pass
 # What mcap 1.6 and its decompressors raise on bad bytes (lz4: RuntimeError; lengths over 2^63: OverflowError).
@@ -36,6 +45,7 @@ READ_ERRORS = (
 )
 
 Item = tuple[Schema | None, Channel, Message]
+Place = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]  # of a log: a file, a folder, or several files
 
 
 class LogError(Exception):
@@ -52,7 +62,8 @@ class LogFile:
 
     def __init__(self, path: str | os.PathLike[str]):
         self.path = os.fspath(path)
-        self.size = _check(self.path)
+        self._file = self._unpacked()
+        self.size = _check(self.path, self._file)
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.declared: dict[int, int] | None = None
@@ -61,14 +72,14 @@ class LogFile:
         self.damage: list[str] = []
         self._trouble = ""  # why the index is not used, if that is a sign of damage
         self._kept: dict[int, list] = {}  # records of the chunk at each place in the file
-        with open(self.path, "rb") as stream:
+        with open(self._file, "rb") as stream:
             self._summary = self._read_summary(stream)
 
     def messages(self, wanted: Callable[[Schema | None, Channel], bool]) -> Iterator[Item]:
         """The messages of wanted channels: in order of log time within a chunk, chunks by their start time if there
         is an index, else in file order. Two runs give the same messages in the same order."""
         self.counts, self.damage = Counter(), []
-        with open(self.path, "rb") as stream:
+        with open(self._file, "rb") as stream:
             if self._summary is not None:
                 source = self._indexed(stream, self._summary, wanted)
             else:
@@ -92,9 +103,26 @@ class LogFile:
                     self.counts[channel.id] += 1
                     schema = self.schemas.get(channel.schema_id)
                     if wanted(schema, channel):
-                        yield schema, channel, message
+                        yield schema, channel, _whole(channel, message)
             if lost:
                 self.damage.append(f"Messages of no known channel, left out: {lost}.")
+
+    def _unpacked(self) -> str:
+        """The file itself, or an unpacked copy of one that was compressed as a whole, for as long as this lives."""
+        try:
+            with open(self.path, "rb") as packed:
+                if packed.read(len(ZSTD)) != ZSTD:
+                    return self.path
+                packed.seek(0)
+                handle, copy = tempfile.mkstemp(prefix="voodoo-", suffix=".mcap")
+                weakref.finalize(self, os.unlink, copy)
+                with os.fdopen(handle, "wb") as out:
+                    zstandard.ZstdDecompressor().copy_stream(packed, out)
+                return copy
+        except zstandard.ZstdError as error:
+            raise LogError(f"'{self.path}' is compressed, and cannot be unpacked: {error}. Copy it again.") from error
+        except OSError:
+            return self.path  # what is wrong with it is said when it is looked at
 
     def _read_summary(self, stream: BinaryIO) -> Summary | None:
         """The index at the end of the file, None if it is missing or cannot be trusted."""
@@ -214,14 +242,70 @@ class LogFile:
             self.damage.append(f"{len(bad)} of {max(total, len(bad))} chunks cannot be read ({first}{bad[0]}).")
 
 
-def _check(path: str) -> int:
-    """Size of the file in bytes; LogError unless it starts as MCAP."""
+class LogFiles(LogFile):
+    """Several files that were recorded together, as one log: one after the other, or by log time where they overlap.
+
+    Channels and schemas have numbers of their own. Raises `LogError` if one of them is missing or is not MCAP.
+    """
+
+    def __init__(self, path: str, files: Sequence[str | os.PathLike[str]]):
+        self.path = path
+        self._parts = [LogFile(file) for file in files]
+        ranges = [part.time_range for part in self._parts]
+        known = [times for times in ranges if times is not None]
+        if len(known) == len(ranges):
+            self._parts.sort(key=lambda part: part.time_range or (0, 0))
+            known.sort()
+        self._overlap = any(a[1] > b[0] for a, b in zip(known, known[1:]))
+        self.size = sum(part.size for part in self._parts)
+        self.channels, self.schemas, self.counts, self.damage = {}, {}, Counter(), []
+        self.time_range = (known[0][0], max(last for _, last in known)) if known else None
+        self.declared = {}
+        self._gather()
+
+    def messages(self, wanted: Callable[[Schema | None, Channel], bool]) -> Iterator[Item]:
+        """As of one file."""
+        each = [part.messages(wanted) for part in self._parts]
+        yield from heapq.merge(*each, key=lambda item: item[2].log_time) if self._overlap else chain(*each)
+        self._gather()
+
+    def _gather(self) -> None:
+        """What the files say of themselves, with numbers that are of one file only."""
+        self.counts, self.damage, self.declared = Counter(), [], {}
+        for k, part in enumerate(self._parts):
+            number = k * (1 << 16)  # MCAP's channels and schemas have 16 bits
+            self.schemas |= {number + i: schema for i, schema in part.schemas.items()}
+            self.channels |= {
+                number + i: replace(c, id=number + i, schema_id=c.schema_id and number + c.schema_id)
+                for i, c in part.channels.items()
+            }
+            self.counts.update({number + i: count for i, count in part.counts.items()})
+            self.damage += [f"{os.path.basename(part.path)}: {said}" for said in part.damage]
+            if part.declared is None:
+                self.declared = None
+            elif self.declared is not None:
+                self.declared |= {number + i: count for i, count in part.declared.items()}
+
+
+def open_files(path: Place) -> LogFile:
+    """The file of a log; or the files of one that has several: a bag's folder, a list, or a.mcap+b.mcap."""
+    if not isinstance(path, str | os.PathLike):
+        files = [os.fspath(file) for file in path]
+        return LogFiles(TOGETHER.join(files), files) if len(files) != 1 else LogFile(files[0])
+    files = log_parts(os.fspath(path))
+    if len(files) > 1 or os.path.isdir(path) and files:
+        return LogFiles(os.fspath(path), files)
+    return LogFile(path)
+
+
+def _check(path: str, file: str) -> int:
+    """Size of the file (itself or unpacked) in bytes; LogError unless it starts as MCAP."""
     if os.path.isdir(path):
         raise LogError(f"'{path}' is a directory. Give the .mcap file itself (ROS 2 keeps it inside the bag's folder).")
     try:
-        with open(path, "rb") as stream:
+        with open(file, "rb") as stream:
             head = stream.read(len(MAGIC))
-        size = os.path.getsize(path)
+        size = os.path.getsize(file)
     except FileNotFoundError:
         raise LogError(f"There is no file '{path}'. Check the name and the folder.") from None
     except OSError as error:
@@ -249,6 +333,14 @@ def _chunk_records(body: bytes) -> list:
     if not chunk.uncompressed_crc and not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
         raise McapError("its length is not the one stated")
     return breakup_chunk(chunk, validate_crc=True)
+
+
+def _whole(channel: Channel, message: Message) -> Message:
+    """The message, unpacked if a bag was recorded with compression of each message."""
+    if channel.message_encoding in ("cdr", "ros1") and message.data[:4] == ZSTD:
+        with suppress(zstandard.ZstdError):  # what cannot be unpacked cannot be decoded, and is said to be so there
+            return replace(message, data=zstandard.ZstdDecompressor().decompressobj().decompress(message.data))
+    return message
 
 
 def _words(error: BaseException) -> str:

@@ -21,6 +21,24 @@ class Gathered:
     scores: Float[np.ndarray, " feature"]
 
 
+# metres from end to end of what is marked at one time, and the unit of numbers that would make it so; a body with
+# arms stretched, or two people beside each other, by hand
+EXTENTS = ((0.3, 10.0, 1.0), (30.0, 250.0, 0.01), (300.0, 10_000.0, 0.001))
+
+
+def unit_of(found: "Gathered", fewest: int = 4) -> float:
+    """Metres per unit of 3D features, to judge by how far apart those of one time are; 1 where that does not tell."""
+    if found.values.shape[1:] != (3,) or len(found.values) < fewest:
+        return 1.0
+    times, index, count = np.unique(found.stamps, return_inverse=True, return_counts=True)
+    some = np.flatnonzero(count >= fewest)[:: max(1, len(times) // 50)]
+    rows = [found.values[index == k] for k in some]
+    if not rows:
+        return 1.0
+    extent = float(np.median([np.linalg.norm(np.ptp(p, axis=0)) for p in rows]))
+    return next((unit for low, high, unit in EXTENTS if low <= extent <= high), 1.0)
+
+
 def gather(topic: str, messages: Sequence[Features], log_times: Sequence[int], notes: list[str]) -> Gathered:
     """Put the messages of a topic together; says in `notes` where the log's time had to serve as stamp.
 

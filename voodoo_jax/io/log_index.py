@@ -2,13 +2,16 @@
 
 import os
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from mcap.records import Channel, Schema
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.container import LogError, LogFile, guarded
+from voodoo_jax.config.toml import check_pairs
+from voodoo_jax.io.clocks import Stamps, shifts
+from voodoo_jax.io.container import LogError, Place, guarded, open_files
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.decode.registry import (
     DECODE_ERRORS,
@@ -20,13 +23,15 @@ from voodoo_jax.io.decode.registry import (
     quick_stamp,
     reason_unused,
 )
-from voodoo_jax.io.landmark_table import gather
+from voodoo_jax.io.given import given_cameras, given_transforms
+from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.topic_roles import decide_uses
-from voodoo_jax.io.transforms import TransformTree
-from voodoo_jax.records.messages import Calibration, Features, Image, many
+from voodoo_jax.io.transforms import Transform, TransformTree
+from voodoo_jax.records.messages import Calibration, Features, Image, many, moved
+from voodoo_jax.storage.urls import bag_of
 
 
 class Scan:
@@ -38,13 +43,26 @@ class Scan:
     `settings` name is not in the log.
     """
 
-    def __init__(self, path: str | os.PathLike[str], settings: ReadSettings):
-        self.log = LogFile(path)
+    def __init__(self, path: Place, settings: ReadSettings):
+        self.log = open_files(path)
         self.topics: dict[str, Topic] = {}
+        cameras = given_cameras(settings.camera)
         self.tree = TransformTree()
         self.notes: list[str] = []
+        self.part_of = ""  # if others were recorded with it, what to do
+        folder, files = bag_of(self.log.path)
+        if folder:
+            self.part_of = (
+                f"This is one of the {len(files)} files of a recording, and what was sent once may be in another: give "
+                f"the folder '{os.path.basename(folder)}' to read them as one."
+            )
+            self.notes.append(self.part_of)
+        for transform in given_transforms(settings.transform):  # first: what the log has besides is no match for it
+            self.tree.add(transform, True)
         self.log_times: tuple[int, int] | None = None
         self._decoder = Decoder()
+        self._moving: dict[tuple[str, str], list[tuple[Transform, int]]] = {}  # by topic and child; with log times
+        self._foreign: dict[str, str] = {}  # topics whose clock is not the others', and why they cannot be used
         self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
         # Without statistics the only way to know the number of messages is to read them all.
         everything = self.log.declared is None
@@ -56,6 +74,7 @@ class Scan:
             topic.count += 1
             if schema is not None and topic.kind and self.kind(schema, channel) == topic.kind:
                 self._take(topic, schema, channel, message)
+        self._bring_clocks_together(settings)
         self.tree.close()
         self._count()
         if not self.topics:
@@ -65,6 +84,14 @@ class Scan:
             if topic.kind in FEATURE_KINDS:
                 topic.gathered = gather(name, topic.features, topic.log_times, self.notes)
                 topic.features.clear()
+                self._settle_unit(name, topic.gathered, settings)
+        for name, topic in self.topics.items():
+            topic.given, topic.fallback = cameras.get(name), cameras.get("")
+        for name in cameras.keys() - self.topics.keys() - {""}:
+            self.notes.append(f"read.camera does not count here: the log has no topic '{name}'.")
+        for name, why in self._foreign.items():
+            if name in self.topics:
+                self.topics[name].foreign = why
         pairs = find_pairs(self.topics, self.tree) if settings.stereo else []
         self.uses = decide_uses(self.log.path, self.topics, settings, self.notes, pairs)
         self.skin, notes = skin_topics(self.topics, self.uses) if settings.skin else ({}, [])
@@ -88,7 +115,7 @@ class Scan:
         return self.topics[channel.topic]
 
     def _take(self, topic: Topic, schema: Schema, channel: Channel, message: Any) -> None:
-        content, stamp = None, quick_stamp(channel, message.data)
+        content, stamp = None, quick_stamp(schema, channel, message.data)
         depth = topic.kind in (*DEPTH_KINDS, COLOUR_KIND)
         if topic.sample is None or stamp is None or not depth:
             try:
@@ -101,8 +128,13 @@ class Scan:
             if isinstance(content, Image) and topic.kind == COLOUR_KIND:
                 topic.kind = "image"
         if isinstance(content, list):
+            static = is_static(schema, channel)
             for transform in content:
-                self.tree.add(transform, is_static(schema, channel))
+                if static:
+                    self.tree.add(transform, static)
+                else:
+                    key = channel.topic, transform.child
+                    self._moving.setdefault(key, []).append((transform, message.log_time))
         elif isinstance(content, Calibration):
             old = topic.calibration
             if old is None or (old.K[0, 0] == 0 and content.K[0, 0] != 0):
@@ -119,6 +151,42 @@ class Scan:
                 stamp = content.stamp_ns
             topic.stamps.append(message.log_time if stamp is None else stamp)
             topic.log_times.append(message.log_time)
+
+    def _settle_unit(self, name: str, found: Gathered, settings: ReadSettings) -> None:
+        """Brings 3D features to metres."""
+        given = check_pairs("read.scale", settings.scale, numbers=True)
+        unit = float(given.get(name, 0.0)) or unit_of(found)
+        if unit != 1.0 and self.topics[name].kind == "pairs":
+            self.topics[name].gathered = replace(found, values=found.values * unit)
+            if name not in given:
+                word = {0.001: "millimetres", 0.01: "centimetres"}.get(unit, "")
+                self.notes.append(
+                    f"'{name}': its coordinates are taken for {word}, to judge by their extent. read.scale settles it."
+                )
+
+    def _bring_clocks_together(self, settings: ReadSettings) -> None:
+        """Shifts the stamps of measurements and transforms that are of another clock than the others'."""
+        delays = {n: float(by) for n, by in check_pairs("read.delays", settings.delays, numbers=True).items()}
+        for name in delays.keys() - self.topics.keys():
+            self.notes.append(f"read.delays does not count here: the log has no topic '{name}'.")
+        as_array = lambda numbers: np.array(numbers, np.int64)  # noqa: E731
+        given = [Stamps(n, as_array(t.stamps), as_array(t.log_times)) for n, t in self.topics.items() if t.stamps]
+        for name, topic in self.topics.items():
+            if topic.features:
+                given.append(Stamps(name, as_array([f.stamp_ns for f in topic.features]), as_array(topic.log_times)))
+        for (topic, child), samples in self._moving.items():
+            own = as_array([transform.stamp_ns for transform, _ in samples])
+            given.append(Stamps(f"{topic} {child}", own, as_array([at for _, at in samples]), measured=False))
+        by, self._foreign = shifts(given, delays, self.notes)
+        for name, topic in self.topics.items():
+            if topic.stamps and by[name].any():
+                topic.stamps = (as_array(topic.stamps) + by[name]).tolist()
+            elif topic.features and by[name].any():
+                topic.features = [moved(f, int(ns)) for f, ns in zip(topic.features, by[name])]
+        for (topic, child), samples in self._moving.items():
+            for (transform, _), ns in zip(samples, by[f"{topic} {child}"]):
+                self.tree.add(replace(transform, stamp_ns=transform.stamp_ns + int(ns)) if ns else transform, False)
+        self._moving.clear()
 
     def _count(self) -> None:
         """Number of messages per topic as the file states it, and a note where fewer were found."""

@@ -5,35 +5,41 @@ frame; the second decodes the depth messages one by one. So memory stays bounded
 images.
 """
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int32, Int64
 
 from voodoo_jax.config.options import ReadSettings
+from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import bare, calibration_of
-from voodoo_jax.io.container import LogError, guarded
+from voodoo_jax.io.container import LogError, Place, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
+from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, survey
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.records.messages import Cloud, Image, many, stride
+from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame, Pairs, Rays, Recording
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
 Progress = Callable[[int, int], None]
+TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
 
 
-def open_log(path: str | os.PathLike[str], settings: ReadSettings | None = None) -> "LogReader":
+def open_log(path: Place, settings: ReadSettings | None = None) -> "LogReader":
     """Look through a log and plan its frames; `frames()` of the result then gives them one by one.
+
+    **Arguments:** `path` of a file, of a bag's folder, or those of several files that were recorded together.
 
     Raises LogError if the file cannot be read, holds neither usable depth data nor named features, or a name in
     `settings` is not in the log; ValueError if `settings.max_points` is less than 1.
@@ -44,16 +50,33 @@ def open_log(path: str | os.PathLike[str], settings: ReadSettings | None = None)
             f"max_points must be >= 1, not {settings.max_points}: it is how many points of a frame are kept"
         )
     scan = Scan(path, settings)
-    return LogReader(scan, make_plan(scan, settings), settings)
+    try:
+        return LogReader(scan, make_plan(scan, settings), settings)
+    except LogError as problem:
+        raise LogError(f"{problem} {scan.part_of}".strip()) from problem
 
 
-def read_log(
-    path: str | os.PathLike[str], settings: ReadSettings | None = None, progress: Progress | None = None
-) -> Recording:
+def read_log(path: Place, settings: ReadSettings | None = None, progress: Progress | None = None) -> Recording:
     """Read a whole log into memory: see `open_log`, `LogReader.frames` and `Recording`. Raises as `open_log`."""
-    log = open_log(path, settings)
+    return read_whole(open_log(path, settings), progress)
+
+
+def read_whole(log: "LogReader", progress: Progress | None = None) -> Recording:
+    """All frames of an opened log in memory. Raises as `LogReader.frames`."""
     frames = tuple(log.frames(progress))
-    return Recording(log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes)
+    return Recording(
+        log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes,
+        origin=log.origin, up_is_given=log.up_is_given,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One message of a depth topic, for looking at it before all are read."""
+
+    number: int  # of the topic's messages
+    content: Cloud | Image
+    distances: Float[np.ndarray, " point"]  # from the sensor, in metres if its unit is the usual one
 
 
 @dataclass(frozen=True)
@@ -71,6 +94,7 @@ class LogReader:
     def __init__(self, scan: Scan, plan: Plan, settings: ReadSettings):
         self._scan, self._settings = scan, settings
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
+        self.origin, self.up_is_given = plan.origin, bool(settings.up)
         self.features, self.parts = plan.features, plan.parts.names
         self._whole, self._stamps, self._plan = plan, plan.stamps, plan.frames
         self._plan_parts = plan.parts
@@ -78,6 +102,80 @@ class LogReader:
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
         self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        given = check_pairs("read.scale", settings.scale, numbers=True)
+        self.scales = {
+            name: float(value) for name, value in given.items()
+        }  # metres per unit, where it is not the usual
+
+    def unit(self, topic: str) -> float:
+        """Metres per unit of a depth topic's numbers, as is usual for its encoding."""
+        sample = self._scan.topics[topic].sample
+        return sample.unit if isinstance(sample, Image) else 1.0
+
+    def with_scales(self, scales: dict[str, float]) -> "LogReader":
+        """The same log with other units of some topics, metres per unit."""
+        other = copy(self)
+        other.scales, other._notes, other._counted = {**self.scales, **scales}, list(self._notes), Counter()
+        return other
+
+    def coarse(self, max_points: int) -> "LogReader":
+        """The same log with so many points of each message only."""
+        other = self.with_scales({})
+        other._settings = replace(self._settings, max_points=max_points)
+        return other
+
+    def stamps(self, topic: str) -> Int64[np.ndarray, " message"]:
+        """Of the messages of a depth topic in the order of reading, nanoseconds."""
+        return self._stamps[self.sensors.index(topic)]
+
+    def say(self, note: str) -> None:
+        """Adds a sentence to the notes."""
+        self._notes.append(note)
+
+    def sampled(self, topic: str, count: int, spread: bool = False, step: int = 1) -> list[Sample]:
+        """Some messages of a depth topic that show something: the first ones (every so many-th), or `spread` over the
+        log."""
+        total = len(self._scan.topics[topic].stamps)
+        step = max(1, total // count) if spread else step
+        found, decoder, number = [], Decoder(), -1
+        stereo = {pair.left for pair in self._scan.stereo}
+        wanted = lambda s, c: c.topic == topic and self._scan.kind(s, c) == self._scan.topics[topic].kind  # noqa: E731
+        for schema, channel, message in guarded(self._scan.log, wanted) if topic not in stereo else ():
+            number += 1
+            if number % step or schema is None:
+                continue
+            try:
+                content = decoder.message(schema, channel, message.data)
+                distances = self._distances(topic, content)
+            except DECODE_ERRORS:
+                continue
+            if len(distances) >= TELLING:
+                found.append(Sample(number, content, distances))
+            if len(found) == count or (not spread and number >= 60 + step * count):  # two seconds of darkness
+                break
+        return found
+
+    def frame_of(self, topic: str, sample: Sample) -> Frame | None:
+        """What one message shows, alone, in the fixed frame; None if there is no transform."""
+        at = int(self._stamps[self.sensors.index(topic)][sample.number])
+        measured = self._measure(topic, sample.content, at)
+        if measured is None:
+            return None
+        sensor = np.zeros(len(measured.points), np.int32)
+        return Frame(at, measured.points.astype(np.float32), sensor, measured.origin[None].astype(np.float32))
+
+    def _distances(self, topic: str, content: Cloud | Image) -> np.ndarray:
+        """Of a few thousand points from the sensor, in the usual unit; without those that saw nothing."""
+        if isinstance(content, Image):
+            raw = content.raw if content.packed is None else unpacked(content)
+            k = stride(*content.shape, FEW_POINTS)
+            # nothing, and the largest number, which some drivers write for it
+            z = np.zeros(0) if raw is None else raw[::k, ::k].ravel()
+            z = z[(z > 0) & (z < 65535)] if z.dtype == np.uint16 else z
+            found = z.astype(float) * content.unit
+        else:
+            found = np.linalg.norm(content.points(FEW_POINTS), axis=1)
+        return found[np.isfinite(found) & (found > 0)]
 
     def __len__(self) -> int:
         """Number of frames planned; fewer come out if messages turn out to be broken or have no transform."""
@@ -93,7 +191,7 @@ class LogReader:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out, missing or damaged, one sentence each."""
-        return tuple(self._notes + self._losses())
+        return as_few(self._notes + self._losses())
 
     def _losses(self) -> list[str]:
         counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
@@ -200,7 +298,7 @@ class LogReader:
             if raw is None:
                 raise ValueError(f"encoding changed to {content.encoding}")
             k = stride(*content.shape, s.max_points)
-            z = raw[::k, ::k].ravel().astype(np.float32) * np.float32(content.unit)
+            z = raw[::k, ::k].ravel().astype(np.float32) * np.float32(self.scales.get(topic, content.unit))
             rays, square = self._directions(topic, content, k, rotation)
             with np.errstate(invalid="ignore", over="ignore"):
                 keep = np.flatnonzero(self._in_range(square * (z * z)) & (z > 0))
@@ -210,6 +308,8 @@ class LogReader:
                 np.add(np.take(rays[axis], keep) * depth, place, out=points[:, axis])
         else:
             points = content.points(s.max_points)
+            if topic in self.scales:
+                points *= self.scales[topic]
             if field := self._plan_parts.field(topic):
                 if field in content.fields:
                     labels = content.field(field, s.max_points)
@@ -222,10 +322,6 @@ class LogReader:
                 rotation = rotation @ content.pose[0]
             points, labels = points[keep] @ rotation.T + translation, None if labels is None else labels[keep]
         part = self._plan_parts.numbers(topic, labels, len(points))
-        if np.abs(translation).max() > 1e4:
-            note = f"Coordinates in '{self.fixed_frame}' exceed 10 km, inexact in float32: set another fixed_frame."
-            if note not in self._notes:
-                self._notes.append(note)
         return _Measured(points, translation, part)
 
     def _in_range(self, square: Float[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:
@@ -250,16 +346,14 @@ class LogReader:
         if key not in self._rays:
             c = calibration_of(self._scan.topics, topic)
             assert c is not None
+            size = c.width, c.height
+            c, assumed = fitted(c, image.shape)
+            if assumed:
+                own = f"{image.shape[1]} x {image.shape[0]}"
+                self._notes.append(f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}.")
             # By ROS custom a topic called image_rect... is rectified: P holds, and the lens is undone already.
             rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
             K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)
             height, width = image.shape
-            if c.width and c.height and (c.width, c.height) != (width, height):
-                scale = np.array([width / c.width, height / c.height])
-                K[:2, :2] *= scale[:, None]
-                K[:2, 2] = (K[:2, 2] + 0.5) * scale - 0.5
-                self._notes.append(
-                    f"'{topic}' is {width} x {height} pixels, its calibration {c.width} x {c.height}: scaled to fit."
-                )
             self._rays[key] = lens.pixel_rays(K, D, c.model, width, height)[::k, ::k].copy()
         return self._rays[key]

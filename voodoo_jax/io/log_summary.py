@@ -1,14 +1,14 @@
 """What a log holds, as a table for a person, without reading its depth data."""
 
-import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.container import LogError
+from voodoo_jax.io.container import LogError, Place
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.skin_rays import SKIN_USE
+from voodoo_jax.records.notes import as_few
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class LogSurvey:
         return "\n".join(lines + [f"  note: {w}" for w in self.warnings])
 
 
-def survey(path: str | os.PathLike[str], settings: ReadSettings | None = None) -> LogSurvey:
+def survey(path: Place, settings: ReadSettings | None = None) -> LogSurvey:
     """List what a log holds, and what of it is used with `settings`. Raises LogError only if nothing can be read at
     all, or a topic in the settings is not in the log."""
     settings = settings or ReadSettings()
@@ -62,4 +62,4 @@ def survey(path: str | os.PathLike[str], settings: ReadSettings | None = None) -
     topics = [
         TopicSurvey(n, t.type, t.encoding, t.count, scan.uses[n] + said[n]) for n, t in sorted(scan.topics.items())
     ]
-    return LogSurvey(scan.log.path, start, (end - start) / 1e9, tuple(topics), tuple(warnings))
+    return LogSurvey(scan.log.path, start, (end - start) / 1e9, tuple(topics), as_few(warnings))

@@ -4,9 +4,10 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from voodoo_jax.config.options import ReadSettings
+from voodoo_jax.config.toml import direction
 from voodoo_jax.io.calibrations import frame_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.registry import DEPTH_KINDS
@@ -20,6 +21,8 @@ from voodoo_jax.io.stereo_pairs import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.records.recording import Pairs, Rays
 
+PAUSE = 3.0  # seconds without a frame that a user should know of
+FAR = 1000.0  # metres: float32 has steps of 0.06 mm there, and of 25 cm in UTM
 NEEDED = (
     "Needed is a depth image (sensor_msgs/msg/Image or foxglove.RawImage, 16UC1 in mm or 32FC1 in m, or packed as "
     "compressedDepth) with its calibration, or a point cloud (sensor_msgs/msg/PointCloud2 or foxglove.PointCloud), or "
@@ -37,6 +40,7 @@ class Plan:
     """How a log becomes frames. `notes`: what is left out or assumed, one sentence each."""
 
     fixed_frame: str
+    origin: Float64[np.ndarray, "3"]  # in it; all places are given from there
     up: Float32[np.ndarray, "3"]  # unit, in the fixed frame
     sensors: tuple[str, ...]  # topics that give points
     stamps: tuple[Int64[np.ndarray, " _"], ...]  # of the messages per sensor, nanoseconds, in the order of reading
@@ -63,7 +67,13 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     if not sources:
         raise LogError(_no_depth(scan, settings.features))
     notes = []
-    reported = ("a depth image w", "2D features w", "a stereo pair, but the", "no message can be decoded")
+    reported = (
+        "a depth image w",
+        "2D features w",
+        "a stereo pair, but the",
+        "no message can be decoded",
+        "its clock is",
+    )
     for name, use in scan.uses.items():
         if any(why in use for why in reported):
             notes.append(f"'{name}' is left out: {use.removeprefix('not used: ')}.")
@@ -93,19 +103,24 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     alone = [t[in_pauses(at, t)] for t in thin]
     frames = sorted(frames + [(t, []) for t, _ in plan_frames(alone, alone)], key=lambda frame: frame[0])
     at = np.array([t for t, _ in frames], np.int64)
+    notes += _gaps(at)
     for name in sensors:
         if name not in leaders:
             for frame, message in join_one(at, stamps[name]):
                 frames[frame][1].append((sensors.index(name), message))
+    origin = _near_origin(scan, fixed, leaders[0], frames[0][0], notes)
+    scan.tree.give_from(fixed, origin)
     features = plan_features(scan, fixed, of["rays"] + of["pairs"], at, parts)
     if settings.skin:
         skin = plan_skin(scan, fixed, at, parts)
         features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}
         features.topics += tuple(name for name in skin.topics if name not in features.topics)
         notes += skin.notes
-    up = _upward(scan, fixed, leaders[0], frames[0][0])
+    given = np.array(direction(settings.up), np.float32) if settings.up else None
+    up = _upward(scan, fixed, leaders[0], frames[0][0]) if given is None else given
     return Plan(
         fixed_frame=fixed,
+        origin=origin,
         up=up,
         sensors=tuple(sensors),
         stamps=tuple(stamps.values()),
@@ -119,6 +134,16 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     )
 
 
+def _gaps(times: Int64[np.ndarray, " frame"]) -> list[str]:
+    """A sentence on where there are no frames for long."""
+    apart = np.diff(times) / 1e9
+    long = np.flatnonzero(apart > max(PAUSE, 10 * np.median(apart))) if len(apart) else apart
+    if not len(long):
+        return []
+    first = f"{apart[long[0]]:.1f} s, after {(times[long[0]] - times[0]) / 1e9:.1f} s"
+    return [f"The log has {'a gap of ' if len(long) == 1 else f'{len(long)} gaps, the first of '}{first}."]
+
+
 def _no_depth(scan: Scan, features: bool) -> str:
     """Why a log has no depth data, and what to do about it."""
     blind = [name for name, use in scan.uses.items() if "a depth image w" in use]
@@ -126,8 +151,13 @@ def _no_depth(scan: Scan, features: bool) -> str:
         uses = "; ".join(f"'{name}' is {scan.uses[name].removeprefix('not used: ')}" for name in blind)
         return (
             f"'{scan.log.path}' has no depth image that can be used: {uses}. "
-            "Record the camera's calibration (sensor_msgs/msg/CameraInfo or foxglove.CameraCalibration) with it."
+            "Record the camera's calibration (sensor_msgs/msg/CameraInfo or foxglove.CameraCalibration) with it, or "
+            "give it: --read.camera FILE, a camera_info as YAML, TOML or JSON."
         )
+    lossy = [name for name, use in scan.uses.items() if "JPEG" in use]
+    if lossy:
+        uses = "; ".join(f"'{name}' is {scan.uses[name].removeprefix('not used: ')}" for name in lossy)
+        return f"'{scan.log.path}' has no depth that can be used: {uses}."
     uses_of_depth = {n: scan.uses[n] for n in scan.uses if scan.topics[n].kind in DEPTH_KINDS}
     dead = [name for name, use in uses_of_depth.items() if "no message can be decoded" in use]
     if dead:
@@ -160,8 +190,8 @@ def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[
         lone = ", ".join(f"'{f}'" for f in sorted(set(frame.values())))
         raise LogError(
             f"'{path}': no {what} is in the transform tree, nothing links {lone} to any of "
-            f"{', '.join(tree.frames)}. Record the missing transform, or set fixed_frame to '{frame[best]}' "
-            "to track in the sensor's own frame."
+            f"{', '.join(tree.frames)}. Record the missing transform, give it by read.transform, or set fixed_frame to "
+            f"'{frame[best]}' to track in the sensor's own frame."
         )
     fixed = asked or roots[best]
     if not tree.frames:
@@ -174,9 +204,26 @@ def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[
         missing = ", ".join(f"'{f}'" for f in sorted(set(frame.values())))
         raise LogError(
             f"'{path}': no {what} is connected to the fixed frame '{fixed}', transforms are missing "
-            f"from {missing}. Choose another fixed_frame or record the transforms (/tf, /tf_static)."
+            f"from {missing}. Choose another fixed_frame, record the transforms (/tf, /tf_static), or give them by "
+            "read.transform."
         )
     return fixed, kept
+
+
+def _near_origin(scan: Scan, fixed: str, sensor: str, time_ns: int, notes: list[str]) -> np.ndarray:
+    """A place in the fixed frame, in whole metres, near which all is: 0 but for coordinates of a country (UTM)."""
+    pose = scan.tree.lookup(fixed, frame_of(scan.topics, sensor), time_ns, hold_ns=None)
+    rotation, place = pose if pose else (np.eye(3), np.zeros(3))
+    gathered = scan.topics[sensor].gathered
+    if gathered is not None and gathered.values.shape[1:] == (3,) and len(gathered.values):
+        place = rotation @ np.median(gathered.values, axis=0) + place
+    origin = np.where(np.abs(place) > FAR, np.round(place), 0.0)
+    if origin.any():
+        at = ", ".join(f"{x:.0f}" for x in origin)
+        notes.append(
+            f"Coordinates in '{fixed}' are large: computed from ({at}) m, and written in '{fixed}' in float64."
+        )
+    return origin
 
 
 def _upward(scan: Scan, fixed: str, sensor: str, time_ns: int) -> np.ndarray:

@@ -12,8 +12,9 @@ from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import calibration_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
+from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import Parts
-from voodoo_jax.io.stereo_pairs import picture_of, rectified, scaled
+from voodoo_jax.io.stereo_pairs import picture_of, rectified
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Calibration, many
 from voodoo_jax.records.recording import Rays
@@ -86,8 +87,12 @@ def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weig
             counted[name, "with skin-coloured regions that never move, which are left out"] = furniture
         for (_, number), gone in zip(keys, still):
             shape, pixels = regions[name, number]
-            fitted = scaled(c, shape)
-            K, D = (fitted.P[:, :3], np.zeros(0)) if rectified(name) and c.P[0, 0] > 0 else (fitted.K, fitted.D)
+            try:
+                own = fitted(c, shape)[0]
+            except ValueError as problem:
+                counted[name, f"without skin, because {problem}"] += 1
+                continue
+            K, D = (own.P[:, :3], np.zeros(0)) if rectified(name) and c.P[0, 0] > 0 else (own.K, own.D)
             flat = lens.undistort(pixels[~gone], K, D, c.model)
             flat = flat[np.isfinite(flat).all(1)]
             pose = scan.tree.lookup(fixed, scan.topics[name].sample.frame, int(stamps[name][number]))

@@ -13,9 +13,10 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.calibrations import calibration_of
 from voodoo_jax.io.decode.registry import Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
+from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
-from voodoo_jax.records.messages import Calibration, Cloud, Colour, Image
+from voodoo_jax.records.messages import Cloud, Colour, Image
 
 if TYPE_CHECKING:
     from voodoo_jax.sensors.stereo_matching import StereoMatcher
@@ -44,19 +45,6 @@ def picture_of(content: object) -> Colour | None:
 def rectified(topic: str) -> bool:
     """By ROS custom images have no lens left if their topic has `rect` in its name."""
     return re.search(r"(^|[/_])(image_)?rect(ified)?([/_]|$)", topic) is not None
-
-
-def scaled(c: Calibration, shape: tuple[int, int]) -> Calibration:
-    """The calibration for images of another size (rows, columns) that show the same."""
-    rows, columns = shape
-    if not (c.width and c.height) or (c.height, c.width) == shape:
-        return replace(c, width=columns, height=rows)
-    scale = np.array([columns / c.width, rows / c.height])
-    K, P = c.K.copy(), c.P.copy()
-    for matrix in (K, P):
-        matrix[:2] *= scale[:, None]
-        matrix[:2, 2] += 0.5 * scale - 0.5
-    return replace(c, width=columns, height=rows, K=K, P=P)
 
 
 def find_pairs(topics: dict[str, Topic], tree: TransformTree) -> list[Pair]:
@@ -93,7 +81,7 @@ def make_rig(topics: dict[str, Topic], tree: TransformTree, pair: Pair, shape: t
     for name, c in zip((pair.left, pair.right), both):
         if c is None:
             raise ValueError(f"no calibration for '{name}'")
-    left, right = (scaled(c, shape or (c.height, c.width)) for c in both if c is not None)
+    left, right = (fitted(c, shape or (c.height, c.width))[0] for c in both if c is not None)
     if not (left.width and left.height) or (left.width, left.height) != (right.width, right.height):
         raise ValueError("its calibrations are of different or unknown size")
     if left is right or (both[0] is both[1]):

@@ -23,7 +23,10 @@ class Topic:
     error: str = ""  # why the first broken message could not be
     broken: int = 0
     calibration: Calibration | None = None
+    given: Calibration | None = None  # by the settings, for this topic
+    fallback: Calibration | None = None  # by the settings, for whatever has none
     features: list[Features] = field(default_factory=list)  # one per entry of log_times
     gathered: Gathered | None = None  # all of them, for a topic of features
     count: int = 0
+    foreign: str = ""  # why it cannot be used though it can be decoded: its clock
     stated: int = 0  # number of messages by the file's own statistics

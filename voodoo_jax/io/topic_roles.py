@@ -2,14 +2,15 @@
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import calibration_of, camera_of
+from voodoo_jax.io.calibrations import bare, calibration_of, camera_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.decode.registry import DEPTH_KINDS, FEATURE_KINDS
+from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import label_field
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
-from voodoo_jax.records.messages import Image
+from voodoo_jax.records.messages import DEPTH_ENCODINGS, Colour, Image
 
 
 def decide_uses(
@@ -25,7 +26,7 @@ def decide_uses(
         if topic.kind in DEPTH_KINDS:
             uses[name] = _depth_use(topics, name)
         elif topic.kind == COLOUR_KIND:
-            uses[name] = _empty(topic) or "not used: a colour image"
+            uses[name] = _empty(topic) or f"not used: {_picture(name, topic)}"
     for pair in pairs:
         rig = [n for n, use in uses.items() if use in ("depth image", "point cloud") and n.startswith(pair.rig)]
         if pair.problem:
@@ -63,6 +64,18 @@ def decide_uses(
     return uses
 
 
+def _picture(name: str, topic: Topic) -> str:
+    """What a compressed image without depth is."""
+    encoding = topic.sample.encoding if isinstance(topic.sample, Colour) else ""
+    depth = encoding.upper().startswith(tuple(DEPTH_ENCODINGS)) or "depth" in name.lower()
+    if depth and ("jpeg" in encoding or "jpg" in encoding):
+        return (
+            "depth packed as JPEG, which keeps 8 of its 16 bits and changes these: nothing can bring it back. Record "
+            f"'{bare(name)}/compressedDepth' or '{bare(name)}' itself"
+        )
+    return "a colour image"
+
+
 def _is_mono(topics: dict[str, Topic], name: str) -> bool:
     sample = topics[name].sample
     return isinstance(sample, Image) and sample.encoding.upper() == "MONO16"
@@ -74,7 +87,9 @@ def _empty(topic: Topic) -> str:
         if topic.stated:
             return f"not used: none of its {topic.stated} messages can be read"
         return "not used: no messages"
-    return "" if topic.sample is not None else f"not used: no message can be decoded ({topic.error})"
+    if topic.sample is None:
+        return f"not used: no message can be decoded ({topic.error})"
+    return f"not used: {topic.foreign}" if topic.foreign else ""
 
 
 def _feature_use(topics: dict[str, Topic], name: str) -> str:
@@ -113,6 +128,7 @@ def _depth_use(topics: dict[str, Topic], name: str) -> str:
     try:
         # A small part is enough to learn whether the lens model is known.
         lens.pixel_rays(calibration.K, calibration.D, calibration.model, 2, 2)
+        fitted(calibration, topic.sample.shape)
     except ValueError as error:
         return f"not used: a depth image whose calibration is unusable: {error}"
     return "depth image"

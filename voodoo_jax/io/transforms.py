@@ -52,6 +52,7 @@ class TransformTree:
         self._edges: dict[str, _Edge] = {}
         self._cache: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]] = {}
         self._odd: Counter[str] = Counter()
+        self._near = "", np.zeros(3)  # the frame that is given from another origin, and where that is in it
         self.notes: list[str] = []
 
     def add(self, transform: Transform, static: bool) -> None:
@@ -89,6 +90,11 @@ class TransformTree:
             self._edges[child] = _Edge(parent, stamps, translations, Rotation.from_quat(quaternions))
         self.notes += [f"{n} {what}." for what, n in self._odd.items()]
         self._samples.clear()
+
+    def give_from(self, frame: str, origin: Float[np.ndarray, "3"]) -> None:
+        """From now on places in `frame` are looked up from another origin in it, metres: near that float32 is exact."""
+        self._near = frame, origin
+        self._cache.clear()
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -135,6 +141,8 @@ class TransformTree:
             both.append((rotation, translation))
         (rs, ts), (rt, tt) = both
         result = rt.T @ rs, rt.T @ (ts - tt)
+        if target == self._near[0]:
+            result = result[0], result[1] - self._near[1]
         if all(len(self._edges[frame].stamps) == 0 for frame in chains[0] + chains[1]):
             self._cache[target, source] = result
         return result

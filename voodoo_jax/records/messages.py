@@ -1,7 +1,7 @@
 """What a decoded message holds, in whatever format it came: clouds, images, calibrations, named features."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from sys import intern
 from typing import Any
 
@@ -65,6 +65,7 @@ class Image:
     colour: Colour | None = None  # if it is one of colour or grey
     packed: bytes | None = None  # a compressed depth image, instead of `raw`; `io.decode.depth_codec` unpacks it
     start: int = 0  # bytes before the image itself in `packed`
+    calibration: "Calibration | None" = None  # if it comes with the image
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class Calibration:
     K: Float[np.ndarray, "3 3"]
     P: Float[np.ndarray, "3 4"]
     R: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))  # rotation, camera to rectified camera
+    others: tuple["Calibration", ...] = ()  # without the region of interest, the binning, or both, if one is stated
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,12 @@ def features(stamp_ns: int, items: Sequence[Named], dim: int) -> Features:
         values[kept],
         np.nan_to_num(np.array([items[i].score for i in kept], float)),
     )
+
+
+def moved(found: Features, by_ns: int) -> Features:
+    """The same features so much later; what has no stamp keeps none."""
+    stamps = np.where(found.stamps == 0, 0, found.stamps + by_ns)
+    return replace(found, stamp_ns=found.stamp_ns and found.stamp_ns + by_ns, stamps=stamps)
 
 
 def many(n: int) -> str:

@@ -58,6 +58,9 @@ class Recording:
     frames: tuple[Frame, ...]
     features: tuple[str, ...] = ()  # topics that gave rays and pairs
     notes: tuple[str, ...] = ()  # what was left out, missing or damaged, one sentence each
+    # in the fixed frame, metres: all places of the frames are given from there; 0 but for large coordinates such as UTM
+    origin: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    up_is_given: bool = False  # by a user, who knows better than what the frames show
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -1,6 +1,6 @@
 """The result of tracking one recording, on the host: NumPy arrays and the body they belong to."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -35,8 +35,8 @@ class Tracks:
     body: Body  # sizes as used or found, metres
     time_ns: Int64[np.ndarray, " frame"]
     rotation: Float32[np.ndarray, "frame limb 4"]  # T_fixed_limb, unit quaternion wxyz
-    translation: Float32[np.ndarray, "frame limb 3"]  # metres
-    joints: Float32[np.ndarray, "frame joint 3"]  # joint centres `body.topology.centres`, metres
+    translation: Float[np.ndarray, "frame limb 3"]  # metres; float64 where coordinates are large, as in UTM
+    joints: Float[np.ndarray, "frame joint 3"]  # joint centres `body.topology.centres`, metres
     status: Int8[np.ndarray, " frame"]  # values of Status
     residual: Float32[np.ndarray, " frame"]  # root mean square distance of the used points, metres
     explained: Float32[np.ndarray, " frame"]  # share of the person's points that the body explains, 0..1
@@ -71,3 +71,14 @@ class Tracks:
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
         """Positions of one joint centre over time, metres."""
         return self.joints[:, self.body.topology.centres.index(name)]
+
+
+def given_from(tracks: Tracks, origin: Float[np.ndarray, "3"]) -> Tracks:
+    """Tracks whose places are given from an origin (metres), as places in the fixed frame: in float64, unless it is 0.
+
+    With `-origin` the way back, where float32 is exact enough.
+    """
+    if not np.any(origin):
+        return tracks
+    translation, joints = (places.astype(np.float64) + origin for places in (tracks.translation, tracks.joints))
+    return replace(tracks, translation=translation, joints=joints)

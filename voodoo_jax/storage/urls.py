@@ -5,6 +5,7 @@ needed once at least, so that random access over the network would fetch it twic
 """
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +14,8 @@ from typing import Any, Protocol, runtime_checkable
 
 URL_HELP = 'pip install "voodoo_jax[urls]"'
 TRACKS = ".voodoo.mcap"  # how the names of MCAP files of tracks end
+ENDINGS = (".mcap", ".mcap.zstd", ".mcap.zst")
+TOGETHER = "+"  # between files that are one recording
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
@@ -35,15 +38,83 @@ def file_system(url: str) -> tuple[Any, str]:
         raise ValueError(f"{url}: fsspec cannot use it: {problem}") from problem
 
 
+def log_parts(place: str) -> list[str]:
+    """The files of one recording: those of a bag's folder in their order, those of a text such as a.mcap+b.mcap, or
+    the place itself."""
+    if is_url(place):
+        return [place]
+    if os.path.isdir(place):
+        return _bag_files(place)
+    several = place.split(TOGETHER)
+    if len(several) > 1 and not os.path.exists(place) and all(os.path.isfile(part) for part in several):
+        return several
+    return [place]
+
+
+def log_name(place: str) -> str:
+    """The name of a recording without what tells its kind: results are called by it."""
+    first = log_parts(place)[0] if TOGETHER in place else place
+    name = first.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
+    for end in (".zstd", ".zst", ".mcap"):
+        name = name.removesuffix(end)
+    return name
+
+
+def bag_of(path: str) -> tuple[str, list[str]]:
+    """The folder that holds a file together with others of the same recording, and all these files; "" if none."""
+    folder = os.path.dirname(os.path.abspath(path))
+    files = _bag_files(folder)
+    return (folder, files) if len(files) > 1 and os.path.abspath(path) in map(os.path.abspath, files) else ("", [])
+
+
+def _bag_files(folder: str) -> list[str]:
+    """Files of a split recording of rosbag2 in their order, as metadata.yaml says or else as they are called; a file
+    that it names and that is not there is left out. Empty if the folder is none."""
+    there = sorted(name for name in os.listdir(folder) if _is_log(name)) if os.path.isdir(folder) else []
+    metadata = os.path.join(folder, "metadata.yaml")
+    if os.path.isfile(metadata):
+        with open(metadata, encoding="utf-8", errors="replace") as stream:
+            text = stream.read()
+        block = re.search(r"relative_file_paths:\s*(\[[^\]]*\]|(?:\s*-\s*[^\n]+\n?)+)", text)
+        named = (
+            re.findall(r"[^\s,\[\]\"']+(?: [^\s,\[\]\"']+)*", re.sub(r"(?m)^\s*-\s*", "", block[1])) if block else []
+        )
+        known = [os.path.basename(name) for name in named]
+        found = [f for name in known for f in (name, name + ".zstd", name.removesuffix(".zstd")) if f in there]
+        return [os.path.join(folder, name) for name in dict.fromkeys(found)]
+    # a recorder that was stopped hard writes no metadata: NAME/NAME_0.mcap, NAME/NAME_1.mcap, ...
+    stem, number = os.path.basename(os.path.abspath(folder)), {}
+    for name in there:
+        if match := re.fullmatch(re.escape(stem) + r"_(\d+)\.mcap(\.zstd)?", name):
+            number[int(match[1])] = name
+    whole = len(number) == len(there) and sorted(number) == list(range(len(number)))
+    return [os.path.join(folder, number[k]) for k in sorted(number)] if whole else []
+
+
+def _is_log(name: str) -> bool:
+    return name.endswith(ENDINGS) and not name.endswith(TRACKS) and not name.startswith(".")
+
+
+def _inside(folder: str) -> list[str]:
+    """All recordings in a folder and those below it: bags of several files by their folder, else files."""
+    if len(_bag_files(folder)) > 1:
+        return [folder]
+    found = [os.path.join(folder, name) for name in os.listdir(folder)]
+    below = [log for path in found if os.path.isdir(path) for log in _inside(path)]
+    return [path for path in found if os.path.isfile(path) and _is_log(os.path.basename(path))] + below
+
+
 def expanded(place: str | os.PathLike[str]) -> list[str]:
     """The place as text; for a folder the logs in it and in the folders below, in order of their names, but for tracks
-    that were written there; for a URL with *, ? or [ all that it matches. Raises ValueError if there are none."""
+    that were written there (a bag of several files is one log: its folder); for a URL with *, ? or [ all that it
+    matches. Raises ValueError if there are none."""
     place = os.fspath(place)
     if os.path.isdir(place):
-        inside = sorted(str(path) for path in Path(place).rglob("*.mcap") if path.is_file())
-        if logs := [path for path in inside if not path.endswith(TRACKS) and not Path(path).name.startswith(".")]:
+        if logs := sorted(_inside(place)):
             return logs
         raise ValueError(f"'{place}' is a folder without any .mcap log in it; name the logs, or the folder they are in")
+    if len(several := log_parts(place)) > 1:
+        return [TOGETHER.join(os.path.abspath(part) for part in several)]
     if not is_url(place) or not any(mark in place for mark in "*?["):
         return [place]
     system, path = file_system(place)
@@ -65,7 +136,7 @@ def byte_size(place: str) -> int:
     """Bytes of a file; 0 if it is not there."""
     try:
         if not is_url(place):
-            return os.stat(place).st_size
+            return sum(os.stat(part).st_size for part in log_parts(place))
         system, path = file_system(place)
         return int(system.size(path) or 0)
     except Exception:  # what is wrong with it is said when it is read

@@ -54,7 +54,7 @@ def _average(time: Float[np.ndarray, " frame"], values: Float[np.ndarray, "frame
     return out
 
 
-def _smoothed(time_ns, values: Float32[np.ndarray, "frame item 3"], seconds: float) -> Float32[np.ndarray, "..."]:
+def _smoothed(time_ns, values: Float[np.ndarray, "frame item 3"], seconds: float) -> Float[np.ndarray, "..."]:
     out = values.copy()
     for item in range(values.shape[1]):
         for run in _runs(time_ns, np.asarray(np.isfinite(values[:, item]).all(-1))):

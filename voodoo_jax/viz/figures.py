@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.records.recording import Frame, Recording
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Status, Tracks, given_from
 from voodoo_jax.storage.atomic import replacing
 
 if TYPE_CHECKING:
@@ -66,7 +66,8 @@ def show(
         raise ValueError(f"nothing to draw: {recording.path} or its tracks have no frame")
     if truth is not None and len(truth) != len(tracks.time_ns):
         raise ValueError(f"truth has {len(truth)} frames, the tracks have {len(tracks.time_ns)}")
-    chosen = spread(len(tracks.time_ns), frames)
+    chosen, tracks = spread(len(tracks.time_ns), frames), given_from(tracks, -recording.origin)
+    truth = None if truth is None else truth - recording.origin
     stamps = np.array([frame.time_ns for frame in recording])
     nearest = [recording.frames[int(np.abs(stamps - tracks.time_ns[i]).argmin())] for i in chosen]
     middle, axes3 = _view(tracks, recording, nearest)

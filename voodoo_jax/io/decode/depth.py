@@ -1,5 +1,6 @@
 """Depth messages of ROS 2 and Foxglove as plain NumPy: clouds, images, laser scans, calibrations, transforms."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,18 +56,30 @@ def _fan(angles: np.ndarray, ranges: np.ndarray) -> np.ndarray:
 
 
 def _ros_calibration(m: Any) -> Calibration:
-    K, P = np.array(m.k, float).reshape(3, 3), np.array(m.p, float).reshape(3, 4)
-    # K describes the full sensor; the image may be a part of it (roi), with pixels added together (binning).
-    bx, by = max(int(m.binning_x), 1), max(int(m.binning_y), 1)
-    for matrix in (K, P):
-        matrix[0, 2] -= m.roi.x_offset
-        matrix[1, 2] -= m.roi.y_offset
-        matrix[0] /= bx
-        matrix[1] /= by
-    width, height = (m.roi.width or m.width) // bx, (m.roi.height or m.height) // by
-    D = np.array(m.d, float)
-    R, frame = _rotation(m.r), frame_name(m.header.frame_id)
-    return Calibration(ros_stamp(m.header), frame, width, height, m.distortion_model, D, K, P, R)
+    numbers = (
+        np.array(getattr(m, name, None) if hasattr(m, name) else getattr(m, name.upper()), float) for name in "kprd"
+    )  # ROS 1 has capitals
+    k, p, r, D = numbers
+    stated = bool(m.roi.width or m.roi.height or m.roi.x_offset or m.roi.y_offset), max(m.binning_x, m.binning_y) > 1
+    made = []
+    # as stated first, then without the region, the binning, or both: drivers state what they do not do
+    for region, binned in dict.fromkeys(
+        (a and stated[0], b and stated[1]) for a in (True, False) for b in (True, False)
+    ):
+        # K describes the full sensor; the image may be a part of it (roi), with pixels added together (binning).
+        K, P, width, height = k.reshape(3, 3).copy(), p.reshape(3, 4).copy(), m.width, m.height
+        bx, by = (max(int(m.binning_x), 1), max(int(m.binning_y), 1)) if binned else (1, 1)
+        for matrix in (K, P):
+            if region:
+                matrix[0, 2] -= m.roi.x_offset
+                matrix[1, 2] -= m.roi.y_offset
+            matrix[0] /= bx
+            matrix[1] /= by
+        if region:
+            width, height = m.roi.width or m.width, m.roi.height or m.height
+        lens = ros_stamp(m.header), frame_name(m.header.frame_id), width // bx, height // by, m.distortion_model, D
+        made.append(Calibration(*lens, K, P, _rotation(r)))
+    return replace(made[0], others=tuple(made[1:]))
 
 
 def _rotation(numbers: Any) -> np.ndarray:

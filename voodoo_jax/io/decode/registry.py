@@ -12,8 +12,10 @@ from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from voodoo_jax.io.decode import colour, depth, landmarks
+from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 
 KINDS = {
@@ -48,7 +50,10 @@ _CONVERTERS: dict[str, Callable[[Any], Any]] = {
     **colour.CONVERTERS,
     **landmarks.CONVERTERS,
 }
-_ENCODINGS = {("cdr", "ros2msg"), ("cdr", "ros2idl"), ("protobuf", "protobuf")}
+_ENCODINGS = {
+    ("cdr", "ros2msg"), ("cdr", "ros2idl"), ("ros1", "ros1msg"), ("protobuf", "protobuf"), ("json", "jsonschema"),
+}  # fmt: skip
+_OLD_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}  # of ROS 1
 # One broken message raises one of these in rosbags, protobuf or NumPy.
 DECODE_ERRORS = (
     SerdeError,
@@ -70,7 +75,7 @@ def kind_of(schema: Schema | None, channel: Channel) -> str:
     """What a channel may be used for: a value of `KINDS`, or "" for nothing."""
     if schema is None or (channel.message_encoding, schema.encoding) not in _ENCODINGS:
         return ""
-    return KINDS.get(_full(schema.name), "")
+    return KINDS.get(_full(schema.name), "") or structure_kind(schema, channel)
 
 
 def reason_unused(schema: Schema | None, channel: Channel) -> str:
@@ -91,7 +96,7 @@ def reason_unused(schema: Schema | None, channel: Channel) -> str:
 
 def is_static(schema: Schema | None, channel: Channel) -> bool:
     """Whether transforms on this channel hold for the whole log."""
-    if channel.topic.rstrip("/").endswith("tf_static"):
+    if channel.topic.rstrip("/").endswith("tf_static") or channel.metadata.get("latching") == "1":
         return True
     qos = channel.metadata.get("offered_qos_profiles", "")
     return re.search(r"durability:\s*(1\b|transient_local)", qos) is not None
@@ -108,16 +113,25 @@ class Decoder:
         """The decoded content. Raises one of DECODE_ERRORS if the message or its schema is broken."""
         key = (schema.name, schema.data)
         if key not in self._made:
-            self._made[key] = (
-                _ros(schema.name, schema.encoding, schema.data)
-                if channel.message_encoding == "cdr"
-                else _protobuf(schema)
-            )
+            made = {"protobuf": _protobuf, "json": _json}.get(channel.message_encoding)
+            self._made[key] = made(schema) if made else _ros(schema.name, schema.encoding, schema.data)
         return self._made[key](data)
 
 
-def quick_stamp(channel: Channel, data: bytes) -> int | None:
-    """Header stamp of a CDR message that starts with std_msgs/Header, nanoseconds, without decoding the rest."""
+@lru_cache(256)
+def _begins_with_header(schema_name: str, encoding: str, definition: bytes) -> bool:
+    return starts_with_header(*_types(schema_name, encoding, definition))
+
+
+def quick_stamp(schema: Schema, channel: Channel, data: bytes) -> int | None:
+    """Header stamp of a ROS message that starts with std_msgs/Header, nanoseconds, without decoding the rest."""
+    if channel.message_encoding not in ("cdr", "ros1"):
+        return None
+    if _full(schema.name) not in KINDS and not _begins_with_header(schema.name, schema.encoding, schema.data):
+        return None
+    if channel.message_encoding == "ros1" and len(data) >= 12:  # behind a sequence number
+        seconds, nanoseconds = struct.unpack_from("<II", data, 4)
+        return seconds * 1_000_000_000 + nanoseconds
     if channel.message_encoding != "cdr" or len(data) < 12:
         return None
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
@@ -125,13 +139,19 @@ def quick_stamp(channel: Channel, data: bytes) -> int | None:
 
 
 def _full(name: str) -> str:
-    return name if "/msg/" in name or "/" not in name else name.replace("/", "/msg/", 1)
+    full = name if "/msg/" in name or "/" not in name else name.replace("/", "/msg/", 1)
+    return _OLD_NAMES.get(full, full)
 
 
 @lru_cache(64)  # logs of one robot have the same few, and each takes 10 ms
-def _ros(schema_name: str, encoding: str, definition: bytes) -> Callable[[bytes], Any]:
+def _types(schema_name: str, encoding: str, definition: bytes) -> tuple[Typestore, str]:
+    """The types of a ROS schema, and the name of its own."""
     store, name, text = get_typestore(Stores.EMPTY), _full(schema_name), definition.decode()
-    if encoding == "ros2msg":
+    if encoding == "ros1msg":
+        builtin = get_typestore(Stores.ROS1_NOETIC).fielddefs  # `time` and `duration` are no messages there
+        times = {kind: builtin[kind] for kind in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")}
+        store.register({**get_types_from_msg(text, name), **times})
+    elif encoding == "ros2msg":
         store.register(get_types_from_msg(text, name))
     else:
         types = {}
@@ -141,8 +161,33 @@ def _ros(schema_name: str, encoding: str, definition: bytes) -> Callable[[bytes]
             if body.strip():
                 types.update(get_types_from_idl(body))
         store.register(types)
-    convert = _CONVERTERS[name]
-    return lambda data: convert(store.deserialize_cdr(data, name))
+    return store, name
+
+
+@lru_cache(64)
+def _ros(schema_name: str, encoding: str, definition: bytes) -> Callable[[bytes], Any]:
+    store, name = _types(schema_name, encoding, definition)
+    convert = _CONVERTERS.get(name) or structure_converter(store, name)
+    if convert is None:
+        raise ValueError(f"{name} holds nothing that can be used")
+    read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
+    return lambda data: convert(read(data, name))
+
+
+@lru_cache(256)
+def _structure_kind(schema_name: str, encoding: str, definition: bytes) -> str:
+    try:
+        store, name = _types(schema_name, encoding, definition)
+        return kind_by_fields(store, name)
+    except DECODE_ERRORS:
+        return ""
+
+
+def structure_kind(schema: Schema, channel: Channel) -> str:
+    """What a ROS message of an unknown type may be used for, by its fields."""
+    if channel.message_encoding not in ("cdr", "ros1"):
+        return ""
+    return _structure_kind(schema.name, schema.encoding, schema.data)
 
 
 def _protobuf(schema: Schema) -> Callable[[bytes], Any]:
@@ -151,3 +196,10 @@ def _protobuf(schema: Schema) -> Callable[[bytes], Any]:
         raise ValueError("not a protobuf schema")
     convert = _CONVERTERS[schema.name]
     return lambda data: convert(decode(data))
+
+
+def _json(schema: Schema) -> Callable[[bytes], Any]:
+    from voodoo_jax.io.decode.foxglove_json import message_of  # the schemas of Foxglove: only for such logs
+
+    convert = _CONVERTERS[schema.name]
+    return lambda data: convert(message_of(schema.name, data))

@@ -50,6 +50,7 @@ def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange]) -> tuple[s
         if not run.table.enough(TO_START).any():
             notes.append(f"No frame has {TO_START} markers that features.names knows a point of this body for.")
         return (*notes, *marker_notes(run.body, run.table, poses, tracks.time_ns, tracks.tracked, exchanges))
+    notes += run.scene.notes
     if not run.scene.floor_seen:
         notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")
     moved = [T for frame in run.people if (T := frame.T_fixed_steady) is not None]

@@ -21,11 +21,12 @@ from voodoo_jax.markers.label_swaps import Exchange, jumps, put_right
 from voodoo_jax.markers.table import TO_START, marker_table, sized_by_markers, without_gaps
 from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Status, Tracks, given_from
 from voodoo_jax.solve.covariance import covariances
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
@@ -98,8 +99,11 @@ def track(
         sensors = len(first[0].origins) if any(len(f.points) for f in recording) else 0
         names = {(*f.rays.names, *f.pairs.names) for f in recording}
         prepare(body, settings, sensors, names, first[0].part is not None)
-    scene, people = find_person(recording, recording.up, body, settings)
-    return track_person(body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress)
+    scene, people = find_person(recording, recording.up, body, settings, recording.up_is_given)
+    tracks = track_person(
+        body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress
+    )
+    return given_from(tracks, recording.origin)
 
 
 # 9 parameters: what a log says of itself, and who looks on; a record of the subject will take their place
@@ -148,7 +152,7 @@ def track_person(
         tracks,
         seconds=time.perf_counter() - began - compiling,
         compile_seconds=compiling,
-        notes=(*notes, *whole.notes, *notes_on(run, tracks, exchanges)),
+        notes=as_few((*notes, *whole.notes, *notes_on(run, tracks, exchanges))),
     )
 
 

@@ -1,0 +1,98 @@
+"""Clocks of several computers that differ by a part of a second: found by what moves. Host side, NumPy.
+
+What two sensors see move is at one place at one time. Where their stamps differ it seems to be at two, farther apart
+the faster it is.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from voodoo_jax.config.options import DetectSettings
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.find_gravity import upright
+from voodoo_jax.detect.scene import find_scene
+from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.io.log_reader import LogReader
+
+WINDOW, MOST = 15.0, 80  # seconds at the beginning, and messages of each sensor in them, that are looked at; by hand
+POINTS = 8000  # of each message; by hand
+FEWEST, SHARE = 30, 0.5  # points on the body in a message, and share of the messages with so many; by hand
+REACH, STEP = 1.0, 0.01  # seconds: so far offsets are looked for, and how finely; by hand
+LEAST, BETTER, APART = 0.06, 0.5, 0.04  # seconds, share of the distance at no offset, metres less than that; by hand
+CLOSE = 0.08  # metres: so near both must be then, measured 0.02 to 0.03; else it is not the same that they see
+PATH = 0.4  # metres from end to end of a motion that tells; by hand
+ALIKE = 0.77  # cosine, 40 degrees: so alike directions of view show the same side of what moves; by hand
+
+
+class Motion(NamedTuple):
+    """Where the middle of what moves is."""
+
+    time: Float[np.ndarray, " message"]  # seconds
+    place: Float[np.ndarray, "message 3"]  # metres, fixed frame
+    view: Float[np.ndarray, "3"]  # unit, from the sensor
+
+
+def offsets(reader: LogReader, build: Build, settings: DetectSettings) -> dict[str, float]:
+    """Seconds by which the stamps of some sensors are later than those of the first one that sees something move; what
+    is in doubt is left out. Sensors that move themselves are not looked at."""
+    if len(reader.sensors) < 2:
+        return {}
+    coarse = reader.coarse(POINTS)
+    start = min(int(reader.stamps(topic).min()) for topic in reader.sensors)
+    motions = {topic: found for topic in reader.sensors if (found := _motion(coarse, topic, start, build, settings))}
+    first, *others = motions or ("",)
+    found = {topic: offset(motions[first], motions[topic]) for topic in others}
+    return {topic: by for topic, by in found.items() if by}
+
+
+def _motion(reader: LogReader, topic: str, start_ns: int, build: Build, settings: DetectSettings) -> Motion | None:
+    """How the body moves that one sensor sees; None if it sees none."""
+    stamps = reader.stamps(topic)
+    count = int(np.sum(stamps < start_ns + WINDOW * 1e9))
+    samples = reader.sampled(topic, MOST, step=max(1, count // MOST))
+    frames = [frame for sample in samples if (frame := reader.frame_of(topic, sample)) is not None]
+    if len(frames) < 10 or np.ptp([frame.origins[0] for frame in frames], axis=0).max() > 0.01:
+        return None
+    sure, some = bool(reader.up[2] > 0.99), frames[:: max(1, len(frames) // 4)]
+    scene = find_scene(some, reader.up, sure)
+    up = reader.up if reader.up_is_given else upright(some, scene, reader.up, sure, build, settings)
+    finder = PersonFinder(scene if up is reader.up else find_scene(some, up, False), build, settings)
+    moving = [finder(frame).points for frame in sorted(frames, key=lambda frame: frame.time_ns)]
+    there = np.array([len(points) >= FEWEST for points in moving])
+    if there.mean() < SHARE:
+        return None
+    time = np.sort([(frame.time_ns - start_ns) / 1e9 for frame in frames])[there]
+    place = np.array([np.median(points, axis=0) for points in moving if len(points) >= FEWEST], float)
+    view = np.median(place, axis=0) - frames[0].origins[0]
+    return Motion(time, place, view / max(float(np.linalg.norm(view)), 1e-6))
+
+
+def offset(one: Motion, other: Motion) -> float:
+    """Seconds by which the times of the other motion are later than those of the first; 0 where that is not sure."""
+    if np.linalg.norm(np.ptp(one.place, axis=0)) < PATH or np.linalg.norm(np.ptp(other.place, axis=0)) < PATH:
+        return 0.0
+    by = np.arange(-REACH, REACH + STEP / 2, STEP)
+    alike = bool(one.view @ other.view > ALIKE)
+    apart = np.array([_apart(one, other, float(b), alike) for b in by])
+    if not np.isfinite(apart).any():
+        return 0.0
+    best, none = int(np.nanargmin(apart)), apart[len(by) // 2]
+    sure = apart[best] < min(CLOSE, BETTER * none) and none - apart[best] > APART and abs(by[best]) >= LEAST
+    return round(float(by[best]), 2) if sure and 0 < best < len(by) - 1 else 0.0
+
+
+def _apart(one: Motion, other: Motion, by: float, alike: bool) -> float:
+    """Median distance between both if the other's clock is so many seconds late; NaN where they hardly overlap.
+
+    Sensors that look from different sides see different sides of what moves: how far these are apart does not count.
+    """
+    time = other.time - by
+    within = (time >= one.time[0]) & (time <= one.time[-1])
+    if within.sum() < max(8, 0.5 * len(time)):
+        return float("nan")
+    there = np.column_stack([np.interp(time[within], one.time, one.place[:, k]) for k in range(3)])
+    away = other.place[within] - there
+    away = away if alike else away - np.median(away, axis=0)
+    return float(np.median(np.linalg.norm(away, axis=1)))

@@ -1,0 +1,52 @@
+"""A log opened for tracking: what it says of units and clocks is compared with what it shows. Host side."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from voodoo_jax.config.options import DetectSettings, ReadSettings
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.delays import offsets
+from voodoo_jax.detect.units import with_units
+from voodoo_jax.io.container import Place
+from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
+from voodoo_jax.records.recording import Recording
+
+PERSON = Build(1.70, 0.44)  # where nobody says who is looked for: the size of the body file `human`, measured
+
+
+def open_checked(
+    path: Place,
+    settings: ReadSettings | None = None,
+    build: Build = PERSON,
+    detect: DetectSettings | None = None,
+) -> LogReader:
+    """A log as `io.log_reader.open_log` gives it, its units checked by what the first messages show.
+
+    **Arguments:** `build` how large the body is that is looked for. Raises as `open_log`, and LogError where units are
+    in doubt.
+    """
+    settings, detect = settings or ReadSettings(), detect or DetectSettings()
+    reader = with_units(open_log(path, settings), build, detect)
+    if settings.delays or not (found := offsets(reader, build, detect)):
+        return reader
+    late = tuple(f"{topic}={by:g}" for topic, by in found.items())
+    reader = with_units(open_log(path, replace(settings, delays=late)), build, detect)
+    for topic, by in found.items():
+        reader.say(
+            f"'{topic}': its stamps are {abs(by):.2f} s {'late' if by > 0 else 'early'}, to judge by what it and "
+            "another sensor see move: taken out. read.delays settles it."
+        )
+    return reader
+
+
+def read_log(
+    path: Place,
+    settings: ReadSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Recording:
+    """Read a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`.
+
+    Raises LogError if the log cannot be read, holds nothing to track, or its units are in doubt; ValueError if
+    `settings.max_points` is less than 1.
+    """
+    return read_whole(open_checked(path, settings), progress)

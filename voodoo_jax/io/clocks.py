@@ -1,0 +1,164 @@
+"""Stamps of several clocks in one log: told apart by the log time, which is one clock for all, and brought together.
+
+A sensor may count from its power-on, a computer may not have its time from the network, or get it in the middle of a
+recording. What a user says of a topic's clock (`read.delays`) is taken as said.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int64
+
+SECOND = 1_000_000_000
+LATE = 10 * SECOND  # by so much no measurement is delivered later than another one: it is another clock
+EARLY = SECOND // 10  # a stamp so long after the recorder got the message is of another clock
+LATENCY = 2 * SECOND  # within which messages are delivered, usually: such a clock is the recorder's, too
+STEP = SECOND // 2  # between two successive messages of a topic: more is a step of the clock, if it stays
+FEWEST = 3  # messages between two steps: fewer are stamps gone wrong
+MOST_STEPS = 4  # more is no clock that was set
+EPOCH = 86400 * SECOND  # one day: a log with a longer pause holds two settings of a clock, not two recordings
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """Times of the messages of one topic in the order of reading, nanoseconds."""
+
+    topic: str
+    own: Int64[np.ndarray, " message"]  # by the messages' headers; 0: not said
+    logged: Int64[np.ndarray, " message"]  # by the recorder
+    measured: bool = True  # else transforms, which may be given in advance
+
+    @property
+    def told(self) -> np.ndarray:
+        """Which messages have a stamp."""
+        return self.own != 0
+
+    @property
+    def late(self) -> Int64[np.ndarray, " message"]:
+        """Log time minus stamp."""
+        return self.logged - self.own
+
+
+def shifts(
+    topics: Sequence[Stamps], delays: dict[str, float], notes: list[str]
+) -> tuple[dict[str, Int64[np.ndarray, " message"]], dict[str, str]]:
+    """What is to be added to the stamps of each topic, nanoseconds, so that all are of one clock, and why some topics
+    cannot be brought to it; says in `notes` what was done.
+
+    The clock of all is the one that most measurements agree with the recorder on; where none does (a log of a
+    simulation, or of a recording that was played), the one of most topics.
+
+    **Arguments:** `delays` seconds by which the stamps of a topic are late: nothing else is done to these.
+    """
+    moved = {t.topic: np.zeros(len(t.own), np.int64) for t in topics}
+    for t in topics:
+        if t.topic in delays:
+            moved[t.topic] -= round(delays[t.topic] * SECOND)
+    timed = [t for t in topics if t.topic not in delays and t.told.any() and len(np.unique(t.logged)) > 1]
+    late = {}
+    for t in timed:
+        moved[t.topic] += _without_steps(t, notes)
+        late[t.topic] = int(np.median((t.late - moved[t.topic])[t.told]))
+    if late:
+        usual = _usual(timed, late)
+        for t in timed:
+            apart = late[t.topic] - usual
+            early = t.measured and late[t.topic] < -EARLY and apart < -EARLY and usual > -EARLY // 5
+            if abs(apart) > LATE or early:
+                moved[t.topic] += apart
+                way = "ahead" if apart < 0 else "behind"
+                notes.append(
+                    f"'{t.topic}': its stamps are of another clock, {seconds(apart)} {way}; they were "
+                    "shifted by the log time. If that is wrong, read.delays says by how much they are late."
+                )
+    return moved, _one_epoch(topics, moved, notes)
+
+
+def seconds(nanoseconds: int) -> str:
+    """A time without its sign, in words."""
+    size = abs(nanoseconds) / SECOND
+    for name, unit in (("years", 365.25 * 86400), ("days", 86400.0), ("hours", 3600.0)):
+        if size >= 2 * unit:
+            return f"{size / unit:.1f} {name}"
+    return f"{size:.2f} s" if size < 100 else f"{size:.0f} s"
+
+
+def _usual(timed: list[Stamps], late: dict[str, int]) -> int:
+    """How late the messages of the clock that all are brought to are, nanoseconds."""
+    near = [t for t in timed if abs(late[t.topic]) <= LATENCY]
+    if near:  # of measurements, if there are: transforms may come from anywhere
+        near = [t for t in near if t.measured] or near
+        near = [t for t in near if late[t.topic] > -EARLY // 5] or near
+        return int(np.median([late[t.topic] for t in near]))
+    alike = {t.topic: [late[o.topic] for o in timed if abs(late[o.topic] - late[t.topic]) <= LATE] for t in timed}
+    return int(np.median(max(alike.values(), key=len)))
+
+
+def _without_steps(t: Stamps, notes: list[str]) -> np.ndarray:
+    """What is to be added to the stamps of a topic so that its clock was never set while it was recorded."""
+    out, told = np.zeros(len(t.own), np.int64), np.flatnonzero(t.told)
+    late = t.late[told]
+    steps = np.flatnonzero(np.abs(np.diff(late)) > STEP) + 1
+    parts = [p for p in np.split(np.arange(len(late)), steps) if len(p)]
+    whole = [p for p in parts if len(p) >= FEWEST]
+    middles = [int(np.median(late[p])) for p in whole]
+    if not whole or len(whole) > MOST_STEPS + 1:
+        return out
+    best = min(range(len(whole)), key=lambda k: (abs(middles[k]) > LATENCY, -len(whole[k])))
+    good = middles[best]
+    set_at = [
+        (p, m)
+        for p, m in zip(whole, middles)
+        if abs(m - good) > STEP and _stamps_jumped(t.own[told], t.logged[told], p)
+    ]
+    for p, m in set_at:
+        out[told[p]] += m - good
+    if set_at:
+        notes.append(
+            f"'{t.topic}': its clock was set during the recording (by {seconds(set_at[0][1] - good)}, "
+            f"{sum(len(p) for p, _ in set_at)} stamps shifted by the log time)."
+        )
+    corrected = late - out[told]
+    odd = np.abs(corrected - good) > LATE
+    few = odd & np.isin(np.arange(len(late)), np.concatenate([[-1], *(p for p in parts if len(p) < FEWEST)]))
+    if few.any():
+        out[told[few]] += corrected[few] - good
+        notes.append(f"'{t.topic}': {int(few.sum())} stamps are of no clock; the log time is used for them.")
+    return out
+
+
+def _stamps_jumped(own: np.ndarray, logged: np.ndarray, part: np.ndarray) -> bool:
+    """Whether it is the stamps, not the log time, that jump at the borders of a part: messages come regularly."""
+    edges = [e for e in (part[0], part[-1] + 1) if 0 < e < len(own)]
+    period = np.median(np.abs(np.diff(own)))
+    jumps = lambda x: max((abs(x[e] - x[e - 1] - period) for e in edges), default=0.0)  # noqa: E731
+    return bool(jumps(own.astype(float)) > jumps(logged.astype(float)))
+
+
+def _one_epoch(topics: Sequence[Stamps], moved: dict[str, np.ndarray], notes: list[str]) -> dict[str, str]:
+    """Adds to `moved` what places the part before the clock was set right before the part after. Returns the topics
+    that are wholly of another epoch than most, and why they cannot be used."""
+    times = {t.topic: (t.own + moved[t.topic])[t.told] for t in topics if t.measured and t.told.any()}
+    every = np.unique(np.concatenate([np.zeros(0, np.int64), *times.values()]))
+    foreign: dict[str, str] = {}
+    for k in np.flatnonzero(np.diff(every) > EPOCH)[::-1]:
+        last, by = every[k], int(every[k + 1] - every[k])
+        sides = {name: ((mine <= last).any(), (mine > last).any()) for name, mine in times.items()}
+        before = [name for name, side in sides.items() if side == (True, False)]
+        after = [name for name, side in sides.items() if side == (False, True)]
+        if before and after:  # nothing says how their clocks are related
+            count = lambda some: sum(len(times[name]) for name in some)  # noqa: E731
+            fewer = before if count(before) <= count(after) else after
+            way = "behind" if fewer is before else "ahead"
+            why = f"its clock is {seconds(by)} {way} of the others', and the log times do not say by how much exactly"
+            foreign |= {name: f"{why} (read.delays says it)" for name in fewer}
+            continue
+        by -= int(np.median(np.diff(every)))
+        for t in topics:
+            moved[t.topic][t.told & (t.own + moved[t.topic] <= last)] += by
+        notes.append(
+            f"The clock was set during the recording, by {seconds(by)}: what came before is placed right before "
+            "what came after; how long it was in between is not known."
+        )
+    return foreign

@@ -1,0 +1,123 @@
+"""Messages of drivers' own types (Livox clouds, markers of motion capture, RGBD images), told by their fields."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from voodoo_jax.io.decode import depth
+from voodoo_jax.records.messages import Cloud, Features, Image, Named, features, frame_name, ros_stamp, xyz
+
+IMAGE, CLOUD, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo"
+HEADER = "std_msgs/msg/Header"
+# packages whose messages are known: what of theirs is not read holds no measurements (polygons, paths, plans)
+_KNOWN = (
+    "geometry_msgs", "nav_msgs", "visualization_msgs", "vision_msgs", "std_msgs", "diagnostic_msgs", "trajectory_msgs",
+    "sensor_msgs", "stereo_msgs", "tf2_msgs", "map_msgs", "shape_msgs", "rosgraph_msgs", "rcl_interfaces",
+)  # fmt: skip
+_PLACES = ("geometry_msgs/msg/Point", "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Point32")
+_POSES = ("geometry_msgs/msg/Pose", "geometry_msgs/msg/Transform")
+
+
+def _fields(store: Typestore, name: str) -> dict[str, Any]:
+    return dict(store.fielddefs[name][1]) if name in store.fielddefs else {}
+
+
+def _of(store: Typestore, name: str, *types: str) -> list[str]:
+    """Fields of a message that are of one of these types."""
+    return [field for field, (kind, sub) in _fields(store, name).items() if kind == Nodetype.NAME and sub in types]
+
+
+def _lists(store: Typestore, name: str) -> list[tuple[str, str]]:
+    """Fields that are lists of messages, and the type of these."""
+    found = _fields(store, name).items()
+    lists = [(f, sub[0]) for f, (kind, sub) in found if kind in (Nodetype.SEQUENCE, Nodetype.ARRAY)]
+    return [(field, sub[1]) for field, sub in lists if sub[0] == Nodetype.NAME]
+
+
+def _numbers(store: Typestore, name: str) -> set[str]:
+    found = _fields(store, name).items()
+    return {f for f, (kind, sub) in found if kind == Nodetype.BASE and sub[0].startswith("float")}
+
+
+def _strings(store: Typestore, name: str) -> list[str]:
+    found = _fields(store, name).items()
+    return [f for f, (kind, sub) in found if kind == Nodetype.BASE and sub[0] == "string"]
+
+
+def structure_converter(store: Typestore, name: str) -> Callable[[Any], Any] | None:
+    """What makes of a message of this type an Image, Cloud or Features; None where its fields are of none."""
+    return _found(store, name)[1]
+
+
+def kind_by_fields(store: Typestore, name: str) -> str:
+    """What a message of this type may be used for, as `registry.KINDS` calls it; "" for nothing."""
+    return _found(store, name)[0]
+
+
+def starts_with_header(store: Typestore, name: str) -> bool:
+    """Whether the first field of a message is a header."""
+    return next(iter(_fields(store, name).values()), None) == (Nodetype.NAME, HEADER)
+
+
+def _found(store: Typestore, name: str) -> tuple[str, Callable[[Any], Any] | None]:
+    if name.split("/")[0] in _KNOWN and name != "sensor_msgs/msg/PointCloud":
+        return "", None
+    images = [field for field in _of(store, name, IMAGE) if "depth" in field.lower()]
+    if images:
+        cameras = _of(store, name, CAMERA)
+        camera = next((c for c in cameras if "depth" in c.lower()), cameras[0] if cameras else "")
+        return "image", lambda m: _image(m, images[0], camera)
+    if clouds := _of(store, name, CLOUD):
+        return "point cloud", lambda m: depth.CONVERTERS[CLOUD](getattr(m, clouds[0]))
+    for field, kind in _lists(store, name):
+        names = sorted((s for s in _strings(store, kind) if "name" in s or "label" in s), key=lambda s: "subject" in s)
+        names = [s for s in names if "subject" not in s and "segment" not in s]
+        place = next(iter(_of(store, kind, *_PLACES, *_POSES)), "")
+        own = {"x", "y", "z"} <= _numbers(store, kind)
+        if names and (place or own):
+            marker = next((s for s in names if "marker" in s), names[0])
+            return "pairs", partial(_named, items=field, name=marker, place=place)
+        if own:
+            return "point cloud", partial(_cloud, points=field)
+    return "", None
+
+
+def _stamp(m: Any) -> tuple[int, str]:
+    header = getattr(m, "header", None)
+    return (ros_stamp(header), frame_name(header.frame_id)) if header is not None else (0, "")
+
+
+def _image(m: Any, image: str, camera: str) -> Image:
+    found, (stamp, frame) = depth.CONVERTERS[IMAGE](getattr(m, image)), _stamp(m)
+    calibration = depth.CONVERTERS[CAMERA](getattr(m, camera)) if camera else None
+    if calibration is not None and calibration.K[0, 0] <= 0:
+        calibration = None
+    # some drivers fill in the outer header only
+    return replace(found, stamp_ns=found.stamp_ns or stamp, frame=found.frame or frame, calibration=calibration)
+
+
+def _cloud(m: Any, points: str) -> Cloud:
+    (stamp, frame), found = _stamp(m), getattr(m, points)
+    grid = np.zeros((1, len(found)), np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4")]))
+    for axis in "xyz":
+        grid[axis] = [getattr(point, axis) for point in found]
+    return Cloud(stamp, frame, grid)
+
+
+def _named(m: Any, items: str, name: str, place: str) -> Features:
+    stamp, frame = _stamp(m)
+    found = []
+    for item in getattr(m, items):
+        at = getattr(item, place) if place else item
+        at = getattr(at, "position", getattr(at, "translation", at))
+        if getattr(item, "occluded", False) or not getattr(item, name):
+            continue
+        subject = str(getattr(item, "subject_name", "") or "")
+        label = f"{subject}:{getattr(item, name)}" if subject else str(getattr(item, name))
+        found.append(Named(label, "", frame, stamp, xyz(at)))
+    return features(stamp, found, 3)

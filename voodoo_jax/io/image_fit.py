@@ -1,0 +1,60 @@
+"""A calibration for images of another size than its own: scaled, cropped, a region of interest, binning."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from voodoo_jax.records.messages import Calibration
+
+ALIKE = 0.02  # of each other: rounding to whole pixels, as 424 x 240 from 1280 x 720, changes factors by no more
+PARTS = (2, 3, 4)  # every second, third or fourth row is kept: as likely as a crop to so little
+LEAST = 0.4  # of the picture: who crops to less has chosen a place, not the middle
+
+
+def fitted(c: Calibration, shape: tuple[int, int]) -> tuple[Calibration, str]:
+    """The calibration for images of so many rows and columns, and what was assumed, as half a sentence; "" if nothing.
+
+    Pixels stay square: where both directions do not shrink alike the picture was cropped, about its middle. Raises
+    ValueError where several things may have been done to the image that the calibration does not know of.
+    """
+    rows, columns = shape
+    if not (c.width and c.height) or (c.height, c.width) == shape:
+        return replace(c, width=columns, height=rows), ""
+    for other in c.others:  # a region or binning that was stated, and not done
+        if (other.height, other.width) == shape:
+            return other, "its region of interest or binning is not that of the image, and left out"
+    across, down = columns / c.width, rows / c.height
+    if abs(across / down - 1) <= ALIKE:
+        return scaled(c, shape), "scaled to fit"
+    sizes = f"it is {columns} x {rows} pixels, its calibration is of {c.width} x {c.height}"
+    ask = "give the right calibration by read.camera"
+    if abs(columns / c.height / (rows / c.width) - 1) <= ALIKE:
+        raise ValueError(f"{sizes}: the image was turned by a quarter turn; {ask}")
+    less = min(across, down) / max(across, down)
+    if any(abs(less * part - 1) < 1e-6 for part in PARTS):
+        raise ValueError(f"{sizes}: it was cropped, or rows or columns were left out; {ask}")
+    if less < LEAST:
+        raise ValueError(f"{sizes}: it was cropped, and nothing says where; {ask}")
+    factor = max(across, down)
+    size = round(c.height * factor), round(c.width * factor)
+    whole = scaled(c, size)
+    K, P = whole.K.copy(), whole.P.copy()
+    for matrix in (K, P):
+        matrix[0, 2] -= (size[1] - columns) / 2 * matrix[2, 2]
+        matrix[1, 2] -= (size[0] - rows) / 2 * matrix[2, 2]
+    return replace(whole, width=columns, height=rows, K=K, P=P), (
+        "taken for cropped about its middle (if it is not, give its calibration by read.camera)"
+    )
+
+
+def scaled(c: Calibration, shape: tuple[int, int]) -> Calibration:
+    """The calibration for images of another size (rows, columns) that show the same."""
+    rows, columns = shape
+    if not (c.width and c.height) or (c.height, c.width) == shape:
+        return replace(c, width=columns, height=rows)
+    scale = np.array([columns / c.width, rows / c.height])
+    K, P = c.K.copy(), c.P.copy()
+    for matrix in (K, P):
+        matrix[:2] *= scale[:, None]
+        matrix[:2, 2] += 0.5 * scale - 0.5
+    return replace(c, width=columns, height=rows, K=K, P=P)
