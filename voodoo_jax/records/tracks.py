@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int8, Int32, Int64
 
 from voodoo_jax.model.body import Body
+from voodoo_jax.model.isb_angles import Angles, joint_angles
 
 
 class Status(IntEnum):
@@ -52,6 +53,7 @@ class Tracks:
     joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None
     # of `joints`: within 10 cm? 0..1; see trackers/icp/confidence.py
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
+    up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())
@@ -71,3 +73,11 @@ class Tracks:
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
         """Positions of one joint centre over time, metres."""
         return self.joints[:, self.body.topology.centres.index(name)]
+
+    def angles(self, hidden: bool = False) -> Angles:
+        """Joint angles over time, radians, with their covariances: see model/isb_angles.py for what they are.
+
+        NaN in frames that are not tracked and, unless `hidden`, where nothing was seen of one of a joint's limbs.
+        """
+        seen = np.ones(self.limb_weight.shape, bool) if hidden else self.limb_weight > 0
+        return joint_angles(self.body, self.rotation, seen & self.tracked[:, None], self.limb_covariance)
