@@ -112,20 +112,22 @@ def joint_angles(
     rotation: Float[np.ndarray, "frame limb 4"],
     seen: Bool[np.ndarray, "frame limb"],
     covariance: Float[np.ndarray, "frame limb 6 6"] | None = None,
+    conventions: tuple[Convention, ...] = CONVENTIONS,
 ) -> Angles:
     """Angles of all joints: by ISB for a body with limbs of a person; else, for each joint of the body file, swing
     about x and y and twist about z of the joint's frame, as `swing_x`, `swing_y` and `twist` of its limits are counted.
 
     **Arguments:** `rotation` T_fixed_limb, unit quaternions wxyz; `seen` what was measured: angles of other limbs are
-    NaN; `covariance` of limb poses, turn (radians) and shift in the limb's frame.
+    NaN; `covariance` of limb poses, turn (radians) and shift in the limb's frame; `conventions` how angles
+    of people are counted.
     """
-    found = _of_person(body) or _of_joint_frames(body)
+    found = _of_person(body, conventions) or _of_joint_frames(body)
     values, spread = [], []
     for f in found:
         pair = [f.parent, f.child]
-        there = seen[:, pair].all(1) & np.isfinite(rotation[:, pair]).all((1, 2))
+        there = np.asarray(seen[:, pair].all(1) & np.isfinite(rotation[:, pair]).all((1, 2)))
         parent, child = rotations(rotation[:, f.parent]), rotations(rotation[:, f.child])
-        values.append(_without_jumps(np.where(there[:, None], f.read(parent, child), np.nan)))
+        values.append(without_jumps(np.where(there[:, None], f.read(parent, child), np.nan)))
         if covariance is not None:
             turns = covariance[:, pair, :3, :3].astype(float)
             spread.append(np.where(there[:, None, None], _carried(f.read, parent, child, turns), np.nan))
@@ -165,10 +167,10 @@ class _Found(NamedTuple):
     read: Callable[[Rotation, Rotation], np.ndarray]  # angles of limb rotations
 
 
-def _of_person(body: Body) -> list[_Found]:
+def _of_person(body: Body, conventions: tuple[Convention, ...]) -> list[_Found]:
     limbs, rest = body.topology.limbs, _rest(body)
     found = []
-    for how in CONVENTIONS:
+    for how in conventions:
         for side in ("l_", "r_") if how.paired else ("",):
             own = [name for name in (*how.parents, *(side + p for p in how.parents)) if name in limbs]
             if not own or side + how.child not in limbs:
@@ -229,7 +231,7 @@ def _carried(read, parent: Rotation, child: Rotation, turns: Float[np.ndarray, "
     return np.einsum("fali,flij,fblj->fab", slope, turns, slope)
 
 
-def _without_jumps(angles: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3"]:
+def without_jumps(angles: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3"]:
     """The same angles without jumps of a full turn from one known value to the next, their median within half a turn of
     0."""
     out = angles.copy()
