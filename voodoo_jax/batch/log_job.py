@@ -35,6 +35,7 @@ class Job:
     picture: bool
     only_picture: bool = False  # the tracks are there already, what is drawn or exported from them is not
     exports: tuple[str, ...] = ()  # formats, see exporters/formats.py
+    html: bool = False
     compile_cache: str = ""  # folder; empty: none
     size: int = 1  # bytes of the log
 
@@ -118,7 +119,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
-    from voodoo_jax.batch.extra_files import write_exports
+    from voodoo_jax.batch.extra_files import write_exports, write_view
     from voodoo_jax.batch.resume import log_fingerprint, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
@@ -150,6 +151,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             write_tracks_npz(tracks, npz, key)  # last: where it is, both are
         trouble = _picture(tracks, target, job, log) if job.picture else ""
         told = write_exports(tracks, npz, job.exports)
+        told += write_view(tracks, npz, job.settings, log) if job.html else []
     outcome = outcome_of(job.log, place, tracks, picture=drawn if job.picture and not trouble else "")
     told = [f"No picture: {trouble}", *told] if trouble else told
     return replace(outcome, told=tuple(told), skipped=job.only_picture)

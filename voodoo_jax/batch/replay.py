@@ -36,6 +36,7 @@ def replay(
     smooth_seconds: float = 0.0,
     *,
     picture: bool = False,
+    html: bool = False,
     export: Iterable[str] = (),
     again: bool = False,
     workers: int = 1,
@@ -51,11 +52,11 @@ def replay(
     version are skipped. `replay.jsonl` in `out` has a line for each log.
 
     **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
-    trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `export` formats to which tracks are exported besides
-    (exporters/formats.py), such as "bvh"; `again` does finished logs anew; `workers` processes,
-    1: in this one, 0: as many as are good for this machine; `engine` "batch": in this one, several logs as one batch on
-    all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight parts of the logs only;
-    `compile_cache` folder for compiled programs, "": the user's, "off": none.
+    trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
+    `export` formats to which tracks are exported besides (exporters/formats.py), such as "bvh"; `again` does finished
+    logs anew; `workers` processes, 1: in this one, 0: as many as are good for this machine; `engine` "batch": in this
+    one, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight
+    parts of the logs only; `compile_cache` folder for compiled programs, "": the user's, "off": none.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
@@ -90,6 +91,7 @@ def replay(
         parameters=_parameters(settings, smooth_seconds),
         picture=picture,
         exports=exports,
+        html=html,
         compile_cache=safe_folder(compile_cache),
     )
     jobs = {log: replace(job, log=log, out=joined(out, within[log]), size=max(1, byte_size(log))) for log in places}
@@ -147,7 +149,7 @@ def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "
 
 def _finished(job: Job, again: bool) -> Outcome | None:
     """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run."""
-    from voodoo_jax.batch.extra_files import exported_name
+    from voodoo_jax.batch.extra_files import TRACKS_NPZ, VIEW, exported_name
     from voodoo_jax.batch.resume import finished_arrays
 
     npz, mcap, png = output_places(job.log, job.out)
@@ -155,6 +157,7 @@ def _finished(job: Job, again: bool) -> Outcome | None:
     if arrays is None:
         return None
     wanted = [png] if job.picture else []
+    wanted += [npz.removesuffix(TRACKS_NPZ) + VIEW] if job.html else []
     wanted += [joined(job.out, exported_name(npz, name)) for name in job.exports]
     due = bool(wanted) and min(map(_changed, wanted)) < _changed(npz)
     return outcome_of_arrays(job.log, npz, arrays, skipped=True, picture="due" if due else png if job.picture else "")

@@ -41,6 +41,8 @@ class Replay:
     """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
     picture: bool = False
     """Also write <log>.png: cloud and tracked body side by side."""
+    html: bool = False
+    """Also write <log>.html: cloud, tracked bodies and quality over time, to play and turn in a browser, offline."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
     again: bool = False
     """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""

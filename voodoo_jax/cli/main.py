@@ -54,8 +54,8 @@ def run_replay(command: Replay) -> int:
         check_stages(command.settings)
         outcomes = replay(
             command.logs, command.out, body, command.settings, smooth_seconds=command.smooth, picture=command.picture,
-            export=[command.export], again=command.again, workers=command.workers, engine=command.engine,
-            shard=command.shard, compile_cache=cache or "off",
+            html=command.html, export=[command.export], again=command.again, workers=command.workers,
+            engine=command.engine, shard=command.shard, compile_cache=cache or "off",
         )  # fmt: skip
     except FileExistsError:
         print(f"voodoo-jax replay: --out '{command.out}' is a file; name a folder", file=sys.stderr)
