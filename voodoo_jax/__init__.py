@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from voodoo_jax.config.presets import online as online
     from voodoo_jax.config.presets import preset as preset
     from voodoo_jax.detect.opening import read_log as read_log
+    from voodoo_jax.exporters.formats import export as export
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.fitting.custom_loss import solve_frames as solve_frames
     from voodoo_jax.fitting.fit import fit as fit
@@ -54,6 +55,7 @@ _PUBLIC = {
     "Settings": ("config.options", "Settings"),
     "Tracks": ("records.tracks", "Tracks"),
     "attach": ("model.attachments", "attach"),
+    "export": ("exporters.formats", "export"),
     "fit": ("fitting.fit", "fit"),
     "human": ("model.body_file", "human"),
     "joint_centres": ("model.body", "joint_centres"),
@@ -86,4 +88,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_PUBLIC])
+    return sorted([*_PUBLIC, "__version__"])

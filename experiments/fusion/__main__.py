@@ -31,7 +31,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.viz.figures import _colours, _draw_body
+from voodoo_jax.viz.figures import draw_body, limb_colours
 
 INPUTS = ("depth", "rays", "fusion")
 PAPER_COLUMNS = (5, 50, 81, 120, 129, 144)
@@ -136,8 +136,8 @@ def _panel(panel: Axes, tracks: Tracks, i: int, frame: PersonFrame, middle: np.n
         ray = (np.stack([origin, origin + length * direction]) - middle) @ axes.T
         panel.plot(*ray[:, :2].T, "-", color="tab:red", lw=1.0, zorder=950, label="rays of face and hands")
     if np.isfinite(tracks.translation[i]).all():
-        colours = _colours(len(tracks.body.topology.limbs))
-        _draw_body(panel, tracks, i, middle, axes, (0, 1, 2), colours)
+        colours = limb_colours(tracks.body.topology.limbs)
+        draw_body(panel, tracks, i, middle, axes, (0, 1, 2), colours)
     else:
         panel.text(0.5, 0.5, "no pose", transform=panel.transAxes, ha="center", va="center")
 

@@ -30,3 +30,8 @@ def test_unknown_names_are_refused():
     else:
         raise AssertionError("an unknown name was found")
     assert inspect.isfunction(vj.track)
+
+
+def test_dir_shows_the_public_names_only():
+    importlib.import_module("voodoo_jax.exporters.npz")
+    assert set(dir(vj)) == {*vj.__all__, "__version__"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.records.recording import Frame, Recording
+from voodoo_jax.records.recording import Frame, Pairs, Recording
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate, truth_tracks
@@ -77,3 +77,45 @@ def test_nothing_to_draw_is_refused():
         show(tracks, replace(recording, frames=()))
     with pytest.raises(ValueError, match="truth has 1 frames"):
         show(tracks, recording, truth=sim.joints[:1])
+
+
+def test_markers_alone_are_drawn_without_an_empty_row_of_clouds():
+    sim, tracks, recording = simulated()
+    none = np.zeros((0, 3), np.float32)
+    frames = [
+        replace(f, points=none, sensor=f.sensor[:0], origins=none, pairs=Pairs(("a",) * len(joints), joints))
+        for f, joints in zip(recording, sim.joints)
+    ]
+    figure = show(tracks, replace(recording, frames=tuple(frames), sensors=()), frames=3)
+    assert len(figure.axes) == 2 * 3
+    marks = [line for line in figure.axes[0].lines if line.get_marker() == "D"]
+    assert len(marks) == 1 and len(marks[0].get_xdata()) == sim.joints.shape[1]
+    assert "front" in figure.axes[0].get_ylabel() and "sensor" not in figure.axes[0].get_ylabel()
+    assert {text.get_text() for text in figure.legends[0].get_texts()} == {"left", "right", "markers"}
+    # seen from the front, the left shoulder is at the right
+    joints = dict(zip(tracks.body.topology.centres, marks[0].get_xdata()))
+    assert joints["l_shoulder"] > joints["r_shoulder"]
+    figure.draw_without_rendering()
+
+
+def test_the_window_follows_the_body_and_keeps_its_size():
+    _, tracks, recording = simulated()
+    aside = np.linspace(0, 6, len(tracks.time_ns), dtype=np.float32)[:, None, None] * np.array([0, 1, 0], np.float32)
+    figure = show(replace(tracks, translation=tracks.translation + aside, joints=tracks.joints + aside), recording)
+    columns = len(tracks.time_ns)
+    widths = [np.ptp(ax.get_xlim()) for ax in figure.axes]
+    np.testing.assert_allclose(widths, widths[0], rtol=1e-6)
+    assert widths[0] < 3 and len({ax.get_ylim() for ax in figure.axes}) == 1
+    middles = [np.mean(ax.get_xlim()) for ax in figure.axes[:columns]]
+    assert abs(middles[-1] - middles[0]) > 3  # the view is not quite across
+
+
+def test_left_is_warm_and_right_is_cool():
+    _, tracks, recording = simulated()
+    figure = show(tracks, recording, frames=1)
+    patches = {
+        text.get_text(): patch for text, patch in zip(figure.legends[0].get_texts(), figure.legends[0].get_patches())
+    }
+    left, right = (patches[side].get_facecolor() for side in ("left", "right"))
+    assert left[0] > left[2] and right[2] > right[0]
+    assert not show(*simulated("arm")[1:], frames=1).legends

@@ -33,7 +33,9 @@ class Job:
     recipe: str  # see finished.recipe_key
     parameters: tuple[tuple[str, str], ...]  # for the .voodoo.mcap: all settings as text
     picture: bool
-    only_picture: bool = False  # the tracks are there already
+    only_picture: bool = False  # the tracks are there already, what is drawn or exported from them is not
+    exports: tuple[str, ...] = ()  # formats, see exporters/formats.py
+    html: bool = False
     compile_cache: str = ""  # folder; empty: none
     size: int = 1  # bytes of the log
 
@@ -121,6 +123,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
+    from voodoo_jax.batch.extra_files import write_exports, write_view
     from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
@@ -151,9 +154,11 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             write_tracks_mcap(tracks, mcap, {**dict(job.parameters), "run_key": key})
             write_tracks_npz(tracks, npz, key)  # last: where it is, both are
         trouble = _picture(tracks, target, job, log) if job.picture else ""
+        told = write_exports(tracks, npz, job.exports)
+        told += write_view(tracks, npz, job.settings, log) if job.html else []
     outcome = outcome_of(job.log, place, tracks, picture=drawn if job.picture and not trouble else "")
-    notes = (*outcome.notes, f"No picture: {trouble}") if trouble else outcome.notes
-    return replace(outcome, notes=notes, skipped=job.only_picture)
+    told = [f"No picture: {trouble}", *told] if trouble else told
+    return replace(outcome, told=tuple(told), skipped=job.only_picture)
 
 
 def _picture(tracks: Tracks, target: Path, job: Job, log: str) -> str:

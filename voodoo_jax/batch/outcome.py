@@ -30,6 +30,7 @@ class Outcome:
     error: str = ""
     notes: tuple[str, ...] = field(default=())
     skipped: bool = False  # an earlier run had done it already
+    told: tuple[str, ...] = ()  # about files that were made of the tracks, in this run
     folder: str = ""  # of its results within that of all, of one of several logs of one name
 
     @property
@@ -74,7 +75,8 @@ class Outcome:
         if not self.ok:
             line += "; NOTHING TRACKED"
         # what an earlier run has said it need not say again
-        return "\n".join([line, *(f"    {note}" for note in self.notes if not self.skipped)])
+        notes = () if self.skipped else self.notes
+        return "\n".join([line, *(f"    {note}" for note in (*notes, *self.told))])
 
     def row(self) -> dict[str, Any]:
         """The outcome for replay.jsonl: numbers that are not finite become null."""

@@ -36,6 +36,8 @@ def replay(
     smooth_seconds: float = 0.0,
     *,
     picture: bool = False,
+    html: bool = False,
+    export: Iterable[str] = (),
     again: bool = False,
     workers: int = 1,
     engine: Literal["local", "batch", "ray"] = "local",
@@ -50,10 +52,11 @@ def replay(
     version are skipped. `replay.jsonl` in `out` has a line for each log.
 
     **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
-    trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `again` does finished logs anew; `workers` processes,
-    1: in this one, 0: as many as are good for this machine; `engine` "batch": in this one, several logs as one batch on
-    all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight parts of the logs only;
-    `compile_cache` folder for compiled programs, "": the user's, "off": none.
+    trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
+    `export` formats to which tracks are exported besides (exporters/formats.py), such as "bvh"; `again` does finished
+    logs anew; `workers` processes, 1: in this one, 0: as many as are good for this machine; `engine` "batch": in this
+    one, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight
+    parts of the logs only; `compile_cache` folder for compiled programs, "": the user's, "off": none.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
@@ -61,6 +64,7 @@ def replay(
     """
     from voodoo_jax.batch.resume import recipe_key
     from voodoo_jax.batch.summary_file import summary_name, write_summary
+    from voodoo_jax.exporters.formats import check_formats
     from voodoo_jax.model.body_file import load_on_host
     from voodoo_jax.trackers.stages import check_stages
 
@@ -69,6 +73,7 @@ def replay(
     if workers < 0:
         raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
     check_stages(settings or Settings())
+    exports = check_formats(export)
     number, count = parse_shard(shard)
     places = list(dict.fromkeys(_absolute(place) for log in logs for place in expanded(log)))
     within = folders_within(places)
@@ -85,6 +90,8 @@ def replay(
         recipe=recipe_key(body, settings, smooth_seconds),
         parameters=_parameters(settings, smooth_seconds),
         picture=picture,
+        exports=exports,
+        html=html,
         compile_cache=safe_folder(compile_cache),
     )
     jobs = {log: replace(job, log=log, out=joined(out, within[log]), size=max(1, byte_size(log))) for log in places}
@@ -142,13 +149,17 @@ def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "
 
 def _finished(job: Job, again: bool) -> Outcome | None:
     """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run."""
+    from voodoo_jax.batch.extra_files import TRACKS_NPZ, VIEW, exported_name
     from voodoo_jax.batch.resume import finished_arrays
 
     npz, mcap, png = output_places(job.log, job.out)
     arrays = None if again else finished_arrays(job.log, npz, mcap, job.recipe)
     if arrays is None:
         return None
-    due = job.picture and _changed(png) < _changed(npz)
+    wanted = [png] if job.picture else []
+    wanted += [npz.removesuffix(TRACKS_NPZ) + VIEW] if job.html else []
+    wanted += [joined(job.out, exported_name(npz, name)) for name in job.exports]
+    due = bool(wanted) and min(map(_changed, wanted)) < _changed(npz)
     return outcome_of_arrays(job.log, npz, arrays, skipped=True, picture="due" if due else png if job.picture else "")
 
 

@@ -18,6 +18,9 @@ PRESET_HELP = (
 )
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
 
+FORMATS_HELP = "Formats: csv, trc, c3d, bvh, bvh-rigid, mot, gltf, usd; several with commas between."
+EXPORT_HELP = f"Also write the tracks for other programs. {FORMATS_HELP}"
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -38,6 +41,9 @@ class Replay:
     """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
     picture: bool = False
     """Also write <log>.png: cloud and tracked body side by side."""
+    html: bool = False
+    """Also write <log>.html: cloud, tracked bodies and quality over time, to play and turn in a browser, offline."""
+    export: Annotated[str, arg(help=EXPORT_HELP)] = ""
     again: bool = False
     """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""
     workers: int = 0
@@ -49,6 +55,20 @@ class Replay:
     compile_cache: str = ""
     """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write tracks in formats of other programs: tables, biomechanics, animation.
+
+    What each format holds, with its units and axes, is in docs/results.md.
+    """
+
+    tracks: Positional[tuple[Path, ...]] = ()
+    """Files <log>.tracks.npz, as replay writes them, or folders of such."""
+    formats: Annotated[str, arg(name="as", help=FORMATS_HELP)] = ""
+    out: Path | None = None
+    """Folder for the files; none named: they are written beside the tracks."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +127,7 @@ Command = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Replay, subcommand("replay")]
     | Annotated[Info, subcommand("info")]
+    | Annotated[Export, subcommand("export")]
     | Annotated[FitCommand, subcommand("fit")]
     | Annotated[Config, subcommand("config")]
 )

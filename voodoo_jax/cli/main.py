@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import arg
 
-from voodoo_jax.cli.commands import PRESET_BODIES, Command, Config, Demo, FitCommand, Info, Replay
+from voodoo_jax.cli.commands import PRESET_BODIES, Command, Config, Demo, Export, FitCommand, Info, Replay
 from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.presets import PRESETS, preset
@@ -54,8 +54,8 @@ def run_replay(command: Replay) -> int:
         check_stages(command.settings)
         outcomes = replay(
             command.logs, command.out, body, command.settings, smooth_seconds=command.smooth, picture=command.picture,
-            again=command.again, workers=command.workers, engine=command.engine, shard=command.shard,
-            compile_cache=cache or "off",
+            html=command.html, export=[command.export], again=command.again, workers=command.workers,
+            engine=command.engine, shard=command.shard, compile_cache=cache or "off",
         )  # fmt: skip
     except FileExistsError:
         print(f"voodoo-jax replay: --out '{command.out}' is a file; name a folder", file=sys.stderr)
@@ -164,7 +164,11 @@ def main(argv: list[str] | None = None) -> int:
         return 130
 
 
-def _run(command: "Replay | Info | Demo | Config | FitCommand", base: Settings) -> int:
+def _run(command: "Replay | Info | Demo | Config | FitCommand | Export", base: Settings) -> int:
+    if isinstance(command, Export):
+        from voodoo_jax.cli.export import run_export
+
+        return run_export(command)
     if isinstance(command, FitCommand):
         from voodoo_jax.cli.fit import run_fit
 

@@ -19,6 +19,7 @@ FRAME_ARRAYS = (
 # where they were found
 MORE_ARRAYS = (
     "passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance", "joint_confidence",
+    "up",
 )  # fmt: skip
 
 
@@ -33,8 +34,8 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
     body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
     limb frame), joint_covariance (square metres, fixed frame; see solve/covariance.py), joint_confidence (0 to 1; see
-    trackers/icp/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), fixed_frame,
-    source, seconds, notes, body_toml; run_key if one is given (see batch/resume.py).
+    trackers/icp/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
+    fixed frame), fixed_frame, source, seconds, notes, body_toml; run_key if one is given (see batch/resume.py).
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body

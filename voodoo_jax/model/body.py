@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -57,6 +58,15 @@ class Body(eqx.Module):
     @property
     def limb_count(self) -> int:
         return len(self.topology.limbs)
+
+    def __repr__(self) -> str:
+        concrete = isinstance(self.scale, np.ndarray | np.generic | jax.Array) and not isinstance(
+            self.scale, jax.core.Tracer
+        )
+        size = f"{float(self.scale):.3f} m" if concrete and np.size(self.scale) == 1 else "being computed"
+        return (
+            f"Body({self.name}: {self.limb_count} limbs, {len(self.topology.joints)} joints, {self.scale_name} {size})"
+        )
 
 
 class LinkTables(NamedTuple):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from html import escape
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32
@@ -67,6 +68,12 @@ class Recording:
 
     def __iter__(self) -> Iterator[Frame]:
         return iter(self.frames)
+
+    def __repr__(self) -> str:
+        return f"Recording({str(self).splitlines()[0]})"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
 
     def __str__(self) -> str:
         n = len(self.frames)

@@ -2,11 +2,16 @@
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from html import escape
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int8, Int32, Int64
 
 from voodoo_jax.model.body import Body
+from voodoo_jax.model.isb_angles import Angles, joint_angles
+from voodoo_jax.model.joint_names import joint_row
+from voodoo_jax.records.track_table import track_columns
 
 
 class Status(IntEnum):
@@ -52,6 +57,7 @@ class Tracks:
     joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None
     # of `joints`: within 10 cm? 0..1; see trackers/icp/confidence.py
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
+    up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())
@@ -69,8 +75,51 @@ class Tracks:
         return expected_share(self.joint_confidence)
 
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
-        """Positions of one joint centre over time, metres."""
-        return self.joints[:, self.body.topology.centres.index(name)]
+        """Positions of one joint centre over time, metres.
+
+        Names of other conventions are understood: left_wrist, LWrist, WRIST_LEFT (see model/joint_names.py). Raises
+        ValueError with near names.
+        """
+        return self.joints[:, joint_row(self.body.topology.centres, name)]
+
+    def to_pandas(self) -> Any:
+        """A pandas DataFrame, a row for each frame: the columns of an exported CSV file (metres, degrees), by seconds
+        since the first frame. Raises ImportError with what to install."""
+        try:
+            import pandas
+        except ImportError as problem:
+            raise ImportError('to_pandas needs pandas: pip install "voodoo_jax[pandas]"') from problem
+        columns = track_columns(self)
+        return pandas.DataFrame(columns, index=pandas.Index(columns.pop("time_s"), name="time_s"))
+
+    def __repr__(self) -> str:
+        return f"Tracks({', '.join(value for _, value in self._summary())})"
+
+    def _repr_html_(self) -> str:
+        rows = [*self._summary(), *(("note", note) for note in self.notes)]
+        cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
+        return f"<table><caption>Tracks</caption>{cells}</table>"
+
+    def _summary(self) -> list[tuple[str, str]]:
+        count, body = len(self.time_ns), self.body
+        seconds = (int(self.time_ns[-1]) - int(self.time_ns[0])) / 1e9 if count else 0.0
+        known = self.residual[np.isfinite(self.residual)]
+        found = [
+            ("source", self.source),
+            ("frames", f"{count} frames in {seconds:.2f} s"),
+            ("tracked", f"{100 * self.tracked.mean() if count else 0:.0f} % tracked"),
+        ]
+        if len(known):
+            found.append(("residual", f"residual {1000 * float(known.mean()):.0f} mm"))
+        return [*found, ("body", f"{body.name}, {body.scale_name} {float(body.scale):.3f} m")]
+
+    def angles(self, hidden: bool = False) -> Angles:
+        """Joint angles over time, radians, with their covariances: see model/isb_angles.py for what they are.
+
+        NaN in frames that are not tracked and, unless `hidden`, where nothing was seen of one of a joint's limbs.
+        """
+        seen = np.ones(self.limb_weight.shape, bool) if hidden else self.limb_weight > 0
+        return joint_angles(self.body, self.rotation, seen & self.tracked[:, None], self.limb_covariance)
 
 
 def given_from(tracks: Tracks, origin: Float[np.ndarray, "3"]) -> Tracks:

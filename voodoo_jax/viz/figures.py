@@ -26,6 +26,9 @@ STATUS_WORDS: dict[int, str] = {
 }
 LABELS = {"cloud": "cloud, from the sensor", "front": "body, from the sensor", "side": "body, from the side"}
 RING = 32  # points on each end ellipse
+MARK: dict = {"marker": "D", "markersize": 3.2, "color": "#f2c200", "markeredgecolor": "black", "markeredgewidth": 0.5}
+RAY_COLOUR, RAY_LENGTH = "#2a9d4a", 8.0  # metres
+SIDE_MAPS = {"left": "Oranges", "right": "Blues", "middle": "Greys"}  # of matplotlib
 
 
 def spread(length: int, count: int) -> Int[np.ndarray, " chosen"]:
@@ -56,9 +59,10 @@ def show(
 ) -> "Figure":
     """Figure of evenly spaced frames, one column each: cloud, body over the cloud, body from the side.
 
-    The front view is that of the first sensor, the side view that from the right edge of its image; axes in metres,
-    equal scale. truth: joint centres for the frames of `tracks`, metres in the fixed frame, drawn as crosses. Raises
-    ValueError if there is no frame or the truth has another number of frames.
+    The front view is that of the first sensor, the side view that from the right edge of its image; without sensors
+    (markers alone) it is that of the body, and there is no cloud. Axes in metres, equal scale; each column's window
+    follows the body. Left limbs are warm, right ones cool. truth: joint centres for the frames of `tracks`, metres in
+    the fixed frame, drawn as crosses. Raises ValueError if there is no frame or the truth has another number of frames.
     """
     from matplotlib.figure import Figure
 
@@ -70,50 +74,93 @@ def show(
     truth = None if truth is None else truth - recording.origin
     stamps = np.array([frame.time_ns for frame in recording])
     nearest = [recording.frames[int(np.abs(stamps - tracks.time_ns[i]).argmin())] for i in chosen]
-    middle, axes3 = _view(tracks, recording, nearest)
-    window = _window(tracks, nearest, chosen, middle, axes3)
+    middle, axes3 = _view(tracks, recording, nearest, int(chosen[len(chosen) // 2]))
+    windows = _windows(tracks, nearest, chosen, middle, axes3)
+    rows = [((0, 1, 2), "front"), ((2, 1, 0), "side")]
+    if any(len(frame.points) for frame in nearest):  # else there are markers alone, which are drawn with the body
+        rows.insert(0, ((0, 1, 2), "cloud"))
 
     # room under the axes for the labels; height follows the drawn region so that panels fill their cells
-    spans = window[1] - window[0]
+    spans = windows[0][1] - windows[0][0]
     width = 2.9
-    figure = Figure(figsize=(width * len(chosen) + 0.6, 0.9 + 3 * width * min(spans[1] / max(spans[0], spans[2]), 1.6)))
+    height = 1.1 + len(rows) * width * min(spans[1] / max(spans[0], spans[2]), 1.6)
+    figure = Figure(figsize=(width * len(chosen) + 0.6, height))
     figure.set_layout_engine("constrained")
-    grid = figure.subplots(3, len(chosen), squeeze=False)
-    colours = _colours(len(tracks.body.topology.limbs))
+    grid = figure.subplots(len(rows), len(chosen), squeeze=False)
+    colours = limb_colours(tracks.body.topology.limbs)
     start = int(recording.frames[0].time_ns)
-    for column, (i, frame) in enumerate(zip(chosen, nearest)):
-        points = (frame.points.astype(float) - middle) @ axes3.T
-        posed = bool(np.isfinite(tracks.translation[i]).any())
-        for row, ((h, v, depth), what) in enumerate((((0, 1, 2), "cloud"), ((0, 1, 2), "front"), ((2, 1, 0), "side"))):
-            ax = grid[row, column]
-            # the farther from the sensor, the lighter; nearer points over farther ones
-            order = np.argsort(-points[:, 2] if depth == 2 else points[:, 0])
-            shade = np.clip((points[order, 2] - window[0, 2]) / spans[2], 0, 1)
-            ax.scatter(
-                points[order, h], points[order, v], s=2.2, c=0.25 + 0.55 * shade, cmap="gray", vmin=0, vmax=1,
-                linewidths=0, rasterized=True,
-            )  # fmt: skip
-            if what != "cloud" and posed:
-                _draw_body(ax, tracks, int(i), middle, axes3, (h, v, depth), colours)
-            if what != "cloud" and truth is not None:
-                cross = (np.asarray(truth[i], float) - middle) @ axes3.T
-                ax.plot(cross[:, h], cross[:, v], "x", color="black", markersize=5, markeredgewidth=1.0, zorder=900)
-            if what != "cloud" and not posed:
-                box = dict(facecolor="white", edgecolor="none", alpha=0.8)
-                ax.text(0.5, 0.5, "no pose", transform=ax.transAxes, ha="center", va="center", bbox=box)
-            ax.set_xlim(window[0, h], window[1, h])
-            ax.set_ylim(window[0, v], window[1, v])
+    for column, (i, frame, window) in enumerate(zip(chosen, nearest, windows)):
+        for ax, (view, what) in zip(grid[:, column], rows):
+            _draw_measured(ax, frame, middle, axes3, view, window, marks=what != "cloud" or len(frame.points) == 0)
+            if what != "cloud":
+                _draw_tracked(ax, tracks, int(i), middle, axes3, view, colours, truth)
+            ax.set_xlim(window[0, view[0]], window[1, view[0]])
+            ax.set_ylim(window[0, view[1]], window[1, view[1]])
             ax.set_aspect("equal")
             ax.tick_params(labelsize=7)
+            from_where = LABELS[what] if recording.sensors else LABELS[what].replace("sensor", "front")
             if column == 0:
-                ax.set_ylabel(f"{LABELS[what]}\nup, m", fontsize=8)
+                ax.set_ylabel(f"{from_where}\nup, m", fontsize=8)
             else:
                 ax.tick_params(labelleft=False)
-            ax.set_xlabel("right, m" if h == 0 else "away from the sensor, m", fontsize=8)
+            away = "away from the sensor, m" if recording.sensors else "backwards, m"
+            ax.set_xlabel("right, m" if view[0] == 0 else away, fontsize=8)
         grid[0, column].set_title(_title(tracks, int(i), start), fontsize=9)
-    told = "" if tracks.joint_confidence is None else ", the redder the more doubtful"
-    figure.supxlabel(f"circles: joint centres{told}" + ("" if truth is None else "; crosses: truth"), fontsize=8)
+    _legend(figure, tracks, nearest, truth is not None)
     return figure
+
+
+def _legend(figure: "Figure", tracks: Tracks, frames: list[Frame], truth: bool) -> None:
+    """What colours and signs mean, above and below the panels."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    sides = {_side(name) for name in tracks.body.topology.limbs}
+    handles: list[Patch | Line2D] = []
+    if {"left", "right"} <= sides:
+        handles += [Patch(color=_shades(side)[0], label=side, alpha=0.7) for side in ("left", "right")]
+    if any(len(frame.pairs.points) for frame in frames):
+        handles.append(Line2D([], [], linestyle="", label="markers", **MARK))
+    if any(len(frame.rays.origins) for frame in frames):
+        handles.append(Line2D([], [], color=RAY_COLOUR, label="lines of sight of 2D features"))
+    if handles:
+        figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False)
+    told = "" if tracks.joint_confidence is None else ", the redder the more doubtful"
+    figure.supxlabel(f"circles: joint centres{told}" + ("; crosses: truth" if truth else ""), fontsize=8)
+
+
+def _draw_measured(ax: "Axes", frame: Frame, middle, axes3, view, window, marks: bool) -> None:
+    """The cloud; with `marks` also named 3D points, and lines of sight of 2D features."""
+    h, v, depth = view
+    points = (frame.points.astype(float) - middle) @ axes3.T
+    # the farther from the sensor, the lighter; nearer points over farther ones
+    order = np.argsort(-points[:, 2] if depth == 2 else points[:, 0])
+    shade = np.clip((points[order, 2] - window[0, 2]) / (window[1, 2] - window[0, 2]), 0, 1)
+    ax.scatter(
+        points[order, h], points[order, v], s=2.2, c=0.25 + 0.55 * shade, cmap="gray", vmin=0, vmax=1,
+        linewidths=0, rasterized=True,
+    )  # fmt: skip
+    if not marks:
+        return
+    if len(frame.pairs.points):
+        at = (frame.pairs.points.astype(float) - middle) @ axes3.T
+        ax.plot(at[:, h], at[:, v], linestyle="", zorder=850, **MARK)
+    for origin, direction in zip(frame.rays.origins.astype(float), frame.rays.directions.astype(float)):
+        ends = (np.stack([origin, origin + RAY_LENGTH * direction]) - middle) @ axes3.T
+        ax.plot(ends[:, h], ends[:, v], color=RAY_COLOUR, linewidth=0.7, zorder=840)
+
+
+def _draw_tracked(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view, colours, truth) -> None:
+    """The body, the true joints if they are given, or that there is no pose."""
+    h, v, _ = view
+    if np.isfinite(tracks.translation[i]).any():
+        draw_body(ax, tracks, i, middle, axes3, view, colours)
+    else:
+        box = dict(facecolor="white", edgecolor="none", alpha=0.8)
+        ax.text(0.5, 0.5, "no pose", transform=ax.transAxes, ha="center", va="center", bbox=box)
+    if truth is not None:
+        cross = (np.asarray(truth[i], float) - middle) @ axes3.T
+        ax.plot(cross[:, h], cross[:, v], "x", color="black", markersize=5, markeredgewidth=1.0, zorder=900)
 
 
 def _title(tracks: Tracks, i: int, start: int) -> str:
@@ -124,10 +171,13 @@ def _title(tracks: Tracks, i: int, start: int) -> str:
     return f"{(int(tracks.time_ns[i]) - start) / 1e9:.2f} s, {words}\n{error}"
 
 
-def _view(tracks: Tracks, recording: Recording, frames: list[Frame]) -> tuple[np.ndarray, np.ndarray]:
-    """Origin of the drawing (fixed frame) and its axes as rows: right, up, away from the sensor."""
-    up = np.asarray(recording.up, float) / np.linalg.norm(recording.up)
-    sensor = np.asarray(frames[0].origins[0] if len(frames[0].origins) else np.zeros(3), float)
+def _view(tracks: Tracks, recording: Recording, frames: list[Frame], i: int) -> tuple[np.ndarray, np.ndarray]:
+    """Origin of the drawing (fixed frame) and its axes as rows: right, up, away from the sensor; without a sensor the
+    way that the body faces away from in frame `i` of the tracks."""
+    up = np.asarray(recording.up if tracks.up is None else tracks.up, float)
+    up = up / np.linalg.norm(up)
+    origin = next((frame.origins[0] for frame in frames if len(frame.origins)), None)
+    sensor = np.zeros(3) if origin is None else np.asarray(origin, float)
     posed = tracks.translation[np.isfinite(tracks.translation).all(2)]
     clouds = [frame.points for frame in frames if len(frame.points)]
     if len(posed):
@@ -135,6 +185,10 @@ def _view(tracks: Tracks, recording: Recording, frames: list[Frame]) -> tuple[np
     else:
         target = np.median(np.concatenate(clouds), 0).astype(float) if clouds else sensor + [1.0, 0, 0]
     away = target - sensor
+    root = tracks.rotation[i, 0]
+    if origin is None and np.isfinite(root).all():  # the body's forward axis is x in its rest pose
+        rest = Rotation.from_quat(np.asarray(tracks.body.rest.rotation, float)[0], scalar_first=True)
+        away = -(Rotation.from_quat(root.astype(float), scalar_first=True) * rest.inv()).apply([1.0, 0, 0])
     away = away - up * (away @ up)
     if np.linalg.norm(away) < 1e-6:  # the sensor looks straight up or down: any horizontal direction
         away = np.cross(up, [0.0, 1.0, 0.0] if abs(up[1]) < 0.9 else [1.0, 0.0, 0.0])
@@ -143,23 +197,29 @@ def _view(tracks: Tracks, recording: Recording, frames: list[Frame]) -> tuple[np
     return sensor - up * (sensor @ up), np.stack([np.cross(away, up), up, away])
 
 
-def _window(tracks: Tracks, frames: list[Frame], chosen, middle, axes3) -> np.ndarray:
-    """Drawn region [low or high, right/up/away] in metres: around the body in all frames, else around the clouds."""
-    rings = np.concatenate([_rings(tracks, int(i)).reshape(-1, 3) for i in chosen])
-    rings = rings[np.isfinite(rings).all(1)]
-    if len(rings):
-        seen = (rings - middle) @ axes3.T
-        low, high = seen.min(0) - 0.25, seen.max(0) + 0.25
+def _windows(tracks: Tracks, frames: list[Frame], chosen, middle, axes3) -> list[np.ndarray]:
+    """Drawn region of each frame [low or high, right/up/away] in metres, all of one size and height: around the body
+    in that frame; where it has no pose, where it is in the nearest frame; around the clouds if there is none at all."""
+    rings = [(_rings(tracks, int(i)).reshape(-1, 3) - middle) @ axes3.T for i in chosen]
+    rings = [ring[np.isfinite(ring).all(1)] for ring in rings]
+    bodies = [k for k, ring in enumerate(rings) if len(ring)]
+    if bodies:
+        low, high = (np.stack([getattr(rings[k], end)(0) for k in bodies]) for end in ("min", "max"))
+        low, high = low - 0.25, high + 0.25
     else:
         clouds = [frame.points for frame in frames if len(frame.points)] or [np.zeros((1, 3))]
         seen = (np.concatenate(clouds).astype(float) - middle) @ axes3.T
-        low, high = np.percentile(seen, 1, axis=0) - 0.1, np.percentile(seen, 99, axis=0) + 0.1
-    # both kinds of panel get the same width
-    half = max(high[0] - low[0], high[2] - low[2]) / 2
-    for k in (0, 2):
-        centre = (low[k] + high[k]) / 2
-        low[k], high[k] = centre - half, centre + half
-    return np.stack([low, high])
+        low, high = np.percentile(seen, [1], axis=0) - 0.1, np.percentile(seen, [99], axis=0) + 0.1
+    # both kinds of panel get the same width, and all frames the same height
+    half = (high - low)[:, [0, 2]].max() / 2
+    out = []
+    for k in range(len(chosen)):
+        near = int(np.abs(np.array(bodies) - k).argmin()) if bodies else 0
+        centre = (low[near] + high[near]) / 2
+        window = np.stack([centre - half, centre + half])
+        window[:, 1] = low[:, 1].min(), high[:, 1].max()
+        out.append(window)
+    return out
 
 
 def _rings(tracks: Tracks, i: int) -> np.ndarray:
@@ -175,7 +235,8 @@ def _rings(tracks: Tracks, i: int) -> np.ndarray:
     return np.concatenate([bottom, top], 1) @ turn.transpose(0, 2, 1) + tracks.translation[i][:, None]
 
 
-def _draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int, int, int], colours) -> None:
+def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int, int, int], colours) -> None:
+    """The limbs' outlines, farthest first, and joint centres in frame `i`; `view`: axes for right, up and away."""
     h, v, depth = view
     rings = (_rings(tracks, i) - middle) @ axes3.T
     sign = -1 if depth == 2 else 1  # farthest first: away from the sensor, or the far side of the side view
@@ -197,9 +258,24 @@ def _draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[in
     ax.scatter(joints[:, h], joints[:, v], s=16, c=white_to_red, edgecolors="black", linewidths=1.0, zorder=800)
 
 
-def _colours(count: int) -> list:
-    """One colour per limb, neighbours in the list well apart."""
+def _side(limb: str) -> str:
+    return "left" if limb.startswith("l_") else "right" if limb.startswith("r_") else "middle"
+
+
+def _shades(side: str) -> list:
+    """Colours of the limbs of a side, neighbours well apart."""
     from matplotlib import colormaps
 
-    table = colormaps["tab20"]
-    return [table(i % 20) for i in range(count)]
+    return [colormaps[SIDE_MAPS[side]](share) for share in (0.62, 0.85, 0.45)]
+
+
+def limb_colours(limbs: tuple[str, ...]) -> list:
+    """One colour per limb: warm for the left, cool for the right, grey between; if the body has no sides, neighbours
+    in the list well apart."""
+    from matplotlib import colormaps
+
+    sides = [_side(name) for name in limbs]
+    if not {"left", "right"} <= set(sides):
+        table = colormaps["tab20"]
+        return [table(i % 20) for i in range(len(limbs))]
+    return [_shades(side)[sides[:i].count(side) % 3] for i, side in enumerate(sides)]

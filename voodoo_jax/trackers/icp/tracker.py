@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Float32
 
 from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.compile.executable import program, seconds_of_waiting
@@ -178,8 +178,15 @@ def tracks_of(run: Session, segment: Segment, source: str, fixed_frame: str) -> 
         points=np.array([len(f.points) for f in run.people], np.int32),
         limb_weight=segment.limb_weight, passes_apart=segment.passes_apart, beyond_limits=derived.beyond_limits,
         depth_inside=derived.depth_inside, limb_covariance=derived.limb_covariance,
-        joint_covariance=derived.joint_covariance,
+        joint_covariance=derived.joint_covariance, up=_up(run),
     )  # fmt: skip
+
+
+def _up(run: Session) -> Float32[np.ndarray, "3"]:
+    """Upwards in the fixed frame; of a camera that moves unknown to the log, in its first frame."""
+    normal = np.asarray(run.scene.floor.normal, np.float32)
+    T = run.people[0].T_fixed_steady if run.people else None
+    return normal if T is None else (T[:3, :3] @ normal).astype(np.float32)
 
 
 def _derived(body: Body, segment: Segment, chunk: int) -> Derived:

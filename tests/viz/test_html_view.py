@@ -1,0 +1,113 @@
+"""The HTML view: it holds the poses, needs nothing from elsewhere, is small, and runs in a browser if there is one."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.viz.test_picture import simulated
+from voodoo_jax.records.recording import Frame, Pairs
+from voodoo_jax.records.tracks import Status
+from voodoo_jax.viz.html_view import frames_shown, write_html
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "headless_shell")
+
+
+def contents(path) -> tuple[dict, bytes]:
+    text = path.read_text()
+    told = re.search(r'<script id="head" type="application/json">(.*?)</script>', text, re.S)
+    blob = re.search(r'<script id="blob" type="text/plain">(.*?)</script>', text, re.S)
+    assert told and blob
+    return json.loads(told[1]), base64.b64decode(blob[1])
+
+
+def array(blob: bytes, part: dict) -> np.ndarray:
+    data = blob[part["at"] : part["at"] + part["bytes"]]
+    return np.frombuffer(data, {"f4": np.float32, "i2": np.int16, "u4": np.uint32, "u1": np.uint8}[part["kind"]])
+
+
+def test_it_holds_poses_points_and_markers_upright(tmp_path):
+    _, tracks, recording = simulated()
+    marks = Pairs(("a",), np.array([[1, 2, 3]], np.float32))
+    frames = [replace(frame, pairs=marks) for frame in recording]
+    # the same in a frame whose y points downwards
+    turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float32)
+    status = tracks.status.copy()
+    status[1] = Status.LOST
+    tracks = replace(tracks, source="logs/<b>.mcap", status=status, notes=("</script><b>",))
+    head, blob = contents(write_html([tracks, tracks], frames, tmp_path / "a.html"))
+    assert head["name"] == "<b>.mcap" and head["notes"] == ["</script><b>"] and len(head["people"]) == 2
+    person = head["people"][1]
+    poses = array(blob, person["poses"]).reshape(len(tracks.time_ns), -1, 7)
+    np.testing.assert_allclose(poses[..., 4:], tracks.translation, atol=1e-5)
+    assert array(blob, person["tracked"]).tolist()[:3] == [1, 0, 1]
+    starts = array(blob, head["starts"])
+    points = array(blob, head["points"]).reshape(-1, 3)[starts[2] : starts[3]]
+    np.testing.assert_allclose(points / 1000, recording.frames[2].points, atol=0.0006)
+    np.testing.assert_allclose(array(blob, head["marks"]).reshape(-1, 3)[-1], [1, 2, 3])
+    nowhere = replace(tracks, **{n: getattr(tracks, n) * np.nan for n in ("rotation", "translation", "joints")})
+    head, _ = contents(write_html([nowhere], frames, tmp_path / "c.html"))
+    assert len(head["times"]) == len(tracks.time_ns)
+    turned = replace(tracks, up=turn[:, 2], translation=tracks.translation @ turn.T)
+    head, blob = contents(write_html([turned], [], tmp_path / "b.html"))
+    height = array(blob, head["people"][0]["poses"]).reshape(len(tracks.time_ns), -1, 7)[..., 6]
+    np.testing.assert_allclose(height, tracks.translation[..., 2], atol=1e-5)
+
+
+def test_ten_seconds_of_a_large_camera_are_small_and_long_logs_too(tmp_path):
+    _, tracks, _ = simulated()
+    rng = np.random.default_rng(0)
+
+    def size(count: int, points: int) -> int:
+        pick = np.arange(count) % len(tracks.time_ns)
+        arrays = {k: v[pick] for k, v in vars(tracks).items() if isinstance(v, np.ndarray)}
+        arrays["time_ns"] = 10**18 + np.arange(count) * 33_333_333
+        cloud = rng.normal(0, 2, (points, 3)).astype(np.float32)
+        frames = (
+            Frame(int(t), cloud, np.zeros(points, np.int32), np.zeros((1, 3), np.float32)) for t in arrays["time_ns"]
+        )
+        return write_html([replace(tracks, **arrays)], frames, tmp_path / "a.html").stat().st_size
+
+    assert 2e6 < size(300, 20_000) < 8e6 and size(2500, 3000) < 8e6
+    assert len(frames_shown(2500)) <= 900 and frames_shown(20).tolist() == list(range(20))
+
+
+def test_it_needs_nothing_from_elsewhere(tmp_path):
+    _, tracks, recording = simulated("arm")
+    text = write_html([tracks], recording, tmp_path / "a.html").read_text()
+    assert not re.search(r"(src|href)\s*=|https?://|@import|url\(|fetch\(|XMLHttp", text.split('id="blob"')[0])
+    assert "http" not in text.rsplit("</script>", 2)[-2]
+
+
+def test_it_runs_in_a_browser_and_a_click_on_the_plots_jumps(tmp_path):
+    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if browser is None:
+        pytest.skip("no Chromium was found: the page was not run")
+    _, tracks, recording = simulated()
+    page = write_html([tracks], recording, tmp_path / "a.html")
+    click = """<script>
+      const box = plots_.getBoundingClientRect();
+      plots_.setPointerCapture = () => {};
+      plots_.dispatchEvent(new PointerEvent("pointerdown", { clientX: box.right - 13, clientY: box.top + 9 }));
+      document.body.dataset.after = document.getElementById("time").textContent;
+      const px = new Uint8Array(4 * canvas.width * canvas.height);
+      if (gl) gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, px);
+      let drawn = 0; for (let i = 0; i < px.length; i += 4) if (px[i + 1] > 120) drawn++;
+      document.body.dataset.drawn = gl ? drawn : "no WebGL";
+    </script></body>"""
+    page.write_text(page.read_text().replace("</body>", click.replace("plots_", 'document.getElementById("plots")')))
+    words = [browser, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle"]
+    words += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}"]
+    words += ["--virtual-time-budget=3000", "--dump-dom", f"file://{page}#t=0.2"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=240)
+    after = re.search(r'data-after="([^"]*)"', done.stdout)
+    drawn = re.search(r'data-drawn="([^"]*)"', done.stdout)
+    assert after and drawn, done.stderr[-2000:]
+    last = (tracks.time_ns[-1] - tracks.time_ns[0]) / 1e9
+    assert after[1].startswith(f"{last:.2f} s, tracked")
+    assert drawn[1] == "no WebGL" or int(drawn[1]) > 500

@@ -1,0 +1,55 @@
+"""The command `export`: tracks in formats of other programs."""
+
+import sys
+from pathlib import Path
+
+from voodoo_jax.cli.commands import Export
+
+
+def run_export(command: Export) -> int:
+    """0 if all was written, 1 if something could not be, 2 if nothing could be begun."""
+    from voodoo_jax.batch.extra_files import TRACKS_NPZ, exported_name
+    from voodoo_jax.exporters.formats import ExportError, check_formats, export, gaps_note
+    from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
+
+    def say(problem: object) -> None:
+        print(f"voodoo-jax export: {problem}", file=sys.stderr)
+
+    try:
+        formats = check_formats([command.formats])
+        paths = [path for place in command.tracks for path in _files(place, TRACKS_NPZ)]
+        if command.out is not None:
+            command.out.mkdir(parents=True, exist_ok=True)
+    except (ExportError, OSError) as problem:
+        say(problem)
+        return 2
+    if not paths or not formats:
+        say("name tracks (files <log>.tracks.npz) and formats: voodoo-jax export TRACKS --as csv,bvh")
+        return 2
+    failed = False
+    for path in paths:
+        try:
+            tracks = read_tracks_npz(path)
+        except (TracksFileError, OSError) as problem:
+            say(problem)
+            failed = True
+            continue
+        for name in formats:
+            target = (command.out or path.parent) / exported_name(path, name)
+            try:
+                print(export(tracks, target, name))
+            except (ExportError, OSError) as problem:
+                say(f"{target} could not be written: {problem}")
+                failed = True
+        if note := gaps_note(tracks, formats):
+            print(f"    {note}")
+    return 1 if failed else 0
+
+
+def _files(place: Path, ending: str) -> list[Path]:
+    """The file, or the tracks in a folder and below. Raises OSError."""
+    if not place.is_dir():
+        return [place]
+    if found := sorted(path for path in place.rglob(f"*{ending}") if not path.name.startswith(".")):
+        return found
+    raise FileNotFoundError(f"there are no tracks (*{ending}) in the folder '{place}'")

@@ -1,0 +1,85 @@
+"""The formats that tracks are exported to: each is a module with a function `write(tracks, path)`, and a line here."""
+
+import os
+from collections.abc import Iterable
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+from voodoo_jax.records.tracks import Tracks
+
+
+class Format(NamedTuple):
+    """A format: how its files' names end, the module and function that write it, and what it does with gaps."""
+
+    suffix: str  # replaces .tracks.npz
+    module: str
+    gaps: str  # what is in the file where nothing is tracked
+    function: str = "write"
+    other_suffixes: tuple[str, ...] = ()
+    package: str = ""  # module that has to be installed
+    extra: str = ""  # by which this package installs it
+
+
+HELD = "repeat the last pose"
+FORMATS = {
+    "csv": Format(".csv", "table", "are marked as not tracked"),
+    "trc": Format(".trc", "trc", "have empty fields"),
+    "c3d": Format(".c3d", "c3d", "have points with the residual -1", package="ezc3d", extra="c3d"),
+    "bvh": Format(".bvh", "bvh", HELD),
+    "bvh-rigid": Format(".rigid.bvh", "bvh", HELD, function="write_rigid"),
+    "mot": Format(".mot", "mot", "are left out"),
+    "gltf": Format(".glb", "gltf", HELD, other_suffixes=(".gltf",)),
+    "usd": Format(".usd", "usd", HELD, other_suffixes=(".usda", ".usdc"), package="pxr", extra="usd"),
+}
+
+
+class ExportError(ValueError):
+    """A format that does not exist or whose package is missing."""
+
+
+def check_formats(names: Iterable[str]) -> tuple[str, ...]:
+    """The names of formats without doubles; "csv,trc" is two. Raises ExportError with what to do."""
+    found = dict.fromkeys(part.strip().lower() for name in names for part in name.split(",") if part.strip())
+    for name in found:
+        if name not in FORMATS:
+            raise ExportError(f"no format '{name}' to export to; there are {', '.join(FORMATS)}")
+        how = FORMATS[name]
+        if how.package and find_spec(how.package) is None:
+            raise ExportError(f'{name} files need another package: pip install "voodoo_jax[{how.extra}]"')
+    return tuple(found)
+
+
+def format_of(path: str | os.PathLike[str]) -> str:
+    """The format that a path's ending names. Raises ExportError."""
+    name = Path(path).name.lower()
+    ends = {end: key for key, how in FORMATS.items() for end in (how.suffix, *how.other_suffixes)}
+    for end in sorted(ends, key=len, reverse=True):
+        if name.endswith(end):
+            return ends[end]
+    raise ExportError(f"'{path}': which format is that? Names end in {', '.join(ends)}")
+
+
+def export(tracks: Tracks, path: str | os.PathLike[str], format: str = "") -> Path:
+    """Writes tracks as a file for other programs, and returns its path.
+
+    **Arguments:** `path` by whose ending the format is chosen: .csv, .trc, .c3d, .bvh, .mot, .glb or .gltf, .usd or
+    .usda; `format` another one of exporters.formats.FORMATS. What each holds is in docs/results.md.
+
+    Raises ExportError (a ValueError) for an unknown format, a missing package or tracks without frames; OSError.
+    """
+    if not len(tracks.time_ns):
+        raise ExportError(f"there is nothing to export: the tracks of {tracks.source} have no frame")
+    (name,) = check_formats([format or format_of(path)])
+    how = FORMATS[name]
+    getattr(import_module(f"voodoo_jax.exporters.{how.module}"), how.function)(tracks, path)
+    return Path(path)
+
+
+def gaps_note(tracks: Tracks, names: Iterable[str]) -> str:
+    """A sentence on frames that are not tracked in files of these formats, or nothing."""
+    missing, held = int((~tracks.tracked).sum()), [name for name in names if FORMATS[name].gaps == HELD]
+    if not missing or not held:
+        return ""
+    return f"{missing} of {len(tracks.time_ns)} frames are not tracked: in {', '.join(held)} they {HELD}."
