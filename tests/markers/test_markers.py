@@ -100,7 +100,7 @@ def test_damaged_names(moving, tmp_path):
     damaged = []
     for i, frame in enumerate(frames):
         f = dict(frame)
-        f["LANKLE"] = f.pop("LANK")
+        f["LOUT"] = f.pop("LANK")
         if 30 <= i < 90:
             del f["RWRA"]
         if 60 <= i < 110:
@@ -116,7 +116,7 @@ def test_damaged_names(moving, tmp_path):
     assert "'RWRA' is missing for 1.0 s (frames 30 to 89)" in notes and "'RKNE' is missing for 0.8 s" in notes
     assert "LASI and RASI were exchanged in frames 100 to 139" in notes
     assert "LELB and RELB were exchanged in all frames" in notes
-    assert "'LANKLE' was not used" in notes and "it sits where LANK" in notes
+    assert "'LOUT' was not used" in notes and "--features.names 'LOUT=l_lateral_malleolus'" in notes
 
 
 def test_all_markers_gone_for_a_while(moving, tmp_path):

@@ -59,6 +59,13 @@ _PLACED = {
 }
 # Sites that go with a joint rather than with the limb that carries both.
 RIDES = {"l_acromion": "l_shoulder", "r_acromion": "r_shoulder"}
+# Joints whose centre is the middle between two places, on both sides of it (ISB's definitions: Wu 2002, 2005)
+MIDDLES = {
+    "knee": ("femoral_lateral_epicondyle", "femoral_medial_epicondyle"),
+    "ankle": ("lateral_malleolus", "medial_malleolus"),
+    "elbow": ("humeral_lateral_epicondyle", "humeral_medial_epicondyle"),
+    "wrist": ("radial_styloid", "ulnar_styloid"),
+}
 # Between joint centres, as shares of stature (from means of ANSUR II: radiale to stylion, acromion to radiale less the
 # height of the acromion over the joint, trochanterion, tibiale and lateral malleolus heights).
 USUAL_LENGTHS = {"upper_arm": 0.168, "forearm": 0.150, "thigh": 0.245, "shank": 0.240}

@@ -36,6 +36,8 @@ class FeatureNames:
 
     def plain(self, name: str) -> str:
         """The name under which a feature is looked up, whatever standard and prefix the log has it from."""
+        if name in self.rows:
+            return name
         name = V1_NAMES.get(name, name)
         return name if name in self.rows else plain_name(name)
 
