@@ -14,6 +14,7 @@ from voodoo_jax.model.marker_names import nobodys
 GAP = 0.2  # seconds: a marker that is away for longer is named
 SHOWN = 3  # notes of one kind that are told one by one, and gaps of one marker
 LISTED = 5  # set by hand: names in a note on many
+HINT = 0.06  # set by hand, metres: so near to a point of the body a marker may be the one that belongs there
 HINTED = 0.3  # set by hand: share of the frames in which a marker must be seen to say where it sits
 USUAL = "Plug-in Gait"  # the set that needs no note
 FAR = 0.025  # set by hand: metres: a marker that is on average farther from its fitted place is named
@@ -167,7 +168,8 @@ def _unknown(body: Body, table: MarkerTable, poses: Poses, tracked) -> list[str]
 def _where(body: Body, table: MarkerTable, poses: Poses, tracked, which: list[int]) -> dict[int, str]:
     """Point of the body at which each of some unknown names sits, where that is near and no other name is there."""
     t, other = body.topology, table.unknown
-    rows = np.array([k for k, name in enumerate(t.sites) if OWN not in name], np.int64)
+    names = (*t.sites, *t.centres)
+    rows = np.array([k for k, name in enumerate(names) if OWN not in name], np.int64)
     if not tracked.any() or not len(rows) or not which:
         return {}
     at, mine = places(body, rows, poses), table.markers
@@ -177,15 +179,15 @@ def _where(body: Body, table: MarkerTable, poses: Poses, tracked, which: list[in
         use = mine.seen[:, k] & tracked
         if use.any():
             near = np.median(away[use], 0)
-            taken[np.argmin(near)] |= near.min() < CLOSE / 2
+            taken[np.argmin(near)] |= near.min() < HINT
     found = []
     for k in which:
         use = other.seen[:, k] & tracked
         if use.mean() > HINTED:
             off = np.median(np.linalg.norm(at[use] - other.points[use, k][:, None], axis=-1), 0)
-            found += [(off[i], k, i) for i in np.flatnonzero(~taken & (off < CLOSE))]
+            found += [(off[i], k, i) for i in np.flatnonzero(~taken & (off < HINT))]
     hints: dict[int, str] = {}
     for _, k, i in sorted(found):
-        if k not in hints and t.sites[rows[i]] not in hints.values():
-            hints[k] = t.sites[rows[i]]
+        if k not in hints and names[rows[i]] not in hints.values():
+            hints[k] = names[rows[i]]
     return hints

@@ -17,9 +17,9 @@ from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry.rigid import on_device, on_host
 from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.model.marker_names import Known, places_of, split_place, subjects
+from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs
-from voodoo_jax.solve.names import V1_NAMES
 
 OWN = " marker "  # in the names of such points: no body file has it
 ROOM = 16  # set by hand: markers on one limb that there is room for; more come in steps of so many
@@ -34,7 +34,7 @@ class Named(NamedTuple):
 
 
 def named_subject(people: list[PersonFrame], topology: Topology, settings: FeatureSettings) -> Named:
-    """The subject with the most measurements, and the places that the settings, the body or marker sets say its names
+    """The subject with the most measurements, and the places that the settings, marker sets or the body say its names
     mean."""
     seen = Counter(n for f in people for n in (*f.pairs.names, *f.rays.names))
     groups = subjects(seen)
@@ -44,16 +44,18 @@ def named_subject(people: list[PersonFrame], topology: Topology, settings: Featu
     names = groups[often[0]]
     points = (*topology.sites, *topology.centres)
     given = check_pairs("features.names", settings.names, numbers=False)
-    said = {}
+    said, joints = {}, {}
     for full, name in names.items():
-        for word in (full, name):
-            place = given.get(word, V1_NAMES.get(word, word))
-            if word in given or place in points:
-                said[full] = place
-                break
+        word = full if full in given else name
+        if word in given:
+            said[full] = given[word]
+        elif (place := V1_NAMES.get(name, name)) in points:
+            joints[full] = place
     known = places_of(names, points, topology.limbs)
-    places = {n: p for n, p in {**known.places, **said}.items() if "|" not in p}
-    known = replace(known, places=places, unknown=tuple(n for n in known.unknown if n not in said))
+    # a name such as r_knee is the joint's, unless the log speaks of markers: then it is one on the knee
+    others = {**joints, **known.places} if len(known.places) > len(joints) else {**known.places, **joints}
+    places = {n: p for n, p in {**others, **said}.items() if "|" not in p}
+    known = replace(known, places=places, unknown=tuple(n for n in known.unknown if n not in places and n not in said))
     return Named(known, often[0], {s: tuple(groups[s]) for s in often[1:]})
 
 

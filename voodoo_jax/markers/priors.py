@@ -7,8 +7,7 @@ import numpy as np
 from voodoo_jax.markers.chain import Chain
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.model.marker_names import split_place
-from voodoo_jax.model.marker_sets import MIDDLES, RIDES, USUAL_LENGTHS, newington_hips, placement
-from voodoo_jax.solve.names import V1_NAMES
+from voodoo_jax.model.marker_sets import MIDDLES, RIDES, USUAL_LENGTHS, V1_NAMES, newington_hips, placement
 
 SCALE, ACROSS, ALONG = 0.5, 0.1, 0.06  # usual deviations (logarithms) of the scale, a limb's thickness and its length
 MIRRORED = 0.02  # between left and right limbs
@@ -43,6 +42,8 @@ class Priors:
         exact = all(s is not None and sites[s] for s in spines)
         self.hip = HIP if exact else NEAR_SPINES
         self.hips = [joints.index(h) for h in ("l_hip", "r_hip") if h in joints] if None not in spines else []
+        told = {joint for _, joint, _ in self.middles}
+        self.hips = [] if told & set(self.hips) else self.hips  # measured: no regression
         for h in self.hips:
             usual[shift(h)] = 0.1
         self.straight = np.diag(1 / usual)

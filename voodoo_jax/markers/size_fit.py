@@ -18,7 +18,7 @@ from voodoo_jax.markers.chain import Chain
 from voodoo_jax.markers.first_pose import first_pose
 from voodoo_jax.markers.priors import SCALE, Priors
 from voodoo_jax.model.body import Body, with_rest_from_joints
-from voodoo_jax.solve.names import V1_NAMES
+from voodoo_jax.model.marker_sets import V1_NAMES
 
 NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle
 REACH = (0.3, 0.15, 0.06)  # metres at which a marker counts a quarter, from the first steps to the last

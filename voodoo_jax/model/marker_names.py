@@ -14,6 +14,10 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 
+from voodoo_jax.config.options import FeatureSettings
+from voodoo_jax.config.toml import check_pairs
+from voodoo_jax.model.marker_sets import V1_NAMES
+
 LEAST = 5  # names of a set that must be there for it to be believed
 SHARE = 0.15  # of the names: a second set explains at least so many, or is chance
 SUBJECT = 6  # names with one prefix that make a subject of their own
@@ -21,9 +25,9 @@ ALIKE = 0.5  # share of the names that two subjects have in common
 _SIDES = {"l": "l", "left": "l", "r": "r", "right": "r"}
 _NO_MEANING = {"study", "marker", "mkr", "static", "kp", "keypoint"}
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z][a-z]*|[a-z]+|\d+")
-# what systems call points that nobody named: "*12", "C_7", "Unlabeled 3", "x52", "M012", a bare number
+# what systems call points that nobody named: "*12", "C_7", "Unlabeled 3", "x52", "M012", bare numbers; not C7
 _NOBODY = re.compile(
-    r"\W*(unl\w*|unknown|unnamed|untitled|u|c|m|x|mkr|marker|trajectory|uname)?[\W_]*\d+", re.IGNORECASE
+    r"\W*(unl\w*|unknown|unnamed|untitled|mkr|marker|trajectory)?[\W_]*\d+|[cmux]([\W_]+\d+|\d{2,})", re.IGNORECASE
 )
 
 
@@ -37,8 +41,9 @@ class MarkerSet:
     sides: tuple[tuple[re.Pattern, str], ...]
     numbered: tuple[str, ...]  # names that numbers stand for
 
-    def find(self, name: str, there: Collection[str]) -> str | None:
-        """Place of a name without the subject's: a point or limb of those `there`, perhaps with "~" and metres behind.
+    def find(self, name: str, there: Collection[str] | None = None) -> str | None:
+        """Place of a name without the subject's: a point or limb of those `there` (None: any), perhaps with "~" and
+        metres behind.
 
         What has a side may sit on a limb or at a point of the middle.
         """
@@ -46,7 +51,7 @@ class MarkerSet:
             table = self.sides if side else self.middle
             place = next((place for pattern, place in table if pattern.fullmatch(stem)), None)
             for full in (f"{side}_{place}", place) if side and place else (place,):
-                if full is not None and split_place(full)[0] in there:
+                if full is not None and (there is None or split_place(full)[0] in there):
                     return full
         return None
 
@@ -143,6 +148,8 @@ def _prefixed(subject: str, names: Mapping[str, str]) -> dict[str, dict[str, str
     some = [set(g.values()) for g in large.values()]
     if any(len(a & b) < ALIKE * min(len(a), len(b)) for i, a in enumerate(some) for b in some[:i]):
         return {subject: dict(names)}  # words of one person's markers, not names of people
+    if _most([n for g in large.values() for n in g.values()]) <= _most([names[n] for g in large.values() for n in g]):
+        return {subject: dict(names)}  # what is left without them means no more
     inside = {n for g in large.values() for n in g}
     largest = max(large, key=lambda p: len(large[p]))
     large[largest] |= {n: rest for n, rest in names.items() if n not in inside}
@@ -178,10 +185,11 @@ def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[s
         found[one.title], weights[one.title] = {full: place for full, place in places if place}, one.weight
     order = sorted(found, key=lambda title: -len(found[title]))
     best = len(found[order[0]])
-    if best < min(LEAST, max(1, len(named))):
+    if best < LEAST:
         return Known(unknown=tuple(named))
     # of sets that know about as many, the one that was made for the most exact places
-    near = [t for t in order if len(found[t]) >= best - 1]
+    numbered = [s.title for s in marker_sets() if s.numbered and set(names.values()) <= set(s.numbered)]
+    near = numbered or [t for t in order if len(found[t]) >= best - 1]
     order = [max(near, key=lambda t: _exact(found[t]))] + [t for t in order if t not in near] + near
     chosen, used, taken = Known(), [], set()
     for title in dict.fromkeys(order):
@@ -199,6 +207,49 @@ def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[s
                 chosen.weights[full] = weights[title]
             used = list(dict.fromkeys([*used, title]))
     return Known(chosen.places, tuple(used), chosen.weights, tuple(n for n in named if n not in chosen.places))
+
+
+@lru_cache(maxsize=1)
+def human_points() -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the feature points and joint centres of the default body, and of its limbs; without making the body."""
+    file = resources.files("voodoo_jax.model.bodies") / "human.toml"
+    content = tomllib.loads(file.read_text(encoding="utf-8"))
+    names = lambda kind: tuple(table["name"] for table in content[kind])  # noqa: E731
+    return (*names("site"), *names("centre")), names("limb")
+
+
+def told_names(names: Iterable[str], settings: FeatureSettings) -> list[str]:
+    """Sentences on what the names in a log mean for the default body, and the setting that says it of the others."""
+    given = check_pairs("features.names", settings.names, numbers=False)
+    points, limbs = human_points()
+    notes = []
+    for subject, group in subjects(names).items():
+        own = {f: n for f, n in group.items() if not {f, n} & {*given} and not nobodys(n)}
+        known = places_of(own, points, limbs)
+        unknown = [name for name in known.unknown if V1_NAMES.get(own[name], own[name]) not in points]
+        whose = f" of '{subject}'" if subject else ""
+        if known.places:
+            notes.append(f"Names{whose}: {len(known.places)} of {len(own)} are known from: {'; '.join(known.titles)}.")
+        if unknown:
+            line = " ".join(f"'{name}=...'" for name in unknown)
+            notes.append(
+                f"Names{whose} that no set knows; say which point or limb of the body each is: --features.names {line}"
+            )
+    return notes
+
+
+def net_key_points(names: Iterable[str]) -> bool:
+    """Whether names are those of a pose net or of a depth camera's skeleton, whose sets say what a point weighs."""
+    words = [name for group in subjects(names).values() for name in group.values()]
+    nets = [one for one in marker_sets() if one.weight is not None]
+    most = _most(words, nets)
+    return most >= LEAST and most >= _most(words)
+
+
+def _most(words: Iterable[str], sets: Iterable[MarkerSet] | None = None) -> int:
+    """How many of some names the set knows that knows most of them."""
+    words = list(map(_base, words))
+    return max(sum(one.find(word) is not None for word in words) for one in sets or marker_sets())
 
 
 def _base(name: str) -> str:

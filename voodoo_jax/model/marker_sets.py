@@ -38,6 +38,15 @@ PLUG_IN_GAIT: dict[str, str] = _MIDDLE | {
     side + marker: f"{side.lower()}_{site}" for side in "LR" for marker, site in _SIDES.items()
 }
 
+# H-Anim v1 names that logs still use
+V1_NAMES = {
+    "l_wrist": "l_radiocarpal",
+    "r_wrist": "r_radiocarpal",
+    "l_ankle": "l_talocrural",
+    "r_ankle": "r_talocrural",
+    "skull_tip": "skull_vertex",
+}
+
 # Metres by which a marker may lie off its site, along its limb's axes (one standard deviation). Bony landmarks are felt
 # for, and at the end of a limb their height is surest. Markers of thigh and shank are put into the plane of the limb's
 # two joints and the axis of the lower one, at any height; on the arm they may be anywhere.

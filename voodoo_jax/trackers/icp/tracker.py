@@ -17,6 +17,7 @@ from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.joint_limits import check
+from voodoo_jax.markers.diagnostics import residuals
 from voodoo_jax.markers.label_swaps import Exchange, jumps, put_right
 from voodoo_jax.markers.own_sites import (
     Named,
@@ -158,7 +159,7 @@ def track_person(
     run = whole.run
     tracks = tracks_of(run, whole.segment, source, fixed_frame)
     if from_markers:
-        tracks = replace(tracks, body=without_own_sites(tracks.body))
+        tracks = _with_residuals(tracks, run)
     tracks = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), from_markers)
     compiling = seconds_of_waiting() - waited
     return replace(
@@ -175,6 +176,14 @@ def _with_names(body: Body, people: list[PersonFrame], settings: Settings) -> tu
     named = named_subject(people, t, settings.features)
     features = told(settings.features, named.known, (*t.sites, *t.centres))
     return of_subject(people, named), replace(settings, features=features), named
+
+
+def _with_residuals(tracks: Tracks, run: Session) -> Tracks:
+    """Tracks by markers alone with the markers' residuals, and their body without the points made for these."""
+    poses = Poses(tracks.rotation, tracks.translation)
+    found = residuals(run.body, run.table.markers, poses, tracks.tracked)
+    residual = np.array(list(found.values()), np.float32)
+    return replace(tracks, body=without_own_sites(tracks.body), marker_names=tuple(found), marker_residual=residual)
 
 
 def tracks_of(run: Session, segment: Segment, source: str, fixed_frame: str) -> Tracks:
