@@ -9,11 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support.logs import Log, ros_marker, ros_markers
-from voodoo_jax.config.options import FeatureSettings
+from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.markers.chain import Chain
+from voodoo_jax.markers.diagnostics import in_few_lines
 from voodoo_jax.markers.first_pose import agreed, first_pose, rigid
 from voodoo_jax.markers.priors import Priors
 from voodoo_jax.markers.size_fit import Fit, Markers, personal
@@ -30,6 +31,8 @@ from voodoo_jax.trackers.icp.tracker import track
 RATE = 60.0
 LENGTHS = {"l_thigh": 1.06, "r_thigh": 1.06, "l_forearm": 1.08, "r_forearm": 1.08, "chest": 0.96}
 Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)
+SIDED = "FHD BHD SHO UPA ELB FRM WRA WRB FIN ASI PSI THI KNE TIB ANK HEE TOE".split()
+WORN = {"C7", "T10", "CLAV", "STRN", "RBAK", *(side + name for side in "LR" for name in SIDED)}
 LEG = "THI", "KNE", "TIB", "ANK", "HEE", "TOE"
 DRAWN = "l_shoulder", "l_elbow", "l_radiocarpal", "l_hip", "l_knee", "l_talocrural"
 
@@ -46,8 +49,8 @@ def person():
 
 
 @pytest.fixture(scope="module")
-def moving():
-    """Markers of a walk and a bow with 1 mm of noise, each put 5 mm off its site; and the joint centres."""
+def everywhere():
+    """All sites of a body in a walk and a bow with 1 mm of noise, each put 5 mm off; the joint centres, and poses."""
     body, rng = person(), np.random.default_rng(3)
     body = replace_sites(body, np.asarray(body.sites) + rng.normal(0, 0.005, body.sites.shape))
     motion = sequence(make_motion(body, "walk", 1.2, RATE), make_motion(body, "bow", 1.3, RATE))
@@ -55,7 +58,14 @@ def moving():
     count = len(body.topology.sites)
     both = places(body, np.arange(count + len(body.topology.centres)), poses)
     sites, joints = both[:, :count] + rng.normal(0, 0.001, both[:, :count].shape), both[:, count:]
-    names = {m: body.topology.sites.index(s) for m, s in PLUG_IN_GAIT.items() if m[1:] != "FRA" and m != "SACR"}
+    return body, sites, joints, poses
+
+
+@pytest.fixture(scope="module")
+def moving(everywhere):
+    """The same as markers of Plug-in Gait."""
+    body, sites, joints, _ = everywhere
+    names = {m: body.topology.sites.index(s) for m, s in PLUG_IN_GAIT.items() if m in WORN}
     return body, [{m: f[k] for m, k in names.items()} for f in sites], joints
 
 
@@ -100,7 +110,7 @@ def test_damaged_names(moving, tmp_path):
     damaged = []
     for i, frame in enumerate(frames):
         f = dict(frame)
-        f["LANKLE"] = f.pop("LANK")
+        f["LOUT"] = f.pop("LANK")
         if 30 <= i < 90:
             del f["RWRA"]
         if 60 <= i < 110:
@@ -116,7 +126,7 @@ def test_damaged_names(moving, tmp_path):
     assert "'RWRA' is missing for 1.0 s (frames 30 to 89)" in notes and "'RKNE' is missing for 0.8 s" in notes
     assert "LASI and RASI were exchanged in frames 100 to 139" in notes
     assert "LELB and RELB were exchanged in all frames" in notes
-    assert "'LANKLE' was not used" in notes and "it sits where LANK" in notes
+    assert "'LOUT' was not used" in notes and "--features.names 'LOUT=l_lateral_malleolus'" in notes
 
 
 def test_all_markers_gone_for_a_while(moving, tmp_path):
@@ -147,13 +157,102 @@ def test_too_few_markers_are_said(moving, tmp_path):
     assert not tracks.tracked.any() and any("No frame has 6 markers" in note for note in tracks.notes)
 
 
+PAIRS = {  # ends of the middles that are joints' centres
+    "knee": ("femoral_lateral_epicondyle", "femoral_medial_epicondyle"),
+    "talocrural": ("lateral_malleolus", "medial_malleolus"),
+    "elbow": ("humeral_lateral_epicondyle", "humeral_medial_epicondyle"),
+    "radiocarpal": ("radial_styloid", "ulnar_styloid"),
+}
+WORDS = {
+    "Knee.Lat": PAIRS["knee"][0], "Knee.Med": PAIRS["knee"][1], "Ankle.Lat": PAIRS["talocrural"][0],
+    "Ankle.Med": PAIRS["talocrural"][1], "Elbow.Lat": PAIRS["elbow"][0], "Elbow.Med": PAIRS["elbow"][1],
+    "Wrist.Lat": PAIRS["radiocarpal"][0], "Wrist.Med": PAIRS["radiocarpal"][1], "ASIS": "asis", "PSIS": "psis",
+    "Shoulder": "acromion", "Heel": "calcaneus_posterior", "MT5": "metatarsal_phalanx_5",
+}  # fmt: skip
+CLUSTERS = ("thigh", "shank", "upper_arm")  # limbs that carry three markers anywhere
+
+
+def in_words(everywhere):
+    """Markers of another set: on both sides of joints, and clusters whose places are nobody's sites."""
+    body, sites, _, poses = everywhere
+    t, rng = body.topology, np.random.default_rng(7)
+    frames = [{"C7": f[t.sites.index("cervicale")], "Sternum": f[t.sites.index("suprasternale")]} for f in sites]
+    for side, s in (("R", "r_"), ("L", "l_")):
+        for name, site in WORDS.items():
+            for frame, f in zip(frames, sites):
+                frame[f"{side}.{name}"] = f[t.sites.index(s + site)]
+        for limb in CLUSTERS:
+            k = t.limbs.index(s + limb)
+            turn = Rotation.from_quat(np.asarray(poses.rotation)[:, k], scalar_first=True).as_matrix()
+            for n in range(3):
+                place = [*rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.07, 2), rng.uniform(0.3, 0.8) * 0.3]
+                at = turn @ place + np.asarray(poses.translation)[:, k]
+                for frame, p in zip(frames, at):
+                    frame[f"{side}.{limb}{n + 1}"] = p + rng.normal(0, 0.001, 3)
+    return frames
+
+
+def test_another_set_has_clusters_and_joints_between_two_markers(everywhere, tmp_path):
+    """Centres of joints are the middles; a marker with a name that nobody knows is told by where it sits."""
+    body, sites, _, _ = everywhere
+    frames = in_words(everywhere)
+    frames = [{**f, "zebra": f["R.Heel"], "*1": np.ones(3)} for f in frames]
+    for frame in frames:
+        del frame["R.Heel"]
+    tracks = track(human(), recorded(tmp_path, frames))
+    t = body.topology
+    for joint, ends in PAIRS.items():
+        for side in ("l_", "r_"):
+            middle = np.mean([sites[:, t.sites.index(side + end)] for end in ends], 0)
+            off = np.linalg.norm(tracks.joint(side + joint) - middle, axis=-1)
+            assert off.mean() < 0.012 and off.max() < 0.025, (side + joint, off.mean(), off.max())
+    assert tracks.tracked.all() and tracks.body.topology == human().topology
+    assert tracks.marker_residual is not None and len(tracks.marker_names) == len(frames[0]) - 2
+    assert tracks.marker_residual.max() < 0.015 and tracks.residual.max() < 0.015
+    notes = "\n".join(tracks.notes)
+    assert "OpenSim" in notes and "--features.names 'zebra=r_calcaneus_posterior'" in notes
+    assert "1 points that nobody named" in notes
+    # the same by the setting that the note gives, and for a marker of which only the limb is known
+    named = FeatureSettings(names=("zebra=r_calcaneus_posterior", "R.thigh1=r_thigh"))
+    again = track(human(), recorded(tmp_path, frames), Settings(features=named))
+    assert "zebra" in again.marker_names and not any("zebra" in note for note in again.notes)
+
+
+def test_key_points_of_two_subjects(everywhere, tmp_path):
+    """Joint centres by their names in pose nets; of two people in a log the one that is seen more is tracked."""
+    body, _, joints, _ = everywhere
+    t, rng = body.topology, np.random.default_rng(8)
+    names = {"hip": "hip", "knee": "knee", "talocrural": "ankle", "shoulder": "shoulder", "elbow": "elbow"}
+    names = {
+        f"{s[0]}_{c}": f"{s}_{n}" for s in ("left", "right") for c, n in [*names.items(), ("radiocarpal", "wrist")]
+    }
+    noisy = joints + rng.normal(0, 0.005, joints.shape)
+    frames = []
+    for k, f in enumerate(noisy):
+        mine = {f"Anna:{n}": f[t.centres.index(c)] for c, n in names.items()}
+        other = {f"Ben:{n}": f[t.centres.index(c)] + [0.3, 0.8, 0.0] for c, n in names.items()} if k % 2 else {}
+        frames.append({**other, **mine})
+    tracks = track(human(), recorded(tmp_path, frames))
+    chosen = [t.centres.index(c) for c in names]
+    off = np.linalg.norm(tracks.joints - joints, axis=-1)[:, chosen]
+    assert tracks.tracked.all() and off.mean() < 0.02 and off.max() < 0.06, (off.mean(), off.max())
+    assert any("'Anna' is tracked" in note and "'Ben'" in note for note in tracks.notes)
+
+
+def test_many_notes_of_one_kind_are_one_line():
+    found = [(f"'m{k}'", f"is missing for {k} s") for k in range(20)]
+    assert len(in_few_lines(found[:3], "markers are missing", "Marker ")) == 3
+    (line,) = in_few_lines(found, "markers are missing", "Marker ")
+    assert line.startswith("20 markers are missing: 'm0' is missing for 0 s; 'm1'") and line.endswith("and 12 more.")
+
+
 def test_names_and_sites():
     assert [plain_name(n) for n in ("Bob:LFHD", "A_b_LFHD", "lfhd", "l_asis")] == ["LFHD", "LFHD", "LFHD", "l_asis"]
     for name in ("human", "human10"):
         t = load_body(name).topology
         names = FeatureNames(t, FeatureSettings(names=("LASI=navel",)))
         assert names.look_up("X:LASI") == (t.sites.index("navel"),)  # what the settings say comes first
-        missing = {m for m in PLUG_IN_GAIT if names.look_up(m) is None}
+        missing = {m for m in WORN if names.look_up(m) is None}
         assert missing == (set() if name == "human" else {s + m for s in "LR" for m in ("FIN", "HEE", "TOE")})
 
 

@@ -19,10 +19,11 @@ from voodoo_jax.detect.camera_motion import as_measured
 from voodoo_jax.fitting.objective import FitFrames
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Topology
+from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.solve.names import V1_NAMES, FeatureNames
+from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features, pad_frames
 
 RUNS, EVERY = 16, 3  # a log is cut into so many runs of time; every third is fitted to, the others judge

@@ -18,8 +18,8 @@ from jaxtyping import Array, Float, Float64
 
 from voodoo_jax.geometry.rigid import matrix, on_device, on_host, unrotate
 from voodoo_jax.model.body import Body, Topology, scaled, with_rest_from_joints
+from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.solve.frame import IcpOptions
-from voodoo_jax.solve.names import V1_NAMES
 
 # Usual deviations. Adults of one stature differ by 4 to 5 % in the length of a limb (ANSUR II: standard deviation of
 # a segment after regression on stature over its mean), by 12 to 15 % in girth; a joint of a body of cylinders lies

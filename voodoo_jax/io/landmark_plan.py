@@ -10,9 +10,11 @@ from jaxtyping import Float, Int64
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import camera_of
 from voodoo_jax.io.frame_sync import join, period_of
+from voodoo_jax.io.landmark_table import Gathered
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.point_labels import Parts
 from voodoo_jax.io.transforms import HOLD_NS
+from voodoo_jax.model.marker_names import net_key_points
 from voodoo_jax.records.messages import Calibration
 from voodoo_jax.records.recording import Pairs, Rays
 
@@ -33,7 +35,7 @@ class _Placed:
 
     frame: Int64[np.ndarray, " feature"]  # number of the frame
     names: tuple[str, ...]
-    weight: float  # of each
+    weights: Float[np.ndarray, " feature"]
     origins: Float[np.ndarray, "feature 3"]  # of the camera or the coordinate frame, metres
     values: Float[np.ndarray, "feature 3"]  # unit directions, or metres
 
@@ -75,10 +77,10 @@ def _by_frame(parts: list[_Placed]):
     names = [name for p in parts for name in p.names]
     origins = np.concatenate([p.origins for p in parts])[order].astype(np.float32)
     values = np.concatenate([p.values for p in parts])[order].astype(np.float32)
-    weights = np.concatenate([np.full(len(p.names), p.weight, np.float32) for p in parts])[order]
+    weights = np.concatenate([p.weights for p in parts])[order].astype(np.float32)
     numbers, starts = np.unique(frame[order], return_index=True)
     for i, a, b in zip(numbers.tolist(), starts, [*starts[1:], len(order)]):
-        weight = weights[a:b] if any(p.weight != 1 for p in parts) else None
+        weight = weights[a:b] if (weights != 1).any() else None
         yield i, tuple(names[k] for k in order[a:b]), origins[a:b], values[a:b], weight
 
 
@@ -116,8 +118,18 @@ def _place(scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counte
         there[rows] = True
         origins[rows] = pose[1]
         turned[rows] = values[kept[rows]] @ pose[0].T + (0.0 if scan.uses[name] == "rays" else pose[1])
-    names = tuple(found.names[k] for k in kept[there])
-    return _Placed(nearest[kept[there]], names, weight, origins[there], turned[there])
+    kept = kept[there]
+    names, weights = tuple(found.names[k] for k in kept), weight * _sure(found)[kept]
+    return _Placed(nearest[kept], names, weights, origins[there], turned[there])
+
+
+def _sure(found: Gathered) -> np.ndarray:
+    """What each feature's score is worth: of a pose net's key points as much as it says, of others 1, for a detector's
+    scores have no common scale."""
+    scored = (found.scores > 0) & (found.scores <= 1)
+    if not scored.any() or not net_key_points(found.names):
+        return np.ones(len(found.names))
+    return np.where(scored, found.scores, np.where(found.scores > 1, 1.0, 0.0))
 
 
 def _rays(scan: Scan, name: str, counted: Counter[str]) -> tuple[np.ndarray, np.ndarray]:

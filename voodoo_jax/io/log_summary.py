@@ -1,13 +1,15 @@
 """What a log holds, as a table for a person, without reading its depth data."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from voodoo_jax.config.options import ReadSettings
+from voodoo_jax.config.options import FeatureSettings, ReadSettings
 from voodoo_jax.io.container import LogError, Place
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.skin_rays import SKIN_USE
+from voodoo_jax.model.marker_names import told_names
 from voodoo_jax.records.notes import as_few
 
 
@@ -45,6 +47,12 @@ class LogSurvey:
         return "\n".join(lines + [f"  note: {w}" for w in self.warnings])
 
 
+def _named(scan: Scan, topics: Iterable[str]) -> list[str]:
+    """Names of features in some topics."""
+    gathered = (scan.topics[topic].gathered for topic in topics)
+    return list(dict.fromkeys(name for some in gathered if some is not None for name in some.names))
+
+
 def survey(path: Place, settings: ReadSettings | None = None) -> LogSurvey:
     """List what a log holds, and what of it is used with `settings`. Raises LogError only if nothing can be read at
     all, or a topic in the settings is not in the log."""
@@ -55,6 +63,7 @@ def survey(path: Place, settings: ReadSettings | None = None) -> LogSurvey:
         plan = make_plan(scan, settings)
         warnings = [*scan.notes, *scan.tree.notes, *plan.notes]
         said |= {name: ", skin colour" for name in scan.skin if scan.uses[name] != SKIN_USE}
+        warnings += told_names(_named(scan, plan.features), FeatureSettings())
         said |= {name: said[name] + plan.parts.say(name) for name in {*plan.sensors, *plan.features}}
     except LogError as error:
         warnings = [*scan.notes, str(error)]

@@ -1,18 +1,23 @@
 """What is odd about the markers of a recording, in sentences: missing, exchanged, misplaced, with unknown names."""
 
-from difflib import get_close_matches
-
 import numpy as np
 from jaxtyping import Bool, Int64
 
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.markers.label_swaps import Exchange
+from voodoo_jax.markers.own_sites import OWN, Named
+from voodoo_jax.markers.size_fit import Markers
 from voodoo_jax.markers.table import CLOSE, MarkerTable, places
 from voodoo_jax.model.body import Body
-from voodoo_jax.model.marker_sets import PLUG_IN_GAIT
+from voodoo_jax.model.marker_names import nobodys
 
 GAP = 0.2  # seconds: a marker that is away for longer is named
-SHOWN = 3  # gaps of one marker that are named one by one
+SHOWN = 3  # notes of one kind that are told one by one, and gaps of one marker
+LISTED = 5  # set by hand: names in a note on many
+HINT = 0.06  # set by hand, metres: so near to a point of the body a marker may be the one that belongs there
+HINTED = 0.3  # set by hand: share of the frames in which a marker must be seen to say where it sits
+USUAL = "Plug-in Gait"  # the set that needs no note
+FAR = 0.025  # set by hand: metres: a marker that is on average farther from its fitted place is named
 
 
 def runs(mask: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:
@@ -47,18 +52,24 @@ def marker_notes(
     notes = []
     if empty := long(~some):
         notes.append(f"There are no markers in frames {told(empty)}.")
+    put_right = []
     for e in exchanges:
         where = "all frames" if e.frames.all() else f"frames {told(runs(e.frames))}"
-        notes.append(f"Markers {e.first} and {e.second} were exchanged in {where}: put right.")
+        put_right.append((f"{e.first} and {e.second}", f"were exchanged in {where}: put right"))
+    notes += in_few_lines(put_right, "pairs of markers were exchanged for a time and put right", "Markers ")
+    missing = []
     for k, name in enumerate(known.names):
         gaps = long(~known.seen[:, k] & some)
         if gaps:
             length = sum(seconds[b] - seconds[a] + step for a, b in gaps)
-            notes.append(f"Marker '{name}' is missing for {length:.1f} s (frames {told(gaps)}).")
+            missing.append((length, f"'{name}'", f"is missing for {length:.1f} s (frames {told(gaps)})"))
+    missing.sort(key=lambda m: -m[0])
+    notes += in_few_lines([m[1:] for m in missing], "markers are missing for a time, the longest", "Marker ")
     off = np.linalg.norm(at - known.points, axis=-1)
     far = known.seen & (off > CLOSE) & tracked[:, None]
     exchanged = np.zeros_like(far)
     often = np.flatnonzero(far.sum(0) * step > GAP)
+    seem = []
     for i, a in enumerate(often):
         for b in often[i + 1 :]:
             across = np.linalg.norm(at[:, a] - known.points[:, b], axis=-1)
@@ -67,40 +78,116 @@ def marker_notes(
             swapped = both & (across < 0.5 * np.maximum(off[:, a], off[:, b])) & tracked
             if found := long(swapped):
                 exchanged[:, [a, b]] |= swapped[:, None]
-                names = f"{known.names[a]} and {known.names[b]}"
-                notes.append(f"Markers {names} seem exchanged (frames {told(found)}).")
+                seem.append((f"{known.names[a]} and {known.names[b]}", f"seem exchanged (frames {told(found)})"))
+    notes += in_few_lines(seem, "pairs of markers seem exchanged", "Markers ")
+    away = []
     for k in often:
         if found := long(far[:, k] & ~exchanged[:, k]):
-            away = 100 * np.median(off[far[:, k], k])
-            notes.append(
-                f"Marker '{known.names[k]}' is {away:.0f} cm from its place (frames {told(found)}); not used there."
-            )
-    return (*notes, *_unknown(body, table, poses, tracked))
+            metres = np.median(off[far[:, k], k])
+            text = f"is {100 * metres:.0f} cm from its place (frames {told(found)}); not used there"
+            away.append((metres, f"'{known.names[k]}'", text))
+    away.sort(key=lambda a: -a[0])
+    notes += in_few_lines([a[1:] for a in away], "markers are far from their places for a time, farthest", "Marker ")
+    return (*notes, *_residuals(residuals(body, known, poses, tracked)), *_unknown(body, table, poses, tracked))
+
+
+def in_few_lines(found: list[tuple[str, str]], many: str, one: str) -> list[str]:
+    """A note for each (name, what of it), or one note where there are many."""
+    if len(found) <= SHOWN:
+        return [f"{one}{name} {text}." for name, text in found]
+    listed = "; ".join(f"{name} {text}" for name, text in found[:SHOWN])
+    names = ", ".join(name for name, _ in found[SHOWN : SHOWN + LISTED])
+    more = f"; then {names}" + (f" and {len(found) - SHOWN - LISTED} more" if len(found) > SHOWN + LISTED else "")
+    return [f"{len(found)} {many}: {listed}{more}."]
+
+
+def residuals(body: Body, markers: Markers, poses: Poses, tracked: Bool[np.ndarray, " frame"]) -> dict[str, float]:
+    """Root mean square distance of each marker from its place, over tracked frames where it is near that, metres."""
+    off = np.linalg.norm(places(body, markers.rows, poses) - markers.points, axis=-1)
+    use = markers.seen & tracked[:, None] & (off < CLOSE)
+    mean = np.where(use, off, 0) ** 2
+    found = np.sqrt(mean.sum(0) / np.maximum(use.sum(0), 1))
+    return {name: float(r) for name, r, n in zip(markers.names, found, use.sum(0)) if n}
+
+
+def _residuals(found: dict[str, float]) -> list[str]:
+    """A note on markers that are not where they were fitted to be."""
+    bad = sorted((name for name in found if found[name] > FAR), key=lambda n: -found[n])
+    if not bad:
+        return []
+    listed = ", ".join(f"'{n}' {1000 * found[n]:.0f} mm" for n in bad[:LISTED])
+    more = f" and {len(bad) - LISTED} more" if len(bad) > LISTED else ""
+    usual = 1000 * float(np.median(list(found.values())))
+    return [f"Markers that move on the body, or have a wrong name (the others: {usual:.0f} mm): {listed}{more}."]
+
+
+def name_notes(named: Named) -> list[str]:
+    """Notes on whose markers are used, and by which sets their names are known."""
+    notes = []
+    if named.others:
+        others = ", ".join(f"'{s}'" if s else "nobody named" for s in named.others)
+        count = sum(map(len, named.others.values()))
+        notes.append(
+            f"Named points of {1 + len(named.others)} subjects: '{named.subject}' is tracked, "
+            f"the {count} of {others} are left out."
+        )
+    titles = [title for title in named.known.titles if title != USUAL]
+    if titles:
+        notes.append(f"Names of points are known from: {'; '.join(named.known.titles)}.")
+    return notes
 
 
 def _unknown(body: Body, table: MarkerTable, poses: Poses, tracked) -> list[str]:
-    """Notes on names that the body does not know: where they sit and what they may be."""
+    """Notes on names that the body does not know: how often they are seen, and where they sit."""
+    other = table.unknown
+    if not other.names:
+        return []
+    nobody = [k for k, n in enumerate(other.names) if nobodys(n)]
+    rest = [k for k in range(len(other.names)) if k not in nobody]
+    notes, hints = [], _where(body, table, poses, tracked, rest)
+    found = []
+    for k in rest:
+        text = f"was not used ({int(other.seen[:, k].sum())} times): no marker set has the name"
+        if k in hints:
+            text += f"; it sits where {hints[k]} belongs"
+        found.append((f"'{other.names[k]}'", text))
+    notes += in_few_lines(found, "markers were not used", "Marker ")
+    if hints:
+        line = " ".join(f"'{other.names[k]}={site}'" for k, site in hints.items())
+        notes.append(f"By where they sit: --features.names {line}")
+    elif rest and not tracked.any():
+        line = " ".join(f"'{other.names[k]}=...'" for k in rest)
+        notes.append(f"Say what they are, points of the body or limbs (docs/logs.md): --features.names {line}")
+    if nobody:
+        names = [other.names[k] for k in nobody]
+        listed = ", ".join(f"'{n}'" for n in names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
+        notes.append(f"{len(nobody)} points that nobody named were not used ({listed}).")
+    return notes
+
+
+def _where(body: Body, table: MarkerTable, poses: Poses, tracked, which: list[int]) -> dict[int, str]:
+    """Point of the body at which each of some unknown names sits, where that is near and no other name is there."""
     t, other = body.topology, table.unknown
     names = (*t.sites, *t.centres)
-    sets = {site: marker for marker, site in PLUG_IN_GAIT.items()}
-    rows = np.array([i for i, n in enumerate(names) if n in sets], np.int64)
-    at = places(body, rows, poses)
-    mine = dict(zip(table.markers.rows.tolist(), table.markers.seen.T))
-    notes = []
-    for k, name in enumerate(other.names):
+    rows = np.array([k for k, name in enumerate(names) if OWN not in name], np.int64)
+    if not tracked.any() or not len(rows) or not which:
+        return {}
+    at, mine = places(body, rows, poses), table.markers
+    taken = np.zeros(len(rows), bool)
+    for k in np.flatnonzero(mine.seen.mean(0) > 0.5):
+        away = np.linalg.norm(at - mine.points[:, k][:, None], axis=-1)
+        use = mine.seen[:, k] & tracked
+        if use.any():
+            near = np.median(away[use], 0)
+            taken[np.argmin(near)] |= near.min() < HINT
+    found = []
+    for k in which:
         use = other.seen[:, k] & tracked
-        text = f"Marker '{name}' was not used ({int(other.seen[:, k].sum())} times): no point of this body has the name"
-        hint = ""
-        if use.any() and len(rows):
+        if use.mean() > HINTED:
             off = np.median(np.linalg.norm(at[use] - other.points[use, k][:, None], axis=-1), 0)
-            # a place whose own marker is there at the same time is taken
-            free = np.array([not (mine[r][use].mean() > 0.5) if r in mine else True for r in rows.tolist()])
-            best = int(np.argmin(np.where(free, off, np.inf)))
-            if free[best] and off[best] < CLOSE:
-                site = names[rows[best]]
-                hint = f"; it sits where {sets[site]} ({site}) belongs: features.names '{name}={site}'"
-        near = get_close_matches(name.upper(), PLUG_IN_GAIT, 1)
-        if not hint and near:
-            hint = f"; did you mean {near[0]}?"
-        notes.append(text + hint + ".")
-    return notes
+            found += [(off[i], k, i) for i in np.flatnonzero(~taken & (off < HINT))]
+    hints: dict[int, str] = {}
+    for _, k, i in sorted(found):
+        if k not in hints and names[rows[i]] not in hints.values():
+            hints[k] = names[rows[i]]
+    return hints

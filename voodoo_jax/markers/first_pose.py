@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.model.body import Body, tree_order
 
+SURE = 6  # set by hand: points whose places are known are enough to lay the rest pose on
+
 
 def rigid(
     model: Float[np.ndarray, "*b point 3"], data: Float[np.ndarray, "*b point 3"], weight: Float[np.ndarray, "*b point"]
@@ -68,20 +70,25 @@ def first_pose(
     data: Float[np.ndarray, "point 3"],
     seen: Bool[np.ndarray, " point"],
     scaled_by: float | None = None,
+    trust: Float[np.ndarray, " point"] | None = None,
 ) -> tuple[Float[np.ndarray, "limb 4"], Float[np.ndarray, "limb 3"], float]:
     """Rotations (wxyz) and places of the limbs from named points, and the scale relative to the body's.
 
     **Arguments:** `rows` of kernels.landmarks.named_points; `data` world frame, metres; `seen` False: missing.
-    `scaled_by` the scale, if it is known. Needs three points that are seen.
+    `scaled_by` the scale, if it is known; `trust` weights of the points, 1 where their places on the body are known.
+    Needs three points that are seen.
     """
     limbs, places = (np.asarray(x) for x in named_points(body))
     limb, place, data = limbs[rows[seen]], places[rows[seen]].astype(np.float64), data[seen].astype(np.float64)
     rest_turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()
     rest_at = np.asarray(body.rest.translation, np.float64)
     model = np.einsum("pij,pj->pi", rest_turn[limb], place) + rest_at[limb]
-    turn, shift, factor = agreed(model, data, scaled_by)
+    trust = np.ones(len(limb)) if trust is None else trust[seen]
+    sure = trust >= 1 if (trust >= 1).sum() >= SURE else np.ones(len(limb), bool)
+    turn, shift, factor = agreed(model[sure], data[sure], scaled_by)
     # world rotation of the rest pose's frame, limb by limb; place of its joint
-    turns = {0: _limb_turn(model, data, limb, [0], [], factor, turn, shift)}
+    mine = model, data, limb, trust
+    turns = {0: _limb_turn(*mine, [0], [], factor, turn, shift)}
     root_turn, root_shift = turns[0]
     out_turn, out_at = np.zeros((body.limb_count, 3, 3)), np.zeros((body.limb_count, 3))
     out_turn[0], out_at[0] = root_turn @ rest_turn[0], factor * root_turn @ rest_at[0] + root_shift
@@ -94,22 +101,20 @@ def first_pose(
         before = turns[p][0]
         children = [t.children[k] for k in range(len(t.joints)) if t.parents[k] == c]
         pin = (joint_model, joint, before)
-        turns[c] = _limb_turn(
-            model, data, limb, [c], children, factor, before, joint - factor * before @ joint_model, pin
-        )
+        turns[c] = _limb_turn(*mine, [c], children, factor, before, joint - factor * before @ joint_model, pin)
         out_turn[c] = turns[c][0] @ rest_turn[c]
         out_at[c] = joint - out_turn[c] @ (factor * child_at[j])
     q = Rotation.from_matrix(out_turn).as_quat(scalar_first=True)
     return q, out_at, factor
 
 
-def _limb_turn(model, data, limb, own, children, factor, turn, shift, pin=None):
+def _limb_turn(model, data, limb, trust, own, children, factor, turn, shift, pin=None):
     """A limb's rotation and translation from the rest pose: its own points, its children's a little, held by the joint
     and weakly by the parent's rotation (root: by the whole body's)."""
     mine, theirs = np.isin(limb, own), np.isin(limb, children)
     use = mine | theirs
     m, d = factor * model[use], data[use]
-    w = np.where(mine[use], 1.0, 0.15)
+    w = np.where(mine[use], 1.0, 0.15) * trust[use]
     middle = factor * (pin[0] if pin else model.mean(0))
     frame = 0.15 * np.concatenate([np.eye(3), -np.eye(3)]) + middle
     held = frame @ turn.T + shift

@@ -60,7 +60,8 @@ def sides(
     **Arguments:** `sites` the body's name of each marker's place.
     """
     fit, found = fit_markers(body, markers, scale_known=scale_known), []
-    other = {k: sites.index("r_" + s[2:]) for k, s in enumerate(sites) if s[:2] == "l_" and "r_" + s[2:] in sites}
+    once = {s for s in sites if sites.count(s) == 1}
+    other = {k: sites.index("r_" + s[2:]) for k, s in enumerate(sites) if s[:2] == "l_" and {s, "r_" + s[2:]} <= once}
     odd = sorted(other, key=lambda k: -max(fit.shifts[k], fit.shifts[other[k]]))
     for a in [k for k in odd if max(fit.shifts[k], fit.shifts[other[k]]) > ODD][:4]:
         b = other[a]

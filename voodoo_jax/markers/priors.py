@@ -1,29 +1,49 @@
 """What a usual person is like: how far sizes, joints and markers may be from the body file in a fit to markers."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from voodoo_jax.markers.chain import Chain
 from voodoo_jax.model.body import Body, segment_lengths
-from voodoo_jax.model.marker_sets import RIDES, USUAL_LENGTHS, newington_hips, placement
+from voodoo_jax.model.marker_names import split_place
+from voodoo_jax.model.marker_sets import MIDDLES, RIDES, USUAL_LENGTHS, V1_NAMES, newington_hips, placement
 
 SCALE, ACROSS, ALONG = 0.5, 0.1, 0.06  # usual deviations (logarithms) of the scale, a limb's thickness and its length
 MIRRORED = 0.02  # between left and right limbs
 JOINT = 0.005  # metres: a joint's place on its limb
 GIRDLE = 0.03  # metres: a joint that rides on a girdle of its own, as the shoulder does
 HIP = 0.004  # metres: a hip's place by the regression
+NEAR_SPINES = 0.015  # set by hand: metres: the same by markers that are only near the pelvis' spines
+MIDDLE = 0.004  # set by hand: metres: a joint's centre in the middle between markers on both of its sides
+AT_JOINT = 0.006  # set by hand: metres: a joint's centre at a key point that stands for it
+PAIRED = 0.01  # set by hand: metres: a joint's place on its limb, where such a middle tells it
+LOOSE = 0.04  # set by hand: metres: a marker that may lie off its place by so much is first looked for
+ON_LIMB = (0.08, 0.08, 0.15)  # set by hand: metres along the limb's axes: a marker of which only the limb is known
 SPINES = (("l_asis",), ("r_asis",), ("l_psis", "mid_psis"), ("r_psis", "mid_psis"))
 
 
 class Priors:
     """Deviations of the unknowns of a chain from a usual person over their usual size: `at(x)`, and `slope(x)`."""
 
-    def __init__(self, chain: Chain, body: Body, sites: list[str], scale: float):
+    def __init__(self, chain: Chain, body: Body, places: Sequence[str], scale: float):
         n, joints = chain.count, list(chain.joints)
+        spread = [_spread(place, chain.names) for place in places]
+        self.loose = np.array([p in chain.names or (split_place(p)[1] or 0) >= LOOSE for p in places], bool)
+        near = [split_place(p)[0] if (split_place(p)[1] or 0) < LOOSE else "" for p in places]
+        sites = [p if "~" not in p else "" for p in places]
         shift = lambda k: slice(1 + 3 * (n + k), 4 + 3 * (n + k))  # noqa: E731  of joints, then of markers
         usual = np.concatenate([[scale], np.tile([ACROSS, ACROSS, ALONG], n), np.full(3 * len(joints), JOINT)])
-        usual = np.concatenate([usual, *(placement(s) for s in sites)])
-        spines = [next((sites.index(s) for s in some if s in sites), None) for some in SPINES]
+        usual = np.concatenate([usual, *spread])
+        self.middles = self._middles(chain, body, places)
+        for _, joint, _ in self.middles:
+            usual[shift(joint)] = PAIRED
+        spines = [next((near.index(s) for s in some if s in near), None) for some in SPINES]
+        exact = all(s is not None and sites[s] for s in spines)
+        self.hip = HIP if exact else NEAR_SPINES
         self.hips = [joints.index(h) for h in ("l_hip", "r_hip") if h in joints] if None not in spines else []
+        told = {joint for _, joint, _ in self.middles}
+        self.hips = [] if told & set(self.hips) else self.hips  # measured: no regression
         for h in self.hips:
             usual[shift(h)] = 0.1
         self.straight = np.diag(1 / usual)
@@ -52,6 +72,32 @@ class Priors:
         legs = [[joints.index(j) for j in leg] for leg in down if set(leg) <= set(joints)]
         self.legs = np.array([[h, len(joints) + h, k, len(joints) + k, a] for h, k, a in legs], int)
 
+    @staticmethod
+    def _middles(chain: Chain, body: Body, places: Sequence[str]) -> list[tuple[list[int], int, float]]:
+        """Markers whose middle is a joint's centre, the joint, and to how many metres."""
+        joints, topology, found = list(chain.joints), body.topology, []
+        for joint, ends in MIDDLES.items():
+            for side in ("l_", "r_"):
+                pair = [places.index(side + end) for end in ends if side + end in places]
+                if len(pair) == len(ends) and side + joint in joints:
+                    found.append((pair, joints.index(side + joint), MIDDLE))
+        centre_of = {V1_NAMES.get(joint, joint): k for k, joint in enumerate(joints)}
+        for centre in topology.centres:
+            mine = [m for m, p in enumerate(places) if split_place(p)[0] == centre]
+            if mine and centre in centre_of:
+                metres = split_place(places[mine[0]])[1] or AT_JOINT
+                found.append((mine, centre_of[centre], 2 * MIDDLE if len(mine) > 1 else metres))
+        return found
+
+    def _ends(self, places: np.ndarray) -> list[np.ndarray]:
+        """From joints' centres to the middles of the markers that tell them, each over its usual size."""
+        count, out = len(self.chain.joints), []
+        for markers, joint, metres in self.middles:
+            owner = self.chain.limb[markers[0]]
+            anchor = joint if owner == self.chain.parents[joint] else count + joint
+            out.append((places[[2 * count + m for m in markers]].mean(0) - places[anchor]) / metres)
+        return out
+
     def _leg(self, places: np.ndarray, stature: float) -> float:
         """From the front of the pelvis to the ankles of somebody who stands, metres."""
         if not len(self.legs):
@@ -62,12 +108,15 @@ class Priors:
 
     def at(self, x: np.ndarray) -> np.ndarray:
         """Deviations, each in units of its usual size."""
-        out = self.straight @ (x - self.mean)
+        return np.concatenate([self.straight @ (x - self.mean), *self._ends(self.chain.sized(x)), self._hips(x)])
+
+    def _hips(self, x: np.ndarray) -> np.ndarray:
+        """Of the hips from where the regression has them."""
         if len(self.hips) < 2:
-            return out
+            return np.zeros(0)
         places = self.chain.sized(x)
         hips = newington_hips(places[self.spines], self._leg(places, self.stature * float(np.exp(x[0]))))
-        return np.concatenate([out, ((places[self.hips] - hips) / HIP).ravel()])
+        return ((places[self.hips] - hips) / self.hip).ravel()
 
     def shifts(self, x: np.ndarray) -> np.ndarray:
         """How far each marker is from its site, over its usual size: the largest of three axes."""
@@ -75,13 +124,22 @@ class Priors:
 
     def slope(self, x: np.ndarray) -> np.ndarray:
         """Derivative of `at`."""
+        slope = self.chain.sized_by(x)
+        ends = [self.straight, *self._ends(slope)]
         if len(self.hips) < 2:
-            return self.straight
-        here, rows = self.at(x)[-6:], np.zeros((6, len(x)))
-        spines = self.chain.sized_by(x)[[*self.spines, *self.hips, *self.legs.ravel()]].any((0, 1))
-        for k in np.flatnonzero(spines):
-            rows[:, k] = (self.at(x + 1e-6 * np.eye(1, len(x), int(k))[0])[-6:] - here) / 1e-6
-        return np.concatenate([self.straight, rows])
+            return np.concatenate(ends)
+        here, rows = self._hips(x), np.zeros((6, len(x)))
+        for k in np.flatnonzero(slope[[*self.spines, *self.hips, *self.legs.ravel()]].any((0, 1))):
+            rows[:, k] = (self._hips(x + 1e-6 * np.eye(1, len(x), int(k))[0]) - here) / 1e-6
+        return np.concatenate([*ends, rows])
+
+
+def _spread(place: str, limbs: tuple[str, ...]) -> tuple[float, float, float]:
+    """Metres by which a marker at a place may lie off it, along its limb's axes."""
+    point, metres = split_place(place)
+    if metres is not None:
+        return metres, metres, metres
+    return ON_LIMB if point in limbs else placement(point)
 
 
 def twin(limb: str, limbs: tuple[str, ...]) -> bool:

@@ -18,11 +18,13 @@ from voodoo_jax.markers.chain import Chain
 from voodoo_jax.markers.first_pose import first_pose
 from voodoo_jax.markers.priors import SCALE, Priors
 from voodoo_jax.model.body import Body, with_rest_from_joints
-from voodoo_jax.solve.names import V1_NAMES
+from voodoo_jax.model.marker_sets import V1_NAMES
 
 NOISE = 0.01  # metres: how far a marker moves on its limb with skin and muscle
 REACH = (0.3, 0.15, 0.06)  # metres at which a marker counts a quarter, from the first steps to the last
 STEPS = 15  # at most, for each of them
+UNSURE = 0.1  # set by hand: weight in the first pose of a marker of which hardly more than its limb is known
+FARTHEST = 0.2  # set by hand: metres from the limb's middle: nobody's markers are farther
 
 
 class Markers(NamedTuple):
@@ -32,6 +34,7 @@ class Markers(NamedTuple):
     rows: Int[np.ndarray, " marker"]  # of kernels.landmarks.named_points
     points: Float[np.ndarray, "frame marker 3"]  # world frame, metres; any number where not seen
     seen: Bool[np.ndarray, "frame marker"]
+    places: tuple[str, ...] = ()  # of each, as in model.marker_names; (): the points of the body that the rows are
 
 
 class Fit(NamedTuple):
@@ -56,16 +59,21 @@ def fit_markers(body: Body, markers: Markers, sizes: bool = True, scale_known: b
     """
     chain, topology = Chain(body, markers.rows), body.topology
     names = (*topology.sites, *topology.centres)
-    priors = Priors(chain, body, [names[r] for r in markers.rows], 1e-4 if scale_known else SCALE)
+    spots = markers.places or tuple(names[r] for r in markers.rows)
+    priors = Priors(chain, body, spots, 1e-4 if scale_known else SCALE)
     factor = 1.0 if scale_known or not sizes else None
     middle = np.median(markers.points[markers.seen], 0)
     seen = markers.seen
     points = np.where(seen[..., None], markers.points - middle, 0.0).astype(np.float64)
-    first = [first_pose(body, markers.rows, p, s, factor) for p, s in zip(points, seen)]
+    trust = np.where(priors.loose, UNSURE, 1.0) if sizes else np.ones(len(priors.loose))
+    first = [first_pose(body, markers.rows, p, s, factor, trust) for p, s in zip(points, seen)]
     turn = np.stack([Rotation.from_quat(q, scalar_first=True).as_matrix() for q, _, _ in first])
     root = np.stack([at[0] for _, at, _ in first])
     x = np.zeros(chain.unknowns)
     x[0] = np.log(np.median([found for _, _, found in first]))
+    if sizes:
+        origins = np.stack([at for _, at, _ in first])
+        x[priors.markers] = _found_places(chain, x, priors.loose, turn, origins, points, seen).ravel()
 
     def off(x, turn, root):
         return chain.points(chain.sized(x), turn, root)[:, : points.shape[1]] - points
@@ -101,6 +109,17 @@ def fit_markers(body: Body, markers: Markers, sizes: bool = True, scale_known: b
     shifts = np.where(away > 0.3, np.inf, shifts)
     own = places[:joints], places[joints : 2 * joints], places[2 * joints :]
     return Fit(scale, factors, *own, q, at, shifts, float(now))
+
+
+def _found_places(chain: Chain, x, loose, turn, origins, points, seen) -> np.ndarray:
+    """Shifts of the markers to where those whose place is not known sit on their limbs in the first poses."""
+    shifts = np.zeros((len(loose), 3))
+    at = chain.sized(x)[-len(loose) :]
+    for m in np.flatnonzero(loose & seen.any(0)):
+        limb, use = chain.limb[m], seen[:, m]
+        local = np.einsum("fji,fj->fi", turn[use, limb], points[use, m] - origins[use, limb])
+        shifts[m] = np.clip(np.median(local, 0) - at[m], -FARTHEST, FARTHEST)
+    return shifts
 
 
 def _step(chain: Chain, priors: Priors, x, turn, off, seen, reach: float, damping: float, sizes: bool):
@@ -140,9 +159,12 @@ def personal(body: Body, markers: Markers, fit: Fit) -> Body:
     of_limb = lambda points, limb: np.asarray(points) * grown[np.asarray(limb, int)]  # noqa: E731
     sites, centres = of_limb(body.sites, t.site_limbs), of_limb(body.centres, t.centre_limbs)
     # where several names share a point, the last one holds
-    for row, place in zip(markers.rows, fit.places):
+    spots = markers.places or ("",) * len(markers.rows)
+    for row, spot, place in zip(markers.rows, spots, fit.places):
         if row < len(sites):
             sites[row] = place
+        if spot in t.sites:  # not loosely: the body's own point of this name is there, too
+            sites[t.sites.index(spot)] = place
     for j, joint in enumerate(t.joints):
         name = V1_NAMES.get(joint, joint)
         if name in t.centres:

@@ -21,6 +21,7 @@ ENOUGH = 4  # named points in a frame to track by
 TO_START = 6  # and to start from
 CLOSE = 0.1  # metres: nearer to its place a named point is explained
 FRAMES = 24  # of the recording that sizes are fitted to
+OFTEN = 0.1  # set by hand: of the frames with markers: seen in fewer, a marker is left out of the fit
 
 
 class MarkerTable(NamedTuple):
@@ -71,13 +72,23 @@ def sized_by_markers(body: Body, markers: Markers, scale: float) -> tuple[Body, 
     count = markers.seen.sum(1)
     good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     body = scaled(body, scale) if scale > 0 else body
+    often = markers.seen.mean(0) > OFTEN * (count > 0).mean()
+    if not often.all() and often.sum() >= TO_START:  # what is hardly ever there tells nothing of sizes
+        k = np.flatnonzero(often)
+        places = tuple(markers.places[i] for i in k) if markers.places else ()
+        names = tuple(markers.names[i] for i in k)
+        markers = Markers(names, markers.rows[k], markers.points[:, k], markers.seen[:, k], places)
+        count = markers.seen.sum(1)
+        good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     if not len(good):
         return body, []
     some = good[np.unique(np.linspace(0, len(good) - 1, FRAMES).round().astype(int))]
     chosen = markers._replace(points=markers.points[some], seen=markers.seen[some])
     t = body.topology
     names = (*t.sites, *t.centres)
-    chosen, fit, exchanges = sides(body, chosen, [names[row] for row in markers.rows], scale > 0)
+    chosen, fit, exchanges = sides(
+        body, chosen, list(markers.places) or [names[row] for row in markers.rows], scale > 0
+    )
     every = np.ones(len(markers.seen), bool)
     return personal(body, chosen, fit), [e._replace(frames=every) for e in exchanges]
 

@@ -38,6 +38,15 @@ PLUG_IN_GAIT: dict[str, str] = _MIDDLE | {
     side + marker: f"{side.lower()}_{site}" for side in "LR" for marker, site in _SIDES.items()
 }
 
+# H-Anim v1 names that logs still use
+V1_NAMES = {
+    "l_wrist": "l_radiocarpal",
+    "r_wrist": "r_radiocarpal",
+    "l_ankle": "l_talocrural",
+    "r_ankle": "r_talocrural",
+    "skull_tip": "skull_vertex",
+}
+
 # Metres by which a marker may lie off its site, along its limb's axes (one standard deviation). Bony landmarks are felt
 # for, and at the end of a limb their height is surest. Markers of thigh and shank are put into the plane of the limb's
 # two joints and the axis of the lower one, at any height; on the arm they may be anywhere.
@@ -59,6 +68,13 @@ _PLACED = {
 }
 # Sites that go with a joint rather than with the limb that carries both.
 RIDES = {"l_acromion": "l_shoulder", "r_acromion": "r_shoulder"}
+# Joints whose centre is the middle between two places, on both sides of it (ISB's definitions: Wu 2002, 2005)
+MIDDLES = {
+    "knee": ("femoral_lateral_epicondyle", "femoral_medial_epicondyle"),
+    "ankle": ("lateral_malleolus", "medial_malleolus"),
+    "elbow": ("humeral_lateral_epicondyle", "humeral_medial_epicondyle"),
+    "wrist": ("radial_styloid", "ulnar_styloid"),
+}
 # Between joint centres, as shares of stature (from means of ANSUR II: radiale to stylion, acromion to radiale less the
 # height of the acromion over the joint, trochanterion, tibiale and lateral malleolus heights).
 USUAL_LENGTHS = {"upper_arm": 0.168, "forearm": 0.150, "thigh": 0.245, "shank": 0.240}

@@ -58,6 +58,9 @@ class Tracks:
     # of `joints`: within 10 cm? 0..1; see trackers/icp/confidence.py
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
     up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
+    marker_names: tuple[str, ...] = ()  # named 3D points that the body was tracked by, where there was no depth
+    # root mean square distance of each from its place on the body, tracked frames, metres
+    marker_residual: Float32[np.ndarray, " marker"] | None = None
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())

@@ -6,7 +6,7 @@ from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.kernels.correspondences import FREE, ON_BODY
 from voodoo_jax.model.body import Topology
-from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, plain_name
+from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, V1_NAMES, plain_name
 from voodoo_jax.records.observation import PersonFrame
 
 
@@ -36,6 +36,8 @@ class FeatureNames:
 
     def plain(self, name: str) -> str:
         """The name under which a feature is looked up, whatever standard and prefix the log has it from."""
+        if name in self.rows:
+            return name
         name = V1_NAMES.get(name, name)
         return name if name in self.rows else plain_name(name)
 
@@ -62,13 +64,3 @@ class PartNames:
         self.unknown |= {p for p in frame.parts if p != "body" and p not in self.limbs}
         table = np.array([*(self.limbs.get(p, ON_BODY) for p in frame.parts), FREE], np.int32)
         return table[frame.part]  # -1, free, is the last entry
-
-
-# H-Anim v1 names that logs still use
-V1_NAMES = {
-    "l_wrist": "l_radiocarpal",
-    "r_wrist": "r_radiocarpal",
-    "l_ankle": "l_talocrural",
-    "r_ankle": "r_talocrural",
-    "skull_tip": "skull_vertex",
-}

@@ -4,8 +4,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.markers.diagnostics import marker_notes
+from voodoo_jax.markers.diagnostics import LISTED, SHOWN, marker_notes, name_notes
 from voodoo_jax.markers.label_swaps import Exchange
+from voodoo_jax.markers.own_sites import Named
 from voodoo_jax.markers.table import TO_START
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.icp.runner import Session
@@ -42,9 +43,10 @@ def _doubtful(tracks: Tracks) -> list[str]:
     return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
 
 
-def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange]) -> tuple[str, ...]:
-    """Notes on a tracked recording; `exchanges` of markers were put right before."""
-    notes = _implausible(tracks) + _doubtful(tracks)
+def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange], named: Named) -> tuple[str, ...]:
+    """Notes on a tracked recording; `exchanges` of markers were put right before, `named` whose named points these
+    are."""
+    notes = _implausible(tracks) + _doubtful(tracks) + name_notes(named)
     if run.by_markers:
         poses = Poses(tracks.rotation, tracks.translation)
         if not run.table.enough(TO_START).any():
@@ -71,8 +73,12 @@ def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange]) -> tuple[s
     if run.left_out:
         share, most = 100 * run.left_out / total, run.settings.detect.points
         notes.append(f"{share:.0f} % of the body's points were thinned out (detect.points = {most} per frame).")
-    for name, count in run.unknown.items():
-        notes.append(f"Feature '{name}' was not used ({count} times): features.names gives it no point of this body.")
+    unused = [(f"'{n}'", f"({c} times): features.names gives it no point of this body") for n, c in run.unknown.items()]
+    if len(unused) > SHOWN:
+        listed = ", ".join(name for name, _ in unused[:LISTED]) + (", ..." if len(unused) > LISTED else "")
+        notes.append(f"{len(unused)} features were not used, features.names gives them no point of this body: {listed}")
+    else:
+        notes += [f"Feature {name} was not used {text}." for name, text in unused]
     if run.parts is not None and run.parts.unknown:
         names = ", ".join(sorted(run.parts.unknown))
         notes.append(f"The body has no limb {names}: points assigned to it count as on the body, on whichever limb.")

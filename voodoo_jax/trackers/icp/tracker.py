@@ -17,7 +17,17 @@ from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.joint_limits import check
+from voodoo_jax.markers.diagnostics import residuals
 from voodoo_jax.markers.label_swaps import Exchange, jumps, put_right
+from voodoo_jax.markers.own_sites import (
+    Named,
+    named_subject,
+    of_subject,
+    told,
+    with_own_names,
+    with_own_sites,
+    without_own_sites,
+)
 from voodoo_jax.markers.table import TO_START, marker_table, sized_by_markers, without_gaps
 from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body, joint_centres
@@ -55,6 +65,8 @@ def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, 
     frames = [PersonFrame(0, nothing, none, origins, each, part=part) for each in rays]
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
     options = options_from(settings.solve, settings.track, settings.features)
+    if not sensors:  # tracks of markers have points of their own
+        body = with_own_sites(body, {})[0]
     run = Session(body, options, frames, scene, settings, changes)
     chunk = _padded(Segment.blank(0, body.limb_count), settings.track.chunk)
     threads = [Thread(target=looked_at.prepare, args=(body, *chunk))]
@@ -125,8 +137,11 @@ def track_person(
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     exchanges: list[Exchange] = []
     from_markers = by_markers(people)
+    people, settings, named = _with_names(body, people, settings)
     if from_markers:
         people = without_gaps(people)
+        body, own = with_own_sites(body, named.known.places)
+        settings = replace(settings, features=with_own_names(settings.features, own))
         names = FeatureNames(body.topology, settings.features)
         exchanges = jumps(marker_table(people, names).markers)
         people = put_right(people, exchanges)
@@ -134,7 +149,8 @@ def track_person(
         enough = table.enough(TO_START)
     at = int(np.argmax(enough)) if enough.any() else count
     if at < count and from_markers:
-        body, sides = sized_by_markers(body, table.markers, settings.start.scale)
+        spots = tuple(named.known.places.get(n, "") for n in table.markers.names)
+        body, sides = sized_by_markers(body, table.markers._replace(places=spots), settings.start.scale)
         people, exchanges = put_right(people, sides), exchanges + sides
     changes = loaded(settings.changes)
     body = prepared(body, changes)
@@ -146,14 +162,32 @@ def track_person(
             whole = stage(whole)
     run = whole.run
     tracks = tracks_of(run, whole.segment, source, fixed_frame)
+    if from_markers:
+        tracks = _with_residuals(tracks, run)
     tracks = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), from_markers)
     compiling = seconds_of_waiting() - waited
     return replace(
         tracks,
         seconds=time.perf_counter() - began - compiling,
         compile_seconds=compiling,
-        notes=as_few((*notes, *whole.notes, *notes_on(run, tracks, exchanges))),
+        notes=as_few((*notes, *whole.notes, *notes_on(run, tracks, exchanges, named))),
     )
+
+
+def _with_names(body: Body, people: list[PersonFrame], settings: Settings) -> tuple[list[PersonFrame], Settings, Named]:
+    """The frames with the named points of one subject, the settings with what their names mean, and who it is."""
+    t = body.topology
+    named = named_subject(people, t, settings.features)
+    features = told(settings.features, named.known, (*t.sites, *t.centres))
+    return of_subject(people, named), replace(settings, features=features), named
+
+
+def _with_residuals(tracks: Tracks, run: Session) -> Tracks:
+    """Tracks by markers alone with the markers' residuals, and their body without the points made for these."""
+    poses = Poses(tracks.rotation, tracks.translation)
+    found = residuals(run.body, run.table.markers, poses, tracks.tracked)
+    residual = np.array(list(found.values()), np.float32)
+    return replace(tracks, body=without_own_sites(tracks.body), marker_names=tuple(found), marker_residual=residual)
 
 
 def tracks_of(run: Session, segment: Segment, source: str, fixed_frame: str) -> Tracks:

@@ -1,0 +1,128 @@
+"""A recording's markers as points of the body: each has its own, however many sit on one limb. Host side.
+
+A set's names say where a marker is put, to some centimetres; where it sits on this person is fitted. So every marker
+gets a feature point of its own. The points are counted by limb and rounded up: recordings of other sets need no program
+of their own.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from voodoo_jax.config.options import FeatureSettings
+from voodoo_jax.config.toml import check_pairs
+from voodoo_jax.geometry.rigid import on_device, on_host
+from voodoo_jax.model.body import Body, Topology
+from voodoo_jax.model.marker_names import Known, places_of, split_place, subjects
+from voodoo_jax.model.marker_sets import V1_NAMES
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Pairs
+
+OWN = " marker "  # in the names of such points: no body file has it
+ROOM = 16  # set by hand: markers on one limb that there is room for; more come in steps of so many
+
+
+class Named(NamedTuple):
+    """The named points of one person in a recording, and what their names mean."""
+
+    known: Known
+    subject: str  # whose markers they are; "": the log says nobody
+    others: dict[str, tuple[str, ...]]  # names by other subjects in the log, which are left out
+
+
+def named_subject(people: list[PersonFrame], topology: Topology, settings: FeatureSettings) -> Named:
+    """The subject with the most measurements, and the places that the settings, marker sets or the body say its names
+    mean."""
+    seen = Counter(n for f in people for n in (*f.pairs.names, *f.rays.names))
+    groups = subjects(seen)
+    often = sorted(groups, key=lambda s: -sum(seen[n] for n in groups[s]))
+    if not often:
+        return Named(Known(), "", {})
+    names = groups[often[0]]
+    points = (*topology.sites, *topology.centres)
+    given = check_pairs("features.names", settings.names, numbers=False)
+    said, joints = {}, {}
+    for full, name in names.items():
+        word = full if full in given else name
+        if word in given:
+            said[full] = given[word]
+        elif (place := V1_NAMES.get(name, name)) in points:
+            joints[full] = place
+    known = places_of(names, points, topology.limbs)
+    # a name such as r_knee is the joint's, unless the log speaks of markers: then it is one on the knee
+    others = {**joints, **known.places} if len(known.places) > len(joints) else {**known.places, **joints}
+    places = {n: p for n, p in {**others, **said}.items() if "|" not in p}
+    known = replace(known, places=places, unknown=tuple(n for n in known.unknown if n not in places and n not in said))
+    return Named(known, often[0], {s: tuple(groups[s]) for s in often[1:]})
+
+
+def of_subject(people: list[PersonFrame], named: Named) -> list[PersonFrame]:
+    """The frames without the named points of other subjects."""
+    others = {n for names in named.others.values() for n in names}
+    if not others:
+        return people
+    out = []
+    for frame in people:
+        p = frame.pairs
+        keep = np.array([n not in others for n in p.names], bool)
+        if not keep.all():
+            kept = tuple(n for n, k in zip(p.names, keep) if k)
+            frame = replace(frame, pairs=Pairs(kept, p.points[keep], None if p.weights is None else p.weights[keep]))
+        out.append(frame)
+    return out
+
+
+def told(settings: FeatureSettings, known: Known, points: Collection[str]) -> FeatureSettings:
+    """The settings with what the names mean, where that is one of the body's `points`; what they say already stays."""
+    given = check_pairs("features.names", settings.names, numbers=False)
+    weighed = check_pairs("features.weights", settings.weights, numbers=True)
+    places = {n: split_place(p)[0] for n, p in known.places.items()}
+    names = tuple(f"{n}={p}" for n, p in places.items() if n not in given and p in points)
+    weights = tuple(f"{n}={w:g}" for n, w in known.weights.items() if n not in weighed)
+    return replace(settings, names=(*settings.names, *names), weights=(*settings.weights, *weights))
+
+
+def with_own_names(settings: FeatureSettings, own: Mapping[str, str]) -> FeatureSettings:
+    """The settings with the points that `with_own_sites` gave the markers, in place of what they said of these."""
+    given = check_pairs("features.names", settings.names, numbers=False)
+    names = {**{n: p for n, p in given.items() if n not in own}, **own}
+    return replace(settings, names=tuple(f"{n}={p}" for n, p in names.items()))
+
+
+def with_own_sites(body: Body, places: Mapping[str, str]) -> tuple[Body, dict[str, str]]:
+    """The body with points for all markers, and the name of each marker's.
+
+    **Arguments:** `places` of the markers by name: a point or a limb of the body, perhaps with "~" and metres behind.
+    Places that the body does not have are left out.
+    """
+    host, t = on_host(body), body.topology
+    points = {n: (limb, at) for n, limb, at in zip(t.centres, t.centre_limbs, np.asarray(host.centres))}
+    points |= {n: (limb, at) for n, limb, at in zip(t.sites, t.site_limbs, np.asarray(host.sites)) if n not in points}
+    for i, limb in enumerate(t.limbs):
+        points.setdefault(limb, (i, np.array([0, 0, host.sizes[i, 4] / 2])))
+    there = {name: points[point] for name, place in places.items() if (point := split_place(place)[0]) in points}
+    most = max(Counter(limb for limb, _ in there.values()).values(), default=0)
+    room = ROOM * max(1, -(-most // ROOM))
+    at = np.zeros((len(t.limbs), room, 3), np.asarray(host.sites).dtype)
+    used, own = [0] * len(t.limbs), {}
+    for name, (limb, place) in there.items():
+        at[limb, used[limb]] = place
+        own[name] = f"{t.limbs[limb]}{OWN}{used[limb]}"
+        used[limb] += 1
+    names = tuple(f"{limb}{OWN}{k}" for limb in t.limbs for k in range(room))
+    owners = tuple(i for i in range(len(t.limbs)) for _ in range(room))
+    topology = t._replace(sites=t.sites + names, site_limbs=t.site_limbs + owners)
+    sites = np.concatenate([np.asarray(host.sites), at.reshape(-1, 3)])
+    return on_device(replace(host, sites=sites, topology=topology)), own
+
+
+def without_own_sites(body: Body) -> Body:
+    """The body without the points that `with_own_sites` gave it."""
+    t = body.topology
+    kept = [k for k, name in enumerate(t.sites) if OWN not in name]
+    names, owners = (tuple(some[k] for k in kept) for some in (t.sites, t.site_limbs))
+    topology = t._replace(sites=names, site_limbs=owners)
+    return on_device(replace(on_host(body), sites=np.asarray(body.sites)[kept], topology=topology))

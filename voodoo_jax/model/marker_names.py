@@ -1,0 +1,263 @@
+"""Which point of the body each name of a marker or key point means: sets of names as data files, and how to read names.
+
+A set is a TOML file in `model/marker_files`: `title`, `source`, perhaps `weight` (of each of its points as a feature),
+and two tables of names and places. `[middle]` holds names of the body's middle, `[sides]` names without their side. A
+name is a regular expression for the whole name in small letters, without separators; a place is a feature point or a
+joint centre of the body without `l_` and `r_`, or a limb: somewhere on it. `place~0.05`: metres by which it may lie off
+(one standard deviation), where that is more than usual.
+"""
+
+import re
+import tomllib
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
+
+from voodoo_jax.config.options import FeatureSettings
+from voodoo_jax.config.toml import check_pairs
+from voodoo_jax.model.marker_sets import V1_NAMES
+
+LEAST = 5  # names of a set that must be there for it to be believed
+SHARE = 0.15  # of the names: a second set explains at least so many, or is chance
+SUBJECT = 6  # names with one prefix that make a subject of their own
+ALIKE = 0.5  # share of the names that two subjects have in common
+_SIDES = {"l": "l", "left": "l", "r": "r", "right": "r"}
+_NO_MEANING = {"study", "marker", "mkr", "static", "kp", "keypoint"}
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z][a-z]*|[a-z]+|\d+")
+# what systems call points that nobody named: "*12", "C_7", "Unlabeled 3", "x52", "M012", bare numbers; not C7
+_NOBODY = re.compile(
+    r"\W*(unl\w*|unknown|unnamed|untitled|mkr|marker|trajectory)?[\W_]*\d+|[cmux]([\W_]+\d+|\d{2,})", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True)
+class MarkerSet:
+    """Names of one system. `find` looks a name up."""
+
+    title: str
+    weight: float | None  # of each point as a feature; None: as usual
+    middle: tuple[tuple[re.Pattern, str], ...]
+    sides: tuple[tuple[re.Pattern, str], ...]
+    numbered: tuple[str, ...]  # names that numbers stand for
+
+    def find(self, name: str, there: Collection[str] | None = None) -> str | None:
+        """Place of a name without the subject's: a point or limb of those `there` (None: any), perhaps with "~" and
+        metres behind.
+
+        What has a side may sit on a limb or at a point of the middle.
+        """
+        for side, stem in readings(name):
+            table = self.sides if side else self.middle
+            place = next((place for pattern, place in table if pattern.fullmatch(stem)), None)
+            for full in (f"{side}_{place}", place) if side and place else (place,):
+                if full is not None and (there is None or split_place(full)[0] in there):
+                    return full
+        return None
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the names of a subject mean."""
+
+    places: dict[str, str] = field(default_factory=dict)  # by full name: a point or limb, perhaps "~" and metres
+    titles: tuple[str, ...] = ()  # of the sets that they are of, the one with the most names first
+    weights: dict[str, float] = field(default_factory=dict)  # by full name, where a set says it
+    unknown: tuple[str, ...] = ()  # names that no set knows
+
+
+def readings(name: str) -> list[tuple[str, str]]:
+    """Ways to read a name: side ("l", "r", or "" for none) and the rest in small letters without separators."""
+    words = [w.lower() for w in _WORD.findall(name)]
+    words = [w for w in words if w not in _NO_MEANING] or words
+    flat = "".join(words)
+    found = [("", flat)]
+    for i, word in enumerate(words):
+        if side := _SIDES.get(word):
+            found.append((side, "".join(words[:i] + words[i + 1 :])))
+    for mark, side in (("left", "l"), ("right", "r"), ("l", "l"), ("r", "r")):
+        if flat.startswith(mark):
+            found.append((side, flat[len(mark) :]))
+        if len(mark) > 1 and flat.endswith(mark):
+            found.append((side, flat[: -len(mark)]))
+    return found
+
+
+def nobodys(name: str) -> bool:
+    """Whether a name is a number that a system gave to a point without a name."""
+    return _NOBODY.fullmatch(name) is not None
+
+
+@lru_cache(maxsize=1)
+def marker_sets() -> tuple[MarkerSet, ...]:
+    """All sets that come with the package, in the order of their file names."""
+    folder = resources.files("voodoo_jax.model.marker_files")
+    files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
+    return tuple(_parsed(f.read_text(encoding="utf-8")) for f in files)
+
+
+def _parsed(text: str) -> MarkerSet:
+    content = tomllib.loads(text)
+    table = lambda key: tuple((re.compile(name), place) for name, place in content.get(key, {}).items())  # noqa: E731
+    return MarkerSet(
+        content["title"], content.get("weight"), table("middle"), table("sides"), tuple(content.get("numbered", ()))
+    )
+
+
+def split_place(place: str) -> tuple[str, float | None]:
+    """A place without its "~", and the metres behind it."""
+    point, _, metres = place.partition("~")
+    return point, float(metres) if metres else None
+
+
+def subjects(names: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Names by subject, each with the name that is left of it: LASI of "Anna:LASI", "Anna/LASI" and, where most names
+    begin so, "Anna_LASI". One subject where nothing tells several apart."""
+    names = list(dict.fromkeys(names))
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        subject, mark, rest = name.rpartition(":")
+        if not mark and not name.rpartition("/")[2].isdigit():
+            subject, mark, rest = name.rpartition("/")
+        found.setdefault(subject if rest else "", {})[name] = (rest or name).strip()
+    few = {n: rest for s, group in found.items() if len(group) < SUBJECT for n, rest in group.items()}
+    found = {s: group for s, group in found.items() if len(group) >= SUBJECT}
+    if not found:
+        found = {"": few}
+    elif few:
+        largest = max(found, key=lambda s: len(found[s]))
+        found[largest] = {n: r for n, r in (found[largest] | few).items()}
+    return {s: g for subject, group in found.items() for s, g in _prefixed(subject, group).items()}
+
+
+def _prefixed(subject: str, names: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """The same where a subject is written before each name with another separator."""
+    numbers = _numbered(names)
+    if numbers:
+        return numbers
+    groups: dict[str, dict[str, str]] = {}
+    for name, rest in names.items():
+        first = re.match(r"([^_.\- ]+)[_.\- ]+(.+)", rest)
+        if first and first[1].lower() not in _SIDES and not nobodys(rest):
+            groups.setdefault(first[1], {})[name] = first[2]
+    named = [n for n, rest in names.items() if not nobodys(rest)]
+    large = {p: g for p, g in groups.items() if len(g) >= SUBJECT}
+    covered = sum(map(len, large.values()))
+    if not large or covered < 0.8 * len(named):
+        return {subject: dict(names)}
+    some = [set(g.values()) for g in large.values()]
+    if any(len(a & b) < ALIKE * min(len(a), len(b)) for i, a in enumerate(some) for b in some[:i]):
+        return {subject: dict(names)}  # words of one person's markers, not names of people
+    if _most([n for g in large.values() for n in g.values()]) <= _most([names[n] for g in large.values() for n in g]):
+        return {subject: dict(names)}  # what is left without them means no more
+    inside = {n for g in large.values() for n in g}
+    largest = max(large, key=lambda p: len(large[p]))
+    large[largest] |= {n: rest for n, rest in names.items() if n not in inside}
+    return {f"{subject}:{p}" if subject else p: g for p, g in large.items()}
+
+
+def _numbered(names: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """Bodies whose joints a set numbers: 100 times the body's number, and the joint's."""
+    table = next((s.numbered for s in marker_sets() if s.numbered), ())
+    if len(names) < SUBJECT or not all(rest.isdigit() for rest in names.values()):
+        return {}
+    found: dict[str, dict[str, str]] = {}
+    for name, rest in names.items():
+        body, joint = divmod(int(rest), 100)
+        if body < 1 or joint >= len(table):
+            return {}
+        found.setdefault(f"body {body}", {})[name] = table[joint]
+    return found if max(map(len, found.values())) >= SUBJECT else {}
+
+
+def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[str]) -> Known:
+    """What the names of one subject mean by the sets that know most of them.
+
+    **Arguments:** `names` full name and the name without the subject's, see `subjects`; `points`, `limbs` of the body:
+    places that it does not have are left out.
+    """
+    there = {*points, *limbs}
+    named = {full: name for full, name in names.items() if not nobodys(name)}
+    found: dict[str, dict[str, str]] = {}
+    weights = {}
+    for one in marker_sets():
+        places = ((full, one.find(_base(name), there)) for full, name in names.items())
+        found[one.title], weights[one.title] = {full: place for full, place in places if place}, one.weight
+    order = sorted(found, key=lambda title: -len(found[title]))
+    best = len(found[order[0]])
+    if best < LEAST:
+        return Known(unknown=tuple(named))
+    # of sets that know about as many, the one that was made for the most exact places
+    numbered = [s.title for s in marker_sets() if s.numbered and set(names.values()) <= set(s.numbered)]
+    near = numbered or [t for t in order if len(found[t]) >= best - 1]
+    order = [max(near, key=lambda t: _exact(found[t]))] + [t for t in order if t not in near] + near
+    chosen, used, taken = Known(), [], set()
+    for title in dict.fromkeys(order):
+        new = {full: place for full, place in found[title].items() if full not in chosen.places}
+        if used and (len(found[title]) < SHARE * len(named) or (weights[title] is None) != (weights[used[0]] is None)):
+            continue
+        for full, place in new.items():
+            point, metres = split_place(place)
+            exact = metres is None and point not in set(limbs)
+            if exact and point in taken:
+                continue  # two names for one place: not what this set meant
+            taken |= {point} if exact else set()
+            chosen.places[full] = place
+            if weights[title] is not None:
+                chosen.weights[full] = weights[title]
+            used = list(dict.fromkeys([*used, title]))
+    return Known(chosen.places, tuple(used), chosen.weights, tuple(n for n in named if n not in chosen.places))
+
+
+@lru_cache(maxsize=1)
+def human_points() -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the feature points and joint centres of the default body, and of its limbs; without making the body."""
+    file = resources.files("voodoo_jax.model.bodies") / "human.toml"
+    content = tomllib.loads(file.read_text(encoding="utf-8"))
+    names = lambda kind: tuple(table["name"] for table in content[kind])  # noqa: E731
+    return (*names("site"), *names("centre")), names("limb")
+
+
+def told_names(names: Iterable[str], settings: FeatureSettings) -> list[str]:
+    """Sentences on what the names in a log mean for the default body, and the setting that says it of the others."""
+    given = check_pairs("features.names", settings.names, numbers=False)
+    points, limbs = human_points()
+    notes = []
+    for subject, group in subjects(names).items():
+        own = {f: n for f, n in group.items() if not {f, n} & {*given} and not nobodys(n)}
+        known = places_of(own, points, limbs)
+        unknown = [name for name in known.unknown if V1_NAMES.get(own[name], own[name]) not in points]
+        whose = f" of '{subject}'" if subject else ""
+        if known.places:
+            notes.append(f"Names{whose}: {len(known.places)} of {len(own)} are known from: {'; '.join(known.titles)}.")
+        if unknown:
+            line = " ".join(f"'{name}=...'" for name in unknown)
+            notes.append(
+                f"Names{whose} that no set knows; say which point or limb of the body each is: --features.names {line}"
+            )
+    return notes
+
+
+def net_key_points(names: Iterable[str]) -> bool:
+    """Whether names are those of a pose net or of a depth camera's skeleton, whose sets say what a point weighs."""
+    words = [name for group in subjects(names).values() for name in group.values()]
+    nets = [one for one in marker_sets() if one.weight is not None]
+    most = _most(words, nets)
+    return most >= LEAST and most >= _most(words)
+
+
+def _most(words: Iterable[str], sets: Iterable[MarkerSet] | None = None) -> int:
+    """How many of some names the set knows that knows most of them."""
+    words = list(map(_base, words))
+    return max(sum(one.find(word) is not None for word in words) for one in sets or marker_sets())
+
+
+def _base(name: str) -> str:
+    """A name without the number that tells several things of one name apart ("RCOU/12")."""
+    before, mark, after = name.rpartition("/")
+    return before if mark and after.isdigit() else name
+
+
+def _exact(places: Mapping[str, str]) -> float:
+    """How many places are told exactly, and a little for the others."""
+    return sum(1.0 if split_place(p)[1] is None else 0.6 for p in places.values())
