@@ -52,6 +52,7 @@ class PersonFinder:
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = self.last_ns = 0
+        self.taken = np.zeros(0, int)  # indices of the points taken from the last frame
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
@@ -94,6 +95,7 @@ class PersonFinder:
                 self.last = None  # gone: look everywhere again
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
+        self.taken = index
         return frame.only(index)
 
     def _free(
