@@ -62,7 +62,8 @@ def track_log(
     """Reads a log frame by frame and tracks everybody in it, see track_people; `visit` see do_job. Raises LogError."""
     from voodoo_jax.detect.pipeline import find_people
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.trackers.icp.tracker import prepare, track_subjects
+    from voodoo_jax.trackers.icp.people import track_subjects
+    from voodoo_jax.trackers.icp.tracker import prepare
 
     log = open_log(path, settings.read)
     if visit is None:

@@ -16,8 +16,9 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
-from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.segmentation import SPEED, STILL, PersonFinder
 from voodoo_jax.detect.target_selection import BESIDE, LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
+from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import PersonFrame, whole
 from voodoo_jax.records.recording import Frame
@@ -30,6 +31,10 @@ BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
 PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
 AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
 LIKE = 0.07  # metres of height: who differs by more is somebody else; measured on people who bend and turn: 0.04
+HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
+WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
+SLOW = 0.3  # metres per second: who is slower stands; by hand
+BLIND = 1.5  # seconds for which somebody whom nobody sees is thought to walk on; by hand
 ALL = 6  # people that are followed at once, at most; by hand
 
 
@@ -46,6 +51,7 @@ class Sighting:
     tops: list[float] = field(default_factory=list)  # heights above the floor, of each frame in which they were seen
     places: dict[int, np.ndarray] = field(default_factory=dict)  # of the first and last frames: where they were
     born_ns: int = 0
+    _way: deque = field(default_factory=deque)  # time in seconds, and place, while nobody hid them
 
     @property
     def finder(self) -> PersonFinder:
@@ -61,6 +67,36 @@ class Sighting:
         """Of who stands upright most of the time, metres."""
         return float(np.percentile(self.tops, 80)) if self.tops else np.nan
 
+    def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
+        """Takes care that what others hide of them now is known for theirs when it comes out again: where they were
+        seen `before`, so many seconds ago, counts on where no sensor sees it."""
+        finder = self.finder
+        finder.hidden = False
+        if before is None or finder.last is None:
+            return
+        some = before[:: len(before) // SOME + 1]
+        hidden = np.ones(len(some), bool)
+        for sensor in range(len(others.origins)):
+            hidden &= others.hides(some, np.full(len(some), sensor))
+        finder.hidden = bool(hidden.mean() > HIDDEN)
+        if finder.hidden:
+            # who walks on does so behind somebody, too
+            some = some[hidden] + self._velocity() * np.float32(seconds)
+            if not finder.unseen:
+                some = some[~touching(cells_of(some, STILL), cells_of(finder.last, STILL))]
+                finder.last = np.concatenate([finder.last, some])
+            elif finder.unseen * seconds < BLIND:
+                finder.last = np.concatenate([some, before[:: len(before) // SOME + 1][~hidden]])
+
+    def _velocity(self) -> Float32[np.ndarray, "3"]:
+        """Level, when they were wholly seen for the last time; metres per second."""
+        if not self._way:
+            return np.zeros(3, np.float32)
+        (began, first), (ended, last) = self._way[0], self._way[-1]
+        speed = (last - first) / max(ended - began, 1e-3)
+        walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
+        return (speed if walks else 0 * speed).astype(np.float32)
+
     def add(self, frame: PersonFrame, number: int) -> None:
         """What was seen of them in the next frame."""
         self.frames.append(frame)
@@ -72,6 +108,10 @@ class Sighting:
             place = np.median(floor.level(frame.points), 0)
             self.places.setdefault(0, place)
             self.places[1] = place
+            if not self.finder.hidden:
+                self._way.append((frame.time_ns / 1e9, place))
+                while self._way[-1][0] - self._way[0][0] > WAY:
+                    self._way.popleft()
 
 
 @dataclass(frozen=True)
@@ -100,7 +140,7 @@ class People:
         self._origin: Follower | None = None  # of the chooser, whom the first one continues
         self._continued: Sighting | None = None  # that one
         self._before: list[PersonFrame] = []  # what waited of them then
-        self._number = 0  # of the frame
+        self._number = self._last_ns = 0  # of the frame
 
     def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The frames, one by one, for the chooser; it is done with each before the next one is asked for."""
@@ -125,10 +165,16 @@ class People:
         """Shares the points out among those who are followed, the nearer ones to the sensors first."""
         self._followed.sort(key=lambda s: s.finder.unseen)
         owner = _owners(frame.points, [s.finder for s in self._followed], self.settings.move)
+        before = [s.finder.last for s in self._followed]
+        seconds, self._last_ns = max(0.0, (frame.time_ns - self._last_ns) / 1e9), frame.time_ns
         for k, sighting in enumerate(self._followed):
             index = np.flatnonzero((owner == k) | (owner < 0))
             sighting.add(sighting.follower.see(frame, whole(frame).only(index)), self._number)
             owner[index[sighting.finder.taken]] = k
+        for k, sighting in enumerate(self._followed):
+            theirs = np.flatnonzero((owner >= 0) & (owner != k))
+            around = Nearest.of(frame.points[theirs], frame.sensor[theirs], frame.origins)
+            sighting.keep_hidden(before[k], around, seconds)
         for sighting in list(self._followed):
             others = [s for s in self._followed if s is not sighting]
             twice = any(same(sighting.follower, s.follower) and s.seen >= sighting.seen for s in others)

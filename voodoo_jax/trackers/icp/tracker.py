@@ -13,7 +13,7 @@ from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.compile.executable import program, seconds_of_waiting
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.camera_motion import to_fixed
-from voodoo_jax.detect.pipeline import find_people, find_person
+from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.joint_limits import check
@@ -25,7 +25,6 @@ from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.covariance import covariances
 from voodoo_jax.solve.names import FeatureNames
@@ -94,29 +93,13 @@ def track(
     **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
     """
     settings = settings or Settings()
-    _prepare_for(body, recording, settings)
+    prepare_for(body, recording, settings)
     scene, people = find_person(recording, recording.up, body, settings)
     return track_person(body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress)
 
 
-@users_cache()
-def track_people(
-    body: Body, recording: Recording, settings: Settings | None = None, progress: Progress | None = None
-) -> list[Tracks]:
-    """Tracks everybody in a recording, or `settings.detect.people` of them; nothing about them need be known.
-
-    **Arguments:** `body` of each of them, scaled to what is seen of them; the others as for `track`.
-
-    **Returns:** Tracks for each person, who is seen longest first; of each one row per frame of the recording, not
-    `tracked` where they cannot be seen. One at least: nothing is tracked where there is nobody.
-    """
-    settings = settings or Settings()
-    _prepare_for(body, recording, settings)
-    r, subjects = recording, find_people(recording, recording.up, body, settings)
-    return track_subjects(body, subjects, settings, r.path, r.fixed_frame, r.notes, progress)
-
-
-def _prepare_for(body: Body, recording: Recording, settings: Settings) -> None:
+def prepare_for(body: Body, recording: Recording, settings: Settings) -> None:
+    """Checks the settings, and begins to compile or load what a recording is tracked with, see prepare."""
     check_stages(settings)
     if first := recording.frames[:1]:
         sensors = len(first[0].origins) if any(len(f.points) for f in recording) else 0
@@ -124,29 +107,7 @@ def _prepare_for(body: Body, recording: Recording, settings: Settings) -> None:
         prepare(body, settings, sensors, names, first[0].part is not None)
 
 
-# 8 parameters, as track_person
-def track_subjects(
-    body: Body,
-    subjects: list[Subject],
-    settings: Settings,
-    source: str,
-    fixed_frame: str,
-    notes: tuple[str, ...] = (),
-    progress: Progress | None = None,
-    visit: Visit | None = None,
-) -> list[Tracks]:
-    """Tracks a body through what was seen of each person, see find_people; the others as for track_person."""
-    return [
-        replace(
-            track_person(body, s.scene, s.frames, settings, source, fixed_frame, notes, progress, visit),
-            person=s.number,
-            people=len(subjects),
-        )
-        for s in subjects
-    ]
-
-
-# 9 parameters: what a log says of itself, and who looks on; a record of the subject will take their place
+# 10 parameters: what a log says of itself, who looks on, and where to begin
 def track_person(
     body: Body,
     scene: Scene,
@@ -157,9 +118,10 @@ def track_person(
     notes: tuple[str, ...] = (),
     progress: Progress | None = None,
     visit: Visit | None = None,
+    begin: int = 0,
 ) -> Tracks:
     """Tracks a body through frames in which it was already told apart from its surroundings (see find_person);
-    `visit` see Session."""
+    `visit` see Session. It starts in frame `begin` or later, and is tracked back from there, too."""
     began, waited = time.perf_counter(), seconds_of_waiting()
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
@@ -180,7 +142,10 @@ def track_person(
     body = prepared(body, changes)
     options = options_from(settings.solve, settings.track, settings.features)
     run = Session(body, options, people, scene, settings, changes, visit)
-    whole = track_whole(run, at, enough, REFINE, progress)
+    if begin > at and begin < count and enough[begin] and not from_markers and settings.looks_ahead("track"):
+        whole = track_whole(run, begin, enough, REFINE, progress, at)
+    else:
+        whole = track_whole(run, at, enough, REFINE, progress)
     for stage in FINISH:
         if is_active(whole.run, stage):
             whole = stage(whole)
