@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from voodoo_jax.records.recording import Recording as Recording
     from voodoo_jax.records.tracks import Tracks as Tracks
     from voodoo_jax.solve.implicit import solution as solution
+    from voodoo_jax.trackers.icp.people import track_people as track_people
     from voodoo_jax.trackers.icp.tracker import track as track
     from voodoo_jax.trackers.smoothing import smooth as smooth
     from voodoo_jax.viz.figures import picture
@@ -74,6 +75,7 @@ _PUBLIC = {
     "survey": ("io.log_reader", "survey"),
     "track": ("trackers.icp.tracker", "track"),
     "track_many": ("batch.track_many", "track_many"),
+    "track_people": ("trackers.icp.people", "track_people"),
     "write_body": ("model.body_file", "write_body"),
     "write_tracks": ("exporters.npz", "write_tracks_npz"),
 }

@@ -9,13 +9,15 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.tracks import Tracks, given_from
-from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined, log_name
+from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined, log_name, opened, person_place, removed
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
 Visit = Callable[..., Any]  # solve.scan.Visit, which takes long to import
@@ -58,18 +60,19 @@ def track_log(
     settings: Settings,
     progress: Progress | None = None,
     visit: Visit | None = None,
-) -> Tracks:
-    """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError."""
+) -> list[Tracks]:
+    """Reads a log frame by frame and tracks everybody in it, see track_people; `visit` see do_job. Raises LogError."""
     from voodoo_jax.detect.opening import open_checked
-    from voodoo_jax.detect.pipeline import build_of, find_person
-    from voodoo_jax.trackers.icp.tracker import prepare, track_person
+    from voodoo_jax.detect.pipeline import build_of, find_people
+    from voodoo_jax.trackers.icp.people import track_subjects
+    from voodoo_jax.trackers.icp.tracker import prepare
 
     log = open_checked(path, settings.read, build_of(body, settings.start.scale), settings.detect)
     if visit is None:
         prepare(body, settings, len(log.sensors), log.named_at_once, bool(log.parts))
-    total, done = max(1, (2 + settings.looks_ahead("track")) * len(log)), 0  # read, track there, and back
+    total, done = max(1, (2 + settings.looks_ahead("track")) * len(log)), 0.0  # read, track there, and back
 
-    def more(count: int) -> None:
+    def more(count: float) -> None:
         nonlocal done
         done += count
         if progress is not None:
@@ -80,9 +83,10 @@ def track_log(
             more(1)
             yield frame
 
-    scene, people = find_person(counted(), log.up, body, settings, log.up_is_given)
-    tracks = track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more, visit)
-    return given_from(tracks, log.origin)
+    people = find_people(counted(), log.up, body, settings, log.up_is_given)
+    each = lambda count: more(count / len(people))  # noqa: E731
+    found = track_subjects(body, people, settings, log.path, log.fixed_frame, log.notes, each, visit)
+    return [given_from(tracks, log.origin) for tracks in found]
 
 
 def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
@@ -142,21 +146,27 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         for path in (npz, mcap, target):
             remove_partials(path)
         if job.only_picture:
-            tracks = read_tracks_npz(stack.enter_context(fetched(place)))
+            people = [read_tracks_npz(stack.enter_context(fetched(place)))]
+            numbers = range(2, people[0].people + 1)
+            people += [read_tracks_npz(stack.enter_context(fetched(person_place(place, k)))) for k in numbers]
         else:
             with suppress(OSError):  # before reading: it may be changed meanwhile
                 key = run_key(job.recipe, fingerprint_of(log))
             try:
-                tracks = track_log(log, on_device(job.body), job.settings, progress, visit)
+                people = track_log(log, on_device(job.body), job.settings, progress, visit)
             except LogError as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
-            tracks = smooth(replace(tracks, source=job.log), job.smooth_seconds)
-            write_tracks_mcap(tracks, mcap, {**dict(job.parameters), "run_key": key})
-            write_tracks_npz(tracks, npz, key)  # last: where it is, both are
-        trouble = _picture(tracks, target, job, log) if job.picture else ""
-        told = write_exports(tracks, npz, job.exports)
-        told += write_view(tracks, npz, job.settings, log) if job.html else []
-    outcome = outcome_of(job.log, place, tracks, picture=drawn if job.picture and not trouble else "")
+            people = [smooth(replace(one, source=job.log), job.smooth_seconds) for one in people]
+            check_names(place, len(people))
+            write_tracks_mcap(people, mcap, {**dict(job.parameters), "run_key": key})
+            for one in people[::-1]:  # the main one last: where it is, all are
+                write_tracks_npz(one, Path(person_place(str(npz), one.person)), key)
+            remove_others(place, len(people))
+        trouble = _picture(people[0], target, job, log) if job.picture else ""
+        told = write_exports(people[0], npz, job.exports)
+        told += write_view(people[0], npz, job.settings, log) if job.html else []
+    others = tuple(outcome_of(job.log, person_place(place, one.person), one) for one in people[1:])
+    outcome = outcome_of(job.log, place, people[0], picture=drawn if job.picture and not trouble else "", others=others)
     told = [f"No picture: {trouble}", *told] if trouble else told
     return replace(outcome, told=tuple(told), skipped=job.only_picture)
 
@@ -168,6 +178,36 @@ def _picture(tracks: Tracks, target: Path, job: Job, log: str) -> str:
     except (ValueError, OSError) as problem:
         return str(problem)
     return ""
+
+
+def check_names(place: str, count: int) -> None:
+    """Raises LogError where a file that is to be written is another log's: of a log `a.2`, which has the name of the
+    second person in `a`. `place` of the main person's tracks."""
+    from voodoo_jax.io.container import LogError
+
+    for person in range(1, count + 1):
+        mine = person_place(place, person)
+        if (there := _person_in(mine)) not in (None, person):
+            raise LogError(f"'{mine}' holds the tracks of another log's person {there}: replay into another folder")
+
+
+def remove_others(place: str, count: int) -> None:
+    """Removes tracks of people whom an earlier run has found in this log beyond so many."""
+    person = count + 1
+    while _person_in(person_place(place, person)) == person:
+        removed(person_place(place, person))
+        person += 1
+
+
+def _person_in(place: str) -> int | None:
+    """Whose tracks a file holds, 1 where there is one person alone; None: no such file, or no tracks."""
+    from voodoo_jax.batch.resume import BROKEN
+
+    try:
+        with opened(place) as stream, np.load(stream, allow_pickle=False) as data:
+            return int(data["person"]) if "person" in data.files else 1
+    except BROKEN:
+        return None
 
 
 def remove_partials(target: Path) -> None:

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,8 @@ class Outcome:
     skipped: bool = False  # an earlier run had done it already
     told: tuple[str, ...] = ()  # about files that were made of the tracks, in this run
     folder: str = ""  # of its results within that of all, of one of several logs of one name
+    person: int = 1  # whom the numbers are of: 1 who is seen longest
+    others: tuple["Outcome", ...] = ()  # those of the other people in the log
 
     @property
     def name(self) -> str:
@@ -58,8 +60,16 @@ class Outcome:
         with fetched(self.npz) as path:
             return read_tracks_npz(path)
 
+    @property
+    def people(self) -> tuple["Outcome", ...]:
+        """Of everybody in the log, who is seen longest first."""
+        return (replace(self, others=()), *self.others)
+
     def __str__(self) -> str:
-        name = self.name
+        return "\n".join(one._lines(bool(self.others)) for one in self.people)
+
+    def _lines(self, numbered: bool) -> str:
+        name = f"{self.name}, person {self.person}" if numbered else self.name
         if not self.npz:
             return f"{name}: FAILED: {self.error}"
         line = f"{name}: {self.frames} frames, {100 * self.tracked:.1f} % tracked, "
@@ -78,10 +88,15 @@ class Outcome:
         notes = () if self.skipped else self.notes
         return "\n".join([line, *(f"    {note}" for note in (*notes, *self.told))])
 
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for replay.jsonl of each person."""
+        return [one.row() for one in self.people]
+
     def row(self) -> dict[str, Any]:
-        """The outcome for replay.jsonl: numbers that are not finite become null."""
+        """The outcome of this person for replay.jsonl: numbers that are not finite become null."""
         return {
             "log": self.path,
+            "person": self.person,
             "status": self.status,
             "skipped": self.skipped,
             "frames": self.frames,
@@ -101,7 +116,9 @@ def outcome_of(path: str, npz: str, tracks: Tracks, **more: Any) -> Outcome:
     """The outcome of a log that was tracked; `more` are other fields of Outcome."""
     body, times = tracks.body, {"seconds": tracks.seconds, "compile_seconds": tracks.compile_seconds}
     size = f"{body.scale_name} {float(body.scale):.3f} m"
-    return _of(path, npz, tracks.tracked, tracks.residual, size, notes=tracks.notes, **times, **more)
+    return _of(
+        path, npz, tracks.tracked, tracks.residual, size, notes=tracks.notes, person=tracks.person, **times, **more
+    )
 
 
 def outcome_of_arrays(path: str, npz: str, data: Mapping[str, np.ndarray], **more: Any) -> Outcome:
@@ -110,7 +127,8 @@ def outcome_of_arrays(path: str, npz: str, data: Mapping[str, np.ndarray], **mor
     scale = next(name for name in summary if name not in ("name", "segment_lengths"))
     notes = tuple(str(note) for note in data["notes"])
     size, seconds = f"{scale} {summary[scale]:.3f} m", float(data["seconds"])
-    return _of(path, npz, data["tracked"], data["residual"], size, notes=notes, seconds=seconds, **more)
+    person = int(data.get("person", 1))
+    return _of(path, npz, data["tracked"], data["residual"], size, notes=notes, seconds=seconds, person=person, **more)
 
 
 def _of(path: str, npz: str, tracked: np.ndarray, residual: np.ndarray, size: str, **more: Any) -> Outcome:

@@ -20,7 +20,7 @@ from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.compile.cache_dir import safe_folder
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
-from voodoo_jax.storage.urls import byte_size, expanded, file_system, is_url, joined
+from voodoo_jax.storage.urls import byte_size, expanded, file_system, is_url, joined, person_place
 
 __all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
 
@@ -49,7 +49,8 @@ def replay(
 
     A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
     under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
-    version are skipped. `replay.jsonl` in `out` has a line for each log.
+    version are skipped. `replay.jsonl` in `out` has a line for each person of each log. Where there are several, who is
+    seen longest has `<stem>.tracks.npz`, the others `<stem>.2.tracks.npz`, ..., and `<stem>.voodoo.mcap` shows all.
 
     **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
     trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
@@ -160,7 +161,12 @@ def _finished(job: Job, again: bool) -> Outcome | None:
     wanted += [npz.removesuffix(TRACKS_NPZ) + VIEW] if job.html else []
     wanted += [joined(job.out, exported_name(npz, name)) for name in job.exports]
     due = bool(wanted) and min(map(_changed, wanted)) < _changed(npz)
-    return outcome_of_arrays(job.log, npz, arrays, skipped=True, picture="due" if due else png if job.picture else "")
+    drawn = "due" if due else png if job.picture else ""
+    others = (
+        outcome_of_arrays(job.log, person_place(npz, number), one, skipped=True)
+        for number, one in enumerate(arrays[1:], 2)
+    )
+    return outcome_of_arrays(job.log, npz, arrays[0], skipped=True, picture=drawn, others=tuple(others))
 
 
 def _changed(place: str) -> float:

@@ -16,8 +16,9 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.io.container import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
-from voodoo_jax.storage.urls import Readable, log_parts, opened
+from voodoo_jax.storage.urls import Readable, log_parts, opened, person_place
 
+KEPT = ("body_json", "residual", "tracked", "seconds", "notes", "person")  # of a tracks file
 BLOCK = 1 << 16  # bytes of each sample of a log
 # what a file that is missing, cut or of another kind raises
 BROKEN = (OSError, ValueError, KeyError, EOFError, StopIteration, zipfile.BadZipFile, zlib.error, *READ_ERRORS)
@@ -74,16 +75,21 @@ def run_key(recipe: str, fingerprint: str) -> str:
     return hashlib.sha256(f"{recipe} {fingerprint}".encode()).hexdigest()
 
 
-def finished_arrays(log: str, npz: str, mcap: str, recipe: str) -> dict[str, np.ndarray] | None:
-    """What outcome_of needs of a log's tracks, if both result files are whole and carry this run's key; else None."""
+def finished_arrays(log: str, npz: str, mcap: str, recipe: str) -> list[dict[str, np.ndarray]] | None:
+    """What outcome_of_arrays needs of the tracks of each person in a log, if all result files are whole and carry this
+    run's key; else None. `npz`, `mcap`: the main person's tracks, and what shows all."""
     try:
         with opened(npz) as stream, np.load(stream, allow_pickle=False) as data:
             if "run_key" not in data.files:
                 return None
             key = run_key(recipe, fingerprint_of(log))
-            if str(data["run_key"]) != key:
-                return None
-            arrays = {name: data[name] for name in ("body_json", "residual", "tracked", "seconds", "notes")}
+            count = int(data["people"]) if "people" in data.files else 1
+        arrays = []
+        for person in range(1, count + 1):
+            with opened(person_place(npz, person)) as stream, np.load(stream, allow_pickle=False) as data:
+                if str(data["run_key"]) != key or int(data.get("person", 1)) != person:
+                    return None
+                arrays.append({name: data[name] for name in KEPT if name in data.files})
         with opened(mcap) as stream:
             metadata = [m.metadata for m in SeekingReader(stream).iter_metadata() if m.name == "voodoo_jax"]
         return arrays if [m.get("run_key") for m in metadata] == [key] else None

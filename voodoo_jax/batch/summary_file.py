@@ -1,4 +1,4 @@
-"""replay.jsonl: one line for each log whose results are in a folder."""
+"""replay.jsonl: a line for each person in each log whose results are in a folder."""
 
 import json
 import os
@@ -16,20 +16,20 @@ def summary_name(number: int, count: int) -> str:
 
 
 def write_summary(outcomes: Iterable[Outcome], folder: str, name: str) -> None:
-    """Writes a line of JSON for each outcome, with those that the file has of other logs; in the order of names.
+    """Writes a line of JSON for each person of each outcome, with those that the file has of other logs; in the order
+    of names.
 
     The file appears or changes only when complete. Raises OSError.
     """
-    rows = {}
+    rows: dict[str, list[dict]] = {}  # of each log
     try:
         with opened(joined(folder, name)) as stream:
-            found = [json.loads(line) for line in stream.read().decode().splitlines()]
-            rows = {row["log"]: row for row in found}
+            for row in [json.loads(line) for line in stream.read().decode().splitlines()]:
+                rows.setdefault(row["log"], []).append(row)
     except (OSError, ValueError, KeyError, TypeError):  # none yet, or somebody else's
         pass
-    rows |= {outcome.path: outcome.row() for outcome in outcomes}
-    lines = [
-        json.dumps(rows[log], allow_nan=False) + "\n" for log in sorted(rows, key=lambda p: (os.path.basename(p), p))
-    ]
+    rows |= {outcome.path: outcome.rows() for outcome in outcomes}
+    ordered = sorted(rows, key=lambda p: (os.path.basename(p), p))
+    lines = [json.dumps(row, allow_nan=False) + "\n" for log in ordered for row in rows[log]]
     with delivered(folder) as made, replacing(Path(made) / name) as partial:
         partial.write_text("".join(lines), encoding="utf-8")

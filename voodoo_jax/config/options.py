@@ -51,6 +51,9 @@ class ReadSettings:
 class DetectSettings:
     """How the person (or any tracked body) is told apart from floor, walls and furniture."""
 
+    people: int = 0
+    """How many people (or other bodies) are tracked at most, who is seen longest first; 0: all in view; 1: the main
+    one, and others are not looked for."""
     floor_margin: float = 0.035
     """Points lower than this above the floor are dropped, metres."""
     link: float = 0.12

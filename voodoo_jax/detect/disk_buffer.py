@@ -14,21 +14,36 @@ BLOCK = 64 << 20  # bytes of points that stay in memory, and are written at once
 ARRAYS = ("points", "sensor", "part", "weight")
 
 
-def spilled(frames: Iterable[PersonFrame], block: int = BLOCK) -> list[PersonFrame]:
-    """The frames, their points in nameless files (where the system keeps temporary ones) but for the last block.
+class Spill:
+    """Frames that come one by one, their points in nameless files (where the system keeps temporary ones) but for those
+    of the last block.
 
-    The file goes when the frames do. Where it cannot be written the points stay in memory.
+    The files go when the frames do. Where they cannot be written the points stay in memory.
     """
-    out: list[PersonFrame] = []
-    waiting: list[PersonFrame] = []
-    size = 0
+
+    def __init__(self, block: int = BLOCK):
+        self._block, self._size = block, 0
+        self._out: list[PersonFrame] = []
+        self._waiting: list[PersonFrame] = []
+
+    def append(self, frame: PersonFrame) -> None:
+        self._waiting.append(frame)
+        self._size += sum(array.nbytes for array in _arrays(frame).values())
+        if self._size >= self._block:
+            self._out += _in_file(self._waiting)
+            self._waiting, self._size = [], 0
+
+    def frames(self) -> list[PersonFrame]:
+        """All that there are."""
+        return self._out + self._waiting
+
+
+def spilled(frames: Iterable[PersonFrame], block: int = BLOCK) -> list[PersonFrame]:
+    """The frames, see Spill."""
+    kept = Spill(block)
     for frame in frames:
-        waiting.append(frame)
-        size += sum(array.nbytes for array in _arrays(frame).values())
-        if size >= block:
-            out += _in_file(waiting)
-            waiting, size = [], 0
-    return out + waiting
+        kept.append(frame)
+    return kept.frames()
 
 
 def _arrays(frame: PersonFrame) -> dict[str, np.ndarray]:

@@ -13,9 +13,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from voodoo_jax.detect.stage import windows
+from voodoo_jax.detect.stage import Target, windows
 from voodoo_jax.detect.static_points import Resting, resting
-from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import PersonFrame, assigned
 
@@ -62,9 +61,9 @@ class DropPlanarFurniture:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"person"})
 
-    def __call__(self, frames: Iterable[PersonFrame], chooser: Chooser) -> Iterator[PersonFrame]:
+    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]:
         for window in windows(frames):
-            yield from without_faces(window, chooser.finder.scene.floor)
+            yield from without_faces(window, target.finder.scene.floor)
 
 
 def without_faces(frames: list[PersonFrame], floor: Plane) -> list[PersonFrame]:

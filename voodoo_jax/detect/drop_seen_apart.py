@@ -9,8 +9,7 @@ from jaxtyping import Bool, Float32
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.segmentation import stands_aside
-from voodoo_jax.detect.stage import windows
-from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.detect.stage import Target, windows
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components, within
 from voodoo_jax.records.observation import PersonFrame, assigned
@@ -26,9 +25,9 @@ class DropSeenApart:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset()
 
-    def __call__(self, frames: Iterable[PersonFrame], chooser: Chooser) -> Iterator[PersonFrame]:
+    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]:
         for window in windows(frames):
-            finder = chooser.finder
+            finder = target.finder
             yield from without_things(window, finder.scene.floor, finder.apart(), finder.settings.link)
 
 

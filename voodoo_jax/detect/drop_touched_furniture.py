@@ -7,8 +7,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float32
 
-from voodoo_jax.detect.stage import windows
-from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.detect.stage import Target, windows
 from voodoo_jax.geometry.voxels import cells_of, touching, unique_cells
 from voodoo_jax.records.observation import PersonFrame, assigned
 
@@ -26,9 +25,9 @@ class DropTouchedFurniture:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset()
 
-    def __call__(self, frames: Iterable[PersonFrame], chooser: Chooser) -> Iterator[PersonFrame]:
+    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]:
         for window in windows(frames):
-            yield from without_furniture(window, chooser.finder.scene.floor.normal)
+            yield from without_furniture(window, target.finder.scene.floor.normal)
 
 
 def without_furniture(frames: list[PersonFrame], up: Float32[np.ndarray, "3"]) -> list[PersonFrame]:

@@ -17,8 +17,9 @@ from voodoo_jax.detect.drop_planar_furniture import DropPlanarFurniture
 from voodoo_jax.detect.drop_seen_apart import DropSeenApart
 from voodoo_jax.detect.drop_touched_furniture import DropTouchedFurniture
 from voodoo_jax.detect.find_gravity import FindGravity
+from voodoo_jax.detect.people import People
 from voodoo_jax.detect.raise_floor import RaiseFloor
-from voodoo_jax.detect.stage import SCENE_EVERY, SCENE_FRAMES, Named, PointStage, SceneStage, Surroundings
+from voodoo_jax.detect.stage import SCENE_EVERY, SCENE_FRAMES, Named, PointStage, SceneStage, Surroundings, Target
 from voodoo_jax.detect.steady_sensors import SteadySensors
 from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.detect.weigh_by_noise import WeighByNoise
@@ -27,6 +28,7 @@ from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.subject import Subject
 
 # once floor and walls are found
 SCENE: tuple[SceneStage, ...] = (FindGravity(), RaiseFloor(), SteadySensors())
@@ -42,10 +44,39 @@ def stages() -> tuple[Named, ...]:
 def find_person(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
 ) -> tuple[Scene, list[PersonFrame]]:
-    """Floor and walls, and the body's points of every frame. Of the frames, taken one by one, only these are kept.
+    """Floor and walls, and the points of the main person (or body) of every frame. Of the frames, taken one by one,
+    only these are kept.
 
     **Arguments:** `up_is_given` a user has said it: nothing else is looked for.
     """
+    found = surroundings(frames, up, body, settings, up_is_given)
+    chooser = Chooser(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
+    kept = spilled(_corrected(chooser(found.frames), chooser, body, settings))
+    return chooser.finder.scene, kept  # the floor may have been found with the body
+
+
+def find_people(
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
+) -> list[Subject]:
+    """Everybody in view, who is seen longest first; `settings.detect.people` of them at most. One subject at least,
+    without points if there is nobody. Of the frames, taken one by one, only the points on people are kept."""
+    if settings.detect.people == 1:
+        return [Subject(1, *find_person(frames, up, body, settings, up_is_given))]
+    found = surroundings(frames, up, body, settings, up_is_given)
+    chooser = Chooser(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
+    people = People(chooser, settings.detect, settings.looks_ahead("detect"))
+    main = spilled(_corrected(chooser(people.watched(found.frames)), chooser, body, settings))
+    subjects = []
+    for number, one in enumerate(people.observed(main)[: settings.detect.people or None], 1):
+        seen = [*one.early, *spilled(_corrected(one.frames, one, body, settings))]
+        subjects.append(Subject(number, one.scene, seen))
+    return subjects or [Subject(1, chooser.finder.scene, main)]
+
+
+def surroundings(
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
+) -> Surroundings:
+    """What is known of a recording before the body is looked for; of the frames the first ones are taken."""
     stream: Iterator[Frame] = iter(frames)
     first, sure = list(islice(stream, SCENE_FRAMES)), bool(up[2] > 0.99)
     scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
@@ -54,13 +85,15 @@ def find_person(
     for stage in SCENE:
         if _is_active(stage, body, settings) and not (up_is_given and isinstance(stage, FindGravity)):
             found = stage(found)
-    chooser = Chooser(found.scene, build, settings.detect, settings.looks_ahead("detect"))
-    people = chooser(found.frames)
+    return found
+
+
+def _corrected(frames: Iterable[PersonFrame], target: Target, body: Body, settings: Settings) -> Iterable[PersonFrame]:
+    """The frames after the stages that correct the points on the body."""
     for stage in POINTS:
         if _is_active(stage, body, settings):
-            people = stage(people, chooser)
-    kept = spilled(people)
-    return chooser.finder.scene, kept  # the floor may have been found with the body
+            frames = stage(frames, target)
+    return frames
 
 
 def _is_active(stage: Named, body: Body, settings: Settings) -> bool:

@@ -52,6 +52,8 @@ class PersonFinder:
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = self.last_ns = 0
+        self.hidden = False  # in part, by somebody else: what seems to be apart from the body, or left by it, may be it
+        self.taken = np.zeros(0, int)  # indices of the points taken from the last frame
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
@@ -94,6 +96,7 @@ class PersonFinder:
                 self.last = None  # gone: look everywhere again
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
+        self.taken = index
         return frame.only(index)
 
     def _free(
@@ -209,6 +212,8 @@ class PersonFinder:
         taken = near > np.maximum(5, 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
+        if self.hidden:
+            return taken
         doubtful = taken & (count >= 0.1 * len(last))
         large = np.flatnonzero(doubtful) if doubtful.sum() > 1 else ()
         low = {k: mine for k in large if self._is_low(mine := points[label == k])}
@@ -240,7 +245,7 @@ class PersonFinder:
 
     def _gone(self, taken) -> bool:
         """Whether what is left was never the body: at once less, and far lower. A chair remains."""
-        if self.last is None or len(taken) < 30 or len(taken) > 0.8 * len(self.last):
+        if self.last is None or self.hidden or len(taken) < 30 or len(taken) > 0.8 * len(self.last):
             return False
         floor = self.scene.floor
         return floor.top(taken) < GONE * floor.top(self.last)
@@ -288,7 +293,7 @@ class PersonFinder:
         if self.last is None and not len(mine):
             # nobody there: the room, or somebody who is not told from it yet, so it takes most of a second
             far, times = np.ones(len(others), bool), 0.15
-        elif self.last is None or not len(others) or not len(mine):
+        elif self.last is None or self.hidden or not len(others) or not len(mine):
             return
         else:
             self._learns = not self._learns

@@ -14,7 +14,7 @@ from jaxtyping import Float32
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.camera_motion import Planes, steady_scene
-from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.detect.segmentation import PersonFinder
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -48,6 +48,16 @@ class Surroundings:
 
 
 @runtime_checkable
+class Target(Protocol):
+    """The body that is followed, as far as one knows by now."""
+
+    @property
+    def finder(self) -> PersonFinder: ...
+    @property
+    def settings(self) -> DetectSettings: ...
+
+
+@runtime_checkable
 class Named(Protocol):
     """What every stage says of itself."""
 
@@ -67,7 +77,7 @@ class SceneStage(Named, Protocol):
 class PointStage(Named, Protocol):
     """One correction of the points on the body, frame by frame, as they come."""
 
-    def __call__(self, frames: Iterable[PersonFrame], chooser: Chooser) -> Iterator[PersonFrame]: ...
+    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]: ...
 
 
 def windows(frames: Iterable[PersonFrame]) -> Iterator[list[PersonFrame]]:

@@ -5,6 +5,7 @@ the body is followed, too.
 """
 
 from collections.abc import Iterable, Iterator
+from copy import copy, deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -93,12 +94,18 @@ class Follower:
         self.frames = [frame.only(NONE) for frame in before]  # in which nobody knew of it
         self.moved = self.there = 0  # frames since it was found: in which it was elsewhere, and all
         self.earlier = 0  # of the thing that was followed before: frames in which it was elsewhere
+        self.went = 0  # of these: its middle was far from where it was
         self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
     def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
-        anew = self.finder.last is None
-        seen = self.finder(frame)
+        seen = self.see(frame, frame)
         self.frames.append(seen)
+        return seen
+
+    def see(self, frame: Frame | PersonFrame, mine: Frame | PersonFrame) -> PersonFrame:
+        """What is seen of it in a frame, among the points that are not another one's (`mine`)."""
+        anew = self.finder.last is None
+        seen = self.finder(mine)
         if len(seen.points) >= 30:
             if anew:
                 self.earlier, self.moved, self.there, self._sights = self.moved, 0, 0, None
@@ -106,6 +113,12 @@ class Follower:
                 self._compare(Sight.of(seen, frame))
             self.there += 1
         return seen
+
+    def forked(self) -> "Follower":
+        """One that goes on from here by itself."""
+        other = copy(self)
+        other.finder, other.frames = deepcopy(self.finder), []
+        return other
 
     def _compare(self, now: Sight) -> None:
         """With how it was seen when it was found, and when it was compared before."""
@@ -116,6 +129,7 @@ class Follower:
         changed = now.elsewhere(first) - (SHAKEN if shaken else MOVED)
         if changed > 0 and (away or changed > FLICKER * now.elsewhere(last)):
             self.moved += EVERY
+            self.went += EVERY * bool(away)
         self._sights = first, now
 
     @property
@@ -123,7 +137,7 @@ class Follower:
         return self.moved >= ENOUGH
 
 
-def _same(one: Follower, other: Follower) -> bool:
+def same(one: Follower, other: Follower) -> bool:
     """Whether two are at the same thing by now."""
     if one.finder.last is None or other.finder.last is None:
         return False
@@ -145,6 +159,11 @@ class Chooser:
         self._known = False
         self._seen = 0  # frames
         self._given: Follower | None = None  # what was last given as the body
+
+    @property
+    def main(self) -> Follower:
+        """What is taken for the body by now."""
+        return self._main
 
     @property
     def finder(self) -> PersonFinder:
@@ -169,14 +188,14 @@ class Chooser:
         for other in self._others:
             other(frame)
         main = self._main  # what it has just found may be followed already
-        known = (f for f in self._others if main.there == 1 < f.there and f.moved >= main.earlier and _same(f, main))
+        known = (f for f in self._others if main.there == 1 < f.there and f.moved >= main.earlier and same(f, main))
         self._main = next(known, main)
         kept = [self._main]
         for other in self._others:
             # who passes a cupboard may be mixed up with it
             if other is self._main:
                 continue
-            if other.moves or (other.finder.last is not None and not any(_same(other, one) for one in kept)):
+            if other.moves or (other.finder.last is not None and not any(same(other, one) for one in kept)):
                 kept.append(other)
         self._others = kept[1:]
         if self._seen % LOOK == 0 and len(self._others) < MOST:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial import KDTree
 
-from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.detect.stage import Target
 from voodoo_jax.records.observation import PersonFrame
 
 MOST, ASKED = 3000, 150  # points that neighbours are looked for among, and points whose neighbours are looked at
@@ -29,8 +29,8 @@ class WeighByNoise:
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset()
 
-    def __call__(self, frames: Iterable[PersonFrame], chooser: Chooser) -> Iterator[PersonFrame]:
-        return weighed(frames, chooser.settings.noise)
+    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]:
+        return weighed(frames, target.settings.noise)
 
 
 def range_noise(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:

@@ -7,7 +7,9 @@ import colorsys
 import json
 import math
 import os
+from collections.abc import Iterator, Sequence
 from importlib import metadata
+from itertools import chain
 
 import numpy as np
 import trimesh
@@ -52,8 +54,13 @@ QUALITY_SCHEMA = {
 }
 
 
-def write_tracks_mcap(tracks: Tracks, path: str | os.PathLike, parameters: dict[str, str] | None = None) -> None:
+def write_tracks_mcap(
+    tracks: Tracks | Sequence[Tracks], path: str | os.PathLike, parameters: dict[str, str] | None = None
+) -> None:
     """Writes `.voodoo.mcap`; log times are the frames' stamps, lengths metres, all in the tracks' fixed frame.
+
+    **Arguments:** `tracks` of one person, or of everybody in a recording: topics, frames and the attached body file of
+    person 2 have /2 in their names (/voodoo/2/tf, voodoo/2/torso, body.2.toml), and so on; `parameters` for the record.
 
     Topics: /voodoo/tf (FrameTransforms, limbs and joint centres), /voodoo/poses (PosesInFrame, limbs in the order of
     the body), /voodoo/body (SceneUpdate), /voodoo/quality (JSON). Frames without poses have quality only. Metadata
@@ -63,24 +70,37 @@ def write_tracks_mcap(tracks: Tracks, path: str | os.PathLike, parameters: dict[
     with replacing(path) as partial, open(partial, "wb") as file:
         writer = Writer(file)
         writer.start(profile="", library=f"voodoo_jax {_version()}")
-        start = int(tracks.time_ns[0]) if len(tracks.time_ns) else 0
-        own = {"version": _version(), "source": tracks.source, "fixed_frame": tracks.fixed_frame}
+        people = [tracks] if isinstance(tracks, Tracks) else list(tracks)
+        first = people[0]
+        start = int(first.time_ns[0]) if len(first.time_ns) else 0
+        own = {"version": _version(), "source": first.source, "fixed_frame": first.fixed_frame}
         writer.add_metadata("voodoo_jax", (parameters or {}) | own)
-        writer.add_attachment(start, start, "body.toml", "application/toml", format_body(tracks.body).encode())
-        _write_frames(writer, tracks)
+        for one in people:
+            name = "body.toml" if one.person == 1 else f"body.{one.person}.toml"
+            writer.add_attachment(start, start, name, "application/toml", format_body(one.body).encode())
+        # frame by frame, so that readers need not look back
+        for messages in zip(*(_messages(writer, one) for one in people), strict=True):
+            for channel, stamp, data, number in chain.from_iterable(messages):
+                writer.add_message(channel, log_time=stamp, data=data, publish_time=stamp, sequence=number)
         writer.finish()
 
 
-def _write_frames(writer: Writer, tracks: Tracks) -> None:
-    topics = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate}
+def _prefix(tracks: Tracks) -> str:
+    """With which the names of all that is somebody's begin."""
+    return "voodoo/" if tracks.person == 1 else f"voodoo/{tracks.person}/"
+
+
+def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, bytes, int]]]:
+    """Channel, stamp, content and number of the messages of each frame."""
+    topics, prefix = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate}, _prefix(tracks)
     channel = {
-        name: writer.register_channel(f"/voodoo/{name}", "protobuf", register_schema(writer, message))
+        name: writer.register_channel(f"/{prefix}{name}", "protobuf", register_schema(writer, message))
         for name, message in topics.items()
     }
     schema = writer.register_schema("voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode())
-    channel["quality"] = writer.register_channel("/voodoo/quality", "json", schema)
+    channel["quality"] = writer.register_channel(f"/{prefix}quality", "json", schema)
 
-    entities, named = body_entities(tracks.body), _named(tracks)
+    entities, named = body_entities(tracks.body, tracks.person), _named(tracks)
     next_scene, shown, confidence = None, frozenset(), tracks.confidence.tolist()
     for i, stamp in enumerate(tracks.time_ns.tolist()):
         seconds, nanos = divmod(stamp, 1_000_000_000)
@@ -88,12 +108,12 @@ def _write_frames(writer: Writer, tracks: Tracks) -> None:
         messages = {"quality": _quality(tracks, i, confidence[i])}
         if transforms := _transforms(tracks, i, time, named):
             messages["tf"] = FrameTransforms(transforms=transforms).SerializeToString()
-            limbs = [t for t in transforms if not t.child_frame_id.startswith("voodoo/joint/")]
+            limbs = [t for t in transforms if not t.child_frame_id.startswith(f"{prefix}joint/")]
             poses = [Pose(position=t.translation, orientation=t.rotation) for t in limbs]
             if len(poses) == tracks.body.limb_count:  # a list with gaps would name the wrong limbs
                 message = PosesInFrame(timestamp=time, frame_id=tracks.fixed_frame, poses=poses)
                 messages["poses"] = message.SerializeToString()
-            there = frozenset(t.child_frame_id.removeprefix("voodoo/") for t in limbs)
+            there = frozenset(t.child_frame_id.removeprefix(prefix) for t in limbs)
             if next_scene is None or stamp >= next_scene or there != shown:
                 next_scene = stamp + SCENE_PERIOD_NS
                 update = SceneUpdate(entities=[e for e in entities if e.id in there])
@@ -102,14 +122,14 @@ def _write_frames(writer: Writer, tracks: Tracks) -> None:
                 for entity in update.entities:
                     entity.timestamp.CopyFrom(time)
                 messages["body"], shown = update.SerializeToString(), there
-        for name, data in messages.items():
-            writer.add_message(channel[name], log_time=stamp, data=data, publish_time=stamp, sequence=i)
+        yield [(channel[name], stamp, data, i) for name, data in messages.items()]
 
 
 def _named(tracks: Tracks) -> list[FrameTransform]:
     """A transform for each limb and joint centre, yet without time and place."""
-    names = [f"voodoo/{name}" for name in tracks.body.topology.limbs]
-    names += [f"voodoo/joint/{name}" for name in tracks.body.topology.centres]
+    prefix = _prefix(tracks)
+    names = [f"{prefix}{name}" for name in tracks.body.topology.limbs]
+    names += [f"{prefix}joint/{name}" for name in tracks.body.topology.centres]
     return [FrameTransform(parent_frame_id=tracks.fixed_frame, child_frame_id=name) for name in names]
 
 
@@ -142,18 +162,21 @@ def _quality(tracks: Tracks, frame: int, confidence: float) -> bytes:
     return json.dumps(scalars, allow_nan=False).encode()
 
 
-def body_entities(body: Body) -> list[SceneEntity]:
-    """One SceneEntity per limb, id = limb name, in the frame `voodoo/<limb>` that it moves with; no timestamp.
+def body_entities(body: Body, person: int = 1) -> list[SceneEntity]:
+    """One SceneEntity per limb, id = limb name, in the frame `voodoo/<limb>` that it moves with (`voodoo/2/<limb>` of
+    person 2); no timestamp. The main person's limbs differ in colour, each of the others has a colour of their own.
 
     Metadata of each entity: a0, b0, a1, b1, length in metres, as in Body.sizes.
     """
     entities = []
     for i, (name, sizes) in enumerate(zip(body.topology.limbs, np.asarray(body.sizes, float))):
-        entity = SceneEntity(id=name, frame_id=f"voodoo/{name}", frame_locked=True, lifetime=Duration())
+        at = f"voodoo/{name}" if person == 1 else f"voodoo/{person}/{name}"
+        entity = SceneEntity(id=name, frame_id=at, frame_locked=True, lifetime=Duration())
         for key, value in zip(("a0", "b0", "a1", "b1", "length"), sizes):
             entity.metadata.append(KeyValuePair(key=key, value=f"{value:.9g}"))
         # golden ratio steps keep the colours of neighbours apart
-        r, g, b = colorsys.hsv_to_rgb(i * 0.618 % 1, 0.55, 0.95)
+        hue, bright = (i, 0.95) if person == 1 else (person, 0.95 - 0.3 * (i * 0.618 % 1))
+        r, g, b = colorsys.hsv_to_rgb(hue * 0.618 % 1, 0.55, bright)
         color = Color(r=r, g=g, b=b, a=0.7)
         a0, b0, a1, b1, _ = sizes
         if abs(a0 * b1 / (a1 * b0) - 1) < SAME_RATIO:

@@ -36,8 +36,9 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
     limb frame), joint_covariance (square metres, fixed frame; see solve/covariance.py), joint_confidence (0 to 1; see
     trackers/icp/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
-    fixed frame), fixed_frame, source, seconds, notes, body_toml; marker_names and marker_residual (metres) where markers
-    alone were tracked; run_key if one is given (see batch/resume.py).
+    fixed frame), fixed_frame, source, seconds, notes, body_toml; marker_names and marker_residual (metres) where
+    markers alone were tracked; person and people (which of how many) where there are several; run_key if one is given
+    (see batch/resume.py).
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
@@ -62,6 +63,8 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     }
     if tracks.marker_names:
         arrays["marker_names"] = np.array(tracks.marker_names, np.str_)
+    if tracks.people > 1:
+        arrays |= {"person": np.array(tracks.person), "people": np.array(tracks.people)}
     if run_key:
         arrays["run_key"] = np.array(run_key)
     with replacing(path) as partial, open(partial, "wb") as file:
@@ -95,4 +98,6 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
         marker_names=tuple(str(name) for name in data.get("marker_names", ())),
         seconds=float(data.get("seconds", 0.0)),
         notes=tuple(str(note) for note in data.get("notes", ())),
+        person=int(data.get("person", 1)),
+        people=int(data.get("people", 1)),
     )

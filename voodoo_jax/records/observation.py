@@ -1,6 +1,6 @@
 """The points of one frame that are taken to be on the body. Host side, NumPy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
@@ -40,6 +40,21 @@ class PersonFrame:
         other = copy(self)  # dataclasses.replace takes as long as all else here
         vars(other).update(points=self.points[keep], sensor=self.sensor[keep], part=part, weight=weight)
         return other
+
+
+def joined(frames: Sequence[PersonFrame]) -> PersonFrame:
+    """The first frame with the points of the others, which are of the same time and sensors."""
+    first = frames[0]
+    sizes = [len(f.points) for f in frames]
+    part, weight = None, None
+    if any(f.part is not None for f in frames):
+        part = np.concatenate([np.full(n, -1, np.int32) if f.part is None else f.part for f, n in zip(frames, sizes)])
+    if any(f.weight is not None for f in frames):
+        weight = np.concatenate(
+            [np.ones(n, np.float32) if f.weight is None else f.weight for f, n in zip(frames, sizes)]
+        )
+    points, sensor = (np.concatenate([getattr(f, name) for f in frames]) for name in ("points", "sensor"))
+    return replace(first, points=points, sensor=sensor, part=part, weight=weight)
 
 
 Seen = TypeVar("Seen", Frame, PersonFrame)

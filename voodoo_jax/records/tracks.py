@@ -64,6 +64,8 @@ class Tracks:
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())
+    person: int = 1  # number among the people of the recording: 1 who is seen longest
+    people: int = 1  # how many of them are tracked
 
     @property
     def tracked(self) -> Bool[np.ndarray, " frame"]:

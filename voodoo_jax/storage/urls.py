@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 URL_HELP = 'pip install "voodoo_jax[urls]"'
+NPZ = ".tracks.npz"  # and those of files with tracks
 TRACKS = ".voodoo.mcap"  # how the names of MCAP files of tracks end
 ENDINGS = (".mcap", ".mcap.zstd", ".mcap.zst")
 TOGETHER = "+"  # between files that are one recording
@@ -125,6 +126,21 @@ def expanded(place: str | os.PathLike[str]) -> list[str]:
     if not found:
         raise ValueError(f"{place}: no log matches; look at the names in the store, or at your access to it")
     return [system.unstrip_protocol(name) for name in found]
+
+
+def person_place(npz: str, person: int) -> str:
+    """Where the tracks of another person of a log are; `npz`: those of the main one, `<log>.tracks.npz`."""
+    return npz if person == 1 else f"{npz.removesuffix(NPZ)}.{person}{NPZ}"
+
+
+def removed(place: str) -> None:
+    """Removes a file, if it is there. Raises OSError."""
+    if not is_url(place):
+        Path(place).unlink(missing_ok=True)
+        return
+    system, path = file_system(place)
+    if system.exists(path):
+        system.rm_file(path)
 
 
 def joined(folder: str, name: str) -> str:

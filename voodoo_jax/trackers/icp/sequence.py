@@ -19,7 +19,7 @@ from voodoo_jax.solve.scan import State, at_rest
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.refine.stage import Named, Stage, is_active, refined
 from voodoo_jax.trackers.icp.runner import Session, first_run
-from voodoo_jax.trackers.icp.segment import Followed, segment_of
+from voodoo_jax.trackers.icp.segment import Followed, backwards, segment_of
 from voodoo_jax.trackers.icp.start.hypothesis import Beginning
 
 Progress = Callable[[int], None]
@@ -36,12 +36,13 @@ class Whole:
     run: Session
     segment: Followed  # all its frames
     begin: int  # frame in which tracking began
+    first: int  # the first one that was tracked, back in time from there
     enough: Bool[np.ndarray, " frame"]  # frames with points enough to look anew for a body that was lost
     notes: tuple[str, ...] = ()  # what stages want to be known
 
     def tracked_anew(self, people: list[PersonFrame], stages: tuple[Stage, ...]) -> "Whole":
         """The recording tracked once more, with other points on the body."""
-        return track_whole(self.run.anew(people), self.begin, self.enough, stages)
+        return track_whole(self.run.anew(people), self.begin, self.enough, stages, first=self.first)
 
 
 @runtime_checkable
@@ -57,11 +58,16 @@ def track_whole(
     enough: Bool[np.ndarray, " frame"],
     stages: tuple[Stage, ...],
     progress: Progress | None = None,
+    first: int | None = None,
 ) -> Whole:
-    """Tracks from frame `begin` on; each segment goes through the stages. `enough` see Whole."""
+    """Tracks from frame `begin` on; each segment goes through the stages. Then from there back to frame `first`, if it
+    is an earlier one. `enough` see Whole."""
     segment = Followed.blank(len(run.people), run.body.limb_count)
+    first = begin if first is None else first
     follow(run, begin, enough, segment, stages, progress)
-    return Whole(run, segment, begin, enough)
+    if first < begin and segment.status[begin] == Status.TRACKED:
+        segment.put(backwards(run, segment.pose_at(begin), first, begin + 1)[:-1])
+    return Whole(run, segment, begin, first, enough)
 
 
 # 62 lines: one state machine, whose steps share eight variables

@@ -106,19 +106,22 @@ def track(
     **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
     """
     settings = settings or Settings()
+    prepare_for(body, recording, settings)
+    r = recording
+    scene, people = find_person(r, r.up, body, settings, r.up_is_given)
+    return given_from(track_person(body, scene, people, settings, r.path, r.fixed_frame, r.notes, progress), r.origin)
+
+
+def prepare_for(body: Body, recording: Recording, settings: Settings) -> None:
+    """Checks the settings, and begins to compile or load what a recording is tracked with, see prepare."""
     check_stages(settings)
     if first := recording.frames[:1]:
         sensors = len(first[0].origins) if any(len(f.points) for f in recording) else 0
         names = {(*f.rays.names, *f.pairs.names) for f in recording}
         prepare(body, settings, sensors, names, first[0].part is not None)
-    scene, people = find_person(recording, recording.up, body, settings, recording.up_is_given)
-    tracks = track_person(
-        body, scene, people, settings, recording.path, recording.fixed_frame, recording.notes, progress
-    )
-    return given_from(tracks, recording.origin)
 
 
-# 9 parameters: what a log says of itself, and who looks on; a record of the subject will take their place
+# 10 parameters: what a log says of itself, who looks on, and where to begin
 def track_person(
     body: Body,
     scene: Scene,
@@ -129,9 +132,10 @@ def track_person(
     notes: tuple[str, ...] = (),
     progress: Progress | None = None,
     visit: Visit | None = None,
+    begin: int = 0,
 ) -> Tracks:
     """Tracks a body through frames in which it was already told apart from its surroundings (see find_person);
-    `visit` see Session."""
+    `visit` see Session. It starts in frame `begin` or later, and is tracked back from there, too."""
     began, waited = time.perf_counter(), seconds_of_waiting()
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
@@ -156,7 +160,10 @@ def track_person(
     body = prepared(body, changes)
     options = options_from(settings.solve, settings.track, settings.features)
     run = Session(body, options, people, scene, settings, changes, visit)
-    whole = track_whole(run, at, enough, REFINE, progress)
+    if begin > at and begin < count and enough[begin] and not from_markers and settings.looks_ahead("track"):
+        whole = track_whole(run, begin, enough, REFINE, progress, at)
+    else:
+        whole = track_whole(run, at, enough, REFINE, progress)
     for stage in FINISH:
         if is_active(whole.run, stage):
             whole = stage(whole)

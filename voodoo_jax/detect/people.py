@@ -1,0 +1,302 @@
+"""Everybody in view: who is beside the person that is followed, each from when they come until they leave.
+
+Host side, NumPy. Target selection follows one person and knows nothing of this. What is beside them and is of a
+body's shape is followed by a finder of its own; once there are two, what is near both goes to the nearer one, by where
+they were in the frame before. Who moves is a person; furniture and dummies do not. Who was hidden or away for a while
+is known again by height and place.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float32, Int
+from scipy.spatial import KDTree
+
+from voodoo_jax.config.options import DetectSettings
+from voodoo_jax.detect.disk_buffer import Spill
+from voodoo_jax.detect.segmentation import SPEED, STILL, PersonFinder
+from voodoo_jax.detect.target_selection import BESIDE, LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
+from voodoo_jax.detect.visibility import Nearest
+from voodoo_jax.geometry.voxels import cells_of, touching
+from voodoo_jax.records.observation import PersonFrame, whole
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
+
+SOME = 2000  # points of somebody by which it is told who is nearer; by hand
+TELLING = 30  # points of somebody in a frame, at least: fewer are not them; as in segmentation
+IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
+BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
+PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
+AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
+LIKE = 0.07  # metres of height: who differs by more is somebody else; measured on people who bend and turn: 0.04
+HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
+WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
+SLOW = 0.3  # metres per second: who is slower stands; by hand
+BLIND = 1.5  # seconds for which somebody whom nobody sees is thought to walk on; by hand
+ALL = 6  # people that are followed at once, at most; by hand
+
+
+@dataclass(eq=False)
+class Sighting:
+    """Somebody from when they came into view until they left, or were hidden for long."""
+
+    follower: Follower
+    first: int  # frame that `frames` begin with
+    frames: Spill = field(default_factory=Spill)
+    count: int = 0  # of the frames
+    last: int = -1  # frame in which they were seen for the last time
+    seen: int = 0  # frames in which they were
+    tops: list[float] = field(default_factory=list)  # heights above the floor, of each frame in which they were seen
+    places: dict[int, np.ndarray] = field(default_factory=dict)  # of the first and last frames: where they were
+    born_ns: int = 0
+    _way: deque = field(default_factory=deque)  # time in seconds, and place, while nobody hid them
+
+    @property
+    def finder(self) -> PersonFinder:
+        return self.follower.finder
+
+    @property
+    def is_person(self) -> bool:
+        """Whether they have moved as no thing does."""
+        return (self.follower.moves or self.follower.went >= LITTLE) and self.seen >= BRIEF
+
+    @property
+    def height(self) -> float:
+        """Of who stands upright most of the time, metres."""
+        return float(np.percentile(self.tops, 80)) if self.tops else np.nan
+
+    def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
+        """Takes care that what others hide of them now is known for theirs when it comes out again: where they were
+        seen `before`, so many seconds ago, counts on where no sensor sees it."""
+        finder = self.finder
+        finder.hidden = False
+        if before is None or finder.last is None:
+            return
+        some = before[:: len(before) // SOME + 1]
+        hidden = np.ones(len(some), bool)
+        for sensor in range(len(others.origins)):
+            hidden &= others.hides(some, np.full(len(some), sensor))
+        finder.hidden = bool(hidden.mean() > HIDDEN)
+        if finder.hidden:
+            # who walks on does so behind somebody, too
+            some = some[hidden] + self._velocity() * np.float32(seconds)
+            if not finder.unseen:
+                some = some[~touching(cells_of(some, STILL), cells_of(finder.last, STILL))]
+                finder.last = np.concatenate([finder.last, some])
+            elif finder.unseen * seconds < BLIND:
+                finder.last = np.concatenate([some, before[:: len(before) // SOME + 1][~hidden]])
+
+    def _velocity(self) -> Float32[np.ndarray, "3"]:
+        """Level, when they were wholly seen for the last time; metres per second."""
+        if not self._way:
+            return np.zeros(3, np.float32)
+        (began, first), (ended, last) = self._way[0], self._way[-1]
+        speed = (last - first) / max(ended - began, 1e-3)
+        walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
+        return (speed if walks else 0 * speed).astype(np.float32)
+
+    def add(self, frame: PersonFrame, number: int) -> None:
+        """What was seen of them in the next frame."""
+        self.frames.append(frame)
+        self.count += 1
+        if len(frame.points) >= TELLING:
+            floor = self.finder.scene.floor
+            self.last, self.seen = number, self.seen + 1
+            self.tops.append(floor.top(frame.points))
+            place = np.median(floor.level(frame.points), 0)
+            self.places.setdefault(0, place)
+            self.places[1] = place
+            if not self.finder.hidden:
+                self._way.append((frame.time_ns / 1e9, place))
+                while self._way[-1][0] - self._way[0][0] > WAY:
+                    self._way.popleft()
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Somebody in a recording: what was seen of them in each frame, and the scene they are in."""
+
+    finder: PersonFinder
+    settings: DetectSettings
+    early: list[PersonFrame]  # the first frames, which need no correction any more
+    frames: list[PersonFrame]  # the others
+
+    @property
+    def scene(self) -> Scene:
+        return self.finder.scene
+
+
+class People:
+    """Follows everybody beside the one whom a chooser follows."""
+
+    def __init__(self, chooser: Chooser, settings: DetectSettings, ahead: bool = True):
+        self.chooser, self.settings, self.ahead = chooser, settings, ahead
+        self._followed: list[Sighting] = []
+        self._left: list[Sighting] = []
+        self._things: list[np.ndarray] = []  # points of what has not moved for long
+        self._recent: deque[tuple[Frame, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
+        self._origin: Follower | None = None  # of the chooser, whom the first one continues
+        self._continued: Sighting | None = None  # that one
+        self._before: list[PersonFrame] = []  # what waited of them then
+        self._number = self._last_ns = 0  # of the frame
+
+    def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames, one by one, for the chooser; it is done with each before the next one is asked for."""
+        for frame in frames:
+            yield frame
+            self._see(frame)
+            self._number += 1
+
+    # -- frame by frame
+
+    def _see(self, frame: Frame) -> None:
+        if self._followed or self._left:
+            self._follow(frame)
+        taken = [s.finder.last for s in self._followed if s.finder.last is not None]
+        if not self._followed and self.chooser.finder.last is not None:
+            taken = [self.chooser.finder.last]
+        self._recent.append((frame, taken))
+        if self._number % LOOK == 0 and taken and len(self._followed) < ALL:
+            self._look(frame, taken)
+
+    def _follow(self, frame: Frame) -> None:
+        """Shares the points out among those who are followed, the nearer ones to the sensors first."""
+        self._followed.sort(key=lambda s: s.finder.unseen)
+        owner = _owners(frame.points, [s.finder for s in self._followed], self.settings.move)
+        before = [s.finder.last for s in self._followed]
+        seconds, self._last_ns = max(0.0, (frame.time_ns - self._last_ns) / 1e9), frame.time_ns
+        for k, sighting in enumerate(self._followed):
+            index = np.flatnonzero((owner == k) | (owner < 0))
+            sighting.add(sighting.follower.see(frame, whole(frame).only(index)), self._number)
+            owner[index[sighting.finder.taken]] = k
+        for k, sighting in enumerate(self._followed):
+            theirs = np.flatnonzero((owner >= 0) & (owner != k))
+            around = Nearest.of(frame.points[theirs], frame.sensor[theirs], frame.origins)
+            sighting.keep_hidden(before[k], around, seconds)
+        for sighting in list(self._followed):
+            others = [s for s in self._followed if s is not sighting]
+            twice = any(same(sighting.follower, s.follower) and s.seen >= sighting.seen for s in others)
+            if sighting.finder.last is None or twice:
+                self._end(sighting)
+            elif not sighting.is_person and frame.time_ns - sighting.born_ns > IDLE_NS:
+                self._things.append(sighting.finder.last[:: max(1, len(sighting.finder.last) // SOME)])
+                self._end(sighting)
+
+    def _end(self, sighting: Sighting) -> None:
+        self._followed.remove(sighting)
+        if sighting.is_person:
+            self._left.append(sighting)
+
+    def _look(self, frame: Frame, taken: list[np.ndarray]) -> None:
+        """Begins to follow somebody else, if there is anybody of a body's shape."""
+        for _ in range(MOST):
+            rest = _without(whole(frame), taken + self._things)
+            finder = self.chooser.finder.another(self.settings)
+            seen = finder(rest)
+            if len(seen.points) < TELLING or finder.likely < LIKELY * self.chooser.finder.likely:
+                return
+            if not self._followed:
+                self._followed.append(self._main(frame))
+            self._followed.append(self._found(frame, finder, seen))
+            taken.append(seen.points)
+            if len(self._followed) >= ALL:
+                return
+
+    def _main(self, frame: Frame) -> Sighting:
+        """Whom the chooser follows, from here on together with others."""
+        main = self.chooser.main
+        self._origin, self._before = main, list(main.frames)
+        self._continued = Sighting(main.forked(), self._number + 1, born_ns=frame.time_ns)
+        return self._continued
+
+    def _found(self, frame: Frame, finder: PersonFinder, seen: PersonFrame) -> Sighting:
+        """Somebody, followed back to when they came into view, which was after the last look."""
+        earlier: list[PersonFrame] = []
+        if self.ahead:
+            back = finder.another(self.settings)
+            back.last, back.last_ns = seen.points, frame.time_ns
+            for old, taken in list(self._recent)[-2::-1]:
+                earlier.append(back(_without(whole(old), taken)))
+                if len(earlier[-1].points) < TELLING:
+                    earlier.pop()
+                    break
+        sighting = Sighting(Follower(finder), self._number - len(earlier), born_ns=frame.time_ns)
+        for k, old in enumerate(earlier[::-1]):
+            sighting.add(old, sighting.first + k)
+        sighting.add(seen, self._number)
+        return sighting
+
+    # -- all of it
+
+    def observed(self, main: list[PersonFrame]) -> list[Observed]:
+        """Everybody, who is seen longest first; nobody if there is but one, for whom the chooser has told.
+
+        **Arguments:** `main` the chooser's frames, corrected.
+        """
+        found = [s for s in (*self._left, *self._followed) if s.is_person]
+        groups = linked(found, main)
+        if len(groups) < 2:
+            return []
+        people = []
+        for group in groups:
+            frames, early = [frame.only(NONE) for frame in main], 0
+            for sighting in group:
+                own = sighting.frames.frames()
+                if sighting is self._continued and self.chooser.main is self._origin:
+                    early = sighting.first
+                elif sighting is self._continued:
+                    frames[sighting.first - len(self._before) : sighting.first] = self._before
+                frames[sighting.first : sighting.first + len(own)] = own
+            people.append(Observed(group[-1].finder, self.settings, main[:early], frames[early:]))
+        return sorted(people, key=lambda p: -sum(len(f.points) >= TELLING for f in (*p.early, *p.frames)))
+
+
+def _owners(
+    points: Float32[np.ndarray, "point 3"], finders: list[PersonFinder], reach: float
+) -> Int[np.ndarray, " point"]:
+    """Who was nearest to each point in the frame before; -1 where nobody was nearer than `reach` metres. Who is hidden
+    has what is left."""
+    owner, nearest = np.full(len(points), -1), np.full(len(points), np.inf)
+    for k, finder in enumerate(finders):
+        if finder.last is None:
+            continue
+        some = finder.last[:: len(finder.last) // SOME + 1]
+        near = np.flatnonzero(touching(cells_of(points, reach), cells_of(some, reach)))
+        if finder.unseen:
+            near = near[owner[near] < 0]
+        distance = KDTree(some).query(points[near], distance_upper_bound=reach)[0]
+        mine = distance < nearest[near]
+        owner[near[mine]], nearest[near[mine]] = k, distance[mine]
+    return owner
+
+
+def _without(frame: PersonFrame, taken: list[np.ndarray]) -> PersonFrame:
+    """A frame without the points that are near what is taken."""
+    if not taken:
+        return frame
+    return frame.only(~touching(cells_of(frame.points, BESIDE), cells_of(np.concatenate(taken), BESIDE)))
+
+
+def linked(found: list[Sighting], frames: list[PersonFrame]) -> list[list[Sighting]]:
+    """Sightings of the same people, each in order of time: who was away or hidden is known again by height, and by
+    where they can have gone meanwhile."""
+    groups: list[list[Sighting]] = []
+    for sighting in sorted(found, key=lambda s: s.first):
+        costs = [_unlike(group[-1], sighting, frames) for group in groups]
+        best = int(np.argmin(costs)) if costs else -1
+        if best >= 0 and costs[best] < 1:
+            groups[best].append(sighting)
+        else:
+            groups.append([sighting])
+    return groups
+
+
+def _unlike(before: Sighting, after: Sighting, frames: list[PersonFrame]) -> float:
+    """How unlike each other the last and the first sight of somebody are: below 1 they may be the same."""
+    if before.last >= after.first:
+        return np.inf
+    seconds = (frames[after.first].time_ns - frames[before.last].time_ns) / 1e9
+    away = np.linalg.norm(after.places[0] - before.places[1]) / (AROUND + PACE * seconds)
+    return float(max(away, abs(after.height - before.height) / LIKE))

@@ -1,0 +1,15 @@
+"""Somebody in a recording, and what was seen of them."""
+
+from dataclasses import dataclass
+
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.scene import Scene
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Somebody in a recording. Several people are several subjects."""
+
+    number: int  # from 1: who is seen longest
+    scene: Scene
+    frames: list[PersonFrame]  # all of the recording; without points where they are not in view
