@@ -25,7 +25,7 @@ def read(tmp_path, text: str, base: Settings = DEFAULT) -> Settings:
         ("[person]\nahead = false", ("looks_ahead",), ("drop_unexplained",)),
         ("[person]\nsteady = false", ("steady_sensors",), ()),
         ("[track]\nboth_ways = false", (), ("looks_ahead",)),
-        ('[track]\nforearms = false\nskip = ["swap_legs"]', (), ("swap_legs", "fit_forearms")),
+        ('[track]\nforearms = false\nskip = ["restart_limbs"]', (), ("restart_limbs", "fit_forearms")),
         ("[track]\nboth_ways = true\nforearms = true\n[person]\nahead = true", (), ()),
     ],
 )

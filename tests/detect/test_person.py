@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame, grid, room
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
-from voodoo_jax.detect.drop_touched_furniture import without_furniture
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.detect.segmentation import PersonFinder
 from voodoo_jax.geometry.plane import Plane
@@ -363,7 +362,7 @@ def test_a_log_of_assigned_points_only():
     scene = find_scene(frames[:5], np.array([0, 0, 1], np.float32), up_is_sure=False)
     assert not scene.floor_seen and scene.walls == () and scene.floor.offset == pytest.approx(0.0, abs=0.03)
     people = list(map(PersonFinder(scene, build_of(1.75), DetectSettings()), frames))
-    for got in without_furniture(people, scene.floor.normal):
+    for got in people:
         np.testing.assert_array_equal(got.points, person.astype(np.float32))
 
 

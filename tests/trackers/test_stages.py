@@ -34,13 +34,15 @@ def test_no_look_ahead(section):
 
 
 def test_a_wrong_name_is_answered_with_the_nearest(tmp_path, capsys):
-    with pytest.raises(SettingsError, match="track.skip: there is no stage 'swap_leg'; did you mean 'swap_legs'?"):
-        check_stages(skipping("track", "swap_leg"))
+    with pytest.raises(
+        SettingsError, match="track.skip: there is no stage 'choose_facin'; did you mean 'choose_facing'?"
+    ):
+        check_stages(skipping("track", "choose_facin"))
     with pytest.raises(SettingsError, match="there are looks_ahead, forward_backward"):
         check_stages(skipping("track", "xyzxyz"))
     with pytest.raises(SettingsError, match="did you mean 'restart_limbs'"):
         vj.replay_logs(["missing.mcap"], tmp_path / "out", settings=skipping("track", "restart_limb"))
     assert not (tmp_path / "out").exists()
-    words = ["replay", str(tmp_path / "missing.mcap"), "--out", str(tmp_path / "out"), "--track.skip", "swap_leg"]
+    words = ["replay", str(tmp_path / "missing.mcap"), "--out", str(tmp_path / "out"), "--track.skip", "choose_facin"]
     assert main(words) == 2
-    assert "did you mean 'swap_legs'" in capsys.readouterr().err
+    assert "did you mean 'choose_facing'" in capsys.readouterr().err

@@ -15,7 +15,6 @@ from voodoo_jax.detect.camera_motion import steady_scene
 from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.detect.drop_planar_furniture import DropPlanarFurniture
 from voodoo_jax.detect.drop_seen_apart import DropSeenApart
-from voodoo_jax.detect.drop_touched_furniture import DropTouchedFurniture
 from voodoo_jax.detect.find_gravity import FindGravity
 from voodoo_jax.detect.people import People
 from voodoo_jax.detect.raise_floor import RaiseFloor
@@ -33,7 +32,7 @@ from voodoo_jax.records.subject import Subject
 # once floor and walls are found
 SCENE: tuple[SceneStage, ...] = (FindGravity(), RaiseFloor(), SteadySensors())
 # once the body is followed through the frames
-POINTS: tuple[PointStage, ...] = (WeighByNoise(), DropSeenApart(), DropTouchedFurniture(), DropPlanarFurniture())
+POINTS: tuple[PointStage, ...] = (WeighByNoise(), DropSeenApart(), DropPlanarFurniture())
 
 
 def stages() -> tuple[Named, ...]:

@@ -13,15 +13,13 @@ from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
 from voodoo_jax.trackers.icp.refine.stage import Named, Stage
-from voodoo_jax.trackers.icp.refine.swap_legs import SwapLegs
 from voodoo_jax.trackers.icp.sequence import RecordingStage
 from voodoo_jax.trackers.icp.start.fresh_end import FreshEnd
 
 # where the pass back in time begins
 END = FreshEnd()
-# of every segment, and of each that competes with it: before the ways to face are compared, for who faces the right way
-# with the legs exchanged costs more than who faces the other way
-SETTLE: tuple[Stage, ...] = (ForwardBackward(end=END), SwapLegs())
+# of every segment, and of each that competes with it
+SETTLE: tuple[Stage, ...] = (ForwardBackward(end=END),)
 # of every segment
 REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities())
 # of the recording
