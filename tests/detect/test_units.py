@@ -87,3 +87,12 @@ def test_pixels_without_a_distance_tell_nothing(tmp_path):
         log.add("/d", START + i * PERIOD, ros_image(START + i * PERIOD, "cam", metres))
     log.add("/i", START, ros_calibration("cam"))
     assert "read.scale" not in " ".join(read_log(log.write(tmp_path / "a.mcap")).notes)
+
+
+def test_a_floor_at_another_height_is_doubted_and_a_child_stays_one(rng, tmp_path):
+    """Twice too near is nothing unusual by itself: the transforms say how high the sensor is."""
+    near = read_log(log_of(np.concatenate([room(rng), figure(2.5, 0.1)]), 2.0).write(tmp_path / "a.mcap"))
+    assert np.ptp(near.frames[0].points[:, 2]) > 2.2 and "2 m" in " ".join(near.notes)
+    raised = np.concatenate([room(rng), figure(2.5, 0.1, 0.95, 0.12)]) - [0, 0, 0.6]  # the frame is a robot's middle
+    child = read_log(log_of(raised, 1.0).write(tmp_path / "b.mcap"))
+    assert child.notes == ()

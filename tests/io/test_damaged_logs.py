@@ -237,6 +237,9 @@ def test_unknown_channel_without_crc(tmp_path):
     [
         (b"", "is empty"),
         (b"hello world, this is not mcap\n" * 20, "is not an MCAP log"),
+        (b"PathFileType\t4\t(X/Y/Z)\twalk.trc\n" * 5, "TRC"),
+        (b"\x02\x50" + bytes(510), "C3D"),
+        (b"RRF2" + bytes(100), "Rerun"),
         (b"#ROSBAG V2.0\n" * 20, "is a ROS 1 bag"),
         (b"\x89MCAP0\r\n", "holds no messages.*incomplete"),
         (b"\x89MCAP0\r\n" * 2, "holds no messages"),

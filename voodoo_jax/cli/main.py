@@ -92,7 +92,7 @@ def run_info(command: Info) -> int:
     for path in paths:
         try:
             print(survey(path, command.read))
-        except LogError as problem:
+        except (LogError, SettingsError) as problem:
             print(f"voodoo-jax info: {problem}", file=sys.stderr)
             status = 1
     return status
