@@ -35,6 +35,7 @@ class Markers(NamedTuple):
     points: Float[np.ndarray, "frame marker 3"]  # world frame, metres; any number where not seen
     seen: Bool[np.ndarray, "frame marker"]
     places: tuple[str, ...] = ()  # of each, as in model.marker_names; (): the points of the body that the rows are
+    newington: bool = True  # whether hips are where Plug-in Gait has them, see model.marker_names.Known
 
 
 class Fit(NamedTuple):
@@ -60,7 +61,7 @@ def fit_markers(body: Body, markers: Markers, sizes: bool = True, scale_known: b
     chain, topology = Chain(body, markers.rows), body.topology
     names = (*topology.sites, *topology.centres)
     spots = markers.places or tuple(names[r] for r in markers.rows)
-    priors = Priors(chain, body, spots, 1e-4 if scale_known else SCALE)
+    priors = Priors(chain, body, spots, 1e-4 if scale_known else SCALE, markers.newington)
     factor = 1.0 if scale_known or not sizes else None
     middle = np.median(markers.points[markers.seen], 0)
     seen = markers.seen
