@@ -98,6 +98,17 @@ def test_detection_is_a_ray_through_the_point(tmp_path, model, d):
     assert all(len(f.points) == 767 and f.pairs.names == () for f in recording)
 
 
+def test_scores_of_a_pose_nets_key_points_weigh_them(tmp_path):
+    """As much as they say; a detector's scores say nothing, for it has its own scale."""
+    net = [("left_shoulder", 0.9), ("left_elbow", 0.5), ("left_wrist", 0.2), ("left_hip", 1.0), ("left_knee", 0.7)]
+    items = [([one], *pixel(FACE)) for one in net]
+    log = add_detections(colour(depth_log(1)), "/net", START, "colour", items)
+    add_detections(log, "/faces", START, "colour", [([("face", 0.3)], *pixel(FACE))])
+    rays = read_log(log.write(tmp_path / "a.mcap"), ReadSettings(weights=("/net=2",))).frames[0].rays
+    weights = dict(zip(rays.names, rays.weights.tolist()))
+    assert weights == pytest.approx({name: 2 * score for name, score in net} | {"face": 1.0})
+
+
 @pytest.mark.parametrize("version", [2, 3, 4])
 def test_releases_of_vision_msgs(tmp_path, version):
     items = [([("face", 0.8), ("hand", 0.7)], *pixel(FACE)), ([], 3.0, 4.0), ([("hand", np.nan)], *pixel(HAND))]

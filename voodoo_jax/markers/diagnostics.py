@@ -1,5 +1,7 @@
 """What is odd about the markers of a recording, in sentences: missing, exchanged, misplaced, with unknown names."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Int64
 
@@ -18,6 +20,22 @@ HINT = 0.06  # set by hand, metres: so near to a point of the body a marker may 
 HINTED = 0.3  # set by hand: share of the frames in which a marker must be seen to say where it sits
 USUAL = "Plug-in Gait"  # the set that needs no note
 FAR = 0.025  # set by hand: metres: a marker that is on average farther from its fitted place is named
+
+
+class Spans(NamedTuple):
+    """Stretches of time in frames."""
+
+    seconds: np.ndarray  # of each frame
+    step: float  # seconds between frames
+
+    def long(self, mask: np.ndarray) -> list[tuple[int, int]]:
+        """First and last frame of each stretch of True that is worth a note."""
+        return [(a, b) for a, b in runs(mask) if self.seconds[b] - self.seconds[a] + self.step > GAP]
+
+    def told(self, some: list[tuple[int, int]]) -> str:
+        """Some stretches in words."""
+        text = ", ".join(f"{a} to {b}" for a, b in some[:SHOWN])
+        return text + (f" and {len(some) - SHOWN} more times" if len(some) > SHOWN else "")
 
 
 def runs(mask: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:
@@ -39,36 +57,36 @@ def marker_notes(
     seconds = (stamps - stamps[0]) / 1e9
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
 
-    def long(mask: np.ndarray) -> list[tuple[int, int]]:
-        return [(a, b) for a, b in runs(mask) if seconds[b] - seconds[a] + step > GAP]
-
-    def told(some: list[tuple[int, int]]) -> str:
-        text = ", ".join(f"{a} to {b}" for a, b in some[:SHOWN])
-        return text + (f" and {len(some) - SHOWN} more times" if len(some) > SHOWN else "")
-
+    spans = Spans(seconds, step)
     known = table.markers
     some = np.asarray(known.seen.any(1))
     at = places(body, known.rows, poses)
     notes = []
-    if empty := long(~some):
-        notes.append(f"There are no markers in frames {told(empty)}.")
+    if empty := spans.long(~some):
+        notes.append(f"There are no markers in frames {spans.told(empty)}.")
     put_right = []
     for e in exchanges:
-        where = "all frames" if e.frames.all() else f"frames {told(runs(e.frames))}"
+        where = "all frames" if e.frames.all() else f"frames {spans.told(runs(e.frames))}"
         put_right.append((f"{e.first} and {e.second}", f"were exchanged in {where}: put right"))
     notes += in_few_lines(put_right, "pairs of markers were exchanged for a time and put right", "Markers ")
     missing = []
     for k, name in enumerate(known.names):
-        gaps = long(~known.seen[:, k] & some)
+        gaps = spans.long(~known.seen[:, k] & some)
         if gaps:
             length = sum(seconds[b] - seconds[a] + step for a, b in gaps)
-            missing.append((length, f"'{name}'", f"is missing for {length:.1f} s (frames {told(gaps)})"))
+            missing.append((length, f"'{name}'", f"is missing for {length:.1f} s (frames {spans.told(gaps)})"))
     missing.sort(key=lambda m: -m[0])
     notes += in_few_lines([m[1:] for m in missing], "markers are missing for a time, the longest", "Marker ")
+    notes += _misplaced(known, at, tracked, spans)
+    return (*notes, *_residuals(residuals(body, known, poses, tracked)), *_unknown(body, table, poses, tracked))
+
+
+def _misplaced(known: Markers, at: np.ndarray, tracked: np.ndarray, spans: Spans) -> list[str]:
+    """Notes on markers that are for a time where another one belongs, or far from their own places `at`."""
     off = np.linalg.norm(at - known.points, axis=-1)
     far = known.seen & (off > CLOSE) & tracked[:, None]
     exchanged = np.zeros_like(far)
-    often = np.flatnonzero(far.sum(0) * step > GAP)
+    often = np.flatnonzero(far.sum(0) * spans.step > GAP)
     seem = []
     for i, a in enumerate(often):
         for b in often[i + 1 :]:
@@ -76,19 +94,19 @@ def marker_notes(
             across = np.maximum(across, np.linalg.norm(at[:, b] - known.points[:, a], axis=-1))
             both = known.seen[:, a] & known.seen[:, b] & (far[:, a] | far[:, b])
             swapped = both & (across < 0.5 * np.maximum(off[:, a], off[:, b])) & tracked
-            if found := long(swapped):
+            if found := spans.long(swapped):
                 exchanged[:, [a, b]] |= swapped[:, None]
-                seem.append((f"{known.names[a]} and {known.names[b]}", f"seem exchanged (frames {told(found)})"))
-    notes += in_few_lines(seem, "pairs of markers seem exchanged", "Markers ")
+                seem.append((f"{known.names[a]} and {known.names[b]}", f"seem exchanged (frames {spans.told(found)})"))
+    notes = in_few_lines(seem, "pairs of markers seem exchanged", "Markers ")
     away = []
     for k in often:
-        if found := long(far[:, k] & ~exchanged[:, k]):
+        if found := spans.long(far[:, k] & ~exchanged[:, k]):
             metres = np.median(off[far[:, k], k])
-            text = f"is {100 * metres:.0f} cm from its place (frames {told(found)}); not used there"
+            text = f"is {100 * metres:.0f} cm from its place (frames {spans.told(found)}); not used there"
             away.append((metres, f"'{known.names[k]}'", text))
     away.sort(key=lambda a: -a[0])
     notes += in_few_lines([a[1:] for a in away], "markers are far from their places for a time, farthest", "Marker ")
-    return (*notes, *_residuals(residuals(body, known, poses, tracked)), *_unknown(body, table, poses, tracked))
+    return notes
 
 
 def in_few_lines(found: list[tuple[str, str]], many: str, one: str) -> list[str]:

@@ -7,7 +7,15 @@ import numpy as np
 from voodoo_jax.markers.chain import Chain
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.model.marker_names import split_place
-from voodoo_jax.model.marker_sets import MIDDLES, RIDES, USUAL_LENGTHS, V1_NAMES, newington_hips, placement
+from voodoo_jax.model.marker_sets import (
+    MIDDLES,
+    RIDES,
+    USUAL_LENGTHS,
+    V1_NAMES,
+    harrington_hips,
+    newington_hips,
+    placement,
+)
 
 SCALE, ACROSS, ALONG = 0.5, 0.1, 0.06  # usual deviations (logarithms) of the scale, a limb's thickness and its length
 MIRRORED = 0.02  # between left and right limbs
@@ -26,7 +34,7 @@ SPINES = (("l_asis",), ("r_asis",), ("l_psis", "mid_psis"), ("r_psis", "mid_psis
 class Priors:
     """Deviations of the unknowns of a chain from a usual person over their usual size: `at(x)`, and `slope(x)`."""
 
-    def __init__(self, chain: Chain, body: Body, places: Sequence[str], scale: float):
+    def __init__(self, chain: Chain, body: Body, places: Sequence[str], scale: float, newington: bool = True):
         n, joints = chain.count, list(chain.joints)
         spread = [_spread(place, chain.names) for place in places]
         self.loose = np.array([p in chain.names or (split_place(p)[1] or 0) >= LOOSE for p in places], bool)
@@ -40,7 +48,7 @@ class Priors:
             usual[shift(joint)] = PAIRED
         spines = [next((near.index(s) for s in some if s in near), None) for some in SPINES]
         exact = all(s is not None and sites[s] for s in spines)
-        self.hip = HIP if exact else NEAR_SPINES
+        self.hip, self.newington = HIP if exact else NEAR_SPINES, newington
         self.hips = [joints.index(h) for h in ("l_hip", "r_hip") if h in joints] if None not in spines else []
         told = {joint for _, joint, _ in self.middles}
         self.hips = [] if told & set(self.hips) else self.hips  # measured: no regression
@@ -115,7 +123,10 @@ class Priors:
         if len(self.hips) < 2:
             return np.zeros(0)
         places = self.chain.sized(x)
-        hips = newington_hips(places[self.spines], self._leg(places, self.stature * float(np.exp(x[0]))))
+        if self.newington:
+            hips = newington_hips(places[self.spines], self._leg(places, self.stature * float(np.exp(x[0]))))
+        else:
+            hips = harrington_hips(places[self.spines])
         return ((places[self.hips] - hips) / self.hip).ravel()
 
     def shifts(self, x: np.ndarray) -> np.ndarray:

@@ -35,6 +35,7 @@ class Markers(NamedTuple):
     points: Float[np.ndarray, "frame marker 3"]  # world frame, metres; any number where not seen
     seen: Bool[np.ndarray, "frame marker"]
     places: tuple[str, ...] = ()  # of each, as in model.marker_names; (): the points of the body that the rows are
+    newington: bool = True  # whether hips are where Plug-in Gait has them, see model.marker_names.Known
 
 
 class Fit(NamedTuple):
@@ -60,20 +61,13 @@ def fit_markers(body: Body, markers: Markers, sizes: bool = True, scale_known: b
     chain, topology = Chain(body, markers.rows), body.topology
     names = (*topology.sites, *topology.centres)
     spots = markers.places or tuple(names[r] for r in markers.rows)
-    priors = Priors(chain, body, spots, 1e-4 if scale_known else SCALE)
+    priors = Priors(chain, body, spots, 1e-4 if scale_known else SCALE, markers.newington)
     factor = 1.0 if scale_known or not sizes else None
     middle = np.median(markers.points[markers.seen], 0)
     seen = markers.seen
     points = np.where(seen[..., None], markers.points - middle, 0.0).astype(np.float64)
-    trust = np.where(priors.loose, UNSURE, 1.0) if sizes else np.ones(len(priors.loose))
-    first = [first_pose(body, markers.rows, p, s, factor, trust) for p, s in zip(points, seen)]
-    turn = np.stack([Rotation.from_quat(q, scalar_first=True).as_matrix() for q, _, _ in first])
-    root = np.stack([at[0] for _, at, _ in first])
-    x = np.zeros(chain.unknowns)
-    x[0] = np.log(np.median([found for _, _, found in first]))
-    if sizes:
-        origins = np.stack([at for _, at, _ in first])
-        x[priors.markers] = _found_places(chain, x, priors.loose, turn, origins, points, seen).ravel()
+    loose = priors.loose if sizes else np.zeros(len(priors.loose), bool)
+    x, turn, root = _start(body, chain, markers._replace(points=points), factor, loose)
 
     def off(x, turn, root):
         return chain.points(chain.sized(x), turn, root)[:, : points.shape[1]] - points
@@ -111,12 +105,39 @@ def fit_markers(body: Body, markers: Markers, sizes: bool = True, scale_known: b
     return Fit(scale, factors, *own, q, at, shifts, float(now))
 
 
+def _start(body: Body, chain: Chain, markers: Markers, factor: float | None, loose: np.ndarray):
+    """The unknowns, the limbs' rotations and the root's places that the fit begins with. Where `loose` markers sit is
+    told by first poses from the others, and then they help with these."""
+    rows, points, seen = markers.rows, markers.points, markers.seen
+    turn, at, scale = _first_poses(body, rows, points, seen, factor, np.where(loose, UNSURE, 1.0))
+    x = np.zeros(chain.unknowns)
+    x[0] = np.log(scale)
+    if loose.any():
+        shifts = _found_places(chain, x, loose, turn, at, points, seen)
+        x[-shifts.size :] = shifts.ravel()
+        sites = np.array(body.sites)
+        sites[rows[loose]] += shifts[loose] / scale
+        found = eqx.tree_at(lambda b: b.sites, body, jnp.asarray(sites))
+        turn, at, _ = _first_poses(found, rows, points, seen, scale, np.ones(len(loose)))
+    return x, turn, at[:, 0]
+
+
+def _first_poses(body: Body, rows, points, seen, factor, trust) -> tuple[np.ndarray, np.ndarray, float]:
+    """Rotations and places of the limbs in each frame, and the scale in most of them."""
+    first = [first_pose(body, rows, p, s, factor, trust) for p, s in zip(points, seen)]
+    turn = np.stack([Rotation.from_quat(q, scalar_first=True).as_matrix() for q, _, _ in first])
+    return turn, np.stack([at for _, at, _ in first]), float(np.median([found for _, _, found in first]))
+
+
 def _found_places(chain: Chain, x, loose, turn, origins, points, seen) -> np.ndarray:
-    """Shifts of the markers to where those whose place is not known sit on their limbs in the first poses."""
+    """Shifts of the markers to where those whose place is not known sit on their limbs in the first poses: in those
+    nearest to rest, for how a bent limb is turned about itself is told by such markers only."""
     shifts = np.zeros((len(loose), 3))
     at = chain.sized(x)[-len(loose) :]
+    bent = (chain.angles(turn)[0] ** 2).sum((1, 2))
     for m in np.flatnonzero(loose & seen.any(0)):
-        limb, use = chain.limb[m], seen[:, m]
+        limb, use = chain.limb[m], np.flatnonzero(seen[:, m])
+        use = use[np.argsort(bent[use])][: max(3, len(use) // 3)]
         local = np.einsum("fji,fj->fi", turn[use, limb], points[use, m] - origins[use, limb])
         shifts[m] = np.clip(np.median(local, 0) - at[m], -FARTHEST, FARTHEST)
     return shifts

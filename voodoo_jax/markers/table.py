@@ -77,7 +77,8 @@ def sized_by_markers(body: Body, markers: Markers, scale: float) -> tuple[Body, 
         k = np.flatnonzero(often)
         places = tuple(markers.places[i] for i in k) if markers.places else ()
         names = tuple(markers.names[i] for i in k)
-        markers = Markers(names, markers.rows[k], markers.points[:, k], markers.seen[:, k], places)
+        points, seen = markers.points[:, k], markers.seen[:, k]
+        markers = Markers(names, markers.rows[k], points, seen, places, markers.newington)
         count = markers.seen.sum(1)
         good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     if not len(good):

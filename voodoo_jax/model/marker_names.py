@@ -1,10 +1,11 @@
 """Which point of the body each name of a marker or key point means: sets of names as data files, and how to read names.
 
 A set is a TOML file in `model/marker_files`: `title`, `source`, perhaps `weight` (of each of its points as a feature),
-and two tables of names and places. `[middle]` holds names of the body's middle, `[sides]` names without their side. A
-name is a regular expression for the whole name in small letters, without separators; a place is a feature point or a
-joint centre of the body without `l_` and `r_`, or a limb: somewhere on it. `place~0.05`: metres by which it may lie off
-(one standard deviation), where that is more than usual.
+perhaps `hips = "newington"` (its model's hip centres are by that regression), and two tables of names and places.
+`[middle]` holds names of the body's middle, `[sides]` names without their side. A name is a regular expression for the
+whole name in small letters, without separators; a place is a feature point or a joint centre of the body without `l_`
+and `r_`, or a limb: somewhere on it. `place~0.05`: metres by which it may lie off (one standard deviation), where that
+is more than usual.
 """
 
 import re
@@ -40,6 +41,7 @@ class MarkerSet:
     middle: tuple[tuple[re.Pattern, str], ...]
     sides: tuple[tuple[re.Pattern, str], ...]
     numbered: tuple[str, ...]  # names that numbers stand for
+    newington: bool  # whether its hips are defined by the Newington regression
 
     def find(self, name: str, there: Collection[str] | None = None) -> str | None:
         """Place of a name without the subject's: a point or limb of those `there` (None: any), perhaps with "~" and
@@ -64,6 +66,7 @@ class Known:
     titles: tuple[str, ...] = ()  # of the sets that they are of, the one with the most names first
     weights: dict[str, float] = field(default_factory=dict)  # by full name, where a set says it
     unknown: tuple[str, ...] = ()  # names that no set knows
+    newington: bool = True  # whether hips are where Plug-in Gait has them; else see harrington_hips
 
 
 def readings(name: str) -> list[tuple[str, str]]:
@@ -99,9 +102,8 @@ def marker_sets() -> tuple[MarkerSet, ...]:
 def _parsed(text: str) -> MarkerSet:
     content = tomllib.loads(text)
     table = lambda key: tuple((re.compile(name), place) for name, place in content.get(key, {}).items())  # noqa: E731
-    return MarkerSet(
-        content["title"], content.get("weight"), table("middle"), table("sides"), tuple(content.get("numbered", ()))
-    )
+    numbered, newington = tuple(content.get("numbered", ())), content.get("hips") == "newington"
+    return MarkerSet(content["title"], content.get("weight"), table("middle"), table("sides"), numbered, newington)
 
 
 def split_place(place: str) -> tuple[str, float | None]:
@@ -206,7 +208,9 @@ def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[s
             if weights[title] is not None:
                 chosen.weights[full] = weights[title]
             used = list(dict.fromkeys([*used, title]))
-    return Known(chosen.places, tuple(used), chosen.weights, tuple(n for n in named if n not in chosen.places))
+    unknown = tuple(n for n in named if n not in chosen.places)
+    newington = next(one.newington for one in marker_sets() if one.title == used[0])
+    return Known(chosen.places, tuple(used), chosen.weights, unknown, newington)
 
 
 @lru_cache(maxsize=1)

@@ -94,6 +94,26 @@ def plain_name(name: str) -> str:
     return name
 
 
+def harrington_hips(spines: Float[np.ndarray, "4 3"]) -> Float[np.ndarray, "2 3"]:
+    """Left and right hip centre by the regression to magnetic resonance images of Harrington 2007
+    (doi:10.1016/j.jbiomech.2006.02.003), in the frame of the markers, metres.
+
+    **Arguments:** `spines` as for `newington_hips`. Radius of markers: 7 mm.
+    """
+    left, right = spines[:2]
+    middle, aside = (left + right) / 2, left - right
+    width = np.linalg.norm(aside)
+    aside = aside / width
+    ahead = middle - spines[2:].mean(0)
+    depth = np.linalg.norm(ahead) - 2 * 0.007
+    ahead = ahead - (ahead @ aside) * aside
+    ahead = ahead / np.linalg.norm(ahead)
+    forward, up = -0.24 * depth - 0.0099 - 0.007, -0.30 * width - 0.0109
+    centre = middle + forward * ahead + up * np.cross(ahead, aside)
+    out = (0.33 * width + 0.0073) * aside
+    return np.stack([centre + out, centre - out])
+
+
 def newington_hips(spines: Float[np.ndarray, "4 3"], leg: float) -> Float[np.ndarray, "2 3"]:
     """Left and right hip centre by the Newington regression (Davis 1991), in the frame of the markers, metres.
 

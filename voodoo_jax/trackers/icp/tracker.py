@@ -154,7 +154,8 @@ def track_person(
     at = int(np.argmax(enough)) if enough.any() else count
     if at < count and from_markers:
         spots = tuple(named.known.places.get(n, "") for n in table.markers.names)
-        body, sides = sized_by_markers(body, table.markers._replace(places=spots), settings.start.scale)
+        markers = table.markers._replace(places=spots, newington=named.known.newington)
+        body, sides = sized_by_markers(body, markers, settings.start.scale)
         people, exchanges = put_right(people, sides), exchanges + sides
     changes = loaded(settings.changes)
     body = prepared(body, changes)
