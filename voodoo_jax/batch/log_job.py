@@ -119,6 +119,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
+    from voodoo_jax.batch.converted import as_mcap
     from voodoo_jax.batch.extra_files import write_exports, write_view
     from voodoo_jax.batch.resume import log_fingerprint, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
@@ -132,6 +133,8 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             log = stack.enter_context(fetched(job.log))
         except Exception as problem:  # every store has its own errors
             raise LogError(f"'{job.log}' cannot be fetched: {type(problem).__name__}: {problem}") from problem
+        original = log
+        log, converted = stack.enter_context(as_mcap(log))
         folder = stack.enter_context(delivered(job.out))
         npz, mcap = output_paths(job.log, folder)
         target = npz.with_name(Path(drawn).name)
@@ -140,13 +143,14 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         if job.only_picture:
             tracks = read_tracks_npz(stack.enter_context(fetched(place)))
         else:
-            with suppress(OSError), open(log, "rb") as stream:  # before reading: it may be changed meanwhile
+            with suppress(OSError), open(original, "rb") as stream:  # before reading: it may be changed meanwhile
                 key = run_key(job.recipe, log_fingerprint(stream))
             try:
                 tracks = track_log(log, on_device(job.body), job.settings, progress, visit)
             except LogError as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
-            tracks = smooth(replace(tracks, source=job.log), job.smooth_seconds)
+            tracks = replace(tracks, source=job.log, notes=(*converted, *tracks.notes))
+            tracks = smooth(tracks, job.smooth_seconds)
             write_tracks_mcap(tracks, mcap, {**dict(job.parameters), "run_key": key})
             write_tracks_npz(tracks, npz, key)  # last: where it is, both are
         trouble = _picture(tracks, target, job, log) if job.picture else ""

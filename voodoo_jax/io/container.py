@@ -231,9 +231,9 @@ def _check(path: str) -> int:
     if head != MAGIC:
         hint = ""
         if head.startswith(b"#ROSBAG"):
-            hint = " It is a ROS 1 bag: `mcap convert` or `rosbags-convert` makes an MCAP file of it."
+            hint = " It is a ROS 1 bag: `voodoo-jax convert` makes an MCAP file of it."
         elif head.startswith(b"SQLite"):
-            hint = " It is an SQLite bag of ROS 2: `ros2 bag convert` makes an MCAP file of it."
+            hint = " It is an SQLite bag of ROS 2: `voodoo-jax convert` makes an MCAP file of it."
         raise LogError(
             f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint or ' Give a .mcap file.'}"
         )
