@@ -6,6 +6,7 @@ import cv2
 import ezc3d
 import numpy as np
 import pytest
+import trimesh
 from mcap.reader import make_reader
 from rosbags.rosbag1 import Writer as Bag1
 from rosbags.rosbag2 import Writer as Bag2
@@ -181,6 +182,35 @@ def test_folders_of_depth_images(log, tmp_path):
             turned = (b.points - np.array(CAMERA.position)) @ CAMERA.rotation
             np.testing.assert_allclose(a.points, turned, atol=1e-4)
         assert abs(int(np.diff([f.time_ns for f in found])[0]) - (stamps[1] - stamps[0])) < 2000
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary", "ply"])
+def test_folders_of_clouds(kind, tmp_path):
+    rng = np.random.default_rng(0)
+    clouds = [rng.normal(0, 1, (50 + i, 3)).astype(np.float32) for i in range(5)]
+    for i, points in enumerate(clouds):
+        if kind == "ply":
+            trimesh.PointCloud(points).export(tmp_path / f"{i + 8}.ply")
+            continue
+        head = "# .PCD v0.7\nVERSION 0.7\nFIELDS _ x y z rgb normal\nSIZE 1 4 4 4 4 4\nTYPE U F F F U F\n"
+        head += f"COUNT 3 1 1 1 1 3\nWIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA {kind}\n"
+        row = [("_", "u1", 3), ("p", "<f4", 3), ("rgb", "<u4"), ("normal", "<f4", 3)]
+        table = np.zeros(len(points), row)
+        table["p"] = points
+        text = "\n".join(f"0 0 0 {x:.9g} {y:.9g} {z:.9g} 7 0 0 1" for x, y, z in points) + "\n"
+        body = table.tobytes() if kind == "binary" else text.encode()
+        (tmp_path / f"{i + 8}.pcd").write_bytes(head.encode() + body)
+    with pytest.raises(ConvertError, match="--rate"):
+        convert(tmp_path, tmp_path / "out.mcap")
+    broken = "10.ply" if kind == "ply" else "10.pcd"
+    (tmp_path / broken).write_bytes(b"ply\nnot so" if kind == "ply" else b"VERSION 0.7\nFIELDS x\n")
+    (note,) = convert(tmp_path, tmp_path / "out.mcap", rate=10)
+    assert broken in note
+    recording = vj.read_log(tmp_path / "out.mcap")
+    found = {round((f.time_ns - 10**9) / 1e8): f.points for f in recording}
+    assert set(found) == {0, 1, 3, 4}
+    for i, points in found.items():
+        np.testing.assert_allclose(points, clouds[i], atol=1e-6)
 
 
 def test_what_cannot_be_converted_is_said(tmp_path, capsys):

@@ -76,8 +76,8 @@ class Convert:
     """Make an MCAP log of a recording of another format.
 
     ROS 1 bags (.bag), SQLite bags of ROS 2 (.db3, or their folder), C3D and TRC, and folders of 16-bit depth images
-    (PNG): as the TUM RGB-D benchmark has them, or any with a camera file. replay converts .bag, .db3, .c3d and .trc in
-    passing.
+    (PNG), as the TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay converts
+    .bag, .db3, .c3d and .trc in passing.
     """
 
     sources: Positional[tuple[Path, ...]] = ()
@@ -86,6 +86,8 @@ class Convert:
     """The log (.mcap) of one recording, or a folder for the logs of several."""
     camera: Path | None = None
     """Camera file of depth images (TOML): width, height, fx, fy, cx, cy, unit (metres of a count), rate (Hz)."""
+    rate: float = 0.0
+    """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
 
 
 @dataclass(frozen=True)

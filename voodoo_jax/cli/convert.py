@@ -27,7 +27,7 @@ def run_convert(command: Convert) -> int:
             target.parent.mkdir(parents=True, exist_ok=True)
             if target.exists() and target.samefile(source):
                 raise ConvertError(f"'{source}' would be replaced by itself: name another --out")
-            notes = convert(source, target, command.camera)
+            notes = convert(source, target, command.camera, command.rate)
         except (ConvertError, OSError) as problem:
             say(problem)
             failed = True

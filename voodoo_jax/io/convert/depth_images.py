@@ -5,7 +5,6 @@ a second) where the names of the images are not times in seconds. TUM: `depth.tx
 count is 1/5000 m; the camera is that of the benchmark's registered images unless a file says another one.
 """
 
-import re
 import tomllib
 from pathlib import Path
 
@@ -14,30 +13,29 @@ import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from voodoo_jax.io.convert.target import START_NS, ConvertError, new_log, putter
+from voodoo_jax.io.convert.target import ConvertError, named_times, new_log, putter
 
 IMAGE, INFO, FRAME = "/depth/image", "/depth/camera_info", "depth_optical"
 CAMERA_FILE = "camera.toml"
 # the benchmark's page "intrinsic camera calibration": ROS default for registered images, factor 5000
 TUM = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "unit": 1 / 5000}
 KEYS = ("width", "height", "fx", "fy", "cx", "cy", "unit")
-TIME_NAME = re.compile(r"\d{1,12}\.\d+")  # seconds, as the stem of an image's name
 MILLIMETRE = 0.001
 
 
-def convert(source: Path, target: Path, camera_file: Path | None = None) -> list[str]:
+def convert(source: Path, target: Path, camera_file: Path | None = None, rate: float = 0.0) -> list[str]:
     """Writes depth images in millimetres. Raises ConvertError, OSError."""
     listed = source / "depth.txt"
     camera = _camera(camera_file or source / CAMERA_FILE, TUM if listed.is_file() else None, camera_file is not None)
-    images = _listed(listed) if listed.is_file() else _named(source, camera.get("rate", 0.0))
+    rate = rate or camera.get("rate", 0.0)
+    images = _listed(listed) if listed.is_file() else named_times(source, (".png",), rate)
     if not images:
         raise ConvertError(f"'{source}' has no depth images (.png)")
-    notes, rounded, start = [], 0, round(images[0][0] * 1e9)
-    shift = START_NS - start if start <= 0 else 0
+    notes, rounded = [], 0
     with new_log(target) as writer:
         put = putter(writer)
-        put(INFO, start + shift, _calibration(camera, start + shift))
-        for seconds, path in images:
+        put(INFO, images[0][0], _calibration(camera, images[0][0]))
+        for stamp, path in images:
             depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
             if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
                 notes.append(f"'{path.name}' was left out: it is no 16-bit image of one channel")
@@ -45,7 +43,6 @@ def convert(source: Path, target: Path, camera_file: Path | None = None) -> list
             if depth.shape != (camera["height"], camera["width"]):
                 size = f"{depth.shape[1]} x {depth.shape[0]}"
                 raise ConvertError(f"'{path}' is {size}, the camera {camera['width']} x {camera['height']}")
-            stamp = round(seconds * 1e9) + shift
             put(IMAGE, stamp, _image(depth, camera["unit"], stamp))
             rounded += camera["unit"] != MILLIMETRE
         if len(notes) == len(images):
@@ -73,21 +70,12 @@ def _camera(path: Path, usual: dict | None, asked: bool) -> dict:
     return found
 
 
-def _listed(path: Path) -> list[tuple[float, Path]]:
+def _listed(path: Path) -> list[tuple[int, Path]]:
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
     try:
-        return sorted((float(row[0]), path.parent / row[1]) for row in rows if not row[0].startswith("#"))
+        return sorted((round(float(row[0]) * 1e9), path.parent / row[1]) for row in rows if not row[0].startswith("#"))
     except (ValueError, IndexError) as problem:
         raise ConvertError(f"'{path}': a line must be a time in seconds and a file") from problem
-
-
-def _named(source: Path, rate: float) -> list[tuple[float, Path]]:
-    paths = sorted(source.glob("*.png"), key=lambda path: [int(n) for n in re.findall(r"\d+", path.stem)] or [0])
-    if paths and all(TIME_NAME.fullmatch(path.stem) for path in paths):
-        return sorted((float(path.stem), path) for path in paths)
-    if paths and not rate > 0:
-        raise ConvertError(f"'{source}': the images' names are not times in seconds: the camera file must say the rate")
-    return [(1 + i / rate, path) for i, path in enumerate(paths)]
 
 
 def _calibration(camera: dict, stamp: int) -> CameraCalibration:

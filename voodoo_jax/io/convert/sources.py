@@ -14,16 +14,20 @@ def is_foreign(path: str | os.PathLike[str]) -> bool:
 
 
 def convert(
-    source: str | os.PathLike[str], target: str | os.PathLike[str], camera: str | os.PathLike[str] | None = None
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    camera: str | os.PathLike[str] | None = None,
+    rate: float = 0.0,
 ) -> list[str]:
     """Writes a recording of another format as an MCAP log; nothing is left where that does not work.
 
     **Arguments:** `source` a ROS 1 bag (.bag), an SQLite bag of ROS 2 (.db3, or its folder), C3D, TRC, or a folder of
-    depth images; `camera` its camera file (see depth_images.py).
+    depth images or point clouds (PCD, PLY); `camera` the images' camera file (see depth_images.py); `rate` files a
+    second where their names are not times.
 
     **Returns:** what was left out or changed, one sentence each. Raises ConvertError, OSError.
     """
-    from voodoo_jax.io.convert import depth_images, markers, ros_bags
+    from voodoo_jax.io.convert import clouds, depth_images, markers, ros_bags
 
     source, target = Path(source), Path(target)
     if not source.exists():
@@ -33,7 +37,9 @@ def convert(
             return ros_bags.convert(source, target)
         if any(source.glob("*.mcap")):
             raise ConvertError(f"'{source}' holds MCAP logs already: give it to replay as it is")
-        return depth_images.convert(source, target, Path(camera) if camera else None)
+        if any(path.suffix.lower() in clouds.ENDINGS for path in source.iterdir()):
+            return clouds.convert(source, target, rate)
+        return depth_images.convert(source, target, Path(camera) if camera else None, rate)
     kind = source.suffix.lower()
     if kind in (".bag", ".db3"):
         return ros_bags.convert(source, target)
@@ -42,6 +48,5 @@ def convert(
     if kind == ".trc":
         return markers.convert_trc(source, target)
     known = ", ".join(f"{name} ({end})" for end, name in FILES.items())
-    raise ConvertError(
-        f"'{source}': such files are not converted; what is: {known}, folders of a ROS 2 bag or of depth images (PNG)"
-    )
+    known += ", folders of a ROS 2 bag, of depth images (PNG) or of point clouds (PCD, PLY)"
+    raise ConvertError(f"'{source}': such files are not converted; what is: {known}")

@@ -1,8 +1,10 @@
 """The MCAP log that a recording is converted to."""
 
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +17,26 @@ from voodoo_jax.storage.atomic import replacing
 
 START_NS = 1_000_000_000  # stamp of a first frame that has none: not 0, which means that there is no stamp
 RADIUS = 0.007  # metres, of the spheres that stand for markers (half of the usual 14 mm)
+SECONDS, NANOSECONDS = re.compile(r"\d{1,12}\.\d+"), re.compile(r"\d{19}")  # names of files
 Put = Callable[[str, int, Any], None]  # topic, stamp in nanoseconds, message of foxglove's
 
 
 class ConvertError(ValueError):
     """A recording that cannot be converted, with the reason and what to do."""
+
+
+def named_times(folder: Path, endings: tuple[str, ...], rate: float) -> list[tuple[int, Path]]:
+    """Files of a folder in their order, with stamps in nanoseconds: their names, where these are times in seconds, or
+    nanoseconds (19 digits); else numbered at a rate (files a second). Raises ConvertError."""
+    files = [path for path in folder.iterdir() if path.suffix.lower() in endings and not path.name.startswith(".")]
+    if files and all(SECONDS.fullmatch(path.stem) for path in files):
+        return sorted((round(float(path.stem) * 1e9), path) for path in files)
+    if files and all(NANOSECONDS.fullmatch(path.stem) for path in files):
+        return sorted((int(path.stem), path) for path in files)
+    if files and not rate > 0:
+        raise ConvertError(f"'{folder}': the files' names are not times in seconds: give their rate (--rate, in Hz)")
+    files.sort(key=lambda path: ([int(number) for number in re.findall(r"\d+", path.stem)], path.name))
+    return [(START_NS + round(i * 1e9 / rate), path) for i, path in enumerate(files)]
 
 
 @contextmanager
