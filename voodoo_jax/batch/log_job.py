@@ -127,6 +127,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
+    from voodoo_jax.batch.converted import as_mcap
     from voodoo_jax.batch.extra_files import write_exports, write_view
     from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
@@ -140,6 +141,8 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             log = stack.enter_context(fetched(job.log))
         except Exception as problem:  # every store has its own errors
             raise LogError(f"'{job.log}' cannot be fetched: {type(problem).__name__}: {problem}") from problem
+        original = log
+        log, converted = stack.enter_context(as_mcap(log))
         folder = stack.enter_context(delivered(job.out))
         npz, mcap = output_paths(job.log, folder)
         target = npz.with_name(Path(drawn).name)
@@ -151,12 +154,13 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             people += [read_tracks_npz(stack.enter_context(fetched(person_place(place, k)))) for k in numbers]
         else:
             with suppress(OSError):  # before reading: it may be changed meanwhile
-                key = run_key(job.recipe, fingerprint_of(log))
+                key = run_key(job.recipe, fingerprint_of(original))
             try:
                 people = track_log(log, on_device(job.body), job.settings, progress, visit)
             except LogError as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
-            people = [smooth(replace(one, source=job.log), job.smooth_seconds) for one in people]
+            people = [replace(one, source=job.log, notes=(*converted, *one.notes)) for one in people]
+            people = [smooth(one, job.smooth_seconds) for one in people]
             check_names(place, len(people))
             write_tracks_mcap(people, mcap, {**dict(job.parameters), "run_key": key})
             for one in people[::-1]:  # the main one last: where it is, all are

@@ -72,6 +72,25 @@ class Export:
 
 
 @dataclass(frozen=True)
+class Convert:
+    """Make an MCAP log of a recording of another format.
+
+    ROS 1 bags (.bag), SQLite bags of ROS 2 (.db3, or their folder), C3D and TRC, and folders of 16-bit depth images
+    (PNG), as the TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay converts
+    .bag, .db3, .c3d and .trc in passing.
+    """
+
+    sources: Positional[tuple[Path, ...]] = ()
+    """Recordings: files or folders."""
+    out: Path | None = None
+    """The log (.mcap) of one recording, or a folder for the logs of several."""
+    camera: Path | None = None
+    """Camera file of depth images (TOML): width, height, fx, fy, cx, cy, unit (metres of a count), rate (Hz)."""
+    rate: float = 0.0
+    """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
+
+
+@dataclass(frozen=True)
 class Info:
     """Show what is in logs and what replay would use of it."""
 
@@ -128,6 +147,7 @@ Command = (
     | Annotated[Replay, subcommand("replay")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Export, subcommand("export")]
+    | Annotated[Convert, subcommand("convert")]
     | Annotated[FitCommand, subcommand("fit")]
     | Annotated[Config, subcommand("config")]
 )

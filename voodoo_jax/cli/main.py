@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import arg
 
-from voodoo_jax.cli.commands import PRESET_BODIES, Command, Config, Demo, Export, FitCommand, Info, Replay
+from voodoo_jax.cli.commands import PRESET_BODIES, Command, Config, Convert, Demo, Export, FitCommand, Info, Replay
 from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.presets import PRESETS, preset
@@ -164,11 +164,15 @@ def main(argv: list[str] | None = None) -> int:
         return 130
 
 
-def _run(command: "Replay | Info | Demo | Config | FitCommand | Export", base: Settings) -> int:
+def _run(command: "Replay | Info | Demo | Config | FitCommand | Export | Convert", base: Settings) -> int:
     if isinstance(command, Export):
         from voodoo_jax.cli.export import run_export
 
         return run_export(command)
+    if isinstance(command, Convert):
+        from voodoo_jax.cli.convert import run_convert
+
+        return run_convert(command)
     if isinstance(command, FitCommand):
         from voodoo_jax.cli.fit import run_fit
 

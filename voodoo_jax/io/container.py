@@ -315,13 +315,13 @@ def _check(path: str, file: str) -> int:
     if head != MAGIC:
         hint = ""
         if head.startswith(b"#ROSBAG"):
-            hint = " It is a ROS 1 bag: `mcap convert` or `rosbags-convert` makes an MCAP file of it."
+            hint = " It is a ROS 1 bag: `voodoo-jax convert` makes an MCAP file of it."
         elif head.startswith(b"SQLite"):
-            hint = " It is an SQLite bag of ROS 2: `ros2 bag convert` makes an MCAP file of it."
+            hint = " It is an SQLite bag of ROS 2: `voodoo-jax convert` makes an MCAP file of it."
         elif head.startswith(b"PathFile"):
-            hint = " It is a TRC file: markers are read from MCAP logs only."
+            hint = " It is a TRC file: `voodoo-jax convert` makes an MCAP file of it."
         elif head[1:2] == b"\x50" and head[0] < 32:
-            hint = " It seems to be a C3D file: markers are read from MCAP logs only."
+            hint = " It seems to be a C3D file: `voodoo-jax convert` makes an MCAP file of it."
         elif head.startswith(b"RRF"):
             hint = " It is a recording of Rerun: give the log that it was made of."
         raise LogError(

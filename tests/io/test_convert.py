@@ -1,0 +1,240 @@
+"""Recordings of other formats become logs that are read as the recording itself would be."""
+
+from pathlib import Path
+
+import cv2
+import ezc3d
+import numpy as np
+import pytest
+import trimesh
+from mcap.reader import make_reader
+from rosbags.rosbag1 import Writer as Bag1
+from rosbags.rosbag2 import Writer as Bag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+import voodoo_jax as vj
+from tests.exporters.test_tracks_files import make_tracks
+from voodoo_jax.batch.converted import as_mcap
+from voodoo_jax.cli.main import main
+from voodoo_jax.exporters.formats import export
+from voodoo_jax.io.container import LogError
+from voodoo_jax.io.convert.sources import convert
+from voodoo_jax.io.convert.target import ConvertError
+from voodoo_jax.model.body_file import load_body
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import Camera
+
+CAMERA = Camera(40, 31, 45.5, 43.1, 19.5, 15.0, (0.0, 0.0, 1.0), 0.07)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    """A simulated log of ROS 2 messages."""
+    body = load_body("human10")
+    sim = simulate(body, placed(make_motion(body, "swing", 0.8, 5.0), 2.5, 0.0, np.pi), CAMERA)
+    return write_simulation(sim, tmp_path_factory.mktemp("log") / "sim.mcap")
+
+
+def messages(path: Path) -> list[tuple[str, str, int, bytes]]:
+    with open(path, "rb") as stream:
+        return [(c.topic, s.name, m.log_time, m.data) for s, c, m in make_reader(stream).iter_messages() if s]
+
+
+def assert_same_frames(found: vj.Recording, expected: vj.Recording, atol: float = 0.0) -> None:
+    assert len(found) == len(expected) > 3 and found.fixed_frame == expected.fixed_frame
+    for a, b in zip(found, expected):
+        assert a.time_ns == b.time_ns
+        np.testing.assert_allclose(a.points, b.points, rtol=0, atol=atol)
+
+
+def test_sqlite_bags_of_ros_2_are_copied_to_the_byte(log, tmp_path):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Bag2(tmp_path / "bag", version=9) as bag:
+        connections = {}
+        for topic, kind, stamp, data in messages(log):
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=store)
+            bag.write(connections[topic], stamp, data)
+    for source in (tmp_path / "bag", next((tmp_path / "bag").glob("*.db3"))):
+        assert convert(source, tmp_path / "out.mcap") == []
+        assert sorted(messages(tmp_path / "out.mcap")) == sorted(messages(log))
+    assert_same_frames(vj.read_log(tmp_path / "out.mcap"), vj.read_log(log))
+
+
+def test_ros_1_bags_are_read_as_their_ros_2_twins(log, tmp_path):
+    """Headers, calibrations and transforms have other fields and names in ROS 1; a type that ROS 2 lacks is kept."""
+    store, two = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg("std_msgs/Header header\nfloat64 volts", "lab_msgs/msg/Battery"))
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    t = store.types
+
+    def header(h):
+        time = t["builtin_interfaces/msg/Time"](sec=h.stamp.sec, nanosec=h.stamp.nanosec)
+        return t["std_msgs/msg/Header"](seq=7, stamp=time, frame_id=h.frame_id)
+
+    def twin(m):
+        kind = m.__msgtype__
+        if kind == "tf2_msgs/msg/TFMessage":
+            one = m.transforms[0]
+            v, q = one.transform.translation, one.transform.rotation
+            transform = t["geometry_msgs/msg/Transform"](
+                translation=t["geometry_msgs/msg/Vector3"](x=v.x, y=v.y, z=v.z),
+                rotation=t["geometry_msgs/msg/Quaternion"](x=q.x, y=q.y, z=q.z, w=q.w),
+            )
+            stamped = t["geometry_msgs/msg/TransformStamped"](
+                header=header(one.header), child_frame_id=one.child_frame_id, transform=transform
+            )
+            return t[kind](transforms=[stamped])
+        own = {name: getattr(m, name, None) for name in t[kind].__dataclass_fields__ if name != "__msgtype__"}
+        own["header"] = header(m.header)
+        if "roi" in own:
+            own |= {"D": m.d, "K": m.k, "R": m.r, "P": m.p}
+            fields = ("x_offset", "y_offset", "height", "width", "do_rectify")
+            own["roi"] = t["sensor_msgs/msg/RegionOfInterest"](**{name: getattr(m.roi, name) for name in fields})
+        return t[kind](**own)
+
+    with Bag1(tmp_path / "old.bag") as bag:
+        connections = {}
+        for topic, kind, stamp, data in messages(log):
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=store)
+            bag.write(connections[topic], stamp, store.serialize_ros1(twin(two.deserialize_cdr(data, kind)), kind))
+        battery = bag.add_connection("/battery", "lab_msgs/msg/Battery", typestore=store)
+        zero = two.types["std_msgs/msg/Header"](two.types["builtin_interfaces/msg/Time"](1, 2), "base")
+        message = t["lab_msgs/msg/Battery"](header=header(zero), volts=11.5)
+        bag.write(battery, stamp, store.serialize_ros1(message, "lab_msgs/msg/Battery"))
+    assert convert(tmp_path / "old.bag", tmp_path / "new.mcap") == []
+    assert_same_frames(vj.read_log(tmp_path / "new.mcap"), vj.read_log(log))
+    ((_, kind, _, data),) = [m for m in messages(tmp_path / "new.mcap") if m[0] == "/battery"]
+    known = get_typestore(Stores.ROS2_HUMBLE)
+    known.register(get_types_from_msg("std_msgs/Header header\nfloat64 volts", kind))
+    assert known.deserialize_cdr(data, kind).volts == 11.5
+
+
+@pytest.mark.parametrize("ending", ["c3d", "trc"])
+def test_exported_points_come_back(ending, tmp_path):
+    tracks = make_tracks()
+    source = export(tracks, tmp_path / f"walk.{ending}")
+    with as_mcap(str(source)) as (path, notes):
+        recording = vj.read_log(path)
+        assert notes == [] and recording.fixed_frame == "lab"
+    # the first three and the 40th are not tracked
+    assert len(recording) == 71
+    frame = recording.frames[20]
+    at = dict(zip(frame.pairs.names, frame.pairs.points))
+    expected = tracks.joint("l_knee")[23]
+    expected = expected if ending == "c3d" else np.array([expected[0], expected[2], -expected[1]])
+    np.testing.assert_allclose(at["l_knee"], expected, atol=1e-4)
+    times = np.array([f.time_ns for f in recording])
+    np.testing.assert_allclose(np.diff(times)[:30], 33_333_333, atol=2000)
+
+
+def test_points_in_inches_with_gaps(tmp_path):
+    file = ezc3d.c3d()
+    point = file["parameters"]["POINT"]
+    point["LABELS"]["value"], point["UNITS"]["value"], point["RATE"]["value"] = ["LASI", "RASI"], ["in"], [100.0]
+    data = np.ones((4, 2, 5)) * 10
+    data[:3, 1, 2] = np.nan
+    file["data"]["points"] = data
+    file.write(str(tmp_path / "a.c3d"))
+    convert(tmp_path / "a.c3d", tmp_path / "a.mcap")
+    frames = vj.read_log(tmp_path / "a.mcap").frames
+    assert [len(frame.pairs.names) for frame in frames] == [2, 2, 1, 2, 2]
+    np.testing.assert_allclose(frames[0].pairs.points, 0.254, atol=1e-6)
+
+
+def depth_of(log: Path) -> tuple[list[int], list[np.ndarray]]:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    found = [store.deserialize_cdr(data, kind) for _, kind, _, data in messages(log) if kind.endswith("/Image")]
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found]
+    return stamps, [m.data.view("<u2").reshape(CAMERA.height, CAMERA.width) for m in found]
+
+
+def camera_text(unit: float, **more) -> str:
+    values = dict(width=40, height=31, fx=45.5, fy=43.1, cx=19.5, cy=15.0, unit=unit) | more
+    return "\n".join(f"{key} = {value}" for key, value in values.items())
+
+
+def test_folders_of_depth_images(log, tmp_path):
+    """As the TUM benchmark has them, and plain ones; points are those of the log in the camera's frame."""
+    expected = vj.read_log(log)
+    stamps, images = depth_of(log)
+    tum, plain = tmp_path / "tum", tmp_path / "plain"
+    (tum / "depth").mkdir(parents=True)
+    plain.mkdir()
+    lines = ["# depth maps"]
+    for i, (stamp, image) in enumerate(zip(stamps, images)):
+        name = f"depth/{stamp / 1e9:.6f}.png"
+        cv2.imwrite(str(tum / name), image * 5)  # 1/5000 m
+        cv2.imwrite(str(plain / f"frame{i + 8}.png"), image)  # 8, 9, 10: not in the order of the letters
+        lines.append(f"{stamp / 1e9:.6f} {name}")
+    (tum / "depth.txt").write_text("\n".join(lines))
+    (tum / "camera.toml").write_text(camera_text(1 / 5000))
+    (tmp_path / "cam.toml").write_text(camera_text(0.001, rate=5))
+    assert convert(tum, tmp_path / "tum.mcap") == ["counts of 0.2 mm became metres in 32 bits"]
+    assert convert(plain, tmp_path / "plain.mcap", tmp_path / "cam.toml") == []
+    for name in ("tum", "plain"):
+        found = vj.read_log(tmp_path / f"{name}.mcap")
+        assert len(found) == len(expected) and found.fixed_frame == "depth_optical"
+        for a, b in zip(found, expected):
+            turned = (b.points - np.array(CAMERA.position)) @ CAMERA.rotation
+            np.testing.assert_allclose(a.points, turned, atol=1e-4)
+        assert abs(int(np.diff([f.time_ns for f in found])[0]) - (stamps[1] - stamps[0])) < 2000
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary", "ply"])
+def test_folders_of_clouds(kind, tmp_path):
+    rng = np.random.default_rng(0)
+    clouds = [rng.normal(0, 1, (50 + i, 3)).astype(np.float32) for i in range(5)]
+    for i, points in enumerate(clouds):
+        if kind == "ply":
+            trimesh.PointCloud(points).export(tmp_path / f"{i + 8}.ply")
+            continue
+        head = "# .PCD v0.7\nVERSION 0.7\nFIELDS _ x y z rgb normal\nSIZE 1 4 4 4 4 4\nTYPE U F F F U F\n"
+        head += f"COUNT 3 1 1 1 1 3\nWIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA {kind}\n"
+        row = [("_", "u1", 3), ("p", "<f4", 3), ("rgb", "<u4"), ("normal", "<f4", 3)]
+        table = np.zeros(len(points), row)
+        table["p"] = points
+        text = "\n".join(f"0 0 0 {x:.9g} {y:.9g} {z:.9g} 7 0 0 1" for x, y, z in points) + "\n"
+        body = table.tobytes() if kind == "binary" else text.encode()
+        (tmp_path / f"{i + 8}.pcd").write_bytes(head.encode() + body)
+    with pytest.raises(ConvertError, match="--rate"):
+        convert(tmp_path, tmp_path / "out.mcap")
+    broken = "10.ply" if kind == "ply" else "10.pcd"
+    (tmp_path / broken).write_bytes(b"ply\nnot so" if kind == "ply" else b"VERSION 0.7\nFIELDS x\n")
+    (note,) = convert(tmp_path, tmp_path / "out.mcap", rate=10)
+    assert broken in note
+    recording = vj.read_log(tmp_path / "out.mcap")
+    found = {round((f.time_ns - 10**9) / 1e8): f.points for f in recording}
+    assert set(found) == {0, 1, 3, 4}
+    for i, points in found.items():
+        np.testing.assert_allclose(points, clouds[i], atol=1e-6)
+
+
+def test_what_cannot_be_converted_is_said(tmp_path, capsys):
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\nbroken")
+    (tmp_path / "a.trc").write_text("PathFileType\t4\n")
+    (tmp_path / "a.c3d").write_bytes(b"\x02P\0\0")
+    (tmp_path / "a.mkv").write_bytes(b"")
+    (tmp_path / "images").mkdir()
+    cases = {"a.bag": "bag", "a.trc": "TRC", "a.c3d": "C3D", "a.mkv": "not converted", "images": "camera file"}
+    for name, said in (cases | {"none.bag": "no file"}).items():
+        with pytest.raises(ConvertError, match=said):
+            convert(tmp_path / name, tmp_path / "out.mcap")
+        assert not (tmp_path / "out.mcap").exists()
+    with pytest.raises(LogError, match="TRC"), as_mcap(str(tmp_path / "a.trc")):
+        pass
+    assert main(["convert", str(tmp_path / "a.trc"), "--out", str(tmp_path / "b.mcap")]) == 1
+    assert main(["convert", str(tmp_path / "a.trc")]) == 2
+    assert main(["convert", "a", "b", "--out", str(tmp_path / "b.mcap")]) == 2
+    assert "a folder" in capsys.readouterr().err
+
+
+def test_several_recordings_go_into_a_folder(tmp_path, capsys):
+    tracks = make_tracks()
+    sources = [str(export(tracks, tmp_path / f"walk.{end}")) for end in ("c3d", "trc")]
+    assert main(["convert", *sources, "--out", str(tmp_path / "logs")]) == 0
+    assert {path.name for path in (tmp_path / "logs").iterdir()} == {"walk.c3d.mcap", "walk.trc.mcap"}
+    assert str(tmp_path / "logs" / "walk.trc.mcap") in capsys.readouterr().out

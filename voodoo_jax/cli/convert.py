@@ -1,0 +1,38 @@
+"""The command `convert`: recordings of other formats as MCAP logs."""
+
+import sys
+
+from voodoo_jax.cli.commands import Convert
+
+
+def run_convert(command: Convert) -> int:
+    """0 if all was converted, 1 if something could not be, 2 if nothing could be begun."""
+    from voodoo_jax.io.convert.sources import convert
+    from voodoo_jax.io.convert.target import ConvertError
+
+    def say(problem: object) -> None:
+        print(f"voodoo-jax convert: {problem}", file=sys.stderr)
+
+    if not command.sources or command.out is None:
+        say("name recordings and a log: voodoo-jax convert IN... --out LOG.mcap (a folder for several)")
+        return 2
+    single = command.out.suffix == ".mcap"
+    if single and len(command.sources) > 1:
+        say(f"{len(command.sources)} recordings need a folder: --out '{command.out}' names one log")
+        return 2
+    failed = False
+    for source in command.sources:
+        target = command.out if single else command.out / f"{source.resolve().name}.mcap"
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if target.exists() and target.samefile(source):
+                raise ConvertError(f"'{source}' would be replaced by itself: name another --out")
+            notes = convert(source, target, command.camera, command.rate)
+        except (ConvertError, OSError) as problem:
+            say(problem)
+            failed = True
+            continue
+        print(target)
+        for note in notes:
+            print(f"    {note}")
+    return 1 if failed else 0

@@ -1,0 +1,4 @@
+"""Recordings of other formats as MCAP logs.
+
+Public: `sources.convert`, `sources.is_foreign`.
+"""

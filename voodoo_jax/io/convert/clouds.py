@@ -1,0 +1,84 @@
+"""Folders of point clouds, a file for each frame: PCD (ASCII or binary, not compressed) and PLY; metres."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+
+from voodoo_jax.io.convert.target import ConvertError, named_times, new_log, putter
+
+TOPIC, FRAME = "/points", "sensor"
+ENDINGS = (".pcd", ".ply")
+AXES = ("x", "y", "z")
+
+
+def convert(source: Path, target: Path, rate: float) -> list[str]:
+    """Writes x, y, z of all points, 32 bits; points that are no number are left out. Raises ConvertError, OSError."""
+    clouds = named_times(source, ENDINGS, rate)
+    notes, written = [], 0
+    with new_log(target) as writer:
+        put = putter(writer)
+        for stamp, path in clouds:
+            try:
+                points = read_pcd(path) if path.suffix.lower() == ".pcd" else _read_ply(path)
+            except ConvertError as problem:
+                notes.append(str(problem))
+                continue
+            points = points[np.isfinite(points).all(1)].astype("<f4")
+            message = PointCloud(frame_id=FRAME, point_stride=12, data=points.tobytes())
+            message.timestamp.FromNanoseconds(stamp)
+            message.pose.orientation.w = 1
+            for k, name in enumerate(AXES):
+                message.fields.append(PackedElementField(name=name, offset=4 * k, type=PackedElementField.FLOAT32))
+            put(TOPIC, stamp, message)
+            written += 1
+        if not written:
+            raise ConvertError(f"'{source}': no cloud could be read; {notes[0] if notes else 'there is none'}")
+    return notes
+
+
+def read_pcd(path: Path) -> np.ndarray:
+    """x, y, z of the points of a PCD file [point, 3]. Raises ConvertError.
+
+    The format: pointclouds.org, "The PCD file format", version 0.7.
+    """
+    data = path.read_bytes()
+    header, at = {}, 0
+    while "DATA" not in header:
+        end = data.find(b"\n", at)
+        if end < 0 or at > 4096:
+            raise ConvertError(f"'{path.name}' is no PCD file: it has no DATA line")
+        words = data[at:end].decode("ascii", "replace").split()
+        if words and not words[0].startswith("#"):
+            header[words[0]] = words[1:]
+        at = end + 1
+    try:
+        names, count = header["FIELDS"], int(header["POINTS"][0])
+        widths = [int(n) for n in header.get("COUNT", ["1"] * len(names))]
+        kinds = [f"<{ {'F': 'f', 'I': 'i', 'U': 'u'}[t] }{s}" for t, s in zip(header["TYPE"], header["SIZE"])]
+        # fields of no name occur several times in padded clouds
+        row = np.dtype(
+            [(f"{name}.{i}", kind, (width,)) for i, (name, kind, width) in enumerate(zip(names, kinds, widths))]
+        )
+        where = [names.index(axis) for axis in AXES]
+        if header["DATA"] == ["ascii"]:
+            starts = np.cumsum([0, *widths])
+            table = np.array([line.split() for line in data[at:].decode().splitlines() if line.strip()], float)
+            return table[:count, [starts[i] for i in where]].reshape(-1, 3)
+        if header["DATA"] != ["binary"]:
+            raise ConvertError(f"'{path.name}': PCD data of the kind '{' '.join(header['DATA'])}' are not read")
+        table = np.frombuffer(data, row, count, at)
+        return np.stack([table[f"{names[i]}.{i}"][:, 0].astype(float) for i in where], 1)
+    except (KeyError, IndexError, ValueError) as problem:
+        if isinstance(problem, ConvertError):
+            raise
+        raise ConvertError(f"'{path.name}' cannot be read as PCD: {type(problem).__name__}: {problem}") from problem
+
+
+def _read_ply(path: Path) -> np.ndarray:
+    try:
+        return np.asarray(trimesh.load(path, process=False).vertices, float).reshape(-1, 3)  # type: ignore[union-attr]
+    except Exception as problem:  # trimesh has no error of its own
+        raise ConvertError(f"'{path.name}' cannot be read as PLY: {type(problem).__name__}: {problem}") from problem

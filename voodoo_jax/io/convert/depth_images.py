@@ -1,0 +1,101 @@
+"""Folders of depth images (16-bit PNG), with a camera file, or as the TUM RGB-D benchmark has them.
+
+Camera file (TOML): width, height, fx, fy, cx, cy (pixels), unit (metres of one count, such as 0.001), and rate (images
+a second) where the names of the images are not times in seconds. TUM: `depth.txt` names the images and their times, one
+count is 1/5000 m; the camera is that of the benchmark's registered images unless a file says another one.
+"""
+
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+
+from voodoo_jax.io.convert.target import ConvertError, named_times, new_log, putter
+
+IMAGE, INFO, FRAME = "/depth/image", "/depth/camera_info", "depth_optical"
+CAMERA_FILE = "camera.toml"
+# the benchmark's page "intrinsic camera calibration": ROS default for registered images, factor 5000
+TUM = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "unit": 1 / 5000}
+KEYS = ("width", "height", "fx", "fy", "cx", "cy", "unit")
+MILLIMETRE = 0.001
+
+
+def convert(source: Path, target: Path, camera_file: Path | None = None, rate: float = 0.0) -> list[str]:
+    """Writes depth images in millimetres. Raises ConvertError, OSError."""
+    listed = source / "depth.txt"
+    camera = _camera(camera_file or source / CAMERA_FILE, TUM if listed.is_file() else None, camera_file is not None)
+    rate = rate or camera.get("rate", 0.0)
+    images = _listed(listed) if listed.is_file() else named_times(source, (".png",), rate)
+    if not images:
+        raise ConvertError(f"'{source}' has no depth images (.png)")
+    notes, rounded = [], 0
+    with new_log(target) as writer:
+        put = putter(writer)
+        put(INFO, images[0][0], _calibration(camera, images[0][0]))
+        for stamp, path in images:
+            depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
+                notes.append(f"'{path.name}' was left out: it is no 16-bit image of one channel")
+                continue
+            if depth.shape != (camera["height"], camera["width"]):
+                size = f"{depth.shape[1]} x {depth.shape[0]}"
+                raise ConvertError(f"'{path}' is {size}, the camera {camera['width']} x {camera['height']}")
+            put(IMAGE, stamp, _image(depth, camera["unit"], stamp))
+            rounded += camera["unit"] != MILLIMETRE
+        if len(notes) == len(images):
+            raise ConvertError(f"'{source}': no image could be read; {notes[0]}")
+    if rounded:
+        notes.append(f"counts of {1000 * camera['unit']:g} mm became metres in 32 bits")
+    return notes
+
+
+def _camera(path: Path, usual: dict | None, asked: bool) -> dict:
+    if not path.is_file():
+        if usual is None or asked:
+            raise ConvertError(
+                f"there is no camera file '{path}': depth images need one (TOML) with {', '.join(KEYS)} and, where the "
+                "images' names are not times, rate"
+            )
+        return dict(usual)
+    try:
+        found = (usual or {}) | tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise ConvertError(f"'{path}' is no TOML file: {problem}") from problem
+    for key in KEYS:
+        if not isinstance(found.get(key), int | float) or not found[key] > 0:
+            raise ConvertError(f"'{path}': '{key}' must be a number above 0")
+    return found
+
+
+def _listed(path: Path) -> list[tuple[int, Path]]:
+    rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    try:
+        return sorted((round(float(row[0]) * 1e9), path.parent / row[1]) for row in rows if not row[0].startswith("#"))
+    except (ValueError, IndexError) as problem:
+        raise ConvertError(f"'{path}': a line must be a time in seconds and a file") from problem
+
+
+def _calibration(camera: dict, stamp: int) -> CameraCalibration:
+    fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "cx", "cy"))
+    message = CameraCalibration(
+        frame_id=FRAME, width=int(camera["width"]), height=int(camera["height"]), distortion_model="plumb_bob",
+        D=[0.0] * 5, K=[fx, 0, cx, 0, fy, cy, 0, 0, 1], R=np.eye(3).ravel().tolist(),
+        P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
+    )  # fmt: skip
+    message.timestamp.FromNanoseconds(stamp)
+    return message
+
+
+def _image(depth: np.ndarray, unit: float, stamp: int) -> RawImage:
+    """As it is where counts are millimetres, else in metres."""
+    whole = unit == MILLIMETRE
+    data = depth.astype("<u2") if whole else (depth * np.float64(unit)).astype("<f4")
+    message = RawImage(
+        frame_id=FRAME, width=depth.shape[1], height=depth.shape[0], encoding="16UC1" if whole else "32FC1",
+        step=data.strides[0], data=data.tobytes(),
+    )  # fmt: skip
+    message.timestamp.FromNanoseconds(stamp)
+    return message

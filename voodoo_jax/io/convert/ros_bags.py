@@ -1,0 +1,85 @@
+"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message as it is, in ROS 2's encoding."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import Writer
+from rosbags.convert.converter import STATIC_MSGTYPE_RENAMES, migrate_bytes
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag1 import ReaderError as Bag1Error
+from rosbags.rosbag2 import ReaderError as Bag2Error
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+
+from voodoo_jax.io.convert.target import ConvertError, new_log
+
+BROKEN = (AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError, AssertionError, KeyError, ValueError)
+
+
+def convert(source: Path, target: Path) -> list[str]:
+    """Copies all topics; notes on those that could not be. Raises ConvertError, OSError."""
+    notes: list[str] = []
+    with _opened(source) as reader, new_log(target) as writer:
+        store = reader.typestore if reader.is2 else _ros2_types(reader)
+        channels = {c.id: _channel(store, writer, c, notes) for c in reader.connections}
+        cache: dict[str, object] = {}
+        count = 0
+        try:
+            for connection, stamp, raw in reader.messages():
+                channel = channels[connection.id]
+                if channel is None:
+                    continue
+                data = raw
+                if not reader.is2:  # headers and calibrations have other fields in ROS 2
+                    kinds = (connection.msgtype, _renamed(connection.msgtype))
+                    data = migrate_bytes(reader.typestore, store, *kinds, cache, raw, src_is2=False, dst_is2=True)
+                writer.add_message(channel, stamp, bytes(data), stamp)
+                count += 1
+        except BROKEN as problem:
+            if not count:
+                raise ConvertError(f"'{source}' cannot be read: {type(problem).__name__}: {problem}") from problem
+            notes.append(f"'{source}' is damaged after {count} messages: {type(problem).__name__}: {problem}")
+        if not count:
+            raise ConvertError(f"'{source}' has no message that could be read")
+    return notes
+
+
+@contextmanager
+def _opened(source: Path) -> Iterator[Any]:
+    try:
+        reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except BROKEN as problem:
+        raise ConvertError(f"'{source}' cannot be opened as a bag: {problem}") from problem
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _renamed(kind: str) -> str:
+    return STATIC_MSGTYPE_RENAMES.get(kind, kind)
+
+
+def _ros2_types(reader: Any) -> Any:
+    """ROS 2's types, and those of a ROS 1 bag that it does not know."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for connection in reader.connections:
+        if _renamed(connection.msgtype) not in store.fielddefs:
+            text, _ = reader.typestore.generate_msgdef(connection.msgtype, ros_version=2)
+            found = get_types_from_msg(text, connection.msgtype)
+            store.register({name: fields for name, fields in found.items() if name not in store.fielddefs})
+    return store
+
+
+def _channel(store: Any, writer: Writer, connection: Any, notes: list[str]) -> int | None:
+    kind = _renamed(connection.msgtype)
+    try:
+        text, _ = store.generate_msgdef(kind, ros_version=2)
+    except BROKEN as problem:
+        notes.append(f"'{connection.topic}' was left out: {kind} is not known: {problem}")
+        return None
+    schema = writer.register_schema(kind, "ros2msg", text.encode())
+    return writer.register_channel(connection.topic, "cdr", schema)

@@ -1,0 +1,52 @@
+"""Which recordings of other formats are converted, and by what."""
+
+import os
+from pathlib import Path
+
+from voodoo_jax.io.convert.target import ConvertError
+
+FILES = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag (SQLite)", ".c3d": "C3D", ".trc": "TRC"}
+
+
+def is_foreign(path: str | os.PathLike[str]) -> bool:
+    """Whether a file can be converted, by its ending; folders have to be converted by name."""
+    return Path(path).suffix.lower() in FILES and Path(path).is_file()
+
+
+def convert(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    camera: str | os.PathLike[str] | None = None,
+    rate: float = 0.0,
+) -> list[str]:
+    """Writes a recording of another format as an MCAP log; nothing is left where that does not work.
+
+    **Arguments:** `source` a ROS 1 bag (.bag), an SQLite bag of ROS 2 (.db3, or its folder), C3D, TRC, or a folder of
+    depth images or point clouds (PCD, PLY); `camera` the images' camera file (see depth_images.py); `rate` files a
+    second where their names are not times.
+
+    **Returns:** what was left out or changed, one sentence each. Raises ConvertError, OSError.
+    """
+    from voodoo_jax.io.convert import clouds, depth_images, markers, ros_bags
+
+    source, target = Path(source), Path(target)
+    if not source.exists():
+        raise ConvertError(f"there is no file or folder '{source}'")
+    if source.is_dir():
+        if any(source.glob("*.db3")):
+            return ros_bags.convert(source, target)
+        if any(source.glob("*.mcap")):
+            raise ConvertError(f"'{source}' holds MCAP logs already: give it to replay as it is")
+        if any(path.suffix.lower() in clouds.ENDINGS for path in source.iterdir()):
+            return clouds.convert(source, target, rate)
+        return depth_images.convert(source, target, Path(camera) if camera else None, rate)
+    kind = source.suffix.lower()
+    if kind in (".bag", ".db3"):
+        return ros_bags.convert(source, target)
+    if kind == ".c3d":
+        return markers.convert_c3d(source, target)
+    if kind == ".trc":
+        return markers.convert_trc(source, target)
+    known = ", ".join(f"{name} ({end})" for end, name in FILES.items())
+    known += ", folders of a ROS 2 bag, of depth images (PNG) or of point clouds (PCD, PLY)"
+    raise ConvertError(f"'{source}': such files are not converted; what is: {known}")
