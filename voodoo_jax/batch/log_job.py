@@ -57,15 +57,18 @@ def track_log(
     progress: Progress | None = None,
     visit: Visit | None = None,
 ) -> Tracks:
-    """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError."""
-    from voodoo_jax.detect.pipeline import find_person
+    """Reads a log frame by frame and tracks the body in it; `visit` see do_job. Raises LogError, Unsuitable."""
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.trackers.icp.tracker import prepare, track_person
+    from voodoo_jax.trackers.base import Source, tracker_of
 
-    log = open_log(path, settings.read)
+    tracker = tracker_of(settings)
+    log = open_log(path, tracker.reads(settings.read))
+    source = Source(
+        log.path, log.fixed_frame, log.up, len(log.sensors), log.named_at_once, bool(log.parts), lambda: log.notes
+    )
     if visit is None:
-        prepare(body, settings, len(log.sensors), log.named_at_once, bool(log.parts))
-    total, done = max(1, (2 + settings.looks_ahead("track")) * len(log)), 0  # read, track there, and back
+        tracker.prepare(body, settings, source)
+    total, done = max(1, (1 + tracker.passes(settings)) * len(log)), 0  # read, track there, and back
 
     def more(count: int) -> None:
         nonlocal done
@@ -78,8 +81,7 @@ def track_log(
             more(1)
             yield frame
 
-    scene, people = find_person(counted(), log.up, body, settings)
-    return track_person(body, scene, people, settings, log.path, log.fixed_frame, log.notes, more, visit)
+    return tracker.track(body, counted(), source, settings, more, visit)
 
 
 def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
@@ -89,7 +91,8 @@ def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: 
     from voodoo_jax.records.recording import Recording
     from voodoo_jax.viz.figures import picture, spread
 
-    reader = open_log(log or tracks.source, settings.read)
+    read = replace(settings.read, images=False, matching="fine")  # clouds are drawn
+    reader = open_log(log or tracks.source, read)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
     frames = tuple(frame for frame in reader.frames() if frame.time_ns in wanted)
     picture(tracks, Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames), target, count)
@@ -99,12 +102,13 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
     """Tracks one log and writes its results; `visit` runs the program, None: here and now. Whatever goes wrong with it
     is told in the outcome."""
     from voodoo_jax.io.container import LogError
+    from voodoo_jax.trackers.base import Unsuitable
 
     began = time.perf_counter()
     use_compile_cache(job.compile_cache)
     try:
         outcome = _done(job, progress, visit)
-    except LogError as problem:
+    except (LogError, Unsuitable) as problem:
         outcome = Outcome(job.log, error=str(problem))
     except MemoryError:
         outcome = Outcome(job.log, error="out of memory: use fewer --workers, or cut the log in pieces")
@@ -121,6 +125,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
+    from voodoo_jax.trackers.base import Unsuitable
     from voodoo_jax.trackers.smoothing import smooth
 
     key, (place, _, drawn) = "", output_places(job.log, job.out)
@@ -141,7 +146,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
                 key = run_key(job.recipe, log_fingerprint(stream))
             try:
                 tracks = track_log(log, on_device(job.body), job.settings, progress, visit)
-            except LogError as problem:
+            except (LogError, Unsuitable) as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
             tracks = smooth(replace(tracks, source=job.log), job.smooth_seconds)
             write_tracks_mcap(tracks, mcap, {**dict(job.parameters), "run_key": key})

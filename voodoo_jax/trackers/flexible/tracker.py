@@ -1,0 +1,270 @@
+"""The flexible tracker on a whole recording: features, person's points, head, filters, tracks. Host side."""
+
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float32
+
+from voodoo_jax.config.options import FlexibleSettings, Settings
+from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Frame, Picture, Rays
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.trackers.base import Progress, Source, Unsuitable
+from voodoo_jax.trackers.flexible.filters import Inputs, Numbers, Seen, Shape, State, start, track_chunk
+from voodoo_jax.trackers.flexible.flexible_body import FlexibleBody, flexible_body, rest_points
+from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
+from voodoo_jax.trackers.flexible.image_features import Extractor, Features, SkinModel, depth_points
+from voodoo_jax.trackers.flexible.poses import centres_of, limb_poses
+from voodoo_jax.trackers.flexible.scores import View, Weighing
+
+CHUNK = 16  # frames per run of the program: what fits into memory as images, by hand
+_PATIENCE = 60  # frames without an image at the beginning of a log, after which none are expected, by hand
+_FEWEST = 120  # points of a person from which on tracking starts, by hand
+
+
+@dataclass
+class Seenframes:
+    """Features of all frames on disk, in the order of time; a recording's images do not fit into memory."""
+
+    def __init__(self):
+        self._file = tempfile.TemporaryFile()
+        self._at: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self._at)
+
+    def add(self, f: Features) -> None:
+        self._file.seek(0, 2)
+        self._at.append(self._file.tell())
+        for array in f:
+            np.save(self._file, array)
+
+    def __getitem__(self, i: int) -> Features:
+        self._file.seek(self._at[i])
+        return Features(*(np.load(self._file) for _ in Features._fields))
+
+
+def numbers(s: FlexibleSettings) -> Numbers:
+    """What of the settings a program takes as numbers."""
+    f = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
+    weighing = Weighing(
+        f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.hidden_edge),
+        f(s.hidden_surface), f(0.5), f(float(s.seen_length)), f(0.2),
+    )  # fmt: skip
+    return Numbers(
+        weighing, f(s.velocity), f(s.depth_share), f(s.depth_noise), f(s.base_noise), f(s.spread_noise),
+        f(s.motion_noise), f([s.follow_level, s.follow_up]), f(s.gravity),
+        f([s.mass_base, s.mass_variable, s.mass_falloff]), f(s.legs_apart),
+    )  # fmt: skip
+
+
+def shape_of(s: FlexibleSettings) -> Shape:
+    """What of the settings a program is compiled for."""
+    restarts = round(s.restart * s.particles)
+    return Shape(s.particles, s.layers, s.relaxations, s.refine, restarts, s.flow, s.points_weight > 0 or s.refine > 0)
+
+
+def uses_dense(s: FlexibleSettings) -> bool:
+    """Whether the depth of all pixels is needed in all frames; else only while colours are learnt, and of the face."""
+    return s.depth_weight > 0 or s.points_weight > 0 or s.refine > 0
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A recording as the filters take it."""
+
+    features: Seenframes
+    pictures: list[Picture]  # still packed
+    people: list[PersonFrame]
+    scene: Scene
+    time_ns: np.ndarray
+    row: np.ndarray  # which frame of the recording each is
+    count: int  # frames of the recording
+
+
+def observe(
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, source: str
+) -> Observed:
+    """Reads features and finds the person's points. Raises Unsuitable."""
+    s, store, extract = settings.flexible, Seenframes(), Extractor()
+    pictures: list[Picture] = []
+    times, stamps = [], []
+
+    def seen() -> Iterator[Frame]:
+        for number, frame in enumerate(frames):
+            times.append(frame.time_ns)
+            if not frame.pictures:
+                if number >= _PATIENCE and not len(store):
+                    raise _without_images(source)
+                continue
+            dense = uses_dense(s) or len(store) < s.learn_frames
+            f = extract(frame, dense, s.flow)
+            store.add(f)
+            pictures.append(replace(frame.pictures[0]))
+            stamps.append(number)
+            points = depth_points(f)[0] if frame.pictures[0].baseline > 0 else frame.points
+            origin = (-f.shift @ f.turn)[None].astype(np.float32)
+            sensor = np.zeros(len(points), np.int32)
+            origins = origin if frame.pictures[0].baseline > 0 else frame.origins
+            sensor = sensor if frame.pictures[0].baseline > 0 else frame.sensor
+            yield replace(frame, points=points, sensor=sensor, origins=origins, rays=Rays(), pictures=(), weight=None)
+
+    scene, people = find_person(seen(), up, body, settings)
+    if not len(store):
+        raise _without_images(source)
+    return Observed(store, pictures, people, scene, np.array(times, np.int64), np.array(stamps, int), len(times))
+
+
+def _without_images(source: str) -> Unsuitable:
+    return Unsuitable(
+        f"'{source}' has no images that the flexible tracker could look at (a calibrated stereo pair, or a colour "
+        "camera beside a depth camera; in Python read it with the settings of vj.preset('flexible')): use --tracker icp"
+    )
+
+
+def track_frames(
+    body: Body, frames: Iterable[Frame], source: Source, settings: Settings, progress: Progress | None = None
+) -> Tracks:
+    """Tracks a person through frames with pictures. Raises Unsuitable."""
+    rest_points(body)  # raises before anything long
+    began = time.perf_counter()
+    seen = observe(frames, source.up, body, settings, source.path)
+    return follow(body, seen, settings, source.path, source.fixed_frame, source.notes(), progress, began)
+
+
+def follow(
+    body: Body, seen: Observed, settings: Settings, source: str, fixed_frame: str, notes: tuple[str, ...] = (),
+    progress: Progress | None = None, began: float = 0.0,
+) -> Tracks:  # fmt: skip
+    """Tracks of what was observed."""
+    s = settings.flexible
+    skin, first, begin = SkinModel(), 0, None
+    for first in range(len(seen.features)):
+        points = seen.people[first].points
+        if len(points) >= _FEWEST:
+            begin = find_start(seen.features[first], points, seen.scene.floor, skin, settings.start.scale)
+            break
+    if begin is None:
+        return _nobody(body, seen, source, fixed_frame, notes)
+    model = flexible_body(body, begin.stature)
+    floor_up = seen.scene.floor.normal.astype(np.float32)
+    x = first_pose(np.asarray(model.rest), begin, floor_up)
+    heads = _heads(seen, first, begin, skin, s)
+    key = jax.random.key(s.seed)
+    state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
+    state, found = _run(model, state, seen, heads, range(first, len(seen.features)), key, s, floor_up, progress)
+    return _tracks(body, model, begin, seen, first, found, source, fixed_frame, notes, began)
+
+
+Heads = list[Float32[np.ndarray, "3"] | None]
+
+
+def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings) -> Heads:
+    """The head point in each frame, by its filter; None where no face is seen."""
+    out: Heads = [None] * len(seen.features)
+    if not begin.face_seen:
+        return out
+    head = HeadFilter(skin, begin.stature, s.head_particles, np.random.default_rng(s.seed))
+    head.begin(seen.features[first], begin.head)
+    crown = np.zeros(3, np.float32) + begin.head
+    for i in range(first, len(out)):
+        f = seen.features[i]
+        out[i] = head(f, seen.pictures[i])
+        points = seen.people[i].points
+        if len(points) > 50:
+            height = seen.scene.floor.height(points)
+            top = np.median(points[height > np.percentile(height, 97)], 0)
+            if out[i] is not None and np.linalg.norm(out[i] - top) > 0.35 * begin.stature:
+                out[i] = None  # skin somewhere else
+            if out[i] is None:
+                head.follow(f, top.astype(np.float32))
+        crown = crown if out[i] is None else out[i]
+    return out
+
+
+def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
+    rows = []
+    for k, i in enumerate(at):
+        f, person = seen.features[i], seen.people[i]
+        points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
+        chosen = np.random.default_rng([s.seed, i]).permutation(len(person.points))[: s.points]
+        points[: len(chosen)] = person.points[chosen]
+        share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
+        dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
+        head = heads[i]
+        rows.append(Inputs(
+            View(*f), points, share, np.zeros(3, np.float32) if head is None else head,
+            _number(head is not None), up, _number(min(dt, 0.2)), np.asarray(i, np.int32),
+            _number(i < s.learn_frames), np.asarray(k < len(at) - pad),
+        ))  # fmt: skip
+    return jax.tree.map(lambda *each: np.stack(each), *rows)
+
+
+def _run(
+    model: FlexibleBody, state: State, seen: Observed, heads: Heads, order: range, key: jax.Array, s: FlexibleSettings,
+    up: np.ndarray, progress: Progress | None,
+) -> tuple[State, Seen]:  # fmt: skip
+    """Filters over frames in the order given."""
+    out, n, shape = [], numbers(s), shape_of(s)
+    frames = list(order)
+    for begin in range(0, len(frames), CHUNK):
+        at = frames[begin : begin + CHUNK]
+        pad = CHUNK - len(at)
+        state, found = track_chunk(model, state, _inputs(seen, heads, at + at[-1:] * pad, s, up, pad), key, n, shape)
+        out.append(jax.tree.map(partial(_first, len(at)), found))
+        if progress is not None:
+            progress(len(at))
+    return state, jax.tree.map(lambda *each: np.concatenate(each), *out)
+
+
+def _number(value: float) -> np.ndarray:
+    return np.asarray(value, np.float32)
+
+
+def _first(count: int, a: jax.Array) -> np.ndarray:
+    return np.asarray(a)[:count]
+
+
+def _tracks(
+    body: Body, model: FlexibleBody, begin: Start, seen: Observed, first: int, found: Seen, source: str,
+    fixed_frame: str, notes: tuple[str, ...], began: float,
+) -> Tracks:  # fmt: skip
+    body = scaled(body, begin.stature)
+    rows = seen.row[first:]
+    x = np.asarray(found.x, float)
+    count, limbs = seen.count, body.limb_count
+    blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
+    rotation, translation, joints = blank(limbs, 4), blank(limbs, 3), blank(len(body.topology.centres), 3)
+    rotation[rows], translation[rows] = limb_poses(body, x)
+    joints[rows] = centres_of(body, x, begin.stature)
+    status = np.full(count, Status.NOT_STARTED, np.int8)
+    status[rows] = Status.TRACKED
+    residual, explained = blank(), np.zeros(count, np.float32)
+    residual[rows], explained[rows] = found.residual, found.explained
+    points = np.zeros(count, np.int32)
+    points[seen.row] = [len(p.points) for p in seen.people]
+    return Tracks(
+        source, fixed_frame, body, seen.time_ns, rotation, translation, joints, status, residual, explained,
+        np.zeros(count, np.int32), points, np.ones((count, limbs), np.float32), seconds=time.perf_counter() - began,
+        notes=notes,
+    )  # fmt: skip
+
+
+def _nobody(body: Body, seen: Observed, source: str, fixed_frame: str, notes: tuple[str, ...]) -> Tracks:
+    """Tracks of a recording in which nobody was found."""
+    count, limbs, centres = seen.count, body.limb_count, len(body.topology.centres)
+    blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
+    return Tracks(
+        source, fixed_frame, body, seen.time_ns, blank(limbs, 4), blank(limbs, 3), blank(centres, 3),
+        np.full(count, Status.NOT_STARTED, np.int8), blank(), np.zeros(count, np.float32), np.zeros(count, np.int32),
+        np.zeros(count, np.int32), np.zeros((count, limbs), np.float32), notes=(*notes, "Nobody was found."),
+    )  # fmt: skip
