@@ -4,12 +4,13 @@ Lucas-Kanade steps to fractions of a pixel, no search for sharp edges.
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from voodoo_jax.sensors.disparity import NOWHERE, at_edges, brightness, refined
 
-EVERY = 2  # rows and columns: each second one is refined and given
-_BLOCK = 5  # pixels, as in stereo_matching
+EVERY = 2  # by hand: rows and columns: each second one is refined and given
+_BLOCK = 5  # pixels, by hand, as in stereo_matching
+_ALIKE, _NEIGHBOURS = 0.5, 5  # pixels of disparity, and how many of eight neighbours: by hand
 _STEP = 16  # disparities come in so many, by OpenCV
 
 
@@ -39,4 +40,15 @@ def quick_depth(
     some = raw[::EVERY, ::EVERY]
     d = fine + shift
     good = (some > NOWHERE) & (np.abs(fine - some) <= 1.5) & ~at_edges(raw, 1)[::EVERY, ::EVERY] & (d > 0.5)
-    return np.where(good, focal_baseline / np.where(good, d, 1.0), 0.0).astype(np.float32)
+    z = np.where(good, focal_baseline / np.where(good, d, 1.0), 0.0).astype(np.float32)
+    return np.where(_supported(np.where(good, d, NOWHERE)), z, 0.0)
+
+
+def _supported(d: Float32[np.ndarray, "row column"]) -> Bool[np.ndarray, "row column"]:
+    """Whether enough of a pixel's neighbours have nearly its disparity: edges of legs before a floor leave specks."""
+    alike = np.zeros(d.shape, np.uint8)
+    padded = np.pad(d, 1, constant_values=NOWHERE)
+    rows, columns = d.shape
+    for dv, du in ((0, 1), (0, 0), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
+        alike += np.abs(padded[dv : dv + rows, du : du + columns] - d) < _ALIKE
+    return (alike >= _NEIGHBOURS) & (d > NOWHERE)

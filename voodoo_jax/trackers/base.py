@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32
@@ -33,6 +33,7 @@ class Source:
     notes: Callable[[], tuple[str, ...]]  # complete once all frames were taken
 
 
+@runtime_checkable
 class Tracker(Protocol):
     """Follows a body through the frames of a log."""
 

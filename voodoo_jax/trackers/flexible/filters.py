@@ -3,7 +3,7 @@
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.geometry.rigid import AnyArray
 from voodoo_jax.trackers.flexible.cylinders import PARTS, closest
 from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, FlexibleBody, bone_lengths
 from voodoo_jax.trackers.flexible.image_features import COARSE
@@ -44,8 +43,8 @@ _PROJECTIONS = 3  # sweeps over a particle's constraints: more change little, by
 _DAMPING = 0.6  # share of the dangling body's velocity lost in a frame: it is overwritten by the filters, by hand
 _HOLD = 4.0  # points' worth with which a body point stays where it is in the refinement, by hand
 _PULL = 1.2  # how far it goes where its points pull it, by hand: over one, as springs take some of it back
-_REACH = 0.25  # metres: points farther from the body than this pull nothing
-_UNEXPLAINED = 0.06  # metres: points nearer to the rest of the body than this are no other limb's
+_REACH = 0.25  # metres, by hand: points farther from the body than this pull nothing
+_UNEXPLAINED = 0.06  # metres, by hand: points nearer to the rest of the body than this are no other limb's
 _EXPLAINED = 0.06  # metres, on real people's surface by cylinders: by hand
 
 
@@ -93,15 +92,15 @@ class Inputs(NamedTuple):
     """What is seen in a frame."""
 
     view: View
-    points: Float[AnyArray, "point 3"]  # on the person, metres
-    share: Float[AnyArray, "point"]  # 0: none
-    head: Float[AnyArray, "3"]  # metres
-    head_seen: Float[AnyArray, ""]  # 0 or 1
-    up: Float[AnyArray, "3"]
-    dt: Float[AnyArray, ""]  # seconds since the last frame
-    index: Int[AnyArray, ""]
-    learn: Float[AnyArray, ""]  # what the image counts for the colours; 0: nothing
-    valid: Bool[AnyArray, ""]  # False: no frame, only there to fill up
+    points: Float[Any, "point 3"]  # on the person, metres
+    share: Float[Any, "point"]  # 0: none
+    head: Float[Any, "3"]  # metres
+    head_seen: Float[Any, ""]  # 0 or 1
+    up: Float[Any, "3"]
+    dt: Float[Any, ""]  # seconds since the last frame
+    index: Int[Any, ""]
+    learn: Float[Any, ""]  # what the image counts for the colours; 0: nothing
+    valid: Bool[Any, ""]  # False: no frame, only there to fill up
 
 
 class Seen(NamedTuple):
@@ -141,6 +140,8 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     """One frame: prediction, filters, springs, refinement."""
     view, keys = given.view, jax.random.split(key, 3)
     x = _moved(body, state, given, n, shape)
+    if shape.refine:  # torso and head first: else limbs are drawn to the points that a bow leaves unexplained
+        x = refined(body, x, given.points, given.share, shape.refine // 2, n.legs_apart)
     space, context = limb_spaces(body, x, n.legs_apart), _context(body, state, x, given, shape)
     origin = state.particles
     ahead = _ahead(keys[0], state, view, n, shape)

@@ -18,12 +18,14 @@ POINTS = (
     "head", "neck", "l_shoulder", "l_elbow", "l_wrist", "r_shoulder", "r_elbow", "r_wrist", "l_waist", "r_waist",
     "l_hip", "l_knee", "l_ankle", "r_hip", "r_knee", "r_ankle",
 )  # fmt: skip
-HEAD, NECK = 0, 1
-LIMBS = np.array([[2, 3, 4], [5, 6, 7], [10, 11, 12], [13, 14, 15]])  # left and right arm, left and right leg
-SIDE = np.array([1.0, -1.0, 1.0, -1.0])  # +1: left
+HEAD, NECK = 0, 1  # the paper's points, as are those below
+LIMBS = np.array(
+    [[2, 3, 4], [5, 6, 7], [10, 11, 12], [13, 14, 15]]
+)  # the paper's four filters: left and right arm, left and right leg
+SIDE = np.array([1.0, -1.0, 1.0, -1.0])  # +1: left, in the order of the paper's filters above
 IS_ARM = np.array([True, True, False, False])
-UPPER = (2, 5, 8, 9)  # corners of the upper torso: left and right shoulder, left and right waist
-LOWER = (8, 9, 10, 13)  # of the lower torso: left and right waist, left and right hip
+UPPER = (2, 5, 8, 9)  # corners of the paper's upper torso part: left and right shoulder, left and right waist
+LOWER = (8, 9, 10, 13)  # of the paper's lower torso part: left and right waist, left and right hip
 # which points a spring joins, and how stiff it is (share of its error that one relaxation takes away); the stiffnesses
 # are the study's, found by hand: bones keep their length, shoulders have play, sides and diagonals let the torso bow
 SPRINGS = (
@@ -40,7 +42,8 @@ CENTRES = {
 }  # fmt: skip
 # the remaining points, shares of stature: left, up (the study's rest pose, measured on rendered people)
 _WAIST = (0.078, 0.650)
-# radii along the two cylinders of an arm and a leg, and of hand and foot, shares of stature (the built-in body's)
+# radii along the two cylinders of an arm and a leg, and of hand and foot, shares of stature: measured on the built-in
+# body
 _ARM_RADII, _LEG_RADII = (
     ((0.029, 0.023), (0.024, 0.016), (0.018, 0.012)),
     ((0.052, 0.037), (0.035, 0.023), (0.02, 0.02)),
@@ -89,7 +92,7 @@ def _colour() -> Colouring:
 
 
 COLOURING = _colour()
-ENDS = np.array([s[:2] for s in SPRINGS])
+ENDS = np.array([s[:2] for s in SPRINGS])  # points of the paper's 24 springs
 
 
 def rest_points(body: Body) -> Float[np.ndarray, "16 3"]:

@@ -15,7 +15,7 @@ from voodoo_jax.trackers.flexible.image_features import Features, SkinModel, dep
 
 FACE = (0.045, 0.055)  # half width and height of the face, shares of stature, measured on rendered people
 BEHIND = 0.05  # the head point is so far behind the face's skin, share of stature: the study measured it
-HEAD_HEIGHT = 0.907  # of the head point, share of stature: the built-in body's skull base
+HEAD_HEIGHT = 0.907  # of the head point, share of stature: measured on the built-in body
 _CROWN = 0.115  # what is so near the top, share of stature, is head: measured on rendered people
 _UNSEEN = 1.014  # stature over the height of the top that stereo shows: hair has no texture; measured on four people
 _SURE = 0.25  # share of skin within the box over that around it from which on it is a face, by hand
@@ -100,14 +100,14 @@ class HeadFilter:
     depth: float = 0.0  # of the face, metres
     moved: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
-    def begin(self, f: Features, head: Float32[np.ndarray, "3"]) -> None:
+    def begin(self, f: Features, head: Float32[np.ndarray, "3"], face_seen: bool) -> None:
         """Takes the face in the first image for that of the head point `head`."""
         q = f.turn @ head + f.shift
         self.depth = float(q[2]) - BEHIND * self.stature
         at = q[:2] / q[2] * f.focal[:2] + f.focal[2:]
         self.particles = at + self.rng.normal(0, _NOISE, (self.count, 2))
         self.offset = np.zeros(3)
-        found = self(f)
+        found = self(f) if face_seen else None
         if found is not None:
             self.offset = (head - found).astype(float)
 
@@ -141,24 +141,28 @@ class HeadFilter:
         return (((place - f.shift) @ f.turn) + self.offset).astype(np.float32)
 
     def follow(self, f: Features, head: Float32[np.ndarray, "3"]) -> None:
-        """Looks for the face around a head point that something else has found."""
+        """Looks for the face around a place that something else has found."""
         q = f.turn @ head + f.shift
         at = q[:2] / max(float(q[2]), 0.3) * f.focal[:2] + f.focal[2:]
-        self.depth = float(q[2]) - BEHIND * self.stature
+        self.depth, self.moved = float(q[2]), np.zeros(2)
         self.particles = at + self.rng.normal(0, 2 * _NOISE, (self.count, 2))
 
     def _face_depth(
         self, f: Features, skin: np.ndarray, at: np.ndarray, half: np.ndarray, picture: Picture | None
     ) -> float | None:
-        low, high = np.round(at - half).astype(int), np.round(at + half).astype(int) + 1
-        rows, columns = slice(max(low[1], 0), max(high[1], 0)), slice(max(low[0], 0), max(high[0], 0))
-        z = f.depth[rows, columns]
-        good = (z > 0) & (skin[rows, columns] > 0.4) & (np.abs(z - self.depth) < 0.5)
+        z = _box(f.depth, at, half)
+        good = (z > 0) & (_box(skin, at, half) > 0.4) & (np.abs(z - self.depth) < 0.5)
         if good.sum() >= 5:
             return float(np.median(z[good]))
         if picture is not None and picture.baseline > 0:
             return face_depth(picture, f.colour.shape[1], at, half, self.depth)
         return None
+
+
+def _box(image: np.ndarray, at: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """The part of an image within a box."""
+    low, high = np.round(at - half).astype(int), np.round(at + half).astype(int) + 1
+    return image[max(low[1], 0) : max(high[1], 0), max(low[0], 0) : max(high[0], 0)]
 
 
 def _share(total: np.ndarray, p: np.ndarray, half: np.ndarray) -> np.ndarray:

@@ -14,10 +14,10 @@ from voodoo_jax.records.recording import Frame, Picture
 from voodoo_jax.sensors.quick_stereo import EVERY, quick_depth
 
 WIDTH = 320  # columns of all features: a forearm at 3 m is six pixels wide, set by hand
-COARSE = 4  # rows and columns of motion and flow are each so many of the features'
+COARSE = 4  # by hand: rows and columns of motion and flow are each so many of the features'
 _GRADIENT, _DIFFERENCE = 18.0, 9.0  # grey levels above which there is an edge or a motion: noise of JPEG, measured
-_BINS = 16  # levels of Cr and Cb in one cell of the skin model are 256 over this
-NEAREST = 1.0  # metres: nearer people do not fit into a camera's image
+_BINS = 64  # cells of Cr and Cb each in the skin model, by hand
+NEAREST = 1.0  # metres, by hand: nearer people do not fit into a camera's image
 
 
 class Features(NamedTuple):
@@ -37,7 +37,7 @@ class Features(NamedTuple):
 class SkinModel:
     """Colours of the face against all others, learnt in the first image (Cr and Cb only: light changes)."""
 
-    share: Float32[np.ndarray, "bin bin"] = field(default_factory=lambda: np.zeros((_BINS * 4,) * 2, np.float32))
+    share: Float32[np.ndarray, "bin bin"] = field(default_factory=lambda: np.zeros((_BINS,) * 2, np.float32))
 
     def learn(self, image: UInt8[np.ndarray, "row column 3"], face: np.ndarray) -> None:
         """Takes the pixels of the mask `face` for skin and all others for none."""
@@ -56,7 +56,7 @@ class SkinModel:
 
 def _cells(image: np.ndarray) -> np.ndarray:
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
-    return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_BGR2YCrCb))[..., 1:] // (256 // (_BINS * 4))
+    return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_BGR2YCrCb))[..., 1:] // (256 // _BINS)
 
 
 class Extractor:

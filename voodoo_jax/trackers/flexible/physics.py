@@ -25,7 +25,9 @@ from voodoo_jax.trackers.flexible.flexible_body import (
 # least cosines of the first bone's direction with an axis of the torso (forward, outward, up; signs as in the rows);
 # ranges of motion of shoulders and hips, set by hand: backward, across, and for legs outward and up
 _ARM_LIMITS = (((1, 0, 0), -0.80), ((0, 1, 0), -0.65), ((0, -1, 0), -1.0), ((0, 0, -1), -1.0))
+# as above, by hand
 _LEG_LIMITS = (((1, 0, 0), -0.55), ((0, 1, 0), -0.45), ((0, -1, 0), -0.80), ((0, 0, -1), -0.70))
+# both, by hand
 _LIMITS = np.array([[(*n, c) for n, c in rows] for rows in (_ARM_LIMITS,) * 2 + (_LEG_LIMITS,) * 2], np.float32)
 _SHARPEST = 0.52  # least angle between two bones of a limb, radians: set by hand, 30 degrees
 _KNEE_BACK = 0.02  # metres that a knee may be behind the line from hip to ankle, set by hand
@@ -120,7 +122,7 @@ def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 _ANCHOR_POINTS, _ANCHOR_SPRINGS, _ANCHOR_USED = _anchor_tables()
 
 
-def limb_spaces(body: FlexibleBody, x: Float[Array, "16 3"], apart: float) -> LimbSpace:
+def limb_spaces(body: FlexibleBody, x: Float[Array, "16 3"], apart: Float[Array, ""] | float) -> LimbSpace:
     """Of the four limbs, as the rest of the body stands now; leading axis: limb.
 
     **Arguments:** `apart` least distance of knees and ankles from the plane between the legs, a share of the stature.
@@ -192,8 +194,8 @@ def _apart(p: Float[Array, "2 3"], free: Float[Array, "2"], space: LimbSpace) ->
 
 
 def relax(
-    body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], iterations: int, apart: float = 0.0,
-    limits: bool = True,
+    body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], iterations: int,
+    apart: Float[Array, ""] | float = 0.0, limits: bool = True,
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """Applies all springs and limits in turn, so many times (like Gauss-Seidel; sec. II).
 
@@ -221,7 +223,7 @@ def project_limb(
 
 def step(
     body: FlexibleBody, x: Float[Array, "16 3"], before: Float[Array, "16 3"], gravity: Float[Array, "3"],
-    dt: Float[Array, ""] | float, damping: float, iterations: int, apart: float = 0.0,
+    dt: Float[Array, ""] | float, damping: float, iterations: int, apart: Float[Array, ""] | float = 0.0,
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """The body a time step later, dangling from its head, which stays where it is (sec. II)."""
     free = inverse_masses(body.masses)[:, None] > 0

@@ -1,13 +1,12 @@
 """How well a limb fits an image: edge and surface scores, points, occlusion (Hecht et al. 2009, sec. III-B)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from voodoo_jax.geometry.rigid import AnyArray
 from voodoo_jax.trackers.flexible.cylinders import (
     Segments,
     all_limb_segments,
@@ -20,22 +19,22 @@ from voodoo_jax.trackers.flexible.physics import Frames, length
 
 RINGS = 10  # reference colours along a cylinder, by the paper
 ALONG, ACROSS = 6, 3  # samples of a cylinder's surface: set by hand, the study's
-SHRINK = 4  # the occlusion map's pixels are each so many of the features'
+SHRINK = 4  # by hand: the occlusion map's pixels are each so many of the features'
 _BEHIND = 0.12  # metres: what is so much farther than a surface ought to be is not it; cylinders are no people, by hand
-_NEVER = 1e6  # metres
+_NEVER = 1e6  # metres, by hand: nothing is so far
 
 
 class View(NamedTuple):
     """Features of one frame as a program takes them; see image_features.Features."""
 
-    colour: UInt8[AnyArray, "row column 3"]
-    edge: UInt8[AnyArray, "row column"]
-    motion: UInt8[AnyArray, "coarse_row coarse_column"]
-    flow: Float[AnyArray, "coarse_row coarse_column 2"]
-    depth: Float[AnyArray, "row column"]
-    focal: Float[AnyArray, "4"]
-    turn: Float[AnyArray, "3 3"]
-    shift: Float[AnyArray, "3"]
+    colour: UInt8[Any, "row column 3"]
+    edge: UInt8[Any, "row column"]
+    motion: UInt8[Any, "coarse_row coarse_column"]
+    flow: Float[Any, "coarse_row coarse_column 2"]
+    depth: Float[Any, "row column"]
+    focal: Float[Any, "4"]
+    turn: Float[Any, "3 3"]
+    shift: Float[Any, "3"]
 
 
 class Weighing(NamedTuple):
@@ -59,7 +58,7 @@ def project(view: View, p: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 2"], 
     return q[..., :2] / z[..., None] * view.focal[:2] + view.focal[2:], z
 
 
-def read(image: AnyArray, at: Float[Array, "*n 2"]) -> tuple[Array, Bool[Array, "*n"]]:
+def read(image: Any, at: Float[Array, "*n 2"]) -> tuple[Array, Bool[Array, "*n"]]:
     """The nearest pixels, and whether they are inside of the image."""
     rows, columns = image.shape[:2]
     u, v = jnp.round(at[..., 0]).astype(int), jnp.round(at[..., 1]).astype(int)
@@ -221,7 +220,7 @@ def learn(
     return colours + share * (mean - colours), now
 
 
-def drawn(key: Array, weights: Float[Array, "n"], count: int) -> Int[Array, " count"]:
+def drawn(key: Array, weights: Float[Any, "n"], count: int) -> Int[Array, " count"]:
     """Random indices in proportion to weights: cumulative sum and search; a categorical draw would make one random
     number for every index and draw."""
     total = jnp.cumsum(weights)

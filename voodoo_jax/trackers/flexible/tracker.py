@@ -5,11 +5,13 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
+from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.config.options import FlexibleSettings, Settings
 from voodoo_jax.detect.pipeline import find_person
@@ -20,19 +22,22 @@ from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.base import Progress, Source, Unsuitable
 from voodoo_jax.trackers.flexible.filters import Inputs, Numbers, Seen, Shape, State, start, track_chunk
-from voodoo_jax.trackers.flexible.flexible_body import FlexibleBody, flexible_body, rest_points
+from voodoo_jax.trackers.flexible.flexible_body import LIMBS, FlexibleBody, flexible_body, rest_points
 from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
 from voodoo_jax.trackers.flexible.image_features import Extractor, Features, SkinModel, depth_points
 from voodoo_jax.trackers.flexible.poses import centres_of, limb_poses
-from voodoo_jax.trackers.flexible.scores import View, Weighing
+from voodoo_jax.trackers.flexible.scores import View, Weighing, log_weight
 
 CHUNK = 16  # frames per run of the program: what fits into memory as images, by hand
 _PATIENCE = 60  # frames without an image at the beginning of a log, after which none are expected, by hand
+_BELOW = 0.35  # share of the stature that a face is at most from the person's top: else it is a hand, by hand
+# frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
+# a weight): by hand
+_STRETCH, _EXPLAINS_MORE, _SCORES_MORE = 2.0, 0.02, 2.0
 _FEWEST = 120  # points of a person from which on tracking starts, by hand
 
 
-@dataclass
-class Seenframes:
+class FeatureStore:
     """Features of all frames on disk, in the order of time; a recording's images do not fit into memory."""
 
     def __init__(self):
@@ -82,7 +87,7 @@ def uses_dense(s: FlexibleSettings) -> bool:
 class Observed:
     """A recording as the filters take it."""
 
-    features: Seenframes
+    features: FeatureStore
     pictures: list[Picture]  # still packed
     people: list[PersonFrame]
     scene: Scene
@@ -95,7 +100,7 @@ def observe(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, source: str
 ) -> Observed:
     """Reads features and finds the person's points. Raises Unsuitable."""
-    s, store, extract = settings.flexible, Seenframes(), Extractor()
+    s, store, extract = settings.flexible, FeatureStore(), Extractor()
     pictures: list[Picture] = []
     times, stamps = [], []
 
@@ -161,33 +166,42 @@ def follow(
     heads = _heads(seen, first, begin, skin, s)
     key = jax.random.key(s.seed)
     state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
-    state, found = _run(model, state, seen, heads, range(first, len(seen.features)), key, s, floor_up, progress)
+    order = range(first, len(seen.features))
+    state, found = _run(model, state, seen, heads, order, key, s, floor_up, progress)
+    if s.backwards and not settings.online:
+        again = jax.random.fold_in(key, 2**30 + 1)
+        back = state._replace(before=state.x, previous=state.particles)
+        _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, progress)
+        found = better(found, jax.tree.map(lambda a: a[::-1], second), numbers(s).weighing)
     return _tracks(body, model, begin, seen, first, found, source, fixed_frame, notes, began)
 
 
-Heads = list[Float32[np.ndarray, "3"] | None]
+class Heads(NamedTuple):
+    """The head in each frame, from its filter. Metres, fixed frame."""
+
+    place: Float32[np.ndarray, "frame 3"]
+    seen: Bool[np.ndarray, " frame"]  # whether a face is seen
 
 
 def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings) -> Heads:
-    """The head point in each frame, by its filter; None where no face is seen."""
-    out: Heads = [None] * len(seen.features)
+    count = len(seen.features)
+    out = Heads(np.zeros((count, 3), np.float32), np.zeros(count, bool))
     if not begin.face_seen:
         return out
     head = HeadFilter(skin, begin.stature, s.head_particles, np.random.default_rng(s.seed))
-    head.begin(seen.features[first], begin.head)
-    crown = np.zeros(3, np.float32) + begin.head
-    for i in range(first, len(out)):
-        f = seen.features[i]
-        out[i] = head(f, seen.pictures[i])
-        points = seen.people[i].points
+    head.begin(seen.features[first], begin.head, True)
+    for i in range(first, count):
+        f, points = seen.features[i], seen.people[i].points
+        found = head(f, seen.pictures[i])
         if len(points) > 50:
             height = seen.scene.floor.height(points)
-            top = np.median(points[height > np.percentile(height, 97)], 0)
-            if out[i] is not None and np.linalg.norm(out[i] - top) > 0.35 * begin.stature:
-                out[i] = None  # skin somewhere else
-            if out[i] is None:
-                head.follow(f, top.astype(np.float32))
-        crown = crown if out[i] is None else out[i]
+            top = np.median(points[height > np.percentile(height, 97)], 0).astype(np.float32)
+            if found is not None and np.linalg.norm(found - top) > _BELOW * begin.stature:
+                found = None  # skin somewhere else
+            if found is None:
+                head.follow(f, top)
+        if found is not None:
+            out.place[i], out.seen[i] = found, True
     return out
 
 
@@ -200,11 +214,9 @@ def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up
         points[: len(chosen)] = person.points[chosen]
         share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
-        head = heads[i]
         rows.append(Inputs(
-            View(*f), points, share, np.zeros(3, np.float32) if head is None else head,
-            _number(head is not None), up, _number(min(dt, 0.2)), np.asarray(i, np.int32),
-            _number(i < s.learn_frames), np.asarray(k < len(at) - pad),
+            View(*f), points, share, heads.place[i], _number(heads.seen[i]), up, _number(min(dt, 0.2)),
+            np.asarray(i, np.int32), _number(i < s.learn_frames), np.asarray(k < len(at) - pad),
         ))  # fmt: skip
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
@@ -224,6 +236,23 @@ def _run(
         if progress is not None:
             progress(len(at))
     return state, jax.tree.map(lambda *each: np.concatenate(each), *out)
+
+
+def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
+    """Of two passes, there and back in time, the body that explains more points in each stretch of time; each of its
+    limbs from the pass in which it scores more."""
+    smooth = lambda a: gaussian_filter1d(np.asarray(a, float), _STRETCH, axis=0, mode="nearest")  # noqa: E731
+    gain = smooth(back.explained - ahead.explained) > _EXPLAINS_MORE
+    pick = lambda a, b: np.where(gain.reshape(-1, *[1] * (a.ndim - 1)), b, a)  # noqa: E731
+    body, other = jax.tree.map(pick, ahead, back), jax.tree.map(pick, back, ahead)
+    scores = [smooth(np.asarray(log_weight(jax.tree.map(jnp.asarray, s.score), weighing))) for s in (body, other)]
+    swap = scores[1] - scores[0] > _SCORES_MORE  # [frame, limb]
+    x, spread = body.x.copy(), body.spread.copy()
+    for limb, rows in enumerate(LIMBS):
+        moved = other.x[:, rows] + (body.x[:, rows[:1]] - other.x[:, rows[:1]])
+        x[:, rows] = np.where(swap[:, limb, None, None], moved, x[:, rows])
+        spread[:, limb] = np.where(swap[:, limb, None], other.spread[:, limb], spread[:, limb])
+    return body._replace(x=x, spread=spread)
 
 
 def _number(value: float) -> np.ndarray:
