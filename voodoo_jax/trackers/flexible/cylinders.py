@@ -12,9 +12,8 @@ from jaxtyping import Array, Float, Int
 from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, LOWER, NECK, UPPER, FlexibleBody
 from voodoo_jax.trackers.flexible.physics import frames, length, unit
 
-PARTS = (
-    15  # the paper's eleven parts with hands and feet: 12 of the limbs (limb by limb), the head, upper and lower torso
-)
+# of the paper, with hands and feet: 12 of the limbs (limb by limb), the head, upper and lower torso
+PARTS = 15
 _FOOT_DOWN = 0.25  # how much a foot points down, share of how much it points forward: set by hand
 # how far the flat part of a torso patch reaches from side to side (share of its width), measured on rendered people
 _UPPER_SPAN, _LOWER_SPAN = (0.28, 0.72), (0.15, 0.85)

@@ -2,7 +2,6 @@
 (Hecht et al. 2009, sec. III), then measured points pull the body onto themselves. Compiled.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -11,6 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from voodoo_jax.compile.executable import program
 from voodoo_jax.trackers.flexible.cylinders import PARTS, closest
 from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, FlexibleBody, bone_lengths
 from voodoo_jax.trackers.flexible.image_features import COARSE
@@ -123,7 +123,7 @@ def start(key: Array, body: FlexibleBody, x: Float[Array, "16 3"], shape: Shape)
     return State(x, x, p, p, jnp.full((4, 3), 0.05), jnp.full((4, 2, 10, 3), 0.5), jnp.zeros((4, 2, 10)))
 
 
-@partial(jax.jit, static_argnames="shape")
+@program
 def track_chunk(
     body: FlexibleBody, state: State, inputs: Inputs, key: Array, numbers: Numbers, shape: Shape
 ) -> tuple[State, Seen]:

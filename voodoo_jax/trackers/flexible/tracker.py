@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from scipy.ndimage import gaussian_filter1d
 
+from voodoo_jax.compile.executable import seconds_of_waiting
 from voodoo_jax.config.options import FlexibleSettings, Settings
 from voodoo_jax.detect.pipeline import find_person
 from voodoo_jax.model.body import Body, scaled
@@ -21,6 +22,7 @@ from voodoo_jax.records.recording import Frame, Picture, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.base import Progress, Source, Unsuitable
+from voodoo_jax.trackers.flexible.confidence import rated
 from voodoo_jax.trackers.flexible.filters import Inputs, Numbers, Seen, Shape, State, start, track_chunk
 from voodoo_jax.trackers.flexible.flexible_body import LIMBS, FlexibleBody, flexible_body, rest_points
 from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
@@ -148,10 +150,11 @@ def track_frames(
 
 def follow(
     body: Body, seen: Observed, settings: Settings, source: str, fixed_frame: str, notes: tuple[str, ...] = (),
-    progress: Progress | None = None, began: float = 0.0,
+    progress: Progress | None = None, began: float | None = None,
 ) -> Tracks:  # fmt: skip
     """Tracks of what was observed."""
-    s = settings.flexible
+    s, waited = settings.flexible, seconds_of_waiting()
+    began = time.perf_counter() if began is None else began
     skin, first, begin = SkinModel(), 0, None
     for first in range(len(seen.features)):
         points = seen.people[first].points
@@ -164,7 +167,7 @@ def follow(
     floor_up = seen.scene.floor.normal.astype(np.float32)
     x = first_pose(np.asarray(model.rest), begin, floor_up)
     heads = _heads(seen, first, begin, skin, s)
-    key = jax.random.key(s.seed)
+    key = jax.random.PRNGKey(s.seed)
     state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
     order = range(first, len(seen.features))
     state, found = _run(model, state, seen, heads, order, key, s, floor_up, progress)
@@ -173,7 +176,14 @@ def follow(
         back = state._replace(before=state.x, previous=state.particles)
         _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, progress)
         found = better(found, jax.tree.map(lambda a: a[::-1], second), numbers(s).weighing)
-    return _tracks(body, model, begin, seen, first, found, source, fixed_frame, notes, began)
+    tracks = _tracks(body, begin, seen, first, found, source, fixed_frame, notes)
+    compiling = seconds_of_waiting() - waited
+    if not begin.face_seen:
+        tracks = replace(
+            tracks, notes=(*tracks.notes, "No face was seen at the start: it was taken to be turned here.")
+        )
+    tracks = rated(tracks, found, seen.row[first:], s.lost_confidence)
+    return replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
 
 
 class Heads(NamedTuple):
@@ -231,7 +241,9 @@ def _run(
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
-        state, found = track_chunk(model, state, _inputs(seen, heads, at + at[-1:] * pad, s, up, pad), key, n, shape)
+        state, found = track_chunk(
+            model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad)), key, n, shape
+        )
         out.append(jax.tree.map(partial(_first, len(at)), found))
         if progress is not None:
             progress(len(at))
@@ -264,8 +276,8 @@ def _first(count: int, a: jax.Array) -> np.ndarray:
 
 
 def _tracks(
-    body: Body, model: FlexibleBody, begin: Start, seen: Observed, first: int, found: Seen, source: str,
-    fixed_frame: str, notes: tuple[str, ...], began: float,
+    body: Body, begin: Start, seen: Observed, first: int, found: Seen, source: str,
+    fixed_frame: str, notes: tuple[str, ...],
 ) -> Tracks:  # fmt: skip
     body = scaled(body, begin.stature)
     rows = seen.row[first:]
@@ -283,8 +295,7 @@ def _tracks(
     points[seen.row] = [len(p.points) for p in seen.people]
     return Tracks(
         source, fixed_frame, body, seen.time_ns, rotation, translation, joints, status, residual, explained,
-        np.zeros(count, np.int32), points, np.ones((count, limbs), np.float32), seconds=time.perf_counter() - began,
-        notes=notes,
+        np.zeros(count, np.int32), points, np.ones((count, limbs), np.float32), notes=notes,
     )  # fmt: skip
 
 
