@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from voodoo_jax.records.recording import Recording as Recording
     from voodoo_jax.records.tracks import Tracks as Tracks
     from voodoo_jax.solve.implicit import solution as solution
-    from voodoo_jax.trackers.icp.people import track_people as track_people
-    from voodoo_jax.trackers.icp.tracker import track as track
+    from voodoo_jax.trackers.front import track as track
+    from voodoo_jax.trackers.front import track_people as track_people
     from voodoo_jax.trackers.smoothing import smooth as smooth
     from voodoo_jax.viz.figures import picture
     from voodoo_jax.viz.figures import show as show
@@ -73,9 +73,9 @@ _PUBLIC = {
     "solution": ("solve.implicit", "solution"),
     "solve_frames": ("fitting.custom_loss", "solve_frames"),
     "survey": ("io.log_reader", "survey"),
-    "track": ("trackers.icp.tracker", "track"),
+    "track": ("trackers.front", "track"),
     "track_many": ("batch.track_many", "track_many"),
-    "track_people": ("trackers.icp.people", "track_people"),
+    "track_people": ("trackers.front", "track_people"),
     "write_body": ("model.body_file", "write_body"),
     "write_tracks": ("exporters.npz", "write_tracks_npz"),
 }

@@ -10,6 +10,7 @@ from voodoo_jax.cli import main as cli
 from voodoo_jax.config.options import (
     Change,
     DetectSettings,
+    FlexibleSettings,
     Settings,
     SettingsError,
     SolveSettings,
@@ -24,6 +25,8 @@ CHANGED = replace(
     detect=DetectSettings(link=0.2, forget=7),
     solve=SolveSettings(solver="per_limb", robust_scale=float("inf"), near_side=False, epsilon=1e-12),
     start=StartSettings(scale=1.83),
+    flexible=FlexibleSettings(particles=50, depth_noise=(0.1, 0.2, 0.3)),
+    tracker="flexible",
     online=True,
 )
 
@@ -110,7 +113,7 @@ def test_every_option_has_a_meaning():
     lines = settings_text().splitlines()
     for stage in fields(Settings):
         cls = Change if stage.name == "changes" else type(getattr(Settings(), stage.name))
-        if stage.name == "online":
+        if stage.name in ("online", "tracker"):
             assert any(help_texts(Settings)[stage.name] in line for line in lines)
             continue
         texts = help_texts(cls)
@@ -193,3 +196,25 @@ def test_flags_are_checked_as_the_file_is(words, tmp_path, capsys):
     printed = capsys.readouterr().err
     assert words[0].removeprefix("--").replace("-", "_") in printed and "must" in printed
     assert not (tmp_path / "o").exists()
+
+
+def test_a_paper_of_the_flexible_tracker_implies_it(given):
+    paper = given("--preset", "hecht2009").settings
+    assert paper.tracker == "flexible" and given("--preset", "flexible").settings.tracker == "flexible"
+    flexible = paper.flexible  # secs. III-A and IV-A
+    assert (flexible.particles, flexible.head_particles, flexible.depth_share) == (200, 100, 0.25)
+    assert flexible.depth_noise == (0.15, 0.5, 1.0) and 0.5 <= flexible.velocity <= 0.8
+    assert flexible.follow_level == flexible.follow_up == 0.8 and flexible.refine == 0
+    assert given("--tracker", "flexible", "--flexible.particles", "50").settings.flexible.particles == 50
+
+
+def test_values_of_the_flexible_tracker_are_checked(tmp_path):
+    path = tmp_path / "s.toml"
+    for text, said in (
+        ("tracker = 'kalman'", "'icp', 'flexible'"),
+        ("[flexible]\ndepth_noise = [1.0]", "three numbers"),
+        ("[flexible]\nlayers = 0", "at least 1"),
+    ):
+        path.write_text(text)
+        with pytest.raises(SettingsError, match=said):
+            read_settings(path)

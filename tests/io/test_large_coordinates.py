@@ -49,7 +49,7 @@ def test_markers_without_a_transform(tmp_path):
 
 
 def test_tracks_are_the_same_at_another_place(tmp_path):
-    near = track_log(small_log(tmp_path / "a.mcap", 6), small_body(), SETTINGS)
+    (near,) = track_log(small_log(tmp_path / "a.mcap", 6), small_body(), SETTINGS)
     far = given_from(near, np.array(TOKYO))
     assert far.joints.dtype == np.float64 and near.joints.dtype == np.float32
     path = tmp_path / "a.tracks.npz"

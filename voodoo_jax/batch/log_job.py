@@ -61,16 +61,17 @@ def track_log(
     progress: Progress | None = None,
     visit: Visit | None = None,
 ) -> list[Tracks]:
-    """Reads a log frame by frame and tracks everybody in it, see track_people; `visit` see do_job. Raises LogError."""
+    """Reads a log frame by frame and tracks everybody in it; `visit` see do_job. Raises LogError, Unsuitable."""
     from voodoo_jax.detect.opening import open_checked
-    from voodoo_jax.detect.pipeline import build_of, find_people
-    from voodoo_jax.trackers.icp.people import track_subjects
-    from voodoo_jax.trackers.icp.tracker import prepare
+    from voodoo_jax.detect.pipeline import build_of
+    from voodoo_jax.trackers.base import source_of_log, tracker_of
 
-    log = open_checked(path, settings.read, build_of(body, settings.start.scale), settings.detect)
+    tracker = tracker_of(settings)
+    log = open_checked(path, tracker.reads(settings.read), build_of(body, settings.start.scale), settings.detect)
+    source = source_of_log(log)
     if visit is None:
-        prepare(body, settings, len(log.sensors), log.named_at_once, bool(log.parts))
-    total, done = max(1, (2 + settings.looks_ahead("track")) * len(log)), 0.0  # read, track there, and back
+        tracker.prepare(body, settings, source)
+    total, done = max(1, (1 + tracker.passes(settings)) * len(log)), 0.0  # read, track there, and back
 
     def more(count: float) -> None:
         nonlocal done
@@ -83,9 +84,7 @@ def track_log(
             more(1)
             yield frame
 
-    people = find_people(counted(), log.up, body, settings, log.up_is_given)
-    each = lambda count: more(count / len(people))  # noqa: E731
-    found = track_subjects(body, people, settings, log.path, log.fixed_frame, log.notes, each, visit)
+    found = tracker.track_people(body, counted(), source, settings, more, visit)
     return [given_from(tracks, log.origin) for tracks in found]
 
 
@@ -98,7 +97,8 @@ def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: 
     from voodoo_jax.viz.figures import picture, spread
 
     build = build_of(tracks.body, settings.start.scale)
-    reader = open_checked(log or tracks.source, settings.read, build, settings.detect)
+    read = replace(settings.read, images=False, matching="fine")  # clouds are drawn
+    reader = open_checked(log or tracks.source, read, build, settings.detect)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
     frames = tuple(frame for frame in reader.frames() if frame.time_ns in wanted)
     read = Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames, origin=reader.origin)
@@ -109,12 +109,13 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
     """Tracks one log and writes its results; `visit` runs the program, None: here and now. Whatever goes wrong with it
     is told in the outcome."""
     from voodoo_jax.io.container import LogError
+    from voodoo_jax.trackers.base import Unsuitable
 
     began = time.perf_counter()
     use_compile_cache(job.compile_cache)
     try:
         outcome = _done(job, progress, visit)
-    except (LogError, SettingsError) as problem:
+    except (LogError, SettingsError, Unsuitable) as problem:
         outcome = Outcome(job.log, error=str(problem))
     except MemoryError:
         outcome = Outcome(job.log, error="out of memory: use fewer --workers, or cut the log in pieces")
@@ -133,6 +134,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
+    from voodoo_jax.trackers.base import Unsuitable
     from voodoo_jax.trackers.smoothing import smooth
 
     key, (place, _, drawn) = "", output_places(job.log, job.out)
@@ -157,7 +159,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
                 key = run_key(job.recipe, fingerprint_of(original))
             try:
                 people = track_log(log, on_device(job.body), job.settings, progress, visit)
-            except LogError as problem:
+            except (LogError, Unsuitable) as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
             people = [replace(one, source=job.log, notes=(*converted, *one.notes)) for one in people]
             people = [smooth(one, job.smooth_seconds) for one in people]

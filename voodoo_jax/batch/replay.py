@@ -191,9 +191,12 @@ def _absolute(place: str | os.PathLike[str]) -> str:
 
 def _parameters(settings: Settings, smooth_seconds: float) -> tuple[tuple[str, str], ...]:
     """All settings as text."""
-    stages = {stage: values for stage, values in asdict(settings).items() if stage not in ("changes", "online")}
+    stages = {
+        stage: values for stage, values in asdict(settings).items() if stage not in ("changes", "online", "tracker")
+    }
     out = {f"{stage}.{k}": str(v) for stage, values in stages.items() for k, v in values.items()}
     out["online"] = str(settings.online)
+    out["tracker"] = settings.tracker
     out["smooth_seconds"] = str(smooth_seconds)
     return tuple((out | {f"change.{n}": str(change) for n, change in enumerate(settings.changes, 1)}).items())
 

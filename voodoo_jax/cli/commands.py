@@ -12,9 +12,10 @@ from voodoo_jax.config.options import ReadSettings, Settings
 BODY_HELP = (
     "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
 )
-PRESET_BODIES = {"default": "human", "knoop2007": "human10"}
+PRESET_BODIES = {"default": "human", "knoop2007": "human10", "flexible": "human", "hecht2009": "human"}
 PRESET_HELP = (
-    "Settings to start from: default, or knoop2007, the paper's chain and values (with its body of ten limbs)."
+    "Settings to start from: default; knoop2007, that paper's chain and values (with its body of ten limbs); flexible, "
+    "the flexible tracker; hecht2009, the same with that paper's values."
 )
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
 
@@ -35,7 +36,7 @@ class Replay:
     out: str = "voodoo-out"
     """Folder for the results, or a URL; made if it is missing."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
-    preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
+    preset: Annotated[Literal["default", "knoop2007", "flexible", "hecht2009"], arg(help=PRESET_HELP)] = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     smooth: float = 0.0
     """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
@@ -138,7 +139,7 @@ class FitCommand:
 class Config:
     """Print the settings with their meanings, as a file for --config."""
 
-    preset: Annotated[Literal["default", "knoop2007"], arg(help=PRESET_HELP)] = "default"
+    preset: Annotated[Literal["default", "knoop2007", "flexible", "hecht2009"], arg(help=PRESET_HELP)] = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
 
 

@@ -6,6 +6,7 @@ from voodoo_jax.config.options import (
     LOOKS_AHEAD,
     DetectSettings,
     FeatureSettings,
+    FlexibleSettings,
     ReadSettings,
     Settings,
     SettingsError,
@@ -15,13 +16,19 @@ from voodoo_jax.config.options import (
 
 
 def preset(name: str) -> Settings:
-    """Settings by name: "default", or "knoop2007", the chain and the values of Knoop 2007 as far as it gives them.
+    """Settings by name: "default"; "knoop2007", the chain and the values of Knoop 2007 as far as it gives them;
+    "flexible", the defaults of the flexible tracker; "hecht2009", the system of Hecht, Azad and Dillmann 2009.
 
-    These do not follow the defaults. Where the paper names a parameter and no value (enlargements, longest distance,
-    epsilon), a usual one stands here. Its body is the built-in "human10". Raises SettingsError.
+    Those of papers do not follow the defaults. Where a paper names a parameter and no value (2007: enlargements,
+    longest distance, epsilon; 2009: weights, thresholds, what hidden samples score), a usual one stands here. The body
+    of "knoop2007" is the built-in "human10". Raises SettingsError.
     """
     if name == "default":
         return Settings()
+    if name == "flexible":
+        return Settings(tracker="flexible", read=_IMAGES)
+    if name == "hecht2009":
+        return Settings(tracker="flexible", read=_IMAGES, flexible=_hecht2009())
     if name != "knoop2007":
         raise SettingsError(f"there is no preset '{name}', but {', '.join(PRESETS)}")
     inf = float("inf")
@@ -48,7 +55,22 @@ def preset(name: str) -> Settings:
     )  # fmt: skip
 
 
-PRESETS = ("default", "knoop2007")
+def _hecht2009() -> FlexibleSettings:
+    return FlexibleSettings(
+        particles=200, head_particles=100,  # sec. IV-A
+        layers=1, velocity=0.65,  # sec. III-A: 50 % to 80 %
+        depth_share=0.25, depth_noise=(0.15, 0.5, 1.0),  # sec. III-A
+        base_noise=0.02, spread_noise=0.3, motion_noise=0.1,  # named there, without values
+        edge_weight=12.0, surface_weight=12.0, depth_weight=0.0, points_weight=0.0,  # sec. III-B: two scores
+        seen_length=False, flow=False, restart=0.0, refine=0,
+        follow_level=0.8, follow_up=0.8,  # sec. III: 80 %
+        legs_apart=0.02,  # sec. IV-B: a plane that keeps natural cross-overs out
+        backwards=False,
+    )  # fmt: skip
+
+
+PRESETS = ("default", "knoop2007", "flexible", "hecht2009")
+_IMAGES = ReadSettings(images=True, matching="none")  # what the flexible tracker reads
 
 
 def online(settings: Settings) -> Settings:

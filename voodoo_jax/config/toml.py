@@ -17,6 +17,7 @@ from voodoo_jax.config.options import (
     Change,
     DetectSettings,
     FeatureSettings,
+    FlexibleSettings,
     ReadSettings,
     Settings,
     SettingsError,
@@ -38,6 +39,8 @@ def _check(stage: str, f: Field, value: Any) -> Any:
             good = isinstance(value, list) and all(type(v) in (int, float) and 0 <= v < float("inf") for v in value)
             if not good:
                 raise SettingsError(f"{name} = {value!r}: must be a list of numbers that are not negative")
+            if name == "flexible.depth_noise" and len(value) != 3:
+                raise SettingsError(f"{name} = {value!r}: must be three numbers: of roots, middles and ends of limbs")
             return tuple(float(v) for v in value)
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
             raise SettingsError(f"{name} = {value!r}: must be a list of texts")
@@ -116,6 +119,9 @@ def settings_from(content: dict[str, Any], base: "Settings", path: str | os.Path
                 raise SettingsError(f"{path}: online = {values!r}: must be true or false")
             stages[stage] = values
             continue
+        if stage == "tracker":
+            stages[stage] = _tracker(values)
+            continue
         if stage == "change":
             if not isinstance(values, list) or not all(isinstance(table, dict) for table in values):
                 raise SettingsError(f"{path}: changes are tables [[change]], with two brackets")
@@ -138,6 +144,14 @@ def settings_from(content: dict[str, Any], base: "Settings", path: str | os.Path
                 raise SettingsError(f"{path}: {problem}") from None
         stages[stage] = replace(getattr(base, stage), **checked)
     return replace(base, **stages, changes=changes)
+
+
+def _tracker(value: Any) -> Any:
+    """The tracker's name. Raises SettingsError."""
+    known = get_args(next(f.type for f in fields(Settings) if f.name == "tracker"))
+    if value not in known:
+        raise SettingsError(f"tracker = {value!r}: must be one of {', '.join(map(repr, known))}")
+    return value
 
 
 def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) -> Change:
@@ -185,6 +199,7 @@ def _numbers(value: Any, count: int, above: float = -float("inf")) -> bool:
 
 def check_settings(settings: "Settings") -> None:
     """Raises SettingsError for a value that a settings file could not have: flags and Python reach here unchecked."""
+    _tracker(settings.tracker)
     for stage, cls in _STAGES.items():
         for f in fields(cls):
             value = getattr(getattr(settings, stage), f.name)
@@ -207,6 +222,7 @@ def settings_text(settings: "Settings | None" = None) -> str:
     settings = settings or Settings()
     lines = ["# Settings of voodoo-jax. Use: voodoo-jax replay LOG... --out DIR --config THIS_FILE"]
     lines += ["", f"# {help_texts(Settings)['online']}", f"online = {json.dumps(settings.online)}"]
+    lines += [f"# {help_texts(Settings)['tracker']}", f"tracker = {json.dumps(settings.tracker)}"]
     for stage, cls in _STAGES.items():
         texts = help_texts(cls)
         lines += ["", f"# {cls.__doc__}", f"[{stage}]"]
@@ -238,6 +254,7 @@ _STAGES: dict[str, type] = {
     "features": FeatureSettings,
     "solve": SolveSettings,
     "track": TrackSettings,
+    "flexible": FlexibleSettings,
 }
 # texts like "face=10", and whether a number stands behind the equals sign
 _PAIRS = {
@@ -271,6 +288,18 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "solve.max_steps": (1, 10_000),
     "solve.sampling": (0, 1),
     "solve.robust_scale": (1e-4, float("inf")),
+    "flexible.particles": (2, 100_000),
+    "flexible.head_particles": (2, 100_000),
+    "flexible.layers": (1, 10),
+    "flexible.velocity": (0, 1),
+    "flexible.depth_share": (0, 1),
+    "flexible.restart": (0, 0.9),
+    "flexible.relaxations": (1, 100),
+    "flexible.refine": (0, 100),
+    "flexible.follow_level": (0, 1),
+    "flexible.follow_up": (0, 1),
+    "flexible.mass_base": (1e-3, 1e3),
+    "flexible.points": (16, 8192),
     "track.prior_interval": (1e-4, float("inf")),
     "track.patience": (1, 1_000_000),
     "track.chunk": (1, 100_000),

@@ -75,6 +75,8 @@ def fit(
     Raises FitError, LogError, TruthError, ValueError (unknown parameters).
     """
     settings, options = settings or Settings(), options or FitSettings()
+    if settings.tracker != "icp":
+        raise FitError(f"bodies are fitted with the ICP tracker: set tracker to icp, not {settings.tracker}")
     if not logs:
         raise FitError("name at least one log to fit to")
     if truths and len(truths) != len(logs):

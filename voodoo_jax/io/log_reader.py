@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64
@@ -20,15 +21,17 @@ from voodoo_jax.io.calibrations import bare, calibration_of
 from voodoo_jax.io.container import LogError, Place, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
+from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, survey
+from voodoo_jax.io.pictures import PictureReader
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import as_few
-from voodoo_jax.records.recording import Frame, Pairs, Rays, Recording
+from voodoo_jax.records.recording import Frame, Pairs, Picture, Rays, Recording
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
@@ -102,6 +105,7 @@ class LogReader:
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
         self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
         given = check_pairs("read.scale", settings.scale, numbers=True)
         self.scales = {
             name: float(value) for name, value in given.items()
@@ -210,14 +214,25 @@ class LogReader:
         missing = [len(members) for _, members in self._plan]
         self._plan_parts.forget()
         parts: dict[int, list[tuple[int, _Measured]]] = {}
+        planned = self._whole.pictures
+        extra = planned.frame_of if planned is not None else {}
+        for i in extra.values():
+            missing[i] += 1
+        self._pictures.clear()
+        reader = PictureReader(scan, self.fixed_frame, planned.cameras if planned is not None else {})
         stereo = StereoReader(scan.topics, scan.tree, [p for p in scan.stereo if p.left in sensor_of], self._settings)
-        used = {*sensor_of, *stereo.rights}
+        used = {*sensor_of, *stereo.rights, *(name for name, _ in extra)}
         done, made, following, error = 0, 0, 0, ""
         origins = np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
         wanted = lambda s, c: c.topic in used and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
         for topic, number, item, partner in stereo.items(guarded(scan.log, wanted)):
             schema, channel, message = item
-            member = sensor_of[topic], number
+            if (topic, number) in extra:
+                i = extra[topic, number]
+                missing[i] -= 1
+                self._keep(i, topic, partial(reader.single, item, self._picture_stamp(topic, number)))
+                continue
+            member = sensor_of.get(topic, -1), number
             if member not in home or schema is None:
                 continue
             done += 1
@@ -230,7 +245,13 @@ class LogReader:
                 if topic not in stereo.pairs:
                     content = decoder.message(schema, channel, message.data)
                 elif partner is not None:
-                    content = stereo.cloud(item, partner)
+                    if planned is not None:
+                        stamp = int(self._stamps[member[0]][number])
+                        self._keep(i, topic, partial(reader.pair, item, partner, stereo.pairs[topic], stamp))
+                    if self._settings.matching == "none":
+                        parts.setdefault(i, [])
+                    else:
+                        content = stereo.cloud(item, partner)
                 else:
                     self._counted[topic, "left out, without an image of the other camera at the same time"] += 1
                 if content is not None:
@@ -280,7 +301,25 @@ class LogReader:
             part=part,
             parts=said.names,
             weight=weights[sensor] if said.weighted(self.sensors) else None,
+            pictures=tuple(self._pictures.pop(i, ())),
         )
+
+    def _picture_stamp(self, topic: str, number: int) -> int:
+        """When a message of a single camera was taken, nanoseconds."""
+        found = self._scan.topics[topic]
+        return int(clean_stamps(topic, found.stamps, found.log_times, [])[number])
+
+    def _keep(self, frame: int, topic: str, make: Callable[[], Picture | None]) -> None:
+        """Puts a picture into its frame, or counts why there is none."""
+        try:
+            picture = make()
+        except DECODE_ERRORS:
+            self._counted[topic, "with an image that cannot be decoded, which is left out"] += 1
+            return
+        if picture is None:
+            self._counted[topic, "with an image left out, for which there is no transform"] += 1
+        else:
+            self._pictures.setdefault(frame, []).append(picture)
 
     def _measure(self, topic: str, content: Cloud | Image, stamp_ns: int) -> "_Measured | None":
         """What a message measured, in the fixed frame; None if there is no transform."""

@@ -14,6 +14,7 @@ from voodoo_jax.io.decode.registry import DEPTH_KINDS
 from voodoo_jax.io.frame_sync import clean_stamps, in_pauses, join_one, plan_frames
 from voodoo_jax.io.landmark_plan import plan_features
 from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.pictures import PicturePlan, plan_pictures
 from voodoo_jax.io.point_labels import BODY, FREE, Parts
 from voodoo_jax.io.reference_sensors import dense
 from voodoo_jax.io.skin_rays import add_rays, plan_skin
@@ -51,6 +52,7 @@ class Plan:
     pairs: dict[int, Pairs]  # by frame
     parts: Parts  # what the settings say of the topics
     notes: tuple[str, ...]
+    pictures: PicturePlan | None = None  # of single cameras, where images are asked for
 
 
 def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
@@ -116,6 +118,8 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
         features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}
         features.topics += tuple(name for name in skin.topics if name not in features.topics)
         notes += skin.notes
+    pictures = plan_pictures(scan, fixed, at) if settings.images else None
+    notes += pictures.notes if pictures else ()
     given = np.array(direction(settings.up), np.float32) if settings.up else None
     up = _upward(scan, fixed, leaders[0], frames[0][0]) if given is None else given
     return Plan(
@@ -131,6 +135,7 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
         pairs=features.pairs,
         parts=parts,
         notes=tuple(notes + features.notes),
+        pictures=pictures,
     )
 
 

@@ -1,6 +1,6 @@
 """A sensor log as the tracker sees it: frames of measurements, stamps and sensor positions. Host side, NumPy only."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from html import escape
 
@@ -28,6 +28,20 @@ class Pairs:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A calibrated colour image, or a rectified pair of them, still packed: a log that is not asked for its images
+    decodes none."""
+
+    topic: str
+    stamp_ns: int  # nanoseconds
+    K: Float64[np.ndarray, "3 3"]  # of the image that `unpack` gives, which has no lens left; pixels
+    T_fixed_camera: Float64[np.ndarray, "4 4"]  # metres
+    unpack: Callable[[], tuple[np.ndarray, ...]]  # -> (image,) or (left, right): [row, column, 3] blue, green, red
+    baseline: float = 0.0  # from the left to the right camera, metres; 0: there is one camera
+    shift: float = 0.0  # pixels added to the disparity, where the principal points differ
+
+
+@dataclass(frozen=True)
 class Frame:
     """What all sensors measured at one time, in the recording's fixed frame.
 
@@ -46,6 +60,7 @@ class Frame:
     weight: Float32[np.ndarray, " point"] | None = None  # None: all 1, as a depth camera's (2007, sec. 6)
     # None: all places are in the fixed frame; see detect/camera_motion.py
     T_fixed_steady: Float64[np.ndarray, "4 4"] | None = None
+    pictures: tuple[Picture, ...] = ()  # where they are asked for (read.images)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
 """A body is followed through observations: one package for each method.
 
-Public: `icp.tracker.track`, `smoothing.smooth`.
+Public: `front.track`, `base.TRACKERS`, `smoothing.smooth`.
 """

@@ -10,18 +10,15 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_people
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import PersonFrame, joined
-from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.subject import Subject
-from voodoo_jax.records.tracks import Status, Tracks, given_from
+from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.icp.runner import FEW_POINTS
 from voodoo_jax.trackers.icp.sequence import Progress
-from voodoo_jax.trackers.icp.tracker import prepare_for, track_person
+from voodoo_jax.trackers.icp.tracker import track_person
 
 ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; measured on experiments/people
 NEAR = 0.25  # metres from somebody's surface: what is farther off is none of their points; by hand
@@ -29,24 +26,6 @@ CLEARLY = 0.02  # metres nearer to somebody else: who has a point keeps it else;
 MOVED = 0.02  # of somebody's points that change hands in a frame: fewer make no difference; by hand
 FRAMES = 3  # with so many points that change hands: fewer make no difference; by hand
 WHOLE = 0.5  # of the area that is usually seen of somebody: who shows so much is wholly in view; by hand
-
-
-@users_cache()
-def track_people(
-    body: Body, recording: Recording, settings: Settings | None = None, progress: Progress | None = None
-) -> list[Tracks]:
-    """Tracks everybody in a recording, or `settings.detect.people` of them; nothing about them need be known.
-
-    **Arguments:** `body` of each of them, scaled to what is seen of them; the others as for `track`.
-
-    **Returns:** Tracks for each person, who is seen longest first; of each one row per frame of the recording, not
-    `tracked` where they cannot be seen. One at least: nothing is tracked where there is nobody.
-    """
-    settings = settings or Settings()
-    prepare_for(body, recording, settings)
-    r, subjects = recording, find_people(recording, recording.up, body, settings, recording.up_is_given)
-    found = track_subjects(body, subjects, settings, r.path, r.fixed_frame, r.notes, progress)
-    return [given_from(tracks, r.origin) for tracks in found]
 
 
 # 8 parameters, as track_person

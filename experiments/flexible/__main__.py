@@ -1,0 +1,99 @@
+"""What each ingredient of the flexible tracker gives: python -m experiments.flexible RECORDINGS
+
+RECORDINGS is a folder of stereo (or colour and depth) logs with a *.truth.npz beside each. Each log is read once, then
+tracked with every variant and seed. Writes flexible.md.
+"""
+
+from dataclasses import replace
+from fnmatch import fnmatch
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from voodoo_jax.config.options import FlexibleSettings
+from voodoo_jax.config.presets import preset
+from voodoo_jax.fitting.frames import Truth, read_truth
+from voodoo_jax.io.log_reader import open_log
+from voodoo_jax.model.body_file import load_body
+from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.trackers.flexible.tracker import Observed, follow, observe
+
+SKIP = 0.5  # seconds of each recording that are not scored
+VARIANTS: dict[str, dict] = {
+    "flexible": {},
+    "no refinement": dict(refine=0),
+    "no points in the weights": dict(points_weight=0.0),
+    "no depth in the weights": dict(depth_weight=0.0),
+    "one layer": dict(layers=1),
+    "two layers": dict(layers=2),
+    "no optical flow": dict(flow=False),
+    "no restarts": dict(restart=0.0),
+    "no second pass": dict(backwards=False),
+    "no edges, no colours": dict(edge_weight=0.0, surface_weight=0.0),
+    "no gravity": dict(gravity=0.0),
+    "no velocity": dict(velocity=0.0),
+    "the paper's depth noise": dict(depth_noise=(0.15, 0.5, 1.0)),
+    "80 % of the head's motion": dict(follow_level=0.8, follow_up=0.8),
+    "25 particles": dict(particles=25),
+    "50 particles": dict(particles=50),
+    "200 particles": dict(particles=200),
+    "400 particles": dict(particles=400),
+}
+PAPER: dict[str, dict] = {"hecht2009": {}, "hecht2009, by seen length": dict(seen_length=True)}
+
+
+def errors(tracks: Tracks, truth: Truth) -> np.ndarray:
+    """Distances [time, joint] in metres at the truth's stamps; 1 m where there is no answer."""
+    names = list(tracks.body.topology.centres)
+    order = [names.index(name) for name in truth.names]
+    at = np.abs(tracks.time_ns[None] - truth.time_ns[:, None]).argmin(1)
+    off = np.linalg.norm(tracks.joints[at][:, order] - truth.joints, axis=-1)
+    off = np.where(np.isfinite(off), off, 1.0)
+    return off[truth.time_ns >= truth.time_ns[0] + int(SKIP * 1e9)]
+
+
+def row(name: str, found: dict[str, list[np.ndarray]]) -> str:
+    """A line of the table: mean over recordings, its spread over seeds, joints within 10 cm, each recording."""
+    by_seed = 100 * np.mean([[each.mean() for each in seeds] for seeds in found.values()], 0)
+    within = 100 * np.mean([(each < 0.1).mean() for seeds in found.values() for each in seeds])
+    each = ", ".join(f"{100 * np.mean([e.mean() for e in seeds]):.1f}" for seeds in found.values())
+    return f"| {name} | {by_seed.mean():.2f} +- {by_seed.std():.2f} | {within:.1f} | {each} |"
+
+
+def main(
+    recordings: tyro.conf.Positional[Path],
+    only: str = "*",
+    seeds: int = 5,
+    paper: bool = False,
+    out: Path = Path(__file__).parent,
+) -> None:
+    """Error of the flexible tracker by ingredient.
+
+    Args:
+        recordings: folder with *.mcap and *.truth.npz.
+        only: variants whose name matches this pattern.
+        seeds: how many seeds.
+        paper: variants of the preset hecht2009 instead.
+        out: folder for flexible.md.
+    """
+    settings, variants = preset("hecht2009" if paper else "flexible"), PAPER if paper else VARIANTS
+    body, logs = load_body("human"), sorted(recordings.glob("*.mcap"))
+    tables: dict[str, dict[str, list[np.ndarray]]] = {name: {} for name in variants if fnmatch(name, only)}
+    for path in logs:
+        log, truth = open_log(path, settings.read), read_truth(path.with_name(f"{path.stem}.truth.npz"))
+        seen: Observed = observe(log.frames(), log.up, body, settings, log.path)
+        for name, results in tables.items():
+            for seed in range(seeds):
+                own: FlexibleSettings = replace(settings.flexible, seed=seed, **variants[name])
+                tracks = follow(body, seen, replace(settings, flexible=own), log.path, log.fixed_frame)
+                results.setdefault(path.stem, []).append(errors(tracks, truth))
+            print(path.stem, row(name, {path.stem: results[path.stem]}), flush=True)
+    head = f"| {len(logs)} recordings, {seeds} seeds | mean error, cm | within 10 cm, % | each recording, cm |"
+    lines = [head, "|---|---|---|---|", *(row(name, found) for name, found in tables.items() if found)]
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "flexible.md").write_text("\n".join(["# The flexible tracker by ingredient", "", *lines, ""]))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,118 @@
+"""The flexible tracker on a simulated colour and depth camera: it finds and follows, the same seed gives the same bits,
+and what it cannot take is refused in a sentence."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+import voodoo_jax as vj
+from tests.support.colour_logs import Board, picture, ros_compressed, ros_info
+from tests.support.logs import PERIOD, START, Log, depth_log
+from voodoo_jax.batch.log_job import track_log
+from voodoo_jax.config.options import FlexibleSettings, ReadSettings, Settings
+from voodoo_jax.io.log_reader import read_log
+from voodoo_jax.records.recording import Frame, Picture, Recording
+from voodoo_jax.sensors.quick_stereo import quick_depth
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import NO_NOISE, Camera
+from voodoo_jax.trackers.base import Unsuitable
+
+CAMERA = Camera(160, 120, 145.0, 145.0, 79.5, 59.5, (0.0, 0.0, 1.2), 0.08)
+FRAMES = 14
+# a program of its own size: few particles and rounds, for the test's time
+SMALL = FlexibleSettings(particles=30, layers=2, refine=4, points=128, backwards=False)
+
+
+def painted(depth: np.ndarray, points: np.ndarray, person: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A picture of what the camera sees: face, shirt and trousers before a grey room, with some texture."""
+    height = points[..., 2]
+    image = np.full((*depth.shape, 3), 150.0)
+    image[person & (height < 0.9)] = 60, 40, 30
+    image[person & (height >= 0.9)] = 160, 90, 40
+    image[person & (height > 1.48)] = 110, 150, 205
+    image += np.random.default_rng(0).normal(0, 6, image.shape)
+    return (np.clip(image, 0, 255).astype(np.uint8),)
+
+
+@pytest.fixture(scope="module")
+def waving() -> tuple[Recording, np.ndarray]:
+    """A person who waves before a colour and depth camera, and the true joint centres."""
+    body = vj.human()
+    sim = simulate(body, placed(make_motion(body, "wave", FRAMES / 15, 15.0), 2.6, 0.0, np.pi), CAMERA, NO_NOISE)
+    bare = simulate(body, placed(make_motion(body, "wave", 1 / 15, 15.0), 60.0, 0.0, np.pi), CAMERA, NO_NOISE).depth[0]
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = CAMERA.rotation, CAMERA.position
+    K = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
+    frames = []
+    for stamp, image in zip(sim.time_ns.tolist(), sim.depth):
+        points = (CAMERA.rays() * (image.ravel() / 1000)[:, None] + pose[:3, 3]).astype(np.float32)
+        person = np.abs(image.astype(float) - bare) > 40
+        unpack = partial(painted, image, points.reshape(*image.shape, 3), person)
+        seen = points[image.ravel() > 0]
+        shot = Picture("/rgb", stamp, K, pose, unpack)
+        origins = pose[None, :3, 3].astype(np.float32)
+        frames.append(Frame(stamp, seen, np.zeros(len(seen), np.int32), origins, pictures=(shot,)))
+    up = np.array([0, 0, 1], np.float32)
+    return Recording("waving", "base", up, ("/depth",), tuple(frames)), sim.joints
+
+
+def test_it_follows_a_person_and_the_same_seed_gives_the_same_bits(waving):
+    recording, truth = waving
+    settings = Settings(tracker="flexible", flexible=SMALL)
+    tracks = vj.track(vj.human(), recording, settings)
+    error = np.linalg.norm(tracks.joints - truth, axis=-1)
+    assert np.nanmean(error[3:]) < 0.08 and np.isfinite(error).all()
+    assert abs(float(tracks.body.scale) - 1.7) < 0.08
+    assert tracks.joint_confidence is not None and tracks.tracked.mean() > 0.8
+    # limbs lie where their joints are
+    shoulder = tracks.joint("l_shoulder")
+    upper = tracks.body.topology.limbs.index("l_upper_arm")
+    assert np.linalg.norm(tracks.translation[:, upper] - shoulder, axis=1).max() < 0.15
+    again = vj.track(vj.human(), recording, replace(settings, tracker="icp"), tracker="flexible")
+    other = vj.track(vj.human(), recording, replace(settings, flexible=replace(SMALL, seed=1)))
+    np.testing.assert_array_equal(tracks.joints, again.joints)
+    assert not np.array_equal(tracks.joints, other.joints)
+
+
+def test_what_it_cannot_take_is_refused(waving, tmp_path):
+    recording, _ = waving
+    blind = replace(recording, frames=tuple(replace(f, pictures=()) for f in recording.frames))
+    with pytest.raises(Unsuitable, match="--tracker icp"):
+        vj.track(vj.human(), blind, tracker="flexible")
+    with pytest.raises(Unsuitable, match="follows people"):
+        vj.track(vj.load_body("dog"), recording, tracker="flexible")
+    with pytest.raises(Unsuitable, match="no images.*--tracker icp"):
+        track_log(depth_log().write(tmp_path / "d.mcap"), vj.human(), Settings(tracker="flexible"))
+    with pytest.raises(ValueError, match="icp"):
+        vj.fit(vj.human(), [recording], Settings(tracker="flexible"))
+
+
+K = np.array([[400.0, 0.0, 159.5], [0.0, 400.0, 119.5], [0.0, 0.0, 1.0]])
+BOARDS, SIZE = [Board(4.0), Board(2.5, (-0.4, -0.5), (0.3, 0.4))], (240, 320)
+
+
+def test_images_come_with_frames_only_where_they_are_asked_for(tmp_path):
+    log = Log()
+    log.add("/rig/left/camera_info", START, ros_info("left_optical", K, SIZE))
+    log.add("/rig/right/camera_info", START, ros_info("right_optical", K, SIZE, p03=-48.0))
+    views = [picture(BOARDS, K, SIZE, (x, 0, 0)) for x in (0.0, 0.12)]
+    for i in range(2):
+        for side, image in zip(("left", "right"), views):
+            stamp = START + i * PERIOD
+            name = f"/rig/{side}/image_raw/compressed"
+            log.add(name, stamp, ros_compressed(stamp, f"{side}_optical", image, ".png", "png"))
+    path = log.write(tmp_path / "pair.mcap")
+    assert not any(f.pictures for f in read_log(path))
+    frames = read_log(path, ReadSettings(images=True, matching="none")).frames
+    assert len(frames) == 2 and all(len(f.points) == 0 and len(f.pictures) == 1 for f in frames)
+    shot = frames[1].pictures[0]
+    assert shot.baseline == pytest.approx(0.12) and shot.K[0, 0] == pytest.approx(400)
+    left, right = shot.unpack()
+    np.testing.assert_array_equal(left, views[0])
+    z = quick_depth(left, right, 48.0, 0.0, 1.0)[20:-20, 40:-20]
+    box = z[40:60, 55:75]
+    assert (z > 0).mean() > 0.8 and abs(np.median(box[box > 0]) - 2.5) < 0.03
+    assert abs(np.median(z[:10][z[:10] > 0]) - 4.0) < 0.06

@@ -1,0 +1,167 @@
+"""Colour images of a log for trackers that look at them: which topics they are, and how they are unpacked.
+
+The left and right images of stereo pairs come rectified, others with their lens undone. Nothing is decoded before a
+tracker asks for it.
+"""
+
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from voodoo_jax.geometry import lens
+from voodoo_jax.io.calibrations import calibration_of
+from voodoo_jax.io.decode.registry import Decoder
+from voodoo_jax.io.frame_sync import clean_stamps, join_one
+from voodoo_jax.io.image_fit import fitted
+from voodoo_jax.io.stereo_pairs import Item, make_rig, picture_of, rectified
+from voodoo_jax.io.topic import Topic
+from voodoo_jax.records.messages import Calibration, Colour
+from voodoo_jax.records.recording import Picture
+
+if TYPE_CHECKING:
+    from voodoo_jax.io.log_index import Scan
+    from voodoo_jax.sensors.stereo_rig import Rig
+
+_GREY = ("mono8", "8uc1")
+
+
+@dataclass(frozen=True)
+class PicturePlan:
+    """Which messages of single cameras go to which frame; pairs come with their clouds."""
+
+    cameras: dict[str, Calibration]  # by topic
+    frame_of: dict[tuple[str, int], int]  # (topic, number of the message) -> frame
+    notes: tuple[str, ...] = ()
+
+
+def camera_topics(topics: dict[str, Topic], uses: dict[str, str]) -> tuple[dict[str, Calibration], list[str]]:
+    """One topic of colour images for each calibrated camera that is no part of a stereo pair in use (not compressed,
+    then rectified), and notes on those that cannot be used."""
+    found: dict[str, tuple[str, Calibration]] = {}
+    notes = []
+    pictures = {n: picture for n, t in topics.items() if (picture := picture_of(t.sample)) is not None}
+    for name in sorted(pictures, key=lambda n: (not pictures[n].step, not rectified(n), n)):
+        if pictures[name].encoding in _GREY or uses[name] == "stereo pair" or uses[name].startswith("right image of"):
+            continue
+        c = calibration_of(topics, name)
+        try:
+            if c is None:
+                raise ValueError("it has no calibration")
+            lens.pixel_rays(c.K, c.D, c.model, 2, 2)
+            found.setdefault(pictures[name].frame or name, (name, c))
+        except ValueError as problem:
+            notes.append(f"The images of '{name}' are not looked at: {problem}.")
+    return dict(found.values()), notes
+
+
+def plan_pictures(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"]) -> PicturePlan:
+    """The image of each single colour camera that is nearest in time to each frame (`times`, nanoseconds)."""
+    cameras, notes = camera_topics(scan.topics, scan.uses)
+    if scan.stereo:
+        return PicturePlan({}, {}, tuple(notes))  # pairs have depth of their own
+    frame_of = {}
+    for name in list(cameras):
+        if not scan.tree.connected(scan.topics[name].sample.frame, fixed):
+            notes.append(f"The images of '{name}' are not looked at: no transform between its camera and '{fixed}'.")
+            del cameras[name]
+            continue
+        stamps = clean_stamps(name, scan.topics[name].stamps, scan.topics[name].log_times, [])
+        frame_of |= {(name, message): frame for frame, message in join_one(times, stamps)}
+    return PicturePlan(cameras, frame_of, tuple(notes))
+
+
+def pose_matrix(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rotation, translation
+    return out
+
+
+class PictureReader:
+    """Makes Pictures of messages while a log is read."""
+
+    def __init__(self, scan: "Scan", fixed: str, cameras: dict[str, Calibration]):
+        self._scan, self._fixed, self._cameras, self._decoder = scan, fixed, cameras, Decoder()
+        self._rigs: dict[tuple, Any] = {}
+
+    def _colour(self, item: Item) -> Colour:
+        schema, channel, message = item
+        picture = None if schema is None else picture_of(self._decoder.message(schema, channel, message.data))
+        if picture is None:
+            raise ValueError("not a colour image")
+        return picture
+
+    def single(self, item: Item, stamp_ns: int) -> Picture | None:
+        """The image of one camera; None without a transform. Raises one of DECODE_ERRORS for broken messages."""
+        topic, image = item[1].topic, self._colour(item)
+        pose = self._scan.tree.lookup(self._fixed, image.frame, stamp_ns)
+        if pose is None:
+            return None
+        c, flat = self._cameras[topic], rectified(topic)
+        shape = _shape(image)
+        c = fitted(c, shape)[0]
+        K = c.P[:, :3] if flat and c.P[0, 0] > 0 else c.K
+        D = () if flat else tuple(c.D.tolist())
+        unpack = partial(_single, image, tuple(K.ravel().tolist()), D, c.model)
+        return Picture(topic, stamp_ns, K.copy(), pose_matrix(*pose), unpack)
+
+    def pair(self, left: Item, right: Item, stereo_pair: Any, stamp_ns: int) -> Picture | None:
+        """A rectified pair; None without a transform. Raises one of DECODE_ERRORS for broken messages."""
+        topic, images = left[1].topic, (self._colour(left), self._colour(right))
+        pose = self._scan.tree.lookup(self._fixed, images[0].frame, stamp_ns)
+        if pose is None:
+            return None
+        key = topic, _shape(images[0])
+        if key not in self._rigs:
+            self._rigs[key] = make_rig(self._scan.topics, self._scan.tree, stereo_pair, key[1])
+        rig: Rig = self._rigs[key]
+        K = np.array([[rig.focal, 0.0, rig.centre[0]], [0.0, rig.focal, rig.centre[1]], [0.0, 0.0, 1.0]])
+        pose = pose[0] @ rig.left_R_rectified, pose[1]
+        return Picture(topic, stamp_ns, K, pose_matrix(*pose), partial(_both, images, rig), rig.baseline, rig.shift)
+
+
+def _shape(image: Colour) -> tuple[int, int]:
+    """Rows and columns; of a packed image its header's."""
+    if image.step:
+        return image.shape
+    from voodoo_jax.io.decode.image_codec import pixels
+
+    return pixels(image).shape[:2] if image.shape == (0, 0) else image.shape
+
+
+def _single(image: Colour, K: tuple[float, ...], D: tuple[float, ...], model: str) -> tuple[np.ndarray, ...]:
+    import cv2
+
+    from voodoo_jax.io.decode.image_codec import pixels
+
+    found = pixels(image)
+    if any(D):
+        found = cv2.remap(found, *_undone(K, D, model, found.shape[:2]), cv2.INTER_LINEAR)
+    return (np.asarray(found, np.uint8),)
+
+
+@cache
+def _undone(K: tuple[float, ...], D: tuple[float, ...], model: str, shape: tuple[int, int]) -> tuple[Any, Any]:
+    """Where each pixel without lens lies in the raw image."""
+    k, (rows, columns) = np.array(K).reshape(3, 3), shape
+    v, u = np.mgrid[:rows, :columns].astype(float)
+    rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1]], -1)
+    d = np.pad(np.array(D), (0, max(0, 4 - len(D))))
+    at = np.concatenate([lens.distort(rays, d, model), np.ones((*shape, 1))], -1) @ k.T
+    return at[..., 0].astype(np.float32), at[..., 1].astype(np.float32)
+
+
+def _both(images: tuple[Colour, Colour], rig: "Rig") -> tuple[np.ndarray, ...]:
+    import cv2
+
+    from voodoo_jax.io.decode.image_codec import pixels
+
+    out = []
+    for image, mapping in zip(images, rig.maps):
+        found = pixels(image)
+        if mapping is not None:
+            found = cv2.remap(found, mapping[..., 0], mapping[..., 1], cv2.INTER_LINEAR)
+        out.append(np.asarray(found, np.uint8))
+    return tuple(out)

@@ -1,0 +1,54 @@
+"""Depth from a rectified pair of images in a fifth of the time that `stereo_matching` takes: semi-global matching once,
+Lucas-Kanade steps to fractions of a pixel, no search for sharp edges.
+"""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from voodoo_jax.sensors.disparity import NOWHERE, at_edges, brightness, refined
+
+EVERY = 2  # by hand: rows and columns: each second one is refined and given
+_BLOCK = 5  # pixels, by hand, as in stereo_matching
+_ALIKE, _NEIGHBOURS = 0.5, 5  # pixels of disparity, and how many of eight neighbours: by hand
+_STEP = 16  # disparities come in so many, by OpenCV
+
+
+def quick_depth(
+    left: UInt8[np.ndarray, "row column 3"],
+    right: UInt8[np.ndarray, "row column 3"],
+    focal_baseline: float,
+    shift: float,
+    nearest: float,
+) -> Float32[np.ndarray, "some_row some_column"]:
+    """Depth of every second row and column of the left image, metres; 0 where there is none.
+
+    **Arguments:** `focal_baseline` pixels times metres; `shift` see Rig; `nearest` metres: what is nearer is not found.
+    """
+    grey = [cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0) for image in (left, right)]
+    least = int(np.floor(-shift))
+    most = min(focal_baseline / max(nearest, 1e-3), left.shape[1] / 5) - shift
+    count = max(_STEP, int(np.ceil((most - least) / _STEP)) * _STEP)
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=least, numDisparities=count, blockSize=_BLOCK, P1=8 * _BLOCK**2, P2=32 * _BLOCK**2,
+        disp12MaxDiff=1, uniquenessRatio=5, speckleWindowSize=100, speckleRange=2, mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    )  # fmt: skip
+    raw = matcher.compute(grey[0], grey[1]).astype(np.float32) / 16
+    raw = np.where(raw >= least, raw, NOWHERE).astype(np.float32)
+    gain, offset = brightness(grey[0], grey[1], raw)
+    fine = refined(grey[0].astype(np.float32), gain * grey[1].astype(np.float32) + np.float32(offset), raw, EVERY)
+    some = raw[::EVERY, ::EVERY]
+    d = fine + shift
+    good = (some > NOWHERE) & (np.abs(fine - some) <= 1.5) & ~at_edges(raw, 1)[::EVERY, ::EVERY] & (d > 0.5)
+    z = np.where(good, focal_baseline / np.where(good, d, 1.0), 0.0).astype(np.float32)
+    return np.where(_supported(np.where(good, d, NOWHERE)), z, 0.0)
+
+
+def _supported(d: Float32[np.ndarray, "row column"]) -> Bool[np.ndarray, "row column"]:
+    """Whether enough of a pixel's neighbours have nearly its disparity: edges of legs before a floor leave specks."""
+    alike = np.zeros(d.shape, np.uint8)
+    padded = np.pad(d, 1, constant_values=NOWHERE)
+    rows, columns = d.shape
+    for dv, du in ((0, 1), (0, 0), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
+        alike += np.abs(padded[dv : dv + rows, du : du + columns] - d) < _ALIKE
+    return (alike >= _NEIGHBOURS) & (d > NOWHERE)

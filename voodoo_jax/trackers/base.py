@@ -1,0 +1,107 @@
+"""What every tracker takes and gives, and the table of trackers by name (setting `tracker`)."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32
+
+from voodoo_jax.config.options import ReadSettings, Settings
+from voodoo_jax.io.log_reader import LogReader
+from voodoo_jax.model.body import Body
+from voodoo_jax.records.recording import Frame, Recording
+from voodoo_jax.records.tracks import Tracks
+
+Progress = Callable[[int], None]  # called with the number of frames done since the last call, for each pass
+
+
+class Unsuitable(ValueError):
+    """A recording or body that the chosen tracker cannot take; says why, and which one can."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a log says of itself beside its frames."""
+
+    path: str
+    fixed_frame: str
+    up: Float32[np.ndarray, "3"]  # unit, in the fixed frame
+    sensors: int  # that give points
+    names: set[tuple[str, ...]]  # of the features that frames have at once
+    parts: bool  # whether points have limbs assigned
+    notes: Callable[[], tuple[str, ...]]  # complete once all frames were taken
+    up_is_given: bool = False  # a user has said it
+
+
+@runtime_checkable
+class Tracker(Protocol):
+    """Follows a body through the frames of a log."""
+
+    name: ClassVar[str]
+
+    def reads(self, read: ReadSettings) -> ReadSettings:
+        """How it wants logs to be read."""
+        ...
+
+    def passes(self, settings: Settings) -> int:
+        """How often it reports each frame as done, reading not counted."""
+        ...
+
+    def prepare(self, body: Body, settings: Settings, source: Source) -> None:
+        """Begins to compile, in threads, while the log is read."""
+        ...
+
+    def track(
+        self,
+        body: Body,
+        frames: Iterable[Frame],
+        source: Source,
+        settings: Settings,
+        progress: Progress | None = None,
+        visit: Any = None,
+    ) -> Tracks:
+        """Tracks of the main person (or body), one row per frame, in the frames' own places; `visit` runs programs of
+        several recordings as one batch, where it can. Raises Unsuitable."""
+        ...
+
+    def track_people(
+        self,
+        body: Body,
+        frames: Iterable[Frame],
+        source: Source,
+        settings: Settings,
+        progress: Callable[[float], None] | None = None,
+        visit: Any = None,
+    ) -> list[Tracks]:
+        """The same of everybody whom the tracker tells apart, who is seen longest first; one at least."""
+        ...
+
+
+TRACKERS = {
+    "icp": "voodoo_jax.trackers.icp.entry:IcpTracker",
+    "flexible": "voodoo_jax.trackers.flexible.entry:FlexibleTracker",
+}
+
+
+def tracker_of(settings: Settings) -> Tracker:
+    """The tracker that settings name; it is imported here."""
+    module, _, name = TRACKERS[settings.tracker].partition(":")
+    return getattr(import_module(module), name)()
+
+
+def source_of(recording: Recording) -> Source:
+    """What a recording in memory says of itself."""
+    frames = recording.frames
+    sensors = len(frames[0].origins) if frames and any(len(f.points) for f in frames) else 0
+    names = {(*f.rays.names, *f.pairs.names) for f in frames}
+    parts = bool(frames) and frames[0].part is not None
+    r = recording
+    return Source(r.path, r.fixed_frame, r.up, sensors, names, parts, lambda: r.notes, r.up_is_given)
+
+
+def source_of_log(log: LogReader) -> Source:
+    """What a log says of itself that is read frame by frame."""
+    sensors, names, parts = len(log.sensors), log.named_at_once, bool(log.parts)
+    return Source(log.path, log.fixed_frame, log.up, sensors, names, parts, lambda: log.notes, log.up_is_given)

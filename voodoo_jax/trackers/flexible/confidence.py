@@ -1,0 +1,65 @@
+"""How far the flexible tracker's joints can be trusted: the probability that each is within 10 cm. Host side.
+
+A logistic function of what a frame says of itself, fitted to half of the rendered stereo recordings
+(`python -m experiments.flexible trust`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+from scipy.special import expit
+
+from voodoo_jax.records.tracks import Status, Tracks, expected_share
+from voodoo_jax.trackers.flexible.filters import Seen
+from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
+
+# of the clues below, from experiments/flexible
+CONSTANT = -1.5
+SLOPES = (-0.6, -0.6, -0.4, 0.3)
+_FEW = 1e-3  # metres: less is not told from it, by hand
+
+
+def clues(found: Seen) -> Float[np.ndarray, "frame point clue"]:
+    """Of each point of the body: logarithms of the particles' spread, of the distance of the points around it to the
+    surface, and of the share of points that nothing explains; log(1 + number) of the points around it."""
+    frames = len(found.x)
+    spread = np.empty((frames, 16))
+    spread[:] = np.asarray(found.spread)[:, :, 0].mean(1)[:, None]
+    spread[:, LIMBS.ravel()] = np.asarray(found.spread).reshape(frames, 12)
+    part = _parts()
+    off, support = np.asarray(found.off)[:, part], np.asarray(found.support)[:, part]
+    unexplained = np.broadcast_to(1 - np.asarray(found.explained)[:, None], spread.shape)
+    log = lambda a, least: np.log(np.maximum(a, least))  # noqa: E731
+    return np.stack([log(spread, _FEW), log(off, _FEW), log(unexplained, 0.01), np.log1p(support)], -1)
+
+
+def _parts() -> Int[np.ndarray, " point"]:
+    """The part (see cylinders) whose points tell of each point of the body."""
+    out = np.full(16, 13)
+    out[[0]], out[[8, 9, 10, 13]] = 12, 14
+    for limb, (root, middle, end) in enumerate(LIMBS):
+        out[middle], out[end] = 3 * limb + 1, 3 * limb + 1
+        out[root] = 3 * limb
+    return out
+
+
+def confidence(found: Seen) -> Float[np.ndarray, "frame point"]:
+    """Probability that a point is within 10 cm of its true place, 0..1."""
+    return expit(CONSTANT + clues(found) @ np.array(SLOPES))
+
+
+def rated(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: float) -> Tracks:
+    """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
+    be right.
+
+    **Arguments:** `rows` frames of the tracks that `found` tells of.
+    """
+    names = {centre: POINTS.index(name) for name, centre in CENTRES.items()}
+    order = [names.get(name, -1) for name in tracks.body.topology.centres]
+    each = confidence(found).astype(np.float32)
+    each = np.where(np.array(order) >= 0, each[:, order], np.float32(np.nan))
+    out: Float32[np.ndarray, "frame joint"] = np.full((len(tracks.time_ns), len(order)), np.nan, np.float32)
+    out[rows] = each
+    lost = (tracks.status == Status.TRACKED) & (expected_share(out) < least)
+    return replace(tracks, joint_confidence=out, status=np.where(lost, Status.LOST, tracks.status).astype(np.int8))

@@ -1,0 +1,142 @@
+"""The flexible body: 16 point masses and 24 springs (Hecht et al. 2009, sec. II), made from a body's joint centres.
+
+The paper's figure is not in its text: this is the completion of its four limbs of three points, head and neck by a
+two-part flat torso that has exactly 24 springs.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.trackers.base import Unsuitable
+
+POINTS = (
+    "head", "neck", "l_shoulder", "l_elbow", "l_wrist", "r_shoulder", "r_elbow", "r_wrist", "l_waist", "r_waist",
+    "l_hip", "l_knee", "l_ankle", "r_hip", "r_knee", "r_ankle",
+)  # fmt: skip
+HEAD, NECK = 0, 1  # the paper's points, as are those below
+LIMBS = np.array(
+    [[2, 3, 4], [5, 6, 7], [10, 11, 12], [13, 14, 15]]
+)  # the paper's four filters: left and right arm, left and right leg
+SIDE = np.array([1.0, -1.0, 1.0, -1.0])  # +1: left, in the order of the paper's filters above
+IS_ARM = np.array([True, True, False, False])
+UPPER = (2, 5, 8, 9)  # corners of the paper's upper torso part: left and right shoulder, left and right waist
+LOWER = (8, 9, 10, 13)  # of the paper's lower torso part: left and right waist, left and right hip
+# which points a spring joins, and how stiff it is (share of its error that one relaxation takes away); the stiffnesses
+# are the study's, found by hand: bones keep their length, shoulders have play, sides and diagonals let the torso bow
+SPRINGS = (
+    (2, 3, 1.0), (3, 4, 1.0), (5, 6, 1.0), (6, 7, 1.0), (10, 11, 1.0), (11, 12, 1.0), (13, 14, 1.0), (14, 15, 1.0),
+    (0, 1, 0.6), (0, 2, 0.3), (0, 5, 0.3), (1, 2, 0.6), (1, 5, 0.6), (2, 5, 0.6),
+    (2, 8, 0.9), (5, 9, 0.9), (2, 9, 0.6), (5, 8, 0.6), (8, 9, 0.8),
+    (8, 10, 0.9), (9, 13, 0.9), (8, 13, 0.6), (9, 10, 0.6), (10, 13, 0.8),
+)  # fmt: skip
+# name of a point -> joint centre of the tracks
+CENTRES = {
+    "head": "skullbase", "neck": "vc7", "l_shoulder": "l_shoulder", "l_elbow": "l_elbow", "l_wrist": "l_radiocarpal",
+    "r_shoulder": "r_shoulder", "r_elbow": "r_elbow", "r_wrist": "r_radiocarpal", "l_hip": "l_hip", "l_knee": "l_knee",
+    "l_ankle": "l_talocrural", "r_hip": "r_hip", "r_knee": "r_knee", "r_ankle": "r_talocrural",
+}  # fmt: skip
+# the remaining points, shares of stature: left, up (the study's rest pose, measured on rendered people)
+_WAIST = (0.078, 0.650)
+# radii along the two cylinders of an arm and a leg, and of hand and foot, shares of stature: measured on the built-in
+# body
+_ARM_RADII, _LEG_RADII = (
+    ((0.029, 0.023), (0.024, 0.016), (0.018, 0.012)),
+    ((0.052, 0.037), (0.035, 0.023), (0.02, 0.02)),
+)
+_HAND, _FOOT = 0.095, 0.11  # lengths beyond wrist and ankle, shares of stature, measured on rendered people
+_MASS_TORSO, _MASS_LIMB = 4.0, 1.0  # relative; the paper says heavier and lighter, the numbers are set by hand
+
+
+class FlexibleBody(eqx.Module):
+    """Point masses, springs and cylinders of one person. All traced: gradients may flow through each array."""
+
+    rest: Float[Array, "16 3"]  # metres; body frame: x forward, y left, z up, origin on the floor
+    lengths: Float[Array, " 24"]  # of the springs at rest, metres
+    stiffness: Float[Array, " 24"]  # share of a spring's error that one relaxation takes away, 0..1
+    masses: Float[Array, " 16"]  # relative; the head's is infinite
+    radii: Float[Array, "4 3 2"]  # of each limb's two cylinders and its hand or foot, at both ends, metres
+    tips: Float[Array, " 4"]  # how far hands and feet reach beyond wrist and ankle, metres
+    torso: Float[Array, "2"]  # half depth of the torso; how thick its rounded edge is, metres
+    skull: Float[Array, "2"]  # radius of the head; how far its top is above the head point, metres
+    stature: Float[Array, ""]  # metres
+
+
+class Colouring(NamedTuple):
+    """Springs in groups without common points, so that each group is relaxed at once (Gauss-Seidel by groups)."""
+
+    incidence: Float[np.ndarray, "group slot 16"]  # +1 at a spring's second point, -1 at its first; 0: unused slot
+    springs: np.ndarray  # [group, slot] number of the spring; unused slots have 0
+
+
+def _colour() -> Colouring:
+    groups: list[list[int]] = []
+    for number, (i, j, _) in enumerate(SPRINGS):
+        for group in groups:
+            if not {i, j} & {p for s in group for p in SPRINGS[s][:2]}:
+                group.append(number)
+                break
+        else:
+            groups.append([number])
+    most = max(map(len, groups))
+    incidence, springs = np.zeros((len(groups), most, 16), np.float32), np.zeros((len(groups), most), int)
+    for g, group in enumerate(groups):
+        for slot, number in enumerate(group):
+            i, j, _ = SPRINGS[number]
+            incidence[g, slot, i], incidence[g, slot, j], springs[g, slot] = -1, 1, number
+    return Colouring(incidence, springs)
+
+
+COLOURING = _colour()
+ENDS = np.array([s[:2] for s in SPRINGS])  # points of the paper's 24 springs
+
+
+def rest_points(body: Body) -> Float[np.ndarray, "16 3"]:
+    """The points at rest, metres in the body frame, of a body that has a person's joint centres. Raises Unsuitable."""
+    names = body.topology.centres
+    if missing := [name for name in CENTRES.values() if name not in names]:
+        raise Unsuitable(
+            f"the flexible tracker follows people: the body '{body.name}' has no joint centre {', '.join(missing)}; "
+            "use --tracker icp"
+        )
+    centres = np.asarray(joint_centres(body, body.rest), np.float64)
+    found = np.zeros((16, 3))
+    for i, name in enumerate(POINTS):
+        if name in CENTRES:
+            found[i] = centres[names.index(CENTRES[name])]
+        else:
+            found[i] = 0.0, _WAIST[0] * (1 if name[0] == "l" else -1), _WAIST[1]
+            found[i, 1:] *= float(body.scale)
+    found[:, 0] = 0.0  # all in one plane: shifts of the reported centres are added when tracks are made
+    return found
+
+
+def flexible_body(body: Body, stature: float) -> FlexibleBody:
+    """The flexible body of a person of this stature (metres) with the proportions of `body`. Raises Unsuitable."""
+    scale = stature / float(body.scale)
+    rest = (rest_points(body) * scale).astype(np.float32)
+    # people hold their arms a little out when they stand (Hecht's relaxed state hangs straight down)
+    ends = rest[ENDS]
+    masses = np.full(16, _MASS_LIMB, np.float32)
+    masses[[1, 2, 5, 8, 9, 10, 13]] = _MASS_TORSO
+    masses[HEAD] = np.inf
+    return FlexibleBody(
+        rest=jnp.asarray(rest),
+        lengths=jnp.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)),
+        stiffness=jnp.asarray(np.array([s[2] for s in SPRINGS], np.float32)),
+        masses=jnp.asarray(masses),
+        radii=jnp.asarray(np.array([_ARM_RADII] * 2 + [_LEG_RADII] * 2, np.float32) * stature),
+        tips=jnp.asarray(np.array([_HAND, _HAND, _FOOT, _FOOT], np.float32) * stature),
+        torso=jnp.asarray(np.array([0.055, 0.053], np.float32) * stature),
+        skull=jnp.asarray(np.array([0.052, 0.045], np.float32) * stature),
+        stature=jnp.asarray(stature, jnp.float32),
+    )
+
+
+def bone_lengths(body: FlexibleBody) -> Float[Array, "4 2"]:
+    """Lengths of each limb's two bones, metres."""
+    return body.lengths[:8].reshape(4, 2)

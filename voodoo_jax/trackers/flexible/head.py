@@ -1,0 +1,208 @@
+"""The head, by a particle filter on skin with the depth of the face (Hecht et al. 2009, sec. III), and the start:
+stature, heading and first pose. Host side.
+"""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.records.recording import Picture
+from voodoo_jax.trackers.flexible.image_features import Features, SkinModel, depth_points
+
+FACE = (0.045, 0.055)  # half width and height of the face, shares of stature, measured on rendered people
+BEHIND = 0.05  # the head point is so far behind the face's skin, share of stature: the study measured it
+HEAD_HEIGHT = 0.907  # of the head point, share of stature: measured on the built-in body
+_CROWN = 0.115  # what is so near the top, share of stature, is head: measured on rendered people
+_UNSEEN = 1.014  # stature over the height of the top that stereo shows: hair has no texture; measured on four people
+_SURE = 0.25  # share of skin within the box over that around it from which on it is a face, by hand
+_SHARPNESS = 14.0  # of the particles' weights, by hand
+_NOISE = 5.0  # pixels by which particles are spread, by hand
+_VELOCITY = 0.5  # share of the last motion that goes on, as for limbs in the paper
+
+
+@dataclass(frozen=True)
+class Start:
+    """What the first frame with a person says."""
+
+    stature: float  # metres
+    head: Float32[np.ndarray, "3"]  # of the head point, metres
+    left: Float32[np.ndarray, "3"]  # level unit vector from the right to the left shoulder
+    face_seen: bool
+
+
+def find_start(
+    f: Features, points: Float32[np.ndarray, "point 3"], floor: Plane, skin: SkinModel, stature: float = 0.0
+) -> Start:
+    """Stature from the top of the person's points over the floor, the head below it, the face's colours (which `skin`
+    learns), and which way the person faces.
+
+    **Arguments:** `points` on the person, metres; `stature` metres, 0: measured.
+    """
+    height = floor.height(points)
+    top = float(np.percentile(height, 99.5))
+    stature = stature or _UNSEEN * top
+    up = floor.normal
+    crown = points[height > top - _CROWN * stature]
+    camera = -f.shift @ f.turn
+    level = crown - height[height > top - _CROWN * stature][:, None] * up
+    centre = np.median(level, 0)
+    toward = camera - centre
+    toward -= (toward @ up) * up
+    toward /= max(float(np.linalg.norm(toward)), 1e-6)
+    head = centre + (floor.offset - centre @ up + HEAD_HEIGHT * stature) * up - BEHIND * stature * toward
+    # the skin's colours: what is in the middle of the head, below its top
+    found, at = depth_points(f)
+    mask = np.zeros(f.depth.size, bool)
+    below = top - floor.height(found)
+    near = np.linalg.norm(found - centre - ((found - centre) @ up)[:, None] * up, axis=1) < 0.045 * stature
+    mask[at[near & (below > 0.055 * stature) & (below < _CROWN * stature)]] = True
+    mask = mask.reshape(f.depth.shape)
+    seen = False
+    if mask.sum() >= 12:
+        skin.learn(f.colour, mask)
+        seen = bool(skin.map(f.colour)[mask].mean() > 0.5)
+    torso = points[(height > 0.60 * stature) & (height < 0.82 * stature)]
+    flat = (torso - torso.mean(0)) - ((torso - torso.mean(0)) @ up)[:, None] * up if len(torso) > 10 else np.eye(3)
+    axis = np.linalg.svd(flat, full_matrices=False)[2][0]
+    left = axis - (axis @ up) * up
+    left /= max(float(np.linalg.norm(left)), 1e-6)
+    if np.cross(left, up) @ toward < 0:  # a seen face means facing the camera, and so does none at the start
+        left = -left
+    return Start(float(stature), head.astype(np.float32), left.astype(np.float32), seen)
+
+
+def first_pose(
+    rest: Float[np.ndarray, "16 3"], begin: Start, up: Float[np.ndarray, "3"]
+) -> Float32[np.ndarray, "16 3"]:
+    """The resting body turned to where the person faces, its arms a little out, dangling from the head."""
+    x = rest.astype(float).copy()
+    for root, rows, side in ((2, [3, 4], 1), (5, [6, 7], -1)):
+        turn = Rotation.from_euler("x", 12 * side, degrees=True)  # people hold them 15 to 20 degrees out (the study)
+        x[rows] = turn.apply(x[rows] - x[root]) + x[root]
+    frame = np.stack([np.cross(begin.left, up), begin.left, up])
+    return ((x - x[0]) @ frame + begin.head).astype(np.float32)
+
+
+@dataclass
+class HeadFilter:
+    """Particles (pixels of the features) of the face; each image moves, weighs and draws them anew."""
+
+    skin: SkinModel
+    stature: float
+    count: int
+    rng: np.random.Generator
+    particles: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))  # from the face's place to the head point, metres
+    depth: float = 0.0  # of the face, metres
+    moved: np.ndarray = field(default_factory=lambda: np.zeros(2))
+
+    def begin(self, f: Features, head: Float32[np.ndarray, "3"], face_seen: bool) -> None:
+        """Takes the face in the first image for that of the head point `head`."""
+        q = f.turn @ head + f.shift
+        self.depth = float(q[2]) - BEHIND * self.stature
+        at = q[:2] / q[2] * f.focal[:2] + f.focal[2:]
+        self.particles = at + self.rng.normal(0, _NOISE, (self.count, 2))
+        self.offset = np.zeros(3)
+        found = self(f) if face_seen else None
+        if found is not None:
+            self.offset = (head - found).astype(float)
+
+    def __call__(self, f: Features, picture: Picture | None = None) -> Float32[np.ndarray, "3"] | None:
+        """The head point in this image, metres in the fixed frame; None if no face is seen.
+
+        **Arguments:** `picture` a pair from whose face depth is taken where `f` has none.
+        """
+        skin = self.skin.map(f.colour)
+        total = cv2.integral(skin)
+        p = self.particles + _VELOCITY * self.moved + self.rng.normal(0, _NOISE, self.particles.shape)
+        half = np.array(FACE) * self.stature * f.focal[0] / max(self.depth, 0.3)
+        inside, around = _share(total, p, half), _share(total, p, 2 * half)
+        score = inside - (4 * around - inside) / 3
+        weight = np.exp(_SHARPNESS * (score - score.max()))
+        weight /= weight.sum()
+        mean = weight @ p
+        places = (np.arange(self.count) + self.rng.uniform()) / self.count
+        chosen = p[np.searchsorted(np.cumsum(weight), places).clip(0, self.count - 1)]
+        if weight @ score < _SURE:
+            self.moved = np.zeros(2)
+            return None
+        z = self._face_depth(f, skin, mean, half, picture)
+        self.moved = np.clip(mean - self.particles.mean(0), -12, 12)
+        self.particles = chosen
+        if z is None:
+            return None
+        self.depth = z
+        at = np.append((mean - f.focal[2:]) / f.focal[:2], 1.0)
+        place = at * z + at / np.linalg.norm(at) * BEHIND * self.stature
+        return (((place - f.shift) @ f.turn) + self.offset).astype(np.float32)
+
+    def follow(self, f: Features, head: Float32[np.ndarray, "3"]) -> None:
+        """Looks for the face around a place that something else has found."""
+        q = f.turn @ head + f.shift
+        at = q[:2] / max(float(q[2]), 0.3) * f.focal[:2] + f.focal[2:]
+        self.depth, self.moved = float(q[2]), np.zeros(2)
+        self.particles = at + self.rng.normal(0, 2 * _NOISE, (self.count, 2))
+
+    def _face_depth(
+        self, f: Features, skin: np.ndarray, at: np.ndarray, half: np.ndarray, picture: Picture | None
+    ) -> float | None:
+        z = _box(f.depth, at, half)
+        good = (z > 0) & (_box(skin, at, half) > 0.4) & (np.abs(z - self.depth) < 0.5)
+        if good.sum() >= 5:
+            return float(np.median(z[good]))
+        if picture is not None and picture.baseline > 0:
+            return face_depth(picture, f.colour.shape[1], at, half, self.depth)
+        return None
+
+
+def _box(image: np.ndarray, at: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """The part of an image within a box."""
+    low, high = np.round(at - half).astype(int), np.round(at + half).astype(int) + 1
+    return image[max(low[1], 0) : max(high[1], 0), max(low[0], 0) : max(high[0], 0)]
+
+
+def _share(total: np.ndarray, p: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Mean of an image within boxes, from its integral; what is outside of it counts as 0."""
+    rows, columns = total.shape[0] - 1, total.shape[1] - 1
+    low, high = np.round(p - half).astype(int), np.round(p + half).astype(int) + 1
+    u0, u1 = np.clip(low[:, 0], 0, columns), np.clip(high[:, 0], 0, columns)
+    v0, v1 = np.clip(low[:, 1], 0, rows), np.clip(high[:, 1], 0, rows)
+    inside = total[v1, u1] - total[v0, u1] - total[v1, u0] + total[v0, u0]
+    return inside / np.maximum((high - low).prod(1), 1)
+
+
+def face_depth(picture: Picture, width: int, at: np.ndarray, half: np.ndarray, near: float) -> float | None:
+    """Depth of the face by stereo correspondences of corners on it alone, metres; None if too few are found.
+
+    **Arguments:** `at`, `half` the face's box in an image `width` pixels wide; `near` about how far it is, metres.
+    """
+    left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in picture.unpack())
+    scale = left.shape[1] / width
+    mask = np.zeros(left.shape, np.uint8)
+    (u0, v0), (u1, v1) = (np.round((at + side * half) * scale).astype(int) for side in (-1, 1))
+    mask[max(v0, 0) : max(v1, 0), max(u0, 0) : max(u1, 0)] = 255
+    corners = cv2.goodFeaturesToTrack(left, 24, 0.02, 3, mask=mask)
+    if corners is None:
+        return None
+    reach, block, found = picture.K[0, 0] * picture.baseline, 6, []
+    middle = reach / near - picture.shift
+    slack = int(np.ceil(reach / max(near - 0.4, 0.3) - reach / near)) + 3
+    for u, v in np.round(corners[:, 0]).astype(int):
+        patch = left[v - block : v + block + 1, u - block : u + block + 1]
+        begin = int(u - middle) - slack - block
+        strip = right[v - block : v + block + 1, max(begin, 0) : max(int(u - middle) + slack + block + 1, 0)]
+        if patch.shape != (2 * block + 1,) * 2 or begin < 0 or strip.shape[1] <= patch.shape[1]:
+            continue
+        match = cv2.matchTemplate(strip, patch, cv2.TM_CCOEFF_NORMED)[0]
+        best = int(match.argmax())
+        if match[best] < 0.7 or not 0 < best < len(match) - 1:
+            continue
+        a, b, c = match[best - 1 : best + 2]
+        peak = best + 0.5 * (a - c) / min(a - 2 * b + c, -1e-6)
+        found.append(u - (begin + block + peak) + picture.shift)
+    d = np.array(found)
+    return float(reach / np.median(d)) if len(d) >= 4 and np.median(d) > 0.5 else None

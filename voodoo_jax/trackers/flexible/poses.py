@@ -1,0 +1,104 @@
+"""From the flexible body's points to what tracks hold: joint centres and poses of a body's limbs. Host side."""
+
+import numpy as np
+from jaxtyping import Float, Float32
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
+
+# from a point to the joint centre of its name in the torso's directions (forward, left for the left side, up), shares
+# of stature: measured on half of the rendered stereo recordings (experiments/flexible)
+OFFSETS: dict[str, tuple[float, float, float]] = {}
+
+
+def directions(x: Float[np.ndarray, "frame 16 3"], upper: bool) -> Float[np.ndarray, "frame 3 3"]:
+    """Forward, left and up of the upper or lower torso, rows."""
+    i = {name: n for n, name in enumerate(POINTS)}
+    waist = (x[:, i["l_waist"]] + x[:, i["r_waist"]]) / 2
+    a, b = (x[:, i[f"{side}_shoulder" if upper else f"{side}_hip"]] for side in "lr")
+    up = (a + b) / 2 - waist if upper else waist - (a + b) / 2
+    up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-6)
+    left = a - b
+    left = left - (left * up).sum(1, keepdims=True) * up
+    left = left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-6)
+    return np.stack([np.cross(left, up), left, up], 1)
+
+
+def centres_of(body: Body, x: Float[np.ndarray, "frame 16 3"], stature: float) -> Float32[np.ndarray, "frame centre 3"]:
+    """Joint centres `body.topology.centres`, metres; NaN for those that no point stands for."""
+    frame = {True: directions(x, True), False: directions(x, False)}
+    named = {centre: name for name, centre in CENTRES.items()}
+    out = np.full((len(x), len(body.topology.centres), 3), np.nan)
+    for n, centre in enumerate(body.topology.centres):
+        if centre in named:
+            name = named[centre]
+            upper = name in ("head", "neck") or name.split("_")[-1] in ("shoulder", "elbow", "wrist")
+            shift = np.array(OFFSETS.get(name.removeprefix("l_").removeprefix("r_"), (0.0, 0.0, 0.0))) * stature
+            shift = shift * [1, -1 if name.startswith("r_") else 1, 1]
+            out[:, n] = x[:, POINTS.index(name)] + shift @ frame[upper]
+    return out.astype(np.float32)
+
+
+def limb_poses(
+    body: Body, x: Float[np.ndarray, "frame 16 3"]
+) -> tuple[Float32[np.ndarray, "frame limb 4"], Float32[np.ndarray, "frame limb 3"]]:
+    """T_fixed_limb of a person's body (scaled to the stature): rotations wxyz and translations, metres.
+
+    The torso's parts turn as its points do; each other limb is the torso's turn and then the shortest one to its axis.
+    A limb's turn about its own axis is not known to the flexible body. NaN for limbs that hang on no known joint.
+    """
+    frames, t = len(x), body.topology
+    upper, lower = (np.swapaxes(directions(x, which), 1, 2) for which in (True, False))  # columns
+    rest = np.asarray(joint_centres(body, body.rest), float)
+    at = {name: rest[t.centres.index(centre)] for name, centre in CENTRES.items()}
+    now = {name: x[:, n] for n, name in enumerate(POINTS)}
+    own = Rotation.from_quat(np.asarray(body.rest.rotation, float)[:, [1, 2, 3, 0]])
+    place = np.asarray(body.rest.translation, float)
+    rotation, translation = np.full((frames, len(t.limbs), 4), np.nan), np.full((frames, len(t.limbs), 3), np.nan)
+    spans = _spans()
+    for limb, name in enumerate(t.limbs):
+        if name not in spans:
+            continue
+        start, end, base, middle = spans[name]
+        base = upper if base == "upper" else lower
+        turn = base
+        if end is not None:
+            turn = _shortest(np.einsum("fij,j->fi", base, at[end] - at[start]), now[end] - now[start]) @ base
+        known = [start, end] if middle and end is not None else [start]
+        anchor = np.mean([at[n] for n in known], 0)
+        centre = np.mean([now[n] for n in known], 0)
+        q = (Rotation.from_matrix(turn) * own[limb]).as_quat() if frames else np.zeros((0, 4))
+        rotation[:, limb] = q[:, [3, 0, 1, 2]]
+        translation[:, limb] = centre + np.einsum("fij,j->fi", turn, place[limb] - anchor)
+    return rotation.astype(np.float32), translation.astype(np.float32)
+
+
+def _spans() -> dict[str, tuple[str, str | None, str, bool]]:
+    """Limb -> the point that holds it, the point it reaches to (None: turns with the torso), which part of the torso
+    it starts from, and whether both hold it."""
+    out: dict[str, tuple[str, str | None, str, bool]] = {
+        "pelvis": ("l_hip", None, "lower", False),
+        "chest": ("neck", None, "upper", False),
+        "torso": ("neck", None, "upper", False),
+        "head": ("neck", "head", "upper", False),
+    }
+    for side in "lr":
+        out[f"{side}_upper_arm"] = f"{side}_shoulder", f"{side}_elbow", "upper", True
+        out[f"{side}_forearm"] = f"{side}_elbow", f"{side}_wrist", "upper", True
+        out[f"{side}_thigh"] = f"{side}_hip", f"{side}_knee", "lower", True
+        out[f"{side}_shank"] = f"{side}_knee", f"{side}_ankle", "lower", True
+        out[f"{side}_hand"] = f"{side}_wrist", None, "upper", False
+        out[f"{side}_foot"] = f"{side}_ankle", None, "lower", False
+    return out
+
+
+def _shortest(a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3 3"]:
+    """The shortest turn from one direction to another."""
+    a = a / np.maximum(np.linalg.norm(a, axis=1, keepdims=True), 1e-9)
+    b = b / np.maximum(np.linalg.norm(b, axis=1, keepdims=True), 1e-9)
+    axis = np.cross(a, b)
+    sine, cosine = np.linalg.norm(axis, axis=1, keepdims=True), (a * b).sum(1, keepdims=True)
+    aside = np.cross(a, np.where(np.abs(a[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
+    axis = np.where(sine > 1e-6, axis / np.maximum(sine, 1e-9), aside / np.linalg.norm(aside, axis=1, keepdims=True))
+    return Rotation.from_rotvec(axis * np.arctan2(sine, cosine)).as_matrix() if len(a) else np.zeros((0, 3, 3))

@@ -1,0 +1,310 @@
+"""The flexible tracker on a whole recording: features, person's points, head, filters, tracks. Host side."""
+
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float32
+from scipy.ndimage import gaussian_filter1d
+
+from voodoo_jax.compile.executable import seconds_of_waiting
+from voodoo_jax.config.options import FlexibleSettings, Settings
+from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.recording import Frame, Picture, Rays
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.trackers.base import Progress, Source, Unsuitable
+from voodoo_jax.trackers.flexible.confidence import rated
+from voodoo_jax.trackers.flexible.filters import Inputs, Numbers, Seen, Shape, State, start, track_chunk
+from voodoo_jax.trackers.flexible.flexible_body import LIMBS, FlexibleBody, flexible_body, rest_points
+from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
+from voodoo_jax.trackers.flexible.image_features import Extractor, Features, SkinModel, depth_points
+from voodoo_jax.trackers.flexible.poses import centres_of, limb_poses
+from voodoo_jax.trackers.flexible.scores import View, Weighing, log_weight
+
+CHUNK = 16  # frames per run of the program: what fits into memory as images, by hand
+_PATIENCE = 60  # frames without an image at the beginning of a log, after which none are expected, by hand
+_BELOW = 0.35  # share of the stature that a face is at most from the person's top: else it is a hand, by hand
+# frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
+# a weight): by hand
+_STRETCH, _EXPLAINS_MORE, _SCORES_MORE = 2.0, 0.02, 2.0
+_FEWEST = 120  # points of a person from which on tracking starts, by hand
+
+
+class FeatureStore:
+    """Features of all frames on disk, in the order of time; a recording's images do not fit into memory."""
+
+    def __init__(self):
+        self._file = tempfile.TemporaryFile()
+        self._at: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self._at)
+
+    def add(self, f: Features) -> None:
+        self._file.seek(0, 2)
+        self._at.append(self._file.tell())
+        for array in f:
+            np.save(self._file, array)
+
+    def __getitem__(self, i: int) -> Features:
+        self._file.seek(self._at[i])
+        return Features(*(np.load(self._file) for _ in Features._fields))
+
+
+def numbers(s: FlexibleSettings) -> Numbers:
+    """What of the settings a program takes as numbers."""
+    f = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
+    weighing = Weighing(
+        f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.hidden_edge),
+        f(s.hidden_surface), f(0.5), f(float(s.seen_length)), f(0.2),
+    )  # fmt: skip
+    return Numbers(
+        weighing, f(s.velocity), f(s.depth_share), f(s.depth_noise), f(s.base_noise), f(s.spread_noise),
+        f(s.motion_noise), f([s.follow_level, s.follow_up]), f(s.gravity),
+        f([s.mass_base, s.mass_variable, s.mass_falloff]), f(s.legs_apart),
+    )  # fmt: skip
+
+
+def shape_of(s: FlexibleSettings) -> Shape:
+    """What of the settings a program is compiled for."""
+    restarts = round(s.restart * s.particles)
+    return Shape(s.particles, s.layers, s.relaxations, s.refine, restarts, s.flow, s.points_weight > 0 or s.refine > 0)
+
+
+def uses_dense(s: FlexibleSettings) -> bool:
+    """Whether the depth of all pixels is needed in all frames; else only while colours are learnt, and of the face."""
+    return s.depth_weight > 0 or s.points_weight > 0 or s.refine > 0
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A recording as the filters take it."""
+
+    features: FeatureStore
+    pictures: list[Picture]  # still packed
+    people: list[PersonFrame]
+    scene: Scene
+    time_ns: np.ndarray
+    row: np.ndarray  # which frame of the recording each is
+    count: int  # frames of the recording
+
+
+def observe(
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, source: str
+) -> Observed:
+    """Reads features and finds the person's points. Raises Unsuitable."""
+    s, store, extract = settings.flexible, FeatureStore(), Extractor()
+    pictures: list[Picture] = []
+    times, stamps = [], []
+
+    def seen() -> Iterator[Frame]:
+        for number, frame in enumerate(frames):
+            times.append(frame.time_ns)
+            if not frame.pictures:
+                if number >= _PATIENCE and not len(store):
+                    raise _without_images(source)
+                continue
+            dense = uses_dense(s) or len(store) < s.learn_frames
+            f = extract(frame, dense, s.flow)
+            store.add(f)
+            pictures.append(replace(frame.pictures[0]))
+            stamps.append(number)
+            points = depth_points(f)[0] if frame.pictures[0].baseline > 0 else frame.points
+            origin = (-f.shift @ f.turn)[None].astype(np.float32)
+            sensor = np.zeros(len(points), np.int32)
+            origins = origin if frame.pictures[0].baseline > 0 else frame.origins
+            sensor = sensor if frame.pictures[0].baseline > 0 else frame.sensor
+            yield replace(frame, points=points, sensor=sensor, origins=origins, rays=Rays(), pictures=(), weight=None)
+
+    scene, people = find_person(seen(), up, body, settings)
+    if not len(store):
+        raise _without_images(source)
+    return Observed(store, pictures, people, scene, np.array(times, np.int64), np.array(stamps, int), len(times))
+
+
+def _without_images(source: str) -> Unsuitable:
+    return Unsuitable(
+        f"'{source}' has no images that the flexible tracker could look at (a calibrated stereo pair, or a colour "
+        "camera beside a depth camera; in Python read it with the settings of vj.preset('flexible')): use --tracker icp"
+    )
+
+
+def track_frames(
+    body: Body, frames: Iterable[Frame], source: Source, settings: Settings, progress: Progress | None = None
+) -> Tracks:
+    """Tracks a person through frames with pictures. Raises Unsuitable."""
+    rest_points(body)  # raises before anything long
+    began = time.perf_counter()
+    seen = observe(frames, source.up, body, settings, source.path)
+    return follow(body, seen, settings, source.path, source.fixed_frame, source.notes(), progress, began)
+
+
+def follow(
+    body: Body, seen: Observed, settings: Settings, source: str, fixed_frame: str, notes: tuple[str, ...] = (),
+    progress: Progress | None = None, began: float | None = None,
+) -> Tracks:  # fmt: skip
+    """Tracks of what was observed."""
+    s, waited = settings.flexible, seconds_of_waiting()
+    began = time.perf_counter() if began is None else began
+    skin, first, begin = SkinModel(), 0, None
+    for first in range(len(seen.features)):
+        points = seen.people[first].points
+        if len(points) >= _FEWEST:
+            begin = find_start(seen.features[first], points, seen.scene.floor, skin, settings.start.scale)
+            break
+    if begin is None:
+        return _nobody(body, seen, source, fixed_frame, notes)
+    model = flexible_body(body, begin.stature)
+    floor_up = seen.scene.floor.normal.astype(np.float32)
+    x = first_pose(np.asarray(model.rest), begin, floor_up)
+    heads = _heads(seen, first, begin, skin, s)
+    key = jax.random.PRNGKey(s.seed)
+    state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
+    order = range(first, len(seen.features))
+    state, found = _run(model, state, seen, heads, order, key, s, floor_up, progress)
+    if s.backwards and not settings.online:
+        again = jax.random.fold_in(key, 2**30 + 1)
+        back = state._replace(before=state.x, previous=state.particles)
+        _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, progress)
+        found = better(found, jax.tree.map(lambda a: a[::-1], second), numbers(s).weighing)
+    tracks = _tracks(body, begin, seen, first, found, source, fixed_frame, notes)
+    compiling = seconds_of_waiting() - waited
+    if not begin.face_seen:
+        tracks = replace(
+            tracks, notes=(*tracks.notes, "No face was seen at the start: it was taken to be turned here.")
+        )
+    tracks = rated(tracks, found, seen.row[first:], s.lost_confidence)
+    return replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
+
+
+class Heads(NamedTuple):
+    """The head in each frame, from its filter. Metres, fixed frame."""
+
+    place: Float32[np.ndarray, "frame 3"]
+    seen: Bool[np.ndarray, " frame"]  # whether a face is seen
+
+
+def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings) -> Heads:
+    count = len(seen.features)
+    out = Heads(np.zeros((count, 3), np.float32), np.zeros(count, bool))
+    if not begin.face_seen:
+        return out
+    head = HeadFilter(skin, begin.stature, s.head_particles, np.random.default_rng(s.seed))
+    head.begin(seen.features[first], begin.head, True)
+    for i in range(first, count):
+        f, points = seen.features[i], seen.people[i].points
+        found = head(f, seen.pictures[i])
+        if len(points) > 50:
+            height = seen.scene.floor.height(points)
+            top = np.median(points[height > np.percentile(height, 97)], 0).astype(np.float32)
+            if found is not None and np.linalg.norm(found - top) > _BELOW * begin.stature:
+                found = None  # skin somewhere else
+            if found is None:
+                head.follow(f, top)
+        if found is not None:
+            out.place[i], out.seen[i] = found, True
+    return out
+
+
+def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
+    rows = []
+    for k, i in enumerate(at):
+        f, person = seen.features[i], seen.people[i]
+        points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
+        chosen = np.random.default_rng([s.seed, i]).permutation(len(person.points))[: s.points]
+        points[: len(chosen)] = person.points[chosen]
+        share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
+        dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
+        rows.append(Inputs(
+            View(*f), points, share, heads.place[i], _number(heads.seen[i]), up, _number(min(dt, 0.2)),
+            np.asarray(i, np.int32), _number(i < s.learn_frames), np.asarray(k < len(at) - pad),
+        ))  # fmt: skip
+    return jax.tree.map(lambda *each: np.stack(each), *rows)
+
+
+def _run(
+    model: FlexibleBody, state: State, seen: Observed, heads: Heads, order: range, key: jax.Array, s: FlexibleSettings,
+    up: np.ndarray, progress: Progress | None,
+) -> tuple[State, Seen]:  # fmt: skip
+    """Filters over frames in the order given."""
+    out, n, shape = [], numbers(s), shape_of(s)
+    frames = list(order)
+    for begin in range(0, len(frames), CHUNK):
+        at = frames[begin : begin + CHUNK]
+        pad = CHUNK - len(at)
+        state, found = track_chunk(
+            model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad)), key, n, shape
+        )
+        out.append(jax.tree.map(partial(_first, len(at)), found))
+        if progress is not None:
+            progress(len(at))
+    return state, jax.tree.map(lambda *each: np.concatenate(each), *out)
+
+
+def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
+    """Of two passes, there and back in time, the body that explains more points in each stretch of time; each of its
+    limbs from the pass in which it scores more."""
+    smooth = lambda a: gaussian_filter1d(np.asarray(a, float), _STRETCH, axis=0, mode="nearest")  # noqa: E731
+    gain = smooth(back.explained - ahead.explained) > _EXPLAINS_MORE
+    pick = lambda a, b: np.where(gain.reshape(-1, *[1] * (a.ndim - 1)), b, a)  # noqa: E731
+    body, other = jax.tree.map(pick, ahead, back), jax.tree.map(pick, back, ahead)
+    scores = [smooth(np.asarray(log_weight(jax.tree.map(jnp.asarray, s.score), weighing))) for s in (body, other)]
+    swap = scores[1] - scores[0] > _SCORES_MORE  # [frame, limb]
+    x, spread = body.x.copy(), body.spread.copy()
+    for limb, rows in enumerate(LIMBS):
+        moved = other.x[:, rows] + (body.x[:, rows[:1]] - other.x[:, rows[:1]])
+        x[:, rows] = np.where(swap[:, limb, None, None], moved, x[:, rows])
+        spread[:, limb] = np.where(swap[:, limb, None], other.spread[:, limb], spread[:, limb])
+    return body._replace(x=x, spread=spread)
+
+
+def _number(value: float) -> np.ndarray:
+    return np.asarray(value, np.float32)
+
+
+def _first(count: int, a: jax.Array) -> np.ndarray:
+    return np.asarray(a)[:count]
+
+
+def _tracks(
+    body: Body, begin: Start, seen: Observed, first: int, found: Seen, source: str,
+    fixed_frame: str, notes: tuple[str, ...],
+) -> Tracks:  # fmt: skip
+    body = scaled(body, begin.stature)
+    rows = seen.row[first:]
+    x = np.asarray(found.x, float)
+    count, limbs = seen.count, body.limb_count
+    blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
+    rotation, translation, joints = blank(limbs, 4), blank(limbs, 3), blank(len(body.topology.centres), 3)
+    rotation[rows], translation[rows] = limb_poses(body, x)
+    joints[rows] = centres_of(body, x, begin.stature)
+    status = np.full(count, Status.NOT_STARTED, np.int8)
+    status[rows] = Status.TRACKED
+    residual, explained = blank(), np.zeros(count, np.float32)
+    residual[rows], explained[rows] = found.residual, found.explained
+    points = np.zeros(count, np.int32)
+    points[seen.row] = [len(p.points) for p in seen.people]
+    return Tracks(
+        source, fixed_frame, body, seen.time_ns, rotation, translation, joints, status, residual, explained,
+        np.zeros(count, np.int32), points, np.ones((count, limbs), np.float32), notes=notes,
+    )  # fmt: skip
+
+
+def _nobody(body: Body, seen: Observed, source: str, fixed_frame: str, notes: tuple[str, ...]) -> Tracks:
+    """Tracks of a recording in which nobody was found."""
+    count, limbs, centres = seen.count, body.limb_count, len(body.topology.centres)
+    blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
+    return Tracks(
+        source, fixed_frame, body, seen.time_ns, blank(limbs, 4), blank(limbs, 3), blank(centres, 3),
+        np.full(count, Status.NOT_STARTED, np.int8), blank(), np.zeros(count, np.float32), np.zeros(count, np.int32),
+        np.zeros(count, np.int32), np.zeros((count, limbs), np.float32), notes=(*notes, "Nobody was found."),
+    )  # fmt: skip

@@ -1,0 +1,66 @@
+"""`vj.track` and `vj.track_people`: a recording in memory, by the tracker that settings name."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+from voodoo_jax.compile.cache_dir import users_cache
+from voodoo_jax.config.options import Settings
+from voodoo_jax.model.body import Body
+from voodoo_jax.records.recording import Recording
+from voodoo_jax.records.tracks import Tracks, given_from
+from voodoo_jax.trackers.base import Progress, Source, Tracker, source_of, tracker_of
+from voodoo_jax.trackers.stages import check_stages
+
+
+@users_cache()
+def track(
+    body: Body,
+    recording: Recording,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+    *,
+    tracker: Literal["", "icp", "flexible"] = "",
+) -> Tracks:
+    """Tracks a body through a recording; nothing about the person need be known.
+
+    **Arguments:** `body` any body, scaled to what is seen unless `settings.start.scale` says otherwise; `progress` is
+    called with the number of frames done since the last call, for each pass (see README); `tracker` instead of the one
+    that `settings` name.
+
+    **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
+
+    Raises Unsuitable (a ValueError) if the tracker cannot take the recording or the body.
+    """
+    settings = replace(settings or Settings(), tracker=tracker) if tracker else settings or Settings()
+    chosen, source = _ready(body, recording, settings)
+    return given_from(chosen.track(body, recording, source, settings, progress), recording.origin)
+
+
+@users_cache()
+def track_people(
+    body: Body,
+    recording: Recording,
+    settings: Settings | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Tracks]:
+    """Tracks everybody in a recording, or `settings.detect.people` of them; nothing about them need be known.
+
+    **Arguments:** `body` of each of them, scaled to what is seen of them; the others as for `track`.
+
+    **Returns:** Tracks for each person, who is seen longest first; of each one row per frame of the recording, not
+    `tracked` where they cannot be seen. One at least: nothing is tracked where there is nobody.
+    """
+    settings = settings or Settings()
+    chosen, source = _ready(body, recording, settings)
+    found = chosen.track_people(body, recording, source, settings, progress)
+    return [given_from(tracks, recording.origin) for tracks in found]
+
+
+def _ready(body: Body, recording: Recording, settings: Settings) -> tuple[Tracker, Source]:
+    """The tracker that settings name, which begins to compile, and what the recording says of itself."""
+    check_stages(settings)
+    chosen, source = tracker_of(settings), source_of(recording)
+    if recording.frames:
+        chosen.prepare(body, settings, source)
+    return chosen, source

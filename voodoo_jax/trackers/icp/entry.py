@@ -1,0 +1,55 @@
+"""The ICP tracker behind the interface of all trackers."""
+
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar
+
+from voodoo_jax.config.options import ReadSettings, Settings
+from voodoo_jax.detect.pipeline import find_people, find_person
+from voodoo_jax.model.body import Body
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.trackers.base import Progress, Source
+from voodoo_jax.trackers.icp.people import track_subjects
+from voodoo_jax.trackers.icp.tracker import prepare, track_person
+
+
+class IcpTracker:
+    """Limbs as cylinders that are fitted to 3D points (Knoop et al. 2006, 2007)."""
+
+    name: ClassVar[str] = "icp"
+
+    def reads(self, read: ReadSettings) -> ReadSettings:
+        return read
+
+    def passes(self, settings: Settings) -> int:
+        return 1 + settings.looks_ahead("track")
+
+    def prepare(self, body: Body, settings: Settings, source: Source) -> None:
+        prepare(body, settings, source.sensors, source.names, source.parts)
+
+    def track(
+        self,
+        body: Body,
+        frames: Iterable[Frame],
+        source: Source,
+        settings: Settings,
+        progress: Progress | None = None,
+        visit: Any = None,
+    ) -> Tracks:
+        scene, people = find_person(frames, source.up, body, settings, source.up_is_given)
+        return track_person(
+            body, scene, people, settings, source.path, source.fixed_frame, source.notes(), progress, visit
+        )
+
+    def track_people(
+        self,
+        body: Body,
+        frames: Iterable[Frame],
+        source: Source,
+        settings: Settings,
+        progress: Callable[[float], None] | None = None,
+        visit: Any = None,
+    ) -> list[Tracks]:
+        people = find_people(frames, source.up, body, settings, source.up_is_given)
+        each = progress and (lambda count: progress(count / len(people)))
+        return track_subjects(body, people, settings, source.path, source.fixed_frame, source.notes(), each, visit)
