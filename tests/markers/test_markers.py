@@ -16,6 +16,7 @@ from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.markers.chain import Chain
 from voodoo_jax.markers.diagnostics import in_few_lines
 from voodoo_jax.markers.first_pose import agreed, first_pose, rigid
+from voodoo_jax.markers.own_sites import named_subject
 from voodoo_jax.markers.priors import Priors
 from voodoo_jax.markers.size_fit import Fit, Markers, personal
 from voodoo_jax.markers.table import marker_table, places, without_gaps
@@ -237,6 +238,21 @@ def test_key_points_of_two_subjects(everywhere, tmp_path):
     off = np.linalg.norm(tracks.joints - joints, axis=-1)[:, chosen]
     assert tracks.tracked.all() and off.mean() < 0.02 and off.max() < 0.06, (off.mean(), off.max())
     assert any("'Anna' is tracked" in note and "'Ben'" in note for note in tracks.notes)
+
+
+def test_names_of_the_body_and_of_the_settings_come_before_sets():
+    """Unless the log speaks of markers: then r_knee is one on the knee."""
+    empty, t = np.zeros((0, 3), np.float32), human().topology
+
+    def known(*names):
+        pairs = Pairs(names, np.ones((len(names), 3), np.float32))
+        frames = [PersonFrame(0, empty, np.zeros(0, int), empty, pairs=pairs)]
+        return named_subject(frames, t, FeatureSettings()).known
+
+    few = known("l_wrist", "r_wrist", "l_elbow", "skullbase", "face", "left_hand", "right_hand")
+    assert not few.titles and not few.weights and few.places["l_wrist"] == "l_radiocarpal"
+    markers = known("r_knee", "r_ankle", "r_calc", "r_5meta", "r_toe", "r.ASIS", "r.PSIS", "r_thigh1", "r_sh2")
+    assert markers.titles and markers.places["r_knee"] == "r_femoral_lateral_epicondyle"
 
 
 def test_many_notes_of_one_kind_are_one_line():

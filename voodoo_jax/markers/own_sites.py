@@ -53,9 +53,16 @@ def named_subject(people: list[PersonFrame], topology: Topology, settings: Featu
             joints[full] = place
     known = places_of(names, points, topology.limbs)
     # a name such as r_knee is the joint's, unless the log speaks of markers: then it is one on the knee
-    others = {**joints, **known.places} if len(known.places) > len(joints) else {**known.places, **joints}
-    places = {n: p for n, p in {**others, **said}.items() if "|" not in p}
-    known = replace(known, places=places, unknown=tuple(n for n in known.unknown if n not in places and n not in said))
+    told = {*said, *joints} if len(known.places) <= len(joints) + len(said) else {*said}
+    by_set = {n: p for n, p in known.places.items() if n not in told}
+    places = {n: p for n, p in {**joints, **by_set, **said}.items() if "|" not in p}
+    known = Known(
+        places,
+        known.titles if by_set else (),
+        {n: w for n, w in known.weights.items() if n in by_set},
+        tuple(n for n in known.unknown if n not in places and n not in said),
+        known.newington,
+    )
     return Named(known, often[0], {s: tuple(groups[s]) for s in often[1:]})
 
 

@@ -30,7 +30,7 @@ def measure(logs: Sequence[Outcome]) -> dict[str, float]:
 
 PROMISE = Promise(
     name="real_markers",
-    sentence="Marker sets of other laboratories are tracked to 2.5 cm. Not so today: of five logs one is.",
+    sentence="Marker sets of other laboratories are tracked to 2.5 cm.",
     data="the recordings with a truth in real/markers/, but for one that is not in metres",
     figures=(
         Figure("joints, cm", 2.5, tolerance=2.0, digits=1),
