@@ -28,6 +28,8 @@ LABELS = {"cloud": "cloud, from the sensor", "front": "body, from the sensor", "
 RING = 32  # points on each end ellipse
 MARK: dict = {"marker": "D", "markersize": 3.2, "color": "#f2c200", "markeredgecolor": "black", "markeredgewidth": 0.5}
 RAY_COLOUR, RAY_LENGTH = "#2a9d4a", 8.0  # metres
+# origin and axes (rows: right, up, away) of a drawing, and which of them are a panel's right, up and away
+Drawing = tuple[np.ndarray, np.ndarray, tuple[int, int, int]]
 SIDE_MAPS = {"left": "Oranges", "right": "Blues", "middle": "Greys"}  # of matplotlib
 
 
@@ -91,9 +93,10 @@ def show(
     start = int(recording.frames[0].time_ns)
     for column, (i, frame, window) in enumerate(zip(chosen, nearest, windows)):
         for ax, (view, what) in zip(grid[:, column], rows):
-            _draw_measured(ax, frame, middle, axes3, view, window, marks=what != "cloud" or len(frame.points) == 0)
+            drawing = (middle, axes3, view)
+            _draw_measured(ax, frame, drawing, window, marks=what != "cloud" or len(frame.points) == 0)
             if what != "cloud":
-                _draw_tracked(ax, tracks, int(i), middle, axes3, view, colours, truth)
+                _draw_tracked(ax, tracks, int(i), drawing, colours, truth)
             ax.set_xlim(window[0, view[0]], window[1, view[0]])
             ax.set_ylim(window[0, view[1]], window[1, view[1]])
             ax.set_aspect("equal")
@@ -129,9 +132,9 @@ def _legend(figure: "Figure", tracks: Tracks, frames: list[Frame], truth: bool) 
     figure.supxlabel(f"circles: joint centres{told}" + ("; crosses: truth" if truth else ""), fontsize=8)
 
 
-def _draw_measured(ax: "Axes", frame: Frame, middle, axes3, view, window, marks: bool) -> None:
+def _draw_measured(ax: "Axes", frame: Frame, drawing: Drawing, window, marks: bool) -> None:
     """The cloud; with `marks` also named 3D points, and lines of sight of 2D features."""
-    h, v, depth = view
+    middle, axes3, (h, v, depth) = drawing
     points = (frame.points.astype(float) - middle) @ axes3.T
     # the farther from the sensor, the lighter; nearer points over farther ones
     order = np.argsort(-points[:, 2] if depth == 2 else points[:, 0])
@@ -150,8 +153,9 @@ def _draw_measured(ax: "Axes", frame: Frame, middle, axes3, view, window, marks:
         ax.plot(ends[:, h], ends[:, v], color=RAY_COLOUR, linewidth=0.7, zorder=840)
 
 
-def _draw_tracked(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view, colours, truth) -> None:
+def _draw_tracked(ax: "Axes", tracks: Tracks, i: int, drawing: Drawing, colours, truth) -> None:
     """The body, the true joints if they are given, or that there is no pose."""
+    middle, axes3, view = drawing
     h, v, _ = view
     if np.isfinite(tracks.translation[i]).any():
         draw_body(ax, tracks, i, middle, axes3, view, colours)
