@@ -63,8 +63,8 @@ def find_people(frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Bod
     main = spilled(_corrected(chooser(people.watched(found.frames)), chooser, body, settings))
     subjects = []
     for number, one in enumerate(people.observed(main)[: settings.detect.people or None], 1):
-        frames = [*one.early, *spilled(_corrected(one.frames, one, body, settings))]
-        subjects.append(Subject(number, one.scene, frames))
+        kept = [*one.early, *spilled(_corrected(one.frames, one, body, settings))]
+        subjects.append(Subject(number, one.scene, kept))
     return subjects or [Subject(1, chooser.finder.scene, main)]
 
 
