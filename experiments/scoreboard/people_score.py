@@ -111,7 +111,7 @@ class TrackPeople:
     seconds = 15.0
 
     def run(self) -> Counts:
-        people = [vj.track(vj.human(), vj.read_log(self.log))]  # one person per log is tracked today
+        people = vj.track_people(vj.human(), vj.read_log(self.log))
         return score_people(people, self.log.with_suffix(".truth.npz"))
 
 

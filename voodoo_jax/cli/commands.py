@@ -25,10 +25,11 @@ EXPORT_HELP = f"Also write the tracks for other programs. {FORMATS_HELP}"
 
 @dataclass(frozen=True)
 class Replay:
-    """Track a person (or another body) in recorded logs.
+    """Track people (or other bodies) in recorded logs.
 
     Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
-    log. Nothing about the person need be given: start, place and size are found.
+    log; where several people are in view, <log>.2.tracks.npz, ... for the others. Nothing about them need be
+    given: start, place and size are found.
     """
 
     logs: Positional[tuple[str, ...]] = ()

@@ -31,6 +31,8 @@ BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
 PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
 AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
 LIKE = 0.07  # metres of height: who differs by more is somebody else; measured on people who bend and turn: 0.04
+CLOSE = 0.15  # metres, and twice that: whose points are so near to each other may be mixed up; by hand
+STIRRED = 10  # frames in which an arm or so of them is where nothing was: who moves no more than that; by hand
 HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
 WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
 SLOW = 0.3  # metres per second: who is slower stands; by hand
@@ -60,7 +62,8 @@ class Sighting:
     @property
     def is_person(self) -> bool:
         """Whether they have moved as no thing does."""
-        return (self.follower.moves or self.follower.went >= LITTLE) and self.seen >= BRIEF
+        f = self.follower
+        return (f.moves or f.went >= LITTLE or f.stirred >= STIRRED) and self.seen >= BRIEF
 
     @property
     def height(self) -> float:
@@ -169,6 +172,10 @@ class People:
         seconds, self._last_ns = max(0.0, (frame.time_ns - self._last_ns) / 1e9), frame.time_ns
         for k, sighting in enumerate(self._followed):
             index = np.flatnonzero((owner == k) | (owner < 0))
+            mine = sighting.finder.last
+            others = [p for j, p in enumerate(before) if j != k and p is not None]
+            # by an arm alone somebody is known who stands still else, unless it may be another one's
+            sighting.follower.alone = mine is not None and not sighting.is_person and not _beside(mine, others)
             sighting.add(sighting.follower.see(frame, whole(frame).only(index)), self._number)
             owner[index[sighting.finder.taken]] = k
         for k, sighting in enumerate(self._followed):
@@ -213,19 +220,19 @@ class People:
 
     def _found(self, frame: Frame, finder: PersonFinder, seen: PersonFrame) -> Sighting:
         """Somebody, followed back to when they came into view, which was after the last look."""
-        earlier: list[PersonFrame] = []
+        earlier: list[tuple[PersonFrame, Frame]] = []
         if self.ahead:
             back = finder.another(self.settings)
             back.last, back.last_ns = seen.points, frame.time_ns
             for old, taken in list(self._recent)[-2::-1]:
-                earlier.append(back(_without(whole(old), taken)))
-                if len(earlier[-1].points) < TELLING:
+                earlier.append((back(_without(whole(old), taken)), old))
+                if len(earlier[-1][0].points) < TELLING:
                     earlier.pop()
                     break
         sighting = Sighting(Follower(finder), self._number - len(earlier), born_ns=frame.time_ns)
-        for k, old in enumerate(earlier[::-1]):
-            sighting.add(old, sighting.first + k)
-        sighting.add(seen, self._number)
+        for k, (each, old) in enumerate([*earlier[::-1], (seen, frame)]):
+            sighting.follower.note(each, old)
+            sighting.add(each, sighting.first + k)
         return sighting
 
     # -- all of it
@@ -270,6 +277,12 @@ def _owners(
         mine = distance < nearest[near]
         owner[near[mine]], nearest[near[mine]] = k, distance[mine]
     return owner
+
+
+def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) -> bool:
+    """Whether some points are near those of others."""
+    cells = cells_of(points, CLOSE)
+    return any(touching(cells, cells_of(other, CLOSE)).any() for other in others)
 
 
 def _without(frame: PersonFrame, taken: list[np.ndarray]) -> PersonFrame:

@@ -255,7 +255,7 @@ class PersonFinder:
         floor = self.scene.floor
         apart = np.median(thing, 0) - np.median(body, 0)
         apart -= (apart @ floor.normal) * floor.normal
-        return floor.height(thing).min() > 0.6 * self.body.height and bool(np.linalg.norm(apart) < 0.3)
+        return bool(floor.height(thing).min() > 0.6 * self.body.height and np.linalg.norm(apart) < 0.3)
 
     def _candidate(self, seen: PersonFrame, label) -> int:
         """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""

@@ -81,6 +81,12 @@ class Sight:
             gone[gone] = ~self.around.hides(points, sensor)
         return float(np.mean(gone))
 
+    def newly_in(self, before: "Sight") -> float:
+        """The share of it that is where its sensor saw through before."""
+        new = ~touching(self.cells, before.cells)
+        new[new] = before.everything.empty(self.points[new], self.sensor[new])
+        return float(np.mean(new))
+
     def elsewhere(self, before: "Sight") -> float:
         """How much of it is where it was not before; nothing unless it is no longer in some place where it was."""
         return min(before.gone_from(self), LEFT * self.gone_from(before))
@@ -89,12 +95,15 @@ class Sight:
 class Follower:
     """One thing that might be the body, and what was seen of it since the last release."""
 
+    alone = False  # whether it is known that no other thing touches it now
+
     def __init__(self, finder: PersonFinder, before: Iterable[PersonFrame] = ()):
         self.finder = finder
         self.frames = [frame.only(NONE) for frame in before]  # in which nobody knew of it
         self.moved = self.there = 0  # frames since it was found: in which it was elsewhere, and all
         self.earlier = 0  # of the thing that was followed before: frames in which it was elsewhere
         self.went = 0  # of these: its middle was far from where it was
+        self.stirred = 0  # frames in which it was where nothing was before, if it left no place for that
         self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
     def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
@@ -106,13 +115,17 @@ class Follower:
         """What is seen of it in a frame, among the points that are not another one's (`mine`)."""
         anew = self.finder.last is None
         seen = self.finder(mine)
+        self.note(seen, frame, anew)
+        return seen
+
+    def note(self, seen: PersonFrame, frame: Frame | PersonFrame, anew: bool = False) -> None:
+        """Looks whether it has moved, by what was seen of it in a frame; `anew`: in which it was found."""
         if len(seen.points) >= 30:
             if anew:
                 self.earlier, self.moved, self.there, self._sights = self.moved, 0, 0, None
             if self.there % EVERY == 0:
                 self._compare(Sight.of(seen, frame))
             self.there += 1
-        return seen
 
     def forked(self) -> "Follower":
         """One that goes on from here by itself."""
@@ -127,6 +140,9 @@ class Follower:
         away = np.linalg.norm(now.place - first.place) > AWAY and now.gone_from(first) > EMPTY
         shaken = now.whole.T_fixed_steady is not None
         changed = now.elsewhere(first) - (SHAKEN if shaken else MOVED)
+        new = now.newly_in(first) if self.alone else 0.0
+        if new > (SHAKEN if shaken else MOVED) and new > FLICKER * now.newly_in(last):
+            self.stirred += EVERY
         if changed > 0 and (away or changed > FLICKER * now.elsewhere(last)):
             self.moved += EVERY
             self.went += EVERY * bool(away)

@@ -4,7 +4,7 @@ Frames: body frame (rest pose: z up, x forward, y left, origin on the floor); fi
 camera, z up, x forward, y left); optical frame (z forward, x right, y down). Host side, NumPy.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -137,6 +137,16 @@ def simulate(
         translation=np.asarray(poses.translation, np.float32),
         joints=np.asarray(jax.vmap(joint_centres, (None, 0))(body, poses), np.float32),
     )
+
+
+def in_one_picture(*people: Simulation) -> Simulation:
+    """The first of some simulations with all their bodies before its camera: each pixel shows the nearest. All must
+    have the same camera, room and stamps; the truth is that of the first."""
+    first = people[0]
+    assert all(p.camera == first.camera and np.array_equal(p.time_ns, first.time_ns) for p in people)
+    nothing = np.iinfo(np.uint16).max
+    depth = np.min([np.where(p.depth > 0, p.depth, nothing) for p in people], 0)
+    return replace(first, depth=np.where(depth < nothing, depth, 0).astype(np.uint16))
 
 
 def truth_tracks(simulation: Simulation, source: str = "simulation") -> Tracks:

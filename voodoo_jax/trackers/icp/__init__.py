@@ -1,4 +1,4 @@
 """The tracker by articulated ICP (Knoop et al. 2006, 2007).
 
-Public: `tracker.track`, `tracker.track_person`.
+Public: `tracker.track`, `tracker.track_person`, `people.track_people`.
 """

@@ -8,7 +8,7 @@ has gained or lost some is tracked anew.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int, Int8
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
@@ -25,6 +25,7 @@ NEAR = 0.25  # metres from somebody's surface: what is farther off is none of th
 CLEARLY = 0.02  # metres nearer to somebody else: who has a point keeps it else; about a depth camera's noise, by hand
 MOVED = 0.02  # of somebody's points that change hands in a frame: fewer make no difference; by hand
 FRAMES = 3  # with so many points that change hands: fewer make no difference; by hand
+SLIVER = 0.2  # of that area: who shows less is not tracked; by hand
 WHOLE = 0.5  # of the area that is usually seen of somebody: who shows so much is wholly in view; by hand
 
 
@@ -54,7 +55,16 @@ def track_subjects(
             break
         anew = [(tracked(s), t) if c else (t, None) for s, t, c in zip(subjects, found, concerned)]
         found = [replace(t, seconds=t.seconds + old.seconds) if old else t for t, old in anew]
+    if len(subjects) > 1:
+        found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
     return [replace(t, person=s.number, people=len(subjects)) for s, t in zip(subjects, found)]
+
+
+def _doubted(subject: Subject, status: Int8[np.ndarray, " frame"]) -> Int8[np.ndarray, " frame"]:
+    """Status, LOST where only a sliver of somebody is seen, at the edge of the picture or beside who hides them."""
+    area = np.array([_area(frame) for frame in subject.frames])
+    usual = np.percentile(area[area > 0], 80) if (area > 0).any() else 0.0
+    return np.where((status == Status.TRACKED) & (area < SLIVER * usual), Status.LOST, status).astype(np.int8)
 
 
 def in_view_from(subject: Subject) -> int:

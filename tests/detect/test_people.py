@@ -1,0 +1,86 @@
+"""Everybody in view is followed, each with their own points, from when they come until they leave."""
+
+import numpy as np
+import pytest
+
+from tests.support.rooms import FLOOR, build_of, figure, frame
+from voodoo_jax.config.options import DetectSettings
+from voodoo_jax.detect.people import Observed, People
+from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.records.scene import Scene
+
+SCENE, SETTINGS = Scene(FLOOR, (), True), DetectSettings()
+
+
+def everybody(clouds, ahead=True) -> tuple[list[list[np.ndarray]], list[np.ndarray]]:
+    """Points of each person in each frame, and those that a chooser gives."""
+    chooser = Chooser(SCENE, build_of(1.75), SETTINGS, ahead)
+    people = People(chooser, SETTINGS, ahead)
+    main = list(chooser(people.watched(frame(cloud, i) for i, cloud in enumerate(clouds))))
+    return [_points(one) for one in people.observed(main)], [f.points for f in main]
+
+
+def _points(one: Observed) -> list[np.ndarray]:
+    return [f.points for f in (*one.early, *one.frames)]
+
+
+def sways(i: int) -> float:
+    return 0.2 * np.sin(i / 4)
+
+
+def side(points: np.ndarray, left: bool) -> bool:
+    return len(points) > 100 and bool(np.all((points[:, 1] > 0) == left))
+
+
+@pytest.mark.parametrize("apart", [1.2, 0.85])  # so that they touch at times: their cylinders are 0.36 m wide
+def test_two_people_have_their_own_points(apart):
+    clouds = [
+        np.concatenate([figure(3.0, apart / 2 + sways(i), 1.8), figure(3.1, -apart / 2 + sways(i + 9), 1.6)])
+        for i in range(60)
+    ]
+    found, _ = everybody(clouds)
+    assert len(found) == 2
+    for points in found:
+        own = [np.mean(p[:, 1]) for p in points]
+        assert len(own) == 60 and (np.min(own) > 0) != (np.max(own) < 0)
+        assert min(map(len, points)) > 0.75 * max(map(len, points))
+
+
+def test_what_never_moves_is_nobody_and_changes_nothing():
+    coats = figure(3.2, -0.8, 1.75)
+    walks = [np.concatenate([coats, figure(3.0, 0.6 + 0.03 * i, 1.6)]) for i in range(40)]
+    found, main = everybody(walks)
+    assert not found
+    alone = [f.points for f in Chooser(SCENE, build_of(1.75), SETTINGS)(frame(c, i) for i, c in enumerate(walks))]
+    for points, as_before in zip(main, alone, strict=True):
+        np.testing.assert_array_equal(points, as_before)
+
+
+@pytest.mark.parametrize("ahead", [True, False])
+def test_who_comes_in_and_leaves_is_there_meanwhile(ahead):
+    def cloud(i):
+        here = [figure(3.0, 1.0 + sways(i), 1.8)]
+        return np.concatenate([*here, figure(3.6, -2.5 + 0.06 * i, 1.6)]) if 25 <= i < 60 else here[0]
+
+    found, _ = everybody([cloud(i) for i in range(80)], ahead)
+    assert len(found) == 2
+    seen = np.flatnonzero([len(p) > 100 for p in found[1]])
+    assert seen[0] == 25 if ahead else seen[0] <= 31
+    assert seen[-1] == 59 and len(seen) == seen[-1] - seen[0] + 1
+    assert all(side(p, True) for p in found[0])
+
+
+def behind(i: int, height: float) -> np.ndarray:
+    """Somebody who walks behind a broad cupboard, and comes out on its other side."""
+    y = 1.6 - 0.04 * i
+    hidden = abs(y) < 0.8
+    return np.zeros((0, 3)) if hidden else figure(4.0, y, height)
+
+
+@pytest.mark.parametrize("height, people", [(1.8, 2), (1.55, 3)])
+def test_who_was_hidden_for_long_is_the_same_if_the_size_is(height, people):
+    clouds = [
+        np.concatenate([figure(2.5, 2.2 + sways(i), 1.7), behind(i, 1.8 if i < 40 else height)]) for i in range(80)
+    ]
+    found, _ = everybody(clouds)
+    assert len(found) == people
