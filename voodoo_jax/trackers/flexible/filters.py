@@ -74,6 +74,7 @@ class Numbers(NamedTuple):
     gravity: Float[Array, ""]
     masses: Float[Array, "3"]  # base, variable, falloff per metre
     legs_apart: Float[Array, ""]
+    floor: Float[Array, "4"]  # normal upwards and offset, metres
 
 
 class State(NamedTuple):
@@ -141,8 +142,8 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     view, keys = given.view, jax.random.split(key, 3)
     x = _moved(body, state, given, n, shape)
     if shape.refine:  # torso and head first: else limbs are drawn to the points that a bow leaves unexplained
-        x = refined(body, x, given.points, given.share, shape.refine // 2, n.legs_apart)
-    space, context = limb_spaces(body, x, n.legs_apart), _context(body, state, x, given, shape)
+        x = refined(body, x, given.points, given.share, shape.refine // 2, n.legs_apart, n.floor)
+    space, context = limb_spaces(body, x, n.legs_apart, n.floor), _context(body, state, x, given, shape)
     origin = state.particles
     ahead = _ahead(keys[0], state, view, n, shape)
     if shape.restarts:
@@ -155,9 +156,11 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
         )
     p, origin, mean, spread = _layers(keys[2], ahead, origin, state.spread, space, context, view, n, shape)
     masses = body.masses.at[LIMBS.ravel()].set((n.masses[0] + n.masses[1] * jnp.exp(-n.masses[2] * spread)).ravel())
-    x = relax(body, x.at[LIMBS.ravel()].set(mean.reshape(12, 3)), masses, shape.relaxations, n.legs_apart)
+    x = relax(
+        body, x.at[LIMBS.ravel()].set(mean.reshape(12, 3)), masses, shape.relaxations, n.legs_apart, True, n.floor
+    )
     if shape.refine:
-        x = refined(body, x, given.points, given.share, shape.refine, n.legs_apart)
+        x = refined(body, x, given.points, given.share, shape.refine, n.legs_apart, n.floor)
     shift = (x[LIMBS] - mean)[:, None] if shape.refine else jnp.zeros((4, 1, 3, 3))
     sure = jnp.exp(-n.masses[2] * spread)
     rate = given.learn * jnp.stack([sure[:, :2].mean(1), sure[:, 1:].mean(1)], 1)
@@ -173,7 +176,15 @@ def _moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers, shape: S
     follow = n.follow[0] * (move - high) + n.follow[1] * high
     x = (state.x + follow).at[HEAD].add(move - follow)
     return step(
-        body, x, state.before + follow, -n.gravity * given.up, given.dt, _DAMPING, shape.relaxations, n.legs_apart
+        body,
+        x,
+        state.before + follow,
+        -n.gravity * given.up,
+        given.dt,
+        _DAMPING,
+        shape.relaxations,
+        n.legs_apart,
+        n.floor,
     )
 
 
@@ -278,7 +289,7 @@ def _layers(
 
 def refined(
     body: FlexibleBody, x: Float[Array, "16 3"], points: Float[Array, "point 3"], share: Float[Array, "point"],
-    rounds: int, legs_apart: Float[Array, ""] | float = 0.0,
+    rounds: int, legs_apart: Float[Array, ""] | float = 0.0, floor: Float[Array, "4"] | None = None,
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """Points pull the nearest axes and patches until they lie on the surface, then springs and limits hold: in turn.
     Differentiable: which part is nearest is held fixed."""
@@ -295,7 +306,7 @@ def refined(
         norm = jnp.abs(full * use[:, None]).sum(0)
         move = _PULL * pull / (norm + _HOLD)[:, None]
         masses = jnp.where(jnp.arange(16) == HEAD, 3.0, 1.0)
-        return relax(body, x + move, masses, 3, legs_apart)
+        return relax(body, x + move, masses, 3, legs_apart, True, floor)
 
     return lax.fori_loop(0, rounds, one, x) if rounds else x
 

@@ -31,6 +31,8 @@ _LEG_LIMITS = (((1, 0, 0), -0.55), ((0, 1, 0), -0.45), ((0, -1, 0), -0.80), ((0,
 _LIMITS = np.array([[(*n, c) for n, c in rows] for rows in (_ARM_LIMITS,) * 2 + (_LEG_LIMITS,) * 2], np.float32)
 _SHARPEST = 0.52  # least angle between two bones of a limb, radians: set by hand, 30 degrees
 _KNEE_BACK = 0.02  # metres that a knee may be behind the line from hip to ankle, set by hand
+_OVER = 0.035  # share of the stature that an ankle is above the floor, measured on the built-in body
+_NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # by hand: a kilometre down
 _TINY = 1e-9  # square metres: float32 has no smaller distances here
 
 
@@ -107,6 +109,8 @@ class LimbSpace(NamedTuple):
     anchors: Float[Array, "5 3"]  # points that springs join to the limb's root
     anchor_lengths: Float[Array, "5"]  # metres
     anchor_stiffness: Float[Array, "5"]  # 0: no such spring
+    floor: Float[Array, "4"]  # normal upwards, and its offset: nothing of a limb is below; metres
+    over: Float[Array, ""]  # so high above it are the points at least, metres
 
 
 def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -122,10 +126,13 @@ def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 _ANCHOR_POINTS, _ANCHOR_SPRINGS, _ANCHOR_USED = _anchor_tables()
 
 
-def limb_spaces(body: FlexibleBody, x: Float[Array, "16 3"], apart: Float[Array, ""] | float) -> LimbSpace:
+def limb_spaces(
+    body: FlexibleBody, x: Float[Array, "16 3"], apart: Float[Array, ""] | float, floor: Float[Array, "4"] | None = None
+) -> LimbSpace:
     """Of the four limbs, as the rest of the body stands now; leading axis: limb.
 
-    **Arguments:** `apart` least distance of knees and ankles from the plane between the legs, a share of the stature.
+    **Arguments:** `apart` least distance of knees and ankles from the plane between the legs, a share of the stature;
+    `floor` normal and offset, metres; None: there is none.
     """
     f = frames(x)
     arm, side = jnp.asarray(IS_ARM), jnp.asarray(SIDE, x.dtype)[:, None]
@@ -140,6 +147,7 @@ def limb_spaces(body: FlexibleBody, x: Float[Array, "16 3"], apart: Float[Array,
         frame, jnp.asarray(_LIMITS), bone_lengths(body), arm.astype(x.dtype), each(f.middle), side * f.lower[1],
         each(trunk), each(size), each(apart * body.stature), x[_ANCHOR_POINTS], body.lengths[_ANCHOR_SPRINGS],
         body.stiffness[_ANCHOR_SPRINGS] * _ANCHOR_USED,
+        each(jnp.asarray(_NO_FLOOR) if floor is None else floor), each(_OVER * body.stature),
     )  # fmt: skip
 
 
@@ -178,7 +186,9 @@ def limb_limits(p: Float[Array, "3 3"], inverse: Float[Array, "3"], space: LimbS
     behind = -jnp.sum((p[1] - p[0] - at * line) * space.frame[0]) - _KNEE_BACK
     back = (1 - space.is_arm) * jnp.maximum(behind, 0.0) * space.frame[0]
     p = p + free[:, None] * jnp.array([0.0, 1.0, -0.5])[:, None] * back
-    return p.at[1:].set(_apart(p[1:], free[1:], space))
+    p = p.at[1:].set(_apart(p[1:], free[1:], space))
+    up = space.floor[:3]
+    return p + (free * jnp.maximum(space.over - (p @ up - space.floor[3]), 0.0))[:, None] * up
 
 
 def _apart(p: Float[Array, "2 3"], free: Float[Array, "2"], space: LimbSpace) -> Float[Array, "2 3"]:
@@ -195,11 +205,12 @@ def _apart(p: Float[Array, "2 3"], free: Float[Array, "2"], space: LimbSpace) ->
 
 def relax(
     body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], iterations: int,
-    apart: Float[Array, ""] | float = 0.0, limits: bool = True,
+    apart: Float[Array, ""] | float = 0.0, limits: bool = True, floor: Float[Array, "4"] | None = None,
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """Applies all springs and limits in turn, so many times (like Gauss-Seidel; sec. II).
 
-    **Arguments:** `masses` relative, infinite for what stays; `apart` see limb_spaces; `limits` False: springs only.
+    **Arguments:** `masses` relative, infinite for what stays; `apart` see limb_spaces; `limits` False: springs only;
+        `floor` see limb_spaces.
     """
     inverse = inverse_masses(masses)
 
@@ -207,7 +218,7 @@ def relax(
         x = relax_springs(body, x, inverse)
         if not limits:
             return x
-        moved = jax.vmap(limb_limits)(x[LIMBS], inverse[LIMBS], limb_spaces(body, x, apart))
+        moved = jax.vmap(limb_limits)(x[LIMBS], inverse[LIMBS], limb_spaces(body, x, apart, floor))
         return x.at[LIMBS.ravel()].set(moved.reshape(12, 3))
 
     return lax.fori_loop(0, iterations, sweep, x) if iterations else x
@@ -223,12 +234,13 @@ def project_limb(
 
 def step(
     body: FlexibleBody, x: Float[Array, "16 3"], before: Float[Array, "16 3"], gravity: Float[Array, "3"],
-    dt: Float[Array, ""] | float, damping: float, iterations: int, apart: Float[Array, ""] | float = 0.0,
+    dt: Float[Array, ""] | float, damping: float, iterations: int,
+    apart: Float[Array, ""] | float = 0.0, floor: Float[Array, "4"] | None = None,
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """The body a time step later, dangling from its head, which stays where it is (sec. II)."""
     free = inverse_masses(body.masses)[:, None] > 0
     moved = jnp.where(free, verlet(x, before, jnp.broadcast_to(gravity, x.shape), jnp.asarray(dt), damping), x)
-    return relax(body, moved, body.masses, iterations, apart)
+    return relax(body, moved, body.masses, iterations, apart, True, floor)
 
 
 def energy(

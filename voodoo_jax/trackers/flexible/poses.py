@@ -9,7 +9,16 @@ from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
 
 # from a point to the joint centre of its name in the torso's directions (forward, left for the left side, up), shares
 # of stature: measured on half of the rendered stereo recordings (experiments/flexible)
-OFFSETS: dict[str, tuple[float, float, float]] = {}
+OFFSETS: dict[str, tuple[float, float, float]] = {
+    "head": (0.008, 0.0, 0.017),
+    "neck": (-0.004, 0.0, 0.020),
+    "shoulder": (0.008, -0.008, 0.020),
+    "elbow": (0.006, -0.003, 0.013),
+    "wrist": (-0.002, 0.007, 0.007),
+    "hip": (-0.008, 0.0, 0.018),
+    "knee": (0.017, 0.001, 0.013),
+    "ankle": (0.020, -0.004, 0.017),
+}
 
 
 def directions(x: Float[np.ndarray, "frame 16 3"], upper: bool) -> Float[np.ndarray, "frame 3 3"]:

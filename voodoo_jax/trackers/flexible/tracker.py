@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from voodoo_jax.compile.executable import seconds_of_waiting
 from voodoo_jax.config.options import FlexibleSettings, Settings
 from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import PersonFrame
 from voodoo_jax.records.recording import Frame, Picture, Rays
@@ -36,6 +37,7 @@ _BELOW = 0.35  # share of the stature that a face is at most from the person's t
 # frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
 # a weight): by hand
 _STRETCH, _EXPLAINS_MORE, _SCORES_MORE = 2.0, 0.02, 2.0
+_OVER_FLOOR = 0.06  # metres: lower points are the floor's as often as the feet's by stereo, by hand
 _FEWEST = 120  # points of a person from which on tracking starts, by hand
 
 
@@ -60,8 +62,9 @@ class FeatureStore:
         return Features(*(np.load(self._file) for _ in Features._fields))
 
 
-def numbers(s: FlexibleSettings) -> Numbers:
-    """What of the settings a program takes as numbers."""
+def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
+    """What of the settings a program takes as numbers. The paper knows no floor: only where points are used."""
+    plane = (0.0, 0.0, 1.0, -1e3) if floor is None or not uses_dense(s) else (*floor.normal.tolist(), floor.offset)
     f = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
     weighing = Weighing(
         f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.hidden_edge),
@@ -70,7 +73,7 @@ def numbers(s: FlexibleSettings) -> Numbers:
     return Numbers(
         weighing, f(s.velocity), f(s.depth_share), f(s.depth_noise), f(s.base_noise), f(s.spread_noise),
         f(s.motion_noise), f([s.follow_level, s.follow_up]), f(s.gravity),
-        f([s.mass_base, s.mass_variable, s.mass_falloff]), f(s.legs_apart),
+        f([s.mass_base, s.mass_variable, s.mass_falloff]), f(s.legs_apart), f(plane),
     )  # fmt: skip
 
 
@@ -220,7 +223,8 @@ def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up
     for k, i in enumerate(at):
         f, person = seen.features[i], seen.people[i]
         points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
-        chosen = np.random.default_rng([s.seed, i]).permutation(len(person.points))[: s.points]
+        good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
+        chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
         points[: len(chosen)] = person.points[chosen]
         share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
@@ -236,7 +240,7 @@ def _run(
     up: np.ndarray, progress: Progress | None,
 ) -> tuple[State, Seen]:  # fmt: skip
     """Filters over frames in the order given."""
-    out, n, shape = [], numbers(s), shape_of(s)
+    out, n, shape = [], numbers(s, seen.scene.floor), shape_of(s)
     frames = list(order)
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
