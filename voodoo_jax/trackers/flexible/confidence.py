@@ -1,6 +1,6 @@
 """How far the flexible tracker's joints can be trusted: the probability that each is within 10 cm. Host side.
 
-A logistic function of what a frame says of itself, fitted to four rendered stereo recordings (see experiments/flexible).
+A logistic function of what a frame says of itself, fitted to four rendered stereo recordings (experiments/flexible).
 """
 
 from dataclasses import replace
