@@ -89,6 +89,7 @@ def main(
                 tracks = follow(body, seen, replace(settings, flexible=own), log.path, log.fixed_frame)
                 results.setdefault(path.stem, []).append(errors(tracks, truth))
             print(path.stem, row(name, {path.stem: results[path.stem]}), flush=True)
+        seen.features.close()
     head = f"| {len(logs)} recordings, {seeds} seeds | mean error, cm | within 10 cm, % | each recording, cm |"
     lines = [head, "|---|---|---|---|", *(row(name, found) for name, found in tables.items() if found)]
     out.mkdir(parents=True, exist_ok=True)

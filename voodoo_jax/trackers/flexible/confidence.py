@@ -1,7 +1,6 @@
 """How far the flexible tracker's joints can be trusted: the probability that each is within 10 cm. Host side.
 
-A logistic function of what a frame says of itself, fitted to half of the rendered stereo recordings
-(`python -m experiments.flexible trust`).
+A logistic function of what a frame says of itself, fitted to four rendered stereo recordings (experiments/flexible).
 """
 
 from dataclasses import replace
@@ -16,7 +15,7 @@ from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
 
 # of the clues below, from experiments/flexible
 CONSTANT = -8.19
-SLOPES = (-2.28, -0.08, -1.84, -0.59)
+SLOPES = (-2.28, -0.08, -1.84, -0.59)  # from experiments/flexible, too
 _FEW = 1e-3  # metres: less is not told from it, by hand
 
 

@@ -51,6 +51,10 @@ class FeatureStore:
     def __len__(self) -> int:
         return len(self._at)
 
+    def close(self) -> None:
+        """Gives the disk space back."""
+        self._file.close()
+
     def add(self, f: Features) -> None:
         self._file.seek(0, 2)
         self._at.append(self._file.tell())
@@ -128,9 +132,13 @@ def observe(
             sensor = sensor if frame.pictures[0].baseline > 0 else frame.sensor
             yield replace(frame, points=points, sensor=sensor, origins=origins, rays=Rays(), pictures=(), weight=None)
 
-    scene, people = find_person(seen(), up, body, settings)
-    if not len(store):
-        raise _without_images(source)
+    try:
+        scene, people = find_person(seen(), up, body, settings)
+        if not len(store):
+            raise _without_images(source)
+    except BaseException:
+        store.close()
+        raise
     return Observed(store, pictures, people, scene, np.array(times, np.int64), np.array(stamps, int), len(times))
 
 
@@ -148,7 +156,10 @@ def track_frames(
     rest_points(body)  # raises before anything long
     began = time.perf_counter()
     seen = observe(frames, source.up, body, settings, source.path)
-    return follow(body, seen, settings, source.path, source.fixed_frame, source.notes(), progress, began)
+    try:
+        return follow(body, seen, settings, source.path, source.fixed_frame, source.notes(), progress, began)
+    finally:
+        seen.features.close()
 
 
 def follow(
@@ -229,8 +240,8 @@ def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up
         share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
-            View(*f), points, share, heads.place[i], _number(heads.seen[i]), up, _number(min(dt, 0.2)),
-            np.asarray(i, np.int32), _number(i < s.learn_frames), np.asarray(k < len(at) - pad),
+            View(*f), points, share, heads.place[i], _number(float(heads.seen[i])), up, _number(min(dt, 0.2)),
+            np.asarray(i, np.int32), _number(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
         ))  # fmt: skip
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
