@@ -28,7 +28,7 @@ def pair(tmp_path_factory) -> tuple[Path, tuple[Simulation, Simulation]]:
     people = []
     for stature, motion, y in ((1.9, "wave", 0.5), (1.62, "bow", -0.45)):
         body = scaled(human(), stature)
-        people.append(simulate(body, placed(make_motion(body, motion, 2.0, 15.0), 3.0, y, np.pi), tof_camera(1.2, 0.0)))
+        people.append(simulate(body, placed(make_motion(body, motion, 2.0, 15.0), 3.7, y, np.pi), tof_camera(1.2, 0.0)))
     path = tmp_path_factory.mktemp("pair") / "pair.mcap"
     return write_simulation(in_one_picture(*people), path), (people[0], people[1])
 

@@ -25,12 +25,12 @@ from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
 SOME = 2000  # points of somebody by which it is told who is nearer; by hand
-TELLING = 30  # points of somebody in a frame, at least: fewer are not them; as in segmentation
+TELLING = 30  # points of somebody in a frame, at least, as in segmentation: fewer are not them; by hand
 IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
 BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
 PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
 AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
-LIKE = 0.07  # metres of height: who differs by more is somebody else; measured on people who bend and turn: 0.04
+LIKE = 0.07  # metres of height: who differs by more is somebody else; by hand
 CLOSE = 0.15  # metres, and twice that: whose points are so near to each other may be mixed up; by hand
 STIRRED = 10  # frames in which an arm or so of them is where nothing was: who moves no more than that; by hand
 HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand

@@ -20,12 +20,12 @@ from voodoo_jax.trackers.icp.runner import FEW_POINTS
 from voodoo_jax.trackers.icp.sequence import Progress
 from voodoo_jax.trackers.icp.tracker import track_person
 
-ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; measured on experiments/people
+ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; by hand
 NEAR = 0.25  # metres from somebody's surface: what is farther off is none of their points; by hand
 CLEARLY = 0.02  # metres nearer to somebody else: who has a point keeps it else; about a depth camera's noise, by hand
 MOVED = 0.02  # of somebody's points that change hands in a frame: fewer make no difference; by hand
 FRAMES = 3  # with so many points that change hands: fewer make no difference; by hand
-SLIVER = 0.2  # of that area: who shows less is not tracked; by hand
+SLIVER = 0.12  # of that area: who shows less is not tracked; by hand
 WHOLE = 0.5  # of the area that is usually seen of somebody: who shows so much is wholly in view; by hand
 
 
