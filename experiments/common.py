@@ -17,12 +17,12 @@ from tqdm import tqdm
 
 from experiments.bench.replay_speed import Started
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.fitting.frames import Truth, read_truth
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Tracks
@@ -65,12 +65,12 @@ class Log:
     path: str
     fixed_frame: str
     scene: Scene
-    people: list[PersonFrame]
+    people: list[BodyObservation]
     stamps: np.ndarray  # [time] of the truth, nanoseconds
     names: tuple[str, ...]  # joint names of the truth, as bodies call them
     joints: np.ndarray  # [time, joint, 3] metres, fixed frame; NaN: no truth
 
-    def track(self, body: Body, settings: Settings, people: list[PersonFrame] | None = None) -> Tracks:
+    def track(self, body: Body, settings: Settings, people: list[BodyObservation] | None = None) -> Tracks:
         """Tracks the person, or other frames of it."""
         people = self.people if people is None else people
         return track_person(body, self.scene, people, settings, self.path, self.fixed_frame)
@@ -107,7 +107,7 @@ def halves(files: list[Path]) -> tuple[list[Path], list[Path]]:
 def load_log(path: Path, body: Body, settings: Settings, frames: int = 0) -> Log:
     """One recording, its first `frames` frames (0: all)."""
     reader = open_log(path, settings.read)
-    scene, people = find_person(islice(reader.frames(), frames or None), reader.up, body, settings)
+    scene, people = find_body(islice(reader.frames(), frames or None), reader.up, body, settings)
     truth = load_truth(path, people[-1].time_ns if frames else None)
     return Log(
         path.stem, reader.path, reader.fixed_frame, scene, people, truth.time_ns, truth.names, truth.joints
@@ -121,7 +121,7 @@ def load_truth(path: Path, last_ns: int | None = None) -> Truth:
     return truth._replace(time_ns=truth.time_ns[seen], joints=truth.joints[seen])
 
 
-def without_features(people: list[PersonFrame]) -> list[PersonFrame]:
+def without_features(people: list[BodyObservation]) -> list[BodyObservation]:
     """The frames as `--read.no-features` gives them."""
     return [replace(f, rays=Rays(), pairs=Pairs()) for f in people]
 

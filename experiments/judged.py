@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int64
 from experiments.common import NEAR_NS, Log, Score, errors, human, load_dims, load_truth, nearest, off, score, scored
 from voodoo_jax.compile.cache_dir import cache_folder, keep_compiled, use_compile_cache
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.records.recording import Frame
@@ -44,7 +44,7 @@ class Recorded:
 
     def log(self, body: Body, settings: Settings) -> Log:
         """With the person told apart; the truth of the times in view and of frames that there are."""
-        scene, people = find_person(self.frames, self.up, body, settings)
+        scene, people = find_body(self.frames, self.up, body, settings)
         joints = np.where(self.there[:, None, None], self.joints, np.nan)
         stamps = np.array([f.time_ns for f in self.frames], np.int64)
         first = int(np.argmax(self.there))

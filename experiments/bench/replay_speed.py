@@ -28,12 +28,12 @@ from tqdm import tqdm
 
 from voodoo_jax.cli.demo import joint_errors
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.padding import Chunk, pad_frames
 from voodoo_jax.solve.scan import Step, at_rest, options_from, track_chunk
@@ -49,7 +49,7 @@ class Started:
     """A recording replayed as the product does it, and its frames for the measurements."""
 
     tracks: Tracks  # of `frames`
-    frames: list[PersonFrame]  # from the first tracked one on
+    frames: list[BodyObservation]  # from the first tracked one on
     prepare_fps: float  # frames per second of reading the log and finding the person, on the host
 
 
@@ -71,7 +71,7 @@ def prepare(log: Path, body: Body, settings: Settings) -> Started:
     """Reads a log, finds the person and tracks it with the settings as they are."""
     begin = time.perf_counter()
     reader = open_log(log, settings.read)
-    scene, people = find_person(reader.frames(), reader.up, body, settings)
+    scene, people = find_body(reader.frames(), reader.up, body, settings)
     prepare_fps = len(people) / (time.perf_counter() - begin)
     first = int(np.argmax(track_person(body, scene, people, settings, reader.path, reader.fixed_frame).tracked))
     # once more, compiled: for its time, and without the frames before the first tracked one
@@ -81,7 +81,7 @@ def prepare(log: Path, body: Body, settings: Settings) -> Started:
     return Started(tracks, people[first:], prepare_fps)
 
 
-def resample(frame: PersonFrame, count: int) -> PersonFrame:
+def resample(frame: BodyObservation, count: int) -> BodyObservation:
     """The frame with exactly `count` points (an empty frame stays empty); the same on every run."""
     n = len(frame.points)
     if n == 0:
@@ -90,7 +90,7 @@ def resample(frame: PersonFrame, count: int) -> PersonFrame:
     chosen = np.concatenate([rng.permutation(n)] + [rng.integers(0, n, max(0, count - n))])[:count]
     points = frame.points[chosen]
     points[n:] += rng.normal(0, JITTER, points[n:].shape).astype(np.float32)
-    return PersonFrame(frame.time_ns, points, frame.sensor[chosen], frame.origins)
+    return BodyObservation(frame.time_ns, points, frame.sensor[chosen], frame.origins)
 
 
 class Case:

@@ -23,7 +23,7 @@ from experiments.bench.replay_speed import machine
 from experiments.bench.work import STEPS, Work, from_demo, load, with_limbs
 from experiments.common import DEMO, human, log_files, table, write
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.exporters.foxglove import write_tracks_mcap
 from voodoo_jax.exporters.npz import write_tracks_npz
 from voodoo_jax.geometry.rigid import Poses
@@ -99,7 +99,7 @@ def replay_times(log: Path) -> dict[str, float]:
 
     reader = open_log(log, settings.read)
     frames = timed("read", lambda: list(reader.frames()))
-    scene, people = timed("find the person", lambda: find_person(frames, reader.up, body, settings))
+    scene, people = timed("find the person", lambda: find_body(frames, reader.up, body, settings))
     most = max(len(p.points) for p in people)
     timed("pad", lambda: pad_frames(people, bucket(most), len(people), None, len(people[0].origins)))
     track = lambda: track_person(body, scene, people, settings, reader.path, reader.fixed_frame)  # noqa: E731

@@ -29,7 +29,7 @@ from experiments.common import (
 )
 from voodoo_jax.config.options import Settings
 from voodoo_jax.io.log_reader import open_log
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.viz.figures import draw_body, limb_colours
 
@@ -39,7 +39,7 @@ PAPER_LENGTH = 150  # frames, about: what the columns of a shorter log are scale
 TURN = np.radians(40)  # of the view, so that rays are seen as lines
 
 
-def inputs(log: Log, settings: Settings) -> dict[str, list[PersonFrame]]:
+def inputs(log: Log, settings: Settings) -> dict[str, list[BodyObservation]]:
     """The frames with each kind of measurement."""
     seen = np.flatnonzero([len(f.points) > 0 for f in log.people])
     start = (int(seen[0]) if len(seen) else 0) + settings.start.size_frames
@@ -82,7 +82,9 @@ def columns(log: Log, wanted: tuple[int, ...]) -> list[int]:
     return chosen
 
 
-def draw(log: Log, tracks: dict[str, Tracks], people: dict[str, list[PersonFrame]], wanted: tuple[int, ...]) -> Figure:
+def draw(
+    log: Log, tracks: dict[str, Tracks], people: dict[str, list[BodyObservation]], wanted: tuple[int, ...]
+) -> Figure:
     """Rows: the scene's cloud from the sensor, then body, measurements and truth by input, seen from the side."""
     chosen = columns(log, wanted)
     stamps = {log.people[i].time_ns: i for i in chosen}
@@ -125,7 +127,7 @@ def draw(log: Log, tracks: dict[str, Tracks], people: dict[str, list[PersonFrame
     return figure
 
 
-def _panel(panel: Axes, tracks: Tracks, i: int, frame: PersonFrame, middle: np.ndarray, axes: np.ndarray) -> None:
+def _panel(panel: Axes, tracks: Tracks, i: int, frame: BodyObservation, middle: np.ndarray, axes: np.ndarray) -> None:
     """Body and measurements of one frame."""
     points = (frame.points - middle) @ axes.T
     if len(points):

@@ -15,7 +15,7 @@ from experiments.people.motions import RATE, Clip, after_standing, read_clip
 from experiments.people.sight import before, in_camera, pixels
 from experiments.people.takes import CAMERAS, CLIPS
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.simulate.room import Box, Room, render_room
 from voodoo_jax.simulate.sensor import Camera, add_noise
@@ -70,7 +70,7 @@ def work(job: Draw) -> Found:
         points = (rays * depth[..., None] + origin)[seen].astype(np.float32)
         theirs.append(points[(exact[0] < empty[0])[seen]])
         frames.append(Frame(int(k * 1e9 / RATE), points, np.zeros(len(points), np.int32), origin[None]))
-    people = find_person(frames, np.array([0, 0, 1], np.float32), human(), Settings())[1]
+    people = find_body(frames, np.array([0, 0, 1], np.float32), human(), Settings())[1]
     what = f"{clip} by somebody of {figure.dims['stature']:.2f} m, {len(room.boxes)} things"
     return Found(job.seed, name, what, *shares_of(theirs, [f.points for f in people]))
 

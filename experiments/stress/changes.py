@@ -8,7 +8,7 @@ import numpy as np
 from experiments.judged import Recorded
 from experiments.stress.sensing import SENSING, at_distances, with_points
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import with_places
 from voodoo_jax.records.recording import Pairs, Rays
@@ -77,7 +77,7 @@ def reversed_in_time(recorded: Recorded) -> Recorded:
 
 def away_and_back(recorded: Recorded, body: Body, settings: Settings) -> Recorded:
     """Without the person for a second in the middle: neither their points nor their features."""
-    people = find_person(recorded.frames, recorded.up, body, settings)[1]
+    people = find_body(recorded.frames, recorded.up, body, settings)[1]
     middle = (recorded.frames[0].time_ns + recorded.frames[-1].time_ns) / 2
     gap = lambda ns: np.abs(ns - middle) < GAP / 2 * 1e9  # noqa: E731
     frames = []

@@ -23,7 +23,7 @@ from voodoo_jax.batch.output_paths import folders_within
 from voodoo_jax.batch.replay import output_paths, replay
 from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log, read_log
 from voodoo_jax.model.body import scaled
@@ -281,7 +281,7 @@ def test_two_cameras(tmp_path):
             log.add(f"/{name}/depth", stamp, logs.ros_image(stamp, frame, image / 1000))
     path = log.write(tmp_path / "two.mcap")
     recording = read_log(path)
-    _, people = find_person(recording, recording.up, human(), Settings())
+    _, people = find_body(recording, recording.up, human(), Settings())
     shares = [np.bincount(f.sensor, minlength=2) for f in people]
     assert len(recording.sensors) == 2 and min(s.min() for s in shares) > 100
     both = run(tmp_path / "out", path)

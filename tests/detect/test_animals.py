@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import load_body
@@ -25,7 +25,7 @@ def test_a_dog_is_told_from_a_box(tmp_path, withers, yaw):
     motion = placed(make_motion(dog, "stand", 0.5, 10.0), 2.7, 0.0, np.radians(yaw))
     sim = simulate(dog, motion, tof_camera(1.0, 0.12), room=Room(boxes=(BOX,)))
     recording = read_log(write_simulation(sim, tmp_path / "dog.mcap"))
-    people = find_person(recording, recording.up, load_body("dog"), Settings())[1]
+    people = find_body(recording, recording.up, load_body("dog"), Settings())[1]
     for frame, joints in zip(people, sim.joints):
         middle = np.median(joints[:, :2], 0)
         assert len(frame.points) > 200

@@ -8,7 +8,7 @@ import pytest
 from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import candidate
-from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.target_selection import ENOUGH, HELD, PATIENCE, Chooser, Follower
 from voodoo_jax.records.observation import whole
 from voodoo_jax.records.recording import Frame
@@ -36,7 +36,7 @@ def waits_then_walks(still: int, moving: int):
 
 
 def test_without_looking_ahead_the_coats_are_likelier():
-    assert not of_person(PersonFinder(SCENE, build_of(1.75), SETTINGS)(frame(next(waits_then_walks(1, 0)))).points)
+    assert not of_person(BodySegmenter(SCENE, build_of(1.75), SETTINGS)(frame(next(waits_then_walks(1, 0)))).points)
 
 
 @pytest.mark.parametrize("still", [0, 40])
@@ -91,8 +91,8 @@ def test_a_passer_by_is_not_taken_for_somebody_who_moves_too():
 
 def test_what_is_known_is_no_longer_compared(monkeypatch):
     """Once the body has moved, each frame is looked at once."""
-    calls, one = [], PersonFinder.__call__
-    monkeypatch.setattr(PersonFinder, "__call__", lambda self, seen: calls.append(self) or one(self, seen))
+    calls, one = [], BodySegmenter.__call__
+    monkeypatch.setattr(BodySegmenter, "__call__", lambda self, seen: calls.append(self) or one(self, seen))
     clouds = [np.concatenate([COATS[::3], figure(2.0, 0.4 + 0.03 * i)]) for i in range(100)]
     assert len(chosen(clouds)[0]) == 100
     assert 100 + ENOUGH < len(calls) < 100 + 3 * ENOUGH and len(set(calls[-20:])) == 1
@@ -106,7 +106,7 @@ def in_shadow(points, person):
     return (at > bearing.min()) & (at < bearing.max()) & (slope < over.max())
 
 
-class Told(PersonFinder):
+class Told(BodySegmenter):
     """Finds what is within some distances ahead of the sensor."""
 
     def __init__(self, near: float, far: float):

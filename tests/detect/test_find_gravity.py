@@ -9,7 +9,7 @@ from tests.support.logs import depth_log
 from tests.support.rooms import FLOOR, box, build_of, figure, frame, room
 from voodoo_jax.config.options import DetectSettings, ReadSettings, Settings, SettingsError
 from voodoo_jax.detect.find_gravity import upright
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.detect.scene import find_scene, shows_floor
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body_file import load_on_host
@@ -79,8 +79,8 @@ def test_somebody_before_a_wall_without_floor_is_as_the_frame_says():
 
 def test_who_is_found_at_once_costs_one_look(rng, monkeypatch):
     looks = []
-    finder = voodoo_jax.detect.find_gravity.PersonFinder
-    monkeypatch.setattr(voodoo_jax.detect.find_gravity, "PersonFinder", lambda *a: looks.append(a) or finder(*a))
+    finder = voodoo_jax.detect.find_gravity.BodySegmenter
+    monkeypatch.setattr(voodoo_jax.detect.find_gravity, "BodySegmenter", lambda *a: looks.append(a) or finder(*a))
     frames = [frame(np.concatenate([room(rng), figure(2.5, 0.0)]), i) for i in range(3)]
     for sure, count in ((True, 0), (False, 1)):  # who is sure and has a floor needs none
         assert upright(frames, Scene(FLOOR, (), True), UP, sure, BODY, DetectSettings()) is UP and len(looks) == count
@@ -116,9 +116,9 @@ def test_a_frame_whose_z_is_not_up_is_found_by_its_floor(rng, way, sure):
 def test_what_a_user_says_of_up_is_not_looked_for(rng, tmp_path):
     clouds = [turned(np.concatenate([room(rng), figure(2.5, 0.1 * i)]), OPTICAL) for i in range(3)]
     frames = [seen(cloud, i * 33_000_000) for i, cloud in enumerate(clouds)]
-    scene, _ = find_person(frames, UP, load_on_host("human"), Settings())
+    scene, _ = find_body(frames, UP, load_on_host("human"), Settings())
     assert scene.floor.normal @ [0, -1, 0] > 0.99 and "read.up" in " ".join(scene.notes)
-    scene, people = find_person(frames, UP, load_on_host("human"), Settings(), up_is_given=True)
+    scene, people = find_body(frames, UP, load_on_host("human"), Settings(), up_is_given=True)
     assert scene.floor.normal @ UP > 0.7 and not scene.notes
     log = depth_log(1).write(tmp_path / "a.mcap")
     recording = read_log(log, ReadSettings(up="-y"))

@@ -11,7 +11,7 @@ from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame, gri
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.scene import find_scene
-from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import components
@@ -61,7 +61,7 @@ def test_who_is_cut_off_stands_lower_than_the_picture_ends(cut, floor):
     """Nobody knows the floor: it is under the body as far as a body is high, if little of it is seen."""
     person, low = figure(2.0, 0.0), box(2.5, 1.2, 0.5, 0.4) + [0, 0, cut]
     scene = Scene(Plane(FLOOR.normal, cut), (), False, floor_open=True)
-    finder = PersonFinder(scene, build_of(1.75), DetectSettings())
+    finder = BodySegmenter(scene, build_of(1.75), DetectSettings())
     assert not len(finder(frame(low)).points)  # furniture before anybody comes
     got = finder(frame(np.concatenate([person[person[:, 2] > cut], low]), 1)).points
     assert len(got) > 1000 and got[:, 1].max() < 0.5
@@ -81,7 +81,7 @@ def test_the_lower_edge_of_what_is_seen_is_no_floor(rng):
 
 def test_noise_behind_a_wall_is_the_wall_and_the_next_room_is_not(rng):
     wall = Plane(np.array([-1, 0, 0], np.float32), -3.5)
-    finder = lambda: PersonFinder(Scene(FLOOR, (wall,), True), build_of(1.75), DetectSettings())  # noqa: E731
+    finder = lambda: BodySegmenter(Scene(FLOOR, (wall,), True), build_of(1.75), DetectSettings())  # noqa: E731
     assert not len(finder()(frame(figure(3.78, 0.0))).points)  # 10 cm behind it
     assert len(finder()(frame(figure(4.5, 0.0))).points) > 100
 
@@ -93,7 +93,7 @@ def test_a_noisy_wall_leaves_nothing_that_might_be_somebody(rng):
     back = [w for w in scene.walls if w.normal[0] < -0.99]
     assert back and all(0.08 < w.noise < 0.25 for w in back)
     seen = np.concatenate([around, figure(5.0, 0.0) + rng.normal(0, 0.03, (len(figure(5.0, 0.0)), 3))])
-    got = PersonFinder(scene, build_of(1.75), DetectSettings())(frame(seen)).points
+    got = BodySegmenter(scene, build_of(1.75), DetectSettings())(frame(seen)).points
     assert len(got) > 1000 and (got[:, 0] < 5.3).mean() > 0.99
 
 
@@ -109,7 +109,7 @@ def test_a_wall_does_not_eat_the_person_before_it(rng, gap):
     seen = frame(np.concatenate([around, person]))
     scene = find_scene([seen], np.array([0, 0, 1], np.float32))
     assert any(abs(w.normal[0]) > 0.999 and abs(abs(w.offset) - wall) < 0.02 for w in scene.walls)
-    got = PersonFinder(scene, build_of(1.75), DetectSettings())(seen).points
+    got = BodySegmenter(scene, build_of(1.75), DetectSettings())(seen).points
     expected = person[person[:, 2] > 0.05]
     assert (cKDTree(got).query(expected)[0] < 1e-6).mean() > 0.99
     assert (cKDTree(person).query(got)[0] < 1e-6).all()
@@ -192,7 +192,7 @@ def test_the_person_and_not_the_larger_wardrobe(rng):
     """A wardrobe is larger, but of another height than the body."""
     person, wardrobe = figure(2.5, 0.8), box(3.0, -0.8, 0.8, 2.2)
     scene = Scene(FLOOR, (), True)
-    got = PersonFinder(scene, build_of(1.7), DetectSettings())(frame(np.concatenate([wardrobe, person]))).points
+    got = BodySegmenter(scene, build_of(1.7), DetectSettings())(frame(np.concatenate([wardrobe, person]))).points
     assert len(got) > 100 and (got[:, 1] > 0.4).all()
 
 
@@ -202,10 +202,10 @@ def test_the_person_and_not_the_pole_before_them(rng):
     person = person[rng.random(len(person)) < 0.3]
     assert len(person) < len(pole) / 3
     both, scene = frame(np.concatenate([pole, person])), Scene(FLOOR, (), True)
-    got = PersonFinder(scene, Build(1.7, 0.5), DetectSettings())(both).points
+    got = BodySegmenter(scene, Build(1.7, 0.5), DetectSettings())(both).points
     assert len(got) > 100 and (got[:, 1] < 0).all()
     assert (
-        len(PersonFinder(scene, Build(1.7, 0.5), DetectSettings())(frame(pole)).points) > 100
+        len(BodySegmenter(scene, Build(1.7, 0.5), DetectSettings())(frame(pole)).points) > 100
     )  # alone it might be anybody
 
 
@@ -213,13 +213,13 @@ def test_low_high_or_hanging_things_are_not_taken(rng):
     scene = Scene(FLOOR, (), True)
     lamp = figure(2.5, 0.0, 0.7) + [0, 0, 1.0]  # from 1.0 to 1.7 m: nothing below
     for thing in (box(2.5, 0, 0.5, 0.8), box(2.5, 0, 0.5, 2.4), lamp):
-        assert len(PersonFinder(scene, build_of(1.7), DetectSettings())(frame(thing)).points) == 0
+        assert len(BodySegmenter(scene, build_of(1.7), DetectSettings())(frame(thing)).points) == 0
 
 
 def test_followed_while_sitting_down_and_found_anew_after_leaving():
     """Height counts at the start only; who is away for `forget` frames is looked for everywhere."""
     settings = DetectSettings(forget=5)
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), settings)
+    finder = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), settings)
     count = lambda points, i: len(finder(frame(points, i)).points)  # noqa: E731
     heights = [*np.linspace(1.75, 0.8, 12)]
     assert all(count(figure(2.5, 0, h), i) > 100 for i, h in enumerate(heights))
@@ -234,13 +234,13 @@ def test_followed_while_sitting_down_and_found_anew_after_leaving():
 def test_background_is_learned():
     """What stood apart from the person for a while does not become part of her when she touches it."""
     chair = box(2.5, 0.9, 0.4, 0.9)
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
+    finder = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
     far, near = figure(2.5, 0.0), figure(2.5, 0.5)
     for i in range(8):
         finder(frame(np.concatenate([far + [0, 0.05 * i, 0], chair]), i))
     got = finder(frame(np.concatenate([near, chair]), 9)).points
     assert (cKDTree(chair).query(got)[0] < 1e-5).mean() < 0.02
-    fresh = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
+    fresh = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
     joined = fresh(frame(np.concatenate([near, chair]), 0)).points
     # without the look before, the two are one thing
     assert (cKDTree(joined).query(chair[chair[:, 2] > 0.05])[0] < 1e-5).mean() > 0.9
@@ -248,7 +248,7 @@ def test_background_is_learned():
 
 def test_a_chair_beside_the_person_is_not_taken_but_an_arm_that_swings_out_is():
     chair, arm = box(2.5, 0.64, 0.6, 0.9), box(2.4, -0.26, 0.1, 0.4) + [0, 0, 0.8]
-    finder, body = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings()), figure(2.5, 0.0)
+    finder, body = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings()), figure(2.5, 0.0)
     share = lambda got, thing: (cKDTree(got).query(thing)[0] < 1e-5).mean()  # noqa: E731
     for i, swing in enumerate([0.0, 0.0, 0.05, 0.1, 0.1, 0.1]):  # then as far away as the chair
         out = arm - [0, swing, 0]
@@ -260,7 +260,7 @@ def test_a_chair_beside_the_person_is_not_taken_but_an_arm_that_swings_out_is():
 def test_a_room_without_anybody_is_learned():
     """Somebody comes in and touches what stood there before: it does not become part of them."""
     chair = box(2.5, 0.5, 0.5, 0.9)
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
+    finder = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
     for i in range(25):
         assert not len(finder(frame(chair, i)).points)
     person = figure(2.5, 0.0)
@@ -270,7 +270,7 @@ def test_a_room_without_anybody_is_learned():
 
 def test_a_box_with_more_points_than_the_body_is_left_too():
     """The body is what is tall, not what has most points."""
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
+    finder = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
     thing, body = box(2.45, 0.68, 1.0, 0.84), figure(2.5, 0.0).reshape(112, -1, 3)[::5].reshape(-1, 3)
     assert len(thing) > 1.2 * len(body)
     frames = [finder(frame(np.concatenate([body - [0, 0.12 * i, 0], thing]), i)) for i in range(12)]
@@ -282,7 +282,7 @@ def test_a_leg_that_seems_apart_is_the_body_still():
     body, shank = figure(2.5, 0.0), figure(2.4, 0.0, 0.45, radius=0.07)
     upper = body[body[:, 2] > 0.8]
     for step in (0.0, 0.07):  # metres a frame, aside
-        finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
+        finder = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
         finder(frame(body, 0))
         for i in range(8):
             leg = shank + [0, step * i, 0]
@@ -309,10 +309,10 @@ def test_assigned_points_pass_all_tests():
     """Below the floor's margin, on a wall, alone, in the background: somebody knows better."""
     scene = Scene(FLOOR, (Plane(np.array([1, 0, 0], np.float32), 3.0),), True)
     lone = np.array([[2.5, 0, 0.01], [3.0, 0.5, 1.0], [1.0, -2.0, 1.5]])
-    got = PersonFinder(scene, build_of(1.75), DetectSettings())(known(np.zeros((0, 3)), lone))
+    got = BodySegmenter(scene, build_of(1.75), DetectSettings())(known(np.zeros((0, 3)), lone))
     np.testing.assert_array_equal(got.points, lone.astype(np.float32))
     assert got.part is not None and got.part.tolist() == [0, 0, 0] and got.parts == ("body",)
-    with_others = PersonFinder(scene, build_of(1.75), DetectSettings())(
+    with_others = BodySegmenter(scene, build_of(1.75), DetectSettings())(
         known(figure(2.5, 0.0), lone, ("head", "body"), 1)
     )
     assert with_others.part is not None and (with_others.part == 1).sum() == 3 and len(with_others.points) > 1000
@@ -322,23 +322,25 @@ def test_what_assigned_points_touch_is_the_person():
     """A hand says which of two people it is, and that a low thing is somebody who sits."""
     scene, settings = Scene(FLOOR, (), True), DetectSettings()
     big, small = figure(2.5, 0.8, radius=0.25), figure(2.5, -0.8)[::2]
-    alone = PersonFinder(scene, build_of(1.75), settings)(frame(np.concatenate([big, small])))
+    alone = BodySegmenter(scene, build_of(1.75), settings)(frame(np.concatenate([big, small])))
     assert shares(alone, small[small[:, 2] > 0.05]) == [0.0]
     hand = small[np.abs(small[:, 2] - 1.0) < 0.1] + np.array([-0.05, 0, 0])
-    finder = PersonFinder(scene, build_of(1.75), settings)
+    finder = BodySegmenter(scene, build_of(1.75), settings)
     got = finder(known(np.concatenate([big, small]), hand, ("l_forearm",)))
     of_big, of_small, of_hand = shares(got, big, small[small[:, 2] > 0.05], hand)
     assert of_big == 0 and of_small > 0.99 and of_hand == 1
     later = finder(frame(np.concatenate([big, small]), 1))  # followed without the hand too
     assert shares(later, big)[0] == 0 and shares(later, small[small[:, 2] > 0.05])[0] > 0.99
     sitting = figure(2.5, 0.0, 0.9)
-    assert len(PersonFinder(scene, build_of(1.75), settings)(frame(sitting)).points) == 0
+    assert len(BodySegmenter(scene, build_of(1.75), settings)(frame(sitting)).points) == 0
     face = sitting[sitting[:, 2] > 0.8]
-    assert shares(PersonFinder(scene, build_of(1.75), settings)(known(sitting, face, ("head",))), sitting[20:])[0] > 0.9
+    assert (
+        shares(BodySegmenter(scene, build_of(1.75), settings)(known(sitting, face, ("head",))), sitting[20:])[0] > 0.9
+    )
 
 
 def test_assigned_points_say_that_the_person_is_somewhere_else():
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
+    finder = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
     wrong, right = figure(2.5, -1.5), figure(2.5, 1.5)
     assert shares(finder(frame(np.concatenate([wrong, right * [1, 1, 0.7]]))), wrong)[0] > 0.9
     got = finder(known(np.concatenate([wrong, right]), right[right[:, 2] > 1.5], ("head",)))
@@ -346,7 +348,7 @@ def test_assigned_points_say_that_the_person_is_somewhere_else():
 
 
 def test_frames_with_a_limb_only_do_not_forget_the_rest():
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
+    finder = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
     person = figure(2.5, 0.0)
     hand = person[np.abs(person[:, 2] - 1.0) < 0.1]
     finder(frame(person))
@@ -361,7 +363,7 @@ def test_a_log_of_assigned_points_only():
     frames = [known(np.zeros((0, 3)), person, i=i) for i in range(12)]
     scene = find_scene(frames[:5], np.array([0, 0, 1], np.float32), up_is_sure=False)
     assert not scene.floor_seen and scene.walls == () and scene.floor.offset == pytest.approx(0.0, abs=0.03)
-    people = list(map(PersonFinder(scene, build_of(1.75), DetectSettings()), frames))
+    people = list(map(BodySegmenter(scene, build_of(1.75), DetectSettings()), frames))
     for got in people:
         np.testing.assert_array_equal(got.points, person.astype(np.float32))
 
@@ -379,7 +381,7 @@ def test_a_sparse_sensor_beside_a_dense_one_keeps_its_points(rng, dense_first):
     points = np.concatenate([clouds[k] for k in order]).astype(np.float32)
     sensor = np.repeat(np.arange(3), [len(clouds[k]) for k in order]).astype(np.int32)
     seen = Frame(0, points, sensor, origins[order])
-    got = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())(seen)
+    got = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())(seen)
     of_person, of_back, of_line = shares(got, person[person[:, 2] > 0.05], back, line)
     assert of_person > 0.99 and of_back > 0.95 and of_line > 0.8
     assert np.array_equal(got.sensor, sensor[[np.flatnonzero((points == p).all(1))[0] for p in got.points]])
@@ -402,7 +404,7 @@ def test_after_a_gap_the_body_may_be_farther_away(frames):
     """A quarter of a second later she is 70 cm farther, and where she was is a chair; from one frame to the next
     nobody gets there."""
     chair, far = box(2.5, 0.9, 0.4, 0.9), figure(2.5, -0.7)
-    finder = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
+    finder = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())
     for i in range(3):
         finder(frame(np.concatenate([figure(2.5, 0.0), chair]), i))
     got = finder(frame(np.concatenate([far, chair]), 2 + frames))
@@ -425,7 +427,7 @@ def test_a_scanner_of_few_rows_sees_one_thing(rng, rows):
         clouds.append(points[(np.abs(across) < radius) & (points[:, 2] > 0.04) & (points[:, 2] < height)])
     assert point_gap(clouds[0], ORIGIN[0]) == pytest.approx(step, rel=0.25)
     assert point_spacing(clouds[0], ORIGIN[0]) < 0.006
-    got = PersonFinder(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())(frame(np.concatenate(clouds)))
+    got = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings())(frame(np.concatenate(clouds)))
     of_person, of_post = shares(got, *clouds)
     assert of_person > 0.85 and of_post == 0  # grazing rays at both sides have no neighbours
 

@@ -10,11 +10,11 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.weigh_by_noise import FEWEST, range_noise, weighed
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body_file import human
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.icp.diagnostics import notes_on
-from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.runner import Runner
 
 ORIGIN = np.array([0.3, -0.2, 1.2], np.float32)
 
@@ -31,9 +31,9 @@ def cylinder(rng, distance: float, sigma: float, step: float = 0.005, radius: fl
     return (ORIGIN + rays[hit] * (along + rng.normal(0, sigma, hit.sum()))[:, None]).astype(np.float32)
 
 
-def frame(points, sensors: int = 1, **more) -> PersonFrame:
+def frame(points, sensors: int = 1, **more) -> BodyObservation:
     sensor = np.zeros(len(points), np.int32)
-    return PersonFrame(10**18, points, sensor, np.stack([ORIGIN] * sensors), **more)
+    return BodyObservation(10**18, points, sensor, np.stack([ORIGIN] * sensors), **more)
 
 
 @pytest.mark.parametrize("sigma", [0.005, 0.02, 0.1])
@@ -103,6 +103,6 @@ def test_a_noisy_log_says_so(rng, sigma, said):
     body, settings = human(), Settings()
     people = list(weighed([frame(cylinder(rng, 3.0, sigma))] * 3, settings.detect.noise))
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), True)
-    run = Session(body, options_from(settings.solve, settings.track), people, scene, settings)
+    run = Runner(body, options_from(settings.solve, settings.track), people, scene, settings)
     notes = notes_on(run, blank_tracks(body, len(people)), [])
     assert any("Distances are noisy" in note for note in notes) == said

@@ -23,7 +23,7 @@ from voodoo_jax.markers.table import marker_table, places, without_gaps
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, harrington_hips, newington_hips, plain_name
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Recording
 from voodoo_jax.simulate.motion import make_motion, placed, pose_body, sequence
 from voodoo_jax.solve.names import FeatureNames
@@ -246,7 +246,7 @@ def test_names_of_the_body_and_of_the_settings_come_before_sets():
 
     def known(*names):
         pairs = Pairs(names, np.ones((len(names), 3), np.float32))
-        frames = [PersonFrame(0, empty, np.zeros(0, int), empty, pairs=pairs)]
+        frames = [BodyObservation(0, empty, np.zeros(0, int), empty, pairs=pairs)]
         return named_subject(frames, t, FeatureSettings()).known
 
     few = known("l_wrist", "r_wrist", "l_elbow", "skullbase", "face", "left_hand", "right_hand")
@@ -275,7 +275,7 @@ def test_names_and_sites():
 def test_table_and_lost_markers():
     points = np.array([[0, 0, 0], [1, 2, 3], [np.nan, 0, 0], [4, 5, 6]], np.float32)
     empty = np.zeros((0, 3), np.float32)
-    frame = PersonFrame(0, empty, np.zeros(0, int), empty, pairs=Pairs(("LASI", "RASI", "C7", "odd"), points))
+    frame = BodyObservation(0, empty, np.zeros(0, int), empty, pairs=Pairs(("LASI", "RASI", "C7", "odd"), points))
     cleaned = without_gaps([frame, replace(frame, pairs=Pairs())])
     table = marker_table(cleaned, FeatureNames(human().topology, FeatureSettings()))
     assert table.markers.names == ("RASI",) and table.unknown.names == ("odd",)

@@ -4,7 +4,7 @@ import numpy as np
 import trimesh
 
 from tests.support.rooms import ORIGIN
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 
 BOX = trimesh.creation.box((0.45, 0.5, 0.45))
 BOX.apply_transform(trimesh.transformations.rotation_matrix(0.75, [0, 0, 1]))
@@ -30,7 +30,7 @@ def somebody(lean: float) -> trimesh.Trimesh:
 
 def seen(
     rng, count: int = 45, noise: float = 0.015, with_box: bool = True
-) -> tuple[list[PersonFrame], list[np.ndarray]]:
+) -> tuple[list[BodyObservation], list[np.ndarray]]:
     """Frames from a camera that stands still, and which points of each are on the box."""
     up, across = (a.ravel() for a in np.meshgrid(np.arange(-0.42, 0.2, 0.011), np.arange(-0.17, 0.27, 0.011)))
     rays = np.stack([np.ones_like(up), across, up], 1)
@@ -46,6 +46,6 @@ def seen(
         ray, distance, box = views[k % len(views)]
         distance = distance + rng.normal(0, noise, len(ray))
         points = (ORIGIN + rays[ray] * distance[:, None]).astype(np.float32)
-        frames.append(PersonFrame(k * 33_000_000, points, np.zeros(len(ray), np.int32), ORIGIN, noise=noise))
+        frames.append(BodyObservation(k * 33_000_000, points, np.zeros(len(ray), np.int32), ORIGIN, noise=noise))
         on_box.append(box)
     return frames, on_box

@@ -14,7 +14,7 @@ from voodoo_jax.config.options import SolveSettings, TrackSettings
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.solve.frame import IcpOptions
 from voodoo_jax.solve.scan import options_from
 
@@ -173,9 +173,11 @@ joint = [{{name = "j", parent = "a", child = "b", at = [0, 0, 0.4], axes = [{axe
 """)
 
 
-def two_limb_frames(counts, seed: int = 0) -> list[PersonFrame]:
+def two_limb_frames(counts, seed: int = 0) -> list[BodyObservation]:
     """So many points of two_limbs in each of some frames, the first ones of 300 that one sensor sees; 30 Hz."""
     body = two_limbs()
     xyz = seen_points(np.random.default_rng(seed), body, body.rest, TWO_LIMBS_SENSOR[0], 300).astype(np.float32)
     sensor = lambda n: np.zeros(n, np.int32)  # noqa: E731
-    return [PersonFrame(10**18 + i * 33_000_000, xyz[:n], sensor(n), TWO_LIMBS_SENSOR) for i, n in enumerate(counts)]
+    return [
+        BodyObservation(10**18 + i * 33_000_000, xyz[:n], sensor(n), TWO_LIMBS_SENSOR) for i, n in enumerate(counts)
+    ]

@@ -12,16 +12,18 @@ import pytest
 from tests.support.small_logs import SETTINGS, small_body, small_log
 from voodoo_jax.detect.disk_buffer import ARRAYS, spilled
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp import sequence
 from voodoo_jax.trackers.icp.tracker import track
 
 
-def cloud(i: int, count: int, parts: bool = True) -> PersonFrame:
+def cloud(i: int, count: int, parts: bool = True) -> BodyObservation:
     rng = np.random.default_rng(i)
     points = rng.standard_normal((count, 3)).astype(np.float32)
     part = rng.integers(-1, 2, count).astype(np.int32) if parts else None
-    return PersonFrame(i, points, np.zeros(count, np.int64), np.zeros((1, 3), np.float32), part=part, parts=("body",))
+    return BodyObservation(
+        i, points, np.zeros(count, np.int64), np.zeros((1, 3), np.float32), part=part, parts=("body",)
+    )
 
 
 def in_file(array: np.ndarray) -> bool:
@@ -45,7 +47,7 @@ def test_frames_come_back_as_they_were():
 
 
 def test_memory_does_not_grow_with_the_number_of_frames():
-    def stream(count: int) -> Iterator[PersonFrame]:
+    def stream(count: int) -> Iterator[BodyObservation]:
         return (cloud(i, 5000, False) for i in range(count))
 
     peaks = []

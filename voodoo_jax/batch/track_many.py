@@ -9,7 +9,7 @@ from tqdm.auto import tqdm
 from voodoo_jax.batch.lanes import in_lanes, usual_lanes
 from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks, given_from
@@ -70,7 +70,7 @@ def track_many(
                     return given_from(found, recording.origin)
                 key = id(recording), id(body), own.detect, own.online, own.start.scale
                 if key not in people:
-                    people[key] = find_person(recording, recording.up, body, own, recording.up_is_given)
+                    people[key] = find_body(recording, recording.up, body, own, recording.up_is_given)
                 scene, seen = people[key]
                 r = recording
                 tracks = track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=visit)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share
-from voodoo_jax.records.observation import PersonFrame, Seen, with_places
+from voodoo_jax.records.observation import BodyObservation, Seen, with_places
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -199,13 +199,13 @@ def _placed(frame: Seen, T: Float64[np.ndarray, "4 4"]) -> Seen:
     return with_places(frame, lambda p: _moved(p, T).astype(np.float32), lambda v: (v @ T[:3, :3].T).astype(np.float32))
 
 
-def as_measured(frame: PersonFrame) -> PersonFrame:
+def as_measured(frame: BodyObservation) -> BodyObservation:
     """The frame with all that is in it where it was measured, in the fixed frame."""
     T = frame.T_fixed_steady
     return frame if T is None else replace(_placed(frame, T), T_fixed_steady=None)
 
 
-def to_fixed(people: list[PersonFrame], rotation: np.ndarray, translation: np.ndarray) -> None:
+def to_fixed(people: list[BodyObservation], rotation: np.ndarray, translation: np.ndarray) -> None:
     """Moves limbs' poses (quaternions wxyz [frame, limb, 4], places [frame, limb, 3]) to the fixed frame, in place."""
     for k, frame in enumerate(people):
         T = frame.T_fixed_steady

@@ -13,7 +13,7 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.find_gravity import upright
 from voodoo_jax.detect.scene import find_scene
-from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.io.log_reader import LogReader
 
 WINDOW, MOST = 15.0, 80  # seconds at the beginning, and messages of each sensor in them, that are looked at; by hand
@@ -58,7 +58,7 @@ def _motion(reader: LogReader, topic: str, start_ns: int, build: Build, settings
     sure, some = bool(reader.up[2] > 0.99), frames[:: max(1, len(frames) // 4)]
     scene = find_scene(some, reader.up, sure)
     up = reader.up if reader.up_is_given else upright(some, scene, reader.up, sure, build, settings)
-    finder = PersonFinder(scene if up is reader.up else find_scene(some, up, False), build, settings)
+    finder = BodySegmenter(scene if up is reader.up else find_scene(some, up, False), build, settings)
     moving = [finder(frame).points for frame in sorted(frames, key=lambda frame: frame.time_ns)]
     there = np.array([len(points) >= FEWEST for points in moving])
     if there.mean() < SHARE:

@@ -8,7 +8,7 @@ from typing import IO
 
 import numpy as np
 
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 
 BLOCK = 64 << 20  # bytes of points that stay in memory, and are written at once
 ARRAYS = ("points", "sensor", "part", "weight")
@@ -23,22 +23,22 @@ class Spill:
 
     def __init__(self, block: int = BLOCK):
         self._block, self._size = block, 0
-        self._out: list[PersonFrame] = []
-        self._waiting: list[PersonFrame] = []
+        self._out: list[BodyObservation] = []
+        self._waiting: list[BodyObservation] = []
 
-    def append(self, frame: PersonFrame) -> None:
+    def append(self, frame: BodyObservation) -> None:
         self._waiting.append(frame)
         self._size += sum(array.nbytes for array in _arrays(frame).values())
         if self._size >= self._block:
             self._out += _in_file(self._waiting)
             self._waiting, self._size = [], 0
 
-    def frames(self) -> list[PersonFrame]:
+    def frames(self) -> list[BodyObservation]:
         """All that there are."""
         return self._out + self._waiting
 
 
-def spilled(frames: Iterable[PersonFrame], block: int = BLOCK) -> list[PersonFrame]:
+def spilled(frames: Iterable[BodyObservation], block: int = BLOCK) -> list[BodyObservation]:
     """The frames, see Spill."""
     kept = Spill(block)
     for frame in frames:
@@ -46,11 +46,11 @@ def spilled(frames: Iterable[PersonFrame], block: int = BLOCK) -> list[PersonFra
     return kept.frames()
 
 
-def _arrays(frame: PersonFrame) -> dict[str, np.ndarray]:
+def _arrays(frame: BodyObservation) -> dict[str, np.ndarray]:
     return {name: array for name in ARRAYS if (array := getattr(frame, name)) is not None}
 
 
-def _in_file(frames: list[PersonFrame]) -> list[PersonFrame]:
+def _in_file(frames: list[BodyObservation]) -> list[BodyObservation]:
     try:
         with tempfile.TemporaryFile() as file:
             for frame in frames:
@@ -62,7 +62,7 @@ def _in_file(frames: list[PersonFrame]) -> list[PersonFrame]:
         return frames
 
 
-def _mapped(frames: list[PersonFrame], file: IO[bytes]) -> list[PersonFrame]:
+def _mapped(frames: list[BodyObservation], file: IO[bytes]) -> list[BodyObservation]:
     """The frames with their arrays in the file: read when they are asked for, dropped by the system as it likes."""
     held, at, out = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), 0, []
     for frame in frames:

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from voodoo_jax.detect.stage import Target, windows
 from voodoo_jax.detect.static_points import Resting, resting
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.records.observation import PersonFrame, assigned
+from voodoo_jax.records.observation import BodyObservation, assigned
 
 NEIGHBOURS, NEAR = 20, (0.06, 3.0)  # by which a normal is found: how many at most, within metres and pixels
 EVEN = 0.006  # metres from the plane of its neighbours (root mean square): a point is on something even
@@ -61,12 +61,12 @@ class DropPlanarFurniture:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"person"})
 
-    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]:
+    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         for window in windows(frames):
             yield from without_faces(window, target.finder.scene.floor)
 
 
-def without_faces(frames: list[PersonFrame], floor: Plane) -> list[PersonFrame]:
+def without_faces(frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
     """The frames without the points on flat faces of what is at rest; the same frames if there are none."""
     faces = flat_faces(resting(frames), floor)
     if not faces:

@@ -12,7 +12,7 @@ from voodoo_jax.detect.segmentation import stands_aside
 from voodoo_jax.detect.stage import Target, windows
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components, within
-from voodoo_jax.records.observation import PersonFrame, assigned
+from voodoo_jax.records.observation import BodyObservation, assigned
 
 HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was a body that touched the thing
 
@@ -25,21 +25,21 @@ class DropSeenApart:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset()
 
-    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]:
+    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         for window in windows(frames):
             finder = target.finder
             yield from without_things(window, finder.scene.floor, finder.apart(), finder.settings.link)
 
 
 def without_things(
-    frames: list[PersonFrame],
+    frames: list[BodyObservation],
     floor: Plane,
     apart: Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]],
     link: float = DetectSettings.link,
-) -> list[PersonFrame]:
+) -> list[BodyObservation]:
     """Takes out things that were seen apart from the body in other frames, before or afterwards.
 
-    **Arguments:** `apart` says which points lie where such a thing was (see PersonFinder.apart); points nearer than
+    **Arguments:** `apart` says which points lie where such a thing was (see BodySegmenter.apart); points nearer than
     `link` metres are of one thing. Where that leaves the head out, it was the body that stood there, and the frame
     comes back as it is.
     """

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.scene import find_scene, shows_floor
-from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stage import Surroundings
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -99,7 +99,7 @@ def likely_body(
     """How like a body something in the frames is, 0..1, or more than `enough`."""
     likely = 0.0
     for frame in frames:
-        finder = PersonFinder(scene, body, settings)
+        finder = BodySegmenter(scene, body, settings)
         finder(frame)
         likely = max(likely, finder.likely)
         if likely > enough:

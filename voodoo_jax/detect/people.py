@@ -16,11 +16,11 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
-from voodoo_jax.detect.segmentation import SPEED, STILL, PersonFinder
+from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
 from voodoo_jax.detect.target_selection import BESIDE, LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.voxels import cells_of, touching
-from voodoo_jax.records.observation import PersonFrame, whole
+from voodoo_jax.records.observation import BodyObservation, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -56,7 +56,7 @@ class Sighting:
     _way: deque = field(default_factory=deque)  # time in seconds, and place, while nobody hid them
 
     @property
-    def finder(self) -> PersonFinder:
+    def finder(self) -> BodySegmenter:
         return self.follower.finder
 
     @property
@@ -100,7 +100,7 @@ class Sighting:
         walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
         return (speed if walks else 0 * speed).astype(np.float32)
 
-    def add(self, frame: PersonFrame, number: int) -> None:
+    def add(self, frame: BodyObservation, number: int) -> None:
         """What was seen of them in the next frame."""
         self.frames.append(frame)
         self.count += 1
@@ -121,10 +121,10 @@ class Sighting:
 class Observed:
     """Somebody in a recording: what was seen of them in each frame, and the scene they are in."""
 
-    finder: PersonFinder
+    finder: BodySegmenter
     settings: DetectSettings
-    early: list[PersonFrame]  # the first frames, which need no correction any more
-    frames: list[PersonFrame]  # the others
+    early: list[BodyObservation]  # the first frames, which need no correction any more
+    frames: list[BodyObservation]  # the others
 
     @property
     def scene(self) -> Scene:
@@ -142,7 +142,7 @@ class People:
         self._recent: deque[tuple[Frame, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
         self._origin: Follower | None = None  # of the chooser, whom the first one continues
         self._continued: Sighting | None = None  # that one
-        self._before: list[PersonFrame] = []  # what waited of them then
+        self._before: list[BodyObservation] = []  # what waited of them then
         self._number = self._last_ns = 0  # of the frame
 
     def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -218,9 +218,9 @@ class People:
         self._continued = Sighting(main.forked(), self._number + 1, born_ns=frame.time_ns)
         return self._continued
 
-    def _found(self, frame: Frame, finder: PersonFinder, seen: PersonFrame) -> Sighting:
+    def _found(self, frame: Frame, finder: BodySegmenter, seen: BodyObservation) -> Sighting:
         """Somebody, followed back to when they came into view, which was after the last look."""
-        earlier: list[tuple[PersonFrame, Frame]] = []
+        earlier: list[tuple[BodyObservation, Frame]] = []
         if self.ahead:
             back = finder.another(self.settings)
             back.last, back.last_ns = seen.points, frame.time_ns
@@ -237,7 +237,7 @@ class People:
 
     # -- all of it
 
-    def observed(self, main: list[PersonFrame]) -> list[Observed]:
+    def observed(self, main: list[BodyObservation]) -> list[Observed]:
         """Everybody, who is seen longest first; nobody if there is but one, for whom the chooser has told.
 
         **Arguments:** `main` the chooser's frames, corrected.
@@ -261,7 +261,7 @@ class People:
 
 
 def _owners(
-    points: Float32[np.ndarray, "point 3"], finders: list[PersonFinder], reach: float
+    points: Float32[np.ndarray, "point 3"], finders: list[BodySegmenter], reach: float
 ) -> Int[np.ndarray, " point"]:
     """Who was nearest to each point in the frame before; -1 where nobody was nearer than `reach` metres. Who is hidden
     has what is left."""
@@ -285,14 +285,14 @@ def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) ->
     return any(touching(cells, cells_of(other, CLOSE)).any() for other in others)
 
 
-def _without(frame: PersonFrame, taken: list[np.ndarray]) -> PersonFrame:
+def _without(frame: BodyObservation, taken: list[np.ndarray]) -> BodyObservation:
     """A frame without the points that are near what is taken."""
     if not taken:
         return frame
     return frame.only(~touching(cells_of(frame.points, BESIDE), cells_of(np.concatenate(taken), BESIDE)))
 
 
-def linked(found: list[Sighting], frames: list[PersonFrame]) -> list[list[Sighting]]:
+def linked(found: list[Sighting], frames: list[BodyObservation]) -> list[list[Sighting]]:
     """Sightings of the same people, each in order of time: who was away or hidden is known again by height, and by
     where they can have gone meanwhile."""
     groups: list[list[Sighting]] = []
@@ -306,7 +306,7 @@ def linked(found: list[Sighting], frames: list[PersonFrame]) -> list[list[Sighti
     return groups
 
 
-def _unlike(before: Sighting, after: Sighting, frames: list[PersonFrame]) -> float:
+def _unlike(before: Sighting, after: Sighting, frames: list[BodyObservation]) -> float:
     """How unlike each other the last and the first sight of somebody are: below 1 they may be the same."""
     if before.last >= after.first:
         return np.inf

@@ -24,7 +24,7 @@ from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.detect.weigh_by_noise import WeighByNoise
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.rest_shape import rest_box, rest_height
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.subject import Subject
@@ -40,9 +40,9 @@ def stages() -> tuple[Named, ...]:
     return (*SCENE, *POINTS)
 
 
-def find_person(
+def find_body(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
-) -> tuple[Scene, list[PersonFrame]]:
+) -> tuple[Scene, list[BodyObservation]]:
     """Floor and walls, and the points of the main person (or body) of every frame. Of the frames, taken one by one,
     only these are kept.
 
@@ -60,7 +60,7 @@ def find_people(
     """Everybody in view, who is seen longest first; `settings.detect.people` of them at most. One subject at least,
     without points if there is nobody. Of the frames, taken one by one, only the points on people are kept."""
     if settings.detect.people == 1:
-        return [Subject(1, *find_person(frames, up, body, settings, up_is_given))]
+        return [Subject(1, *find_body(frames, up, body, settings, up_is_given))]
     found = surroundings(frames, up, body, settings, up_is_given)
     chooser = Chooser(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
     people = People(chooser, settings.detect, settings.looks_ahead("detect"))
@@ -87,7 +87,9 @@ def surroundings(
     return found
 
 
-def _corrected(frames: Iterable[PersonFrame], target: Target, body: Body, settings: Settings) -> Iterable[PersonFrame]:
+def _corrected(
+    frames: Iterable[BodyObservation], target: Target, body: Body, settings: Settings
+) -> Iterable[BodyObservation]:
     """The frames after the stages that correct the points on the body."""
     for stage in POINTS:
         if _is_active(stage, body, settings):

@@ -9,7 +9,7 @@ from jaxtyping import Float32
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
-from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stage import Surroundings
 from voodoo_jax.geometry.voxels import cells_of, unique_cells, within
 from voodoo_jax.records.recording import Frame
@@ -69,7 +69,7 @@ def _tops(frame: Frame, scene: Scene) -> list[float]:
 
 def _stands(frame: Frame, raised: Scene, body: Build, settings: DetectSettings) -> bool | None:
     """Whether somebody stands on the raised floor; None: there is nobody."""
-    seen = PersonFinder(raised, body, settings)(frame).points
+    seen = BodySegmenter(raised, body, settings)(frame).points
     if len(seen) < 30:
         return None
     floor = raised.floor

@@ -7,7 +7,7 @@ from jaxtyping import Float32
 
 from voodoo_jax.geometry.plane import MANY, Plane, fit_plane
 from voodoo_jax.geometry.voxels import cells_of, touching
-from voodoo_jax.records.observation import PersonFrame, assigned, whole
+from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -54,7 +54,7 @@ def shows_floor(frame: Frame, up: Float32[np.ndarray, "3"]) -> bool:
     return _find_floor(points[rng.permutation(len(points))[:20_000]], up, rng) is not None
 
 
-def _find_walls(frame: PersonFrame, floor: Plane, known: list[Plane], rng) -> list[Plane]:
+def _find_walls(frame: BodyObservation, floor: Plane, known: list[Plane], rng) -> list[Plane]:
     """Wide upright planes with nothing behind them."""
     points = frame.points[rng.permutation(len(frame.points))[:20_000]]
     points = points[floor.height(points) > 0.1]

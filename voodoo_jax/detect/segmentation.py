@@ -16,7 +16,7 @@ from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
-from voodoo_jax.records.observation import PersonFrame, assigned, whole
+from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -38,7 +38,7 @@ ALIKE = 0.4  # of its points and of its height before: what it must have left th
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
-class PersonFinder:
+class BodySegmenter:
     """Follows one thing of a body's height and width through the frames: first the best candidate, then what hangs
     together with where it was. Places where other things were seen several times count as background from then on.
 
@@ -64,7 +64,7 @@ class PersonFinder:
         self._learns = False  # in this frame, from what is beside the body: in every other one
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
 
-    def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
+    def __call__(self, frame: Frame | BodyObservation) -> BodyObservation:
         s, frame = self.settings, whole(frame)
         points = frame.points
         known = assigned(frame)
@@ -100,7 +100,7 @@ class PersonFinder:
         return frame.only(index)
 
     def _free(
-        self, frame: PersonFrame, known: Bool[np.ndarray, " point"]
+        self, frame: BodyObservation, known: Bool[np.ndarray, " point"]
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
         """Indices of the points that are off floor and walls, not `known` already, and near where the body was; and,
         where it is time to look at the whole room, the points that are farther off."""
@@ -125,9 +125,9 @@ class PersonFinder:
         self._surveyed_ns = frame.time_ns
         return index[near[index]], points[index[~near[index]]]
 
-    def another(self, settings: DetectSettings) -> "PersonFinder":
+    def another(self, settings: DetectSettings) -> "BodySegmenter":
         """One that follows nothing yet, for the same sensors."""
-        other = PersonFinder(self._given, self.body, settings)
+        other = BodySegmenter(self._given, self.body, settings)
         other._spacing, other._gap = dict(self._spacing), dict(self._gap)
         return other
 
@@ -136,7 +136,7 @@ class PersonFinder:
         offsets = [self.scene.floor.offset, 0, 0, *(wall.offset for wall in self.scene.walls)]
         return self._axes @ points.T - np.array(offsets, np.float32)[:, None]
 
-    def _without_strays(self, frame: PersonFrame, index: np.ndarray) -> np.ndarray:
+    def _without_strays(self, frame: BodyObservation, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
         kept = []
         for sensor in np.flatnonzero(np.bincount(frame.sensor[index])).tolist():
@@ -148,7 +148,7 @@ class PersonFinder:
             kept.append(mine[without_strays(points, origin, spacing)])
         return np.sort(np.concatenate([index[:0], *kept]))
 
-    def _of_body(self, frame: PersonFrame) -> Bool[np.ndarray, " point"]:
+    def _of_body(self, frame: BodyObservation) -> Bool[np.ndarray, " point"]:
         """Which points are assigned to the body as a whole, or to one of so many limbs that it makes no difference."""
         if frame.part is None:
             return np.zeros(len(frame.points), bool)
@@ -157,7 +157,7 @@ class PersonFinder:
             return frame.part >= 0
         return (frame.part >= 0) & np.array([*(name == "body" for name in frame.parts), False])[frame.part]
 
-    def _choose(self, seen: PersonFrame, sure) -> Bool[np.ndarray, " point"]:
+    def _choose(self, seen: BodyObservation, sure) -> Bool[np.ndarray, " point"]:
         """Which points belong to the body. `sure`: those that are known to be on it."""
         points = seen.points
         if len(points) < 30:
@@ -177,17 +177,17 @@ class PersonFinder:
             taken |= self._elsewhere(points, label, count, self.last, self.settings.move + far)
         return taken[label]
 
-    def _link(self, seen: PersonFrame) -> float:
+    def _link(self, seen: BodyObservation) -> float:
         """Points closer than this belong to the same thing, metres: not less than the gaps between a scanner's rows."""
         gaps = [gap for sensor, gap in self._gap.items() if gap > 0 and (seen.sensor == sensor).sum() >= 30]
         if not gaps or min(gaps) < DENSE:
             return self.settings.link
         return max(self.settings.link, GAPS * min(gaps) * float(np.median(self._distances(seen))))
 
-    def _distances(self, seen: PersonFrame) -> Float32[np.ndarray, " point"]:
+    def _distances(self, seen: BodyObservation) -> Float32[np.ndarray, " point"]:
         return np.linalg.norm(seen.points - seen.origins[seen.sensor], axis=1)
 
-    def _gone_by(self, frame: PersonFrame) -> float:
+    def _gone_by(self, frame: BodyObservation) -> float:
         """How much farther than from frame to frame the body may be by now, metres."""
         seconds = (frame.time_ns - self.last_ns) / 1e9
         return float(np.clip(SPEED * seconds - self.settings.move, 0, FARTHEST))
@@ -257,7 +257,7 @@ class PersonFinder:
         apart -= (apart @ floor.normal) * floor.normal
         return bool(floor.height(thing).min() > 0.6 * self.body.height and np.linalg.norm(apart) < 0.3)
 
-    def _candidate(self, seen: PersonFrame, label) -> int:
+    def _candidate(self, seen: BodyObservation, label) -> int:
         """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""
         points, sensor = seen.points, seen.sensor
         angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(seen.origins))])[sensor]

@@ -14,8 +14,8 @@ from jaxtyping import Float32
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.camera_motion import Planes, steady_scene
-from voodoo_jax.detect.segmentation import PersonFinder
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.detect.segmentation import BodySegmenter
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -52,7 +52,7 @@ class Target(Protocol):
     """The body that is followed, as far as one knows by now."""
 
     @property
-    def finder(self) -> PersonFinder: ...
+    def finder(self) -> BodySegmenter: ...
     @property
     def settings(self) -> DetectSettings: ...
 
@@ -77,10 +77,10 @@ class SceneStage(Named, Protocol):
 class PointStage(Named, Protocol):
     """One correction of the points on the body, frame by frame, as they come."""
 
-    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]: ...
+    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]: ...
 
 
-def windows(frames: Iterable[PersonFrame]) -> Iterator[list[PersonFrame]]:
+def windows(frames: Iterable[BodyObservation]) -> Iterator[list[BodyObservation]]:
     """So many successive frames as are looked at together."""
     stream = iter(frames)
     return iter(lambda: list(islice(stream, WINDOW)), [])

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from voodoo_jax.geometry.point_cloud import point_spacing
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 
 FRAMES = 90  # are looked at, evenly spread
 OFTEN, FEWEST = 0.25, 8  # of them in which a thing at rest is seen, and how many at least
@@ -29,7 +29,7 @@ class Resting(NamedTuple):
 NOTHING = Resting(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, int))
 
 
-def resting(frames: list[PersonFrame]) -> Resting:
+def resting(frames: list[BodyObservation]) -> Resting:
     """What is at rest in the frames, of each sensor by itself; nothing of a sensor that moves."""
     there = [k for k, f in enumerate(frames) if len(f.points) >= 30]
     there = np.array(there[:: len(there) // FRAMES + 1], int)

@@ -14,11 +14,11 @@ from jaxtyping import Float32, Int
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
-from voodoo_jax.detect.segmentation import PersonFinder
+from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.geometry.voxels import Cells, cells_of, touching
-from voodoo_jax.records.observation import PersonFrame, assigned, whole
+from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -53,10 +53,10 @@ class Sight:
     cells: Cells
     place: Float32[np.ndarray, "3"]  # its middle
     around: Nearest  # what else was seen
-    whole: PersonFrame  # all that was seen, or a fair share
+    whole: BodyObservation  # all that was seen, or a fair share
 
     @classmethod
-    def of(cls, seen: PersonFrame, frame: Frame | PersonFrame) -> "Sight":
+    def of(cls, seen: BodyObservation, frame: Frame | BodyObservation) -> "Sight":
         """Of the thing with the points that were `seen` in a frame."""
         cells = cells_of(seen.points, CELL)
         some = whole(frame).only(fair_share(frame.sensor, MANY))
@@ -97,7 +97,7 @@ class Follower:
 
     alone = False  # whether it is known that no other thing touches it now
 
-    def __init__(self, finder: PersonFinder, before: Iterable[PersonFrame] = ()):
+    def __init__(self, finder: BodySegmenter, before: Iterable[BodyObservation] = ()):
         self.finder = finder
         self.frames = [frame.only(NONE) for frame in before]  # in which nobody knew of it
         self.moved = self.there = 0  # frames since it was found: in which it was elsewhere, and all
@@ -106,19 +106,19 @@ class Follower:
         self.stirred = 0  # frames in which it was where nothing was before, if it left no place for that
         self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
-    def __call__(self, frame: Frame | PersonFrame) -> PersonFrame:
+    def __call__(self, frame: Frame | BodyObservation) -> BodyObservation:
         seen = self.see(frame, frame)
         self.frames.append(seen)
         return seen
 
-    def see(self, frame: Frame | PersonFrame, mine: Frame | PersonFrame) -> PersonFrame:
+    def see(self, frame: Frame | BodyObservation, mine: Frame | BodyObservation) -> BodyObservation:
         """What is seen of it in a frame, among the points that are not another one's (`mine`)."""
         anew = self.finder.last is None
         seen = self.finder(mine)
         self.note(seen, frame, anew)
         return seen
 
-    def note(self, seen: PersonFrame, frame: Frame | PersonFrame, anew: bool = False) -> None:
+    def note(self, seen: BodyObservation, frame: Frame | BodyObservation, anew: bool = False) -> None:
         """Looks whether it has moved, by what was seen of it in a frame; `anew`: in which it was found."""
         if len(seen.points) >= 30:
             if anew:
@@ -170,7 +170,7 @@ class Chooser:
 
     def __init__(self, scene: Scene, body: Build, settings: DetectSettings, ahead: bool = True):
         self.settings, self.ahead = settings, ahead
-        self._main = Follower(PersonFinder(scene, body, settings))
+        self._main = Follower(BodySegmenter(scene, body, settings))
         self._others: list[Follower] = []
         self._known = False
         self._seen = 0  # frames
@@ -182,11 +182,11 @@ class Chooser:
         return self._main
 
     @property
-    def finder(self) -> PersonFinder:
+    def finder(self) -> BodySegmenter:
         """That of what is taken for the body by now."""
         return self._main.finder
 
-    def __call__(self, frames: Iterable[Frame]) -> Iterator[PersonFrame]:
+    def __call__(self, frames: Iterable[Frame]) -> Iterator[BodyObservation]:
         for frame in frames:
             if self._known:
                 yield self.finder(frame)
@@ -244,7 +244,7 @@ class Chooser:
             elif not ahead and best.moved >= PATIENCE // 2 and (main.there >= PATIENCE or not main.there):
                 self._main, self._known = best, True
 
-    def _release(self) -> Iterator[PersonFrame]:
+    def _release(self) -> Iterator[BodyObservation]:
         """The frames that waited, of what is the body as far as one knows."""
         frames, self._main.frames = self._main.frames, []
         for other in self._others:

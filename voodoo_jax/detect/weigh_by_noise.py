@@ -13,7 +13,7 @@ from jaxtyping import Float32
 from scipy.spatial import KDTree
 
 from voodoo_jax.detect.stage import Target
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 
 MOST, ASKED = 3000, 150  # points that neighbours are looked for among, and points whose neighbours are looked at
 NEIGHBOURS = 9  # of a point, itself among them: a plane has three numbers
@@ -29,7 +29,7 @@ class WeighByNoise:
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset()
 
-    def __call__(self, frames: Iterable[PersonFrame], target: Target) -> Iterator[PersonFrame]:
+    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         return weighed(frames, target.settings.noise)
 
 
@@ -60,7 +60,7 @@ def range_noise(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarr
     return float(np.median(np.sqrt(np.sum(left**2, 1) / (NEIGHBOURS - 3))))
 
 
-def weighed(frames: Iterable[PersonFrame], usual: float) -> Iterator[PersonFrame]:
+def weighed(frames: Iterable[BodyObservation], usual: float) -> Iterator[BodyObservation]:
     """The frames with the noise of their points, and with weights: 1 for points with a noise of `usual` metres or less,
     less for others, in inverse proportion to their variance; times the weight that they have already.
 

@@ -25,7 +25,7 @@ from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Tracks
@@ -44,7 +44,7 @@ class Seen(NamedTuple):
     """One recording, tracked."""
 
     tracks: Tracks
-    people: list[PersonFrame]
+    people: list[BodyObservation]
     scene: Scene  # to track it again with the body found
     given: Body | None = None  # the body before the tracker sized it; None: the tracks' own
 
@@ -195,7 +195,7 @@ def tracked(
 ) -> list[Seen]:
     """Every log tracked with the body, and the person's frames."""
     from voodoo_jax.detect.opening import open_checked
-    from voodoo_jax.detect.pipeline import build_of, find_person
+    from voodoo_jax.detect.pipeline import build_of, find_body
     from voodoo_jax.trackers.icp.tracker import track_person
 
     seen = []
@@ -206,7 +206,7 @@ def tracked(
             source = open_checked(log, settings.read, build_of(body, settings.start.scale), settings.detect)
             frames = source.frames()
         tell(f"tracking {Path(source.path).name}")
-        scene, people = find_person(frames, source.up, body, settings, source.up_is_given)
+        scene, people = find_body(frames, source.up, body, settings, source.up_is_given)
         found = track_person(body, scene, people, settings, source.path, source.fixed_frame)
         seen.append(Seen(found, people, scene, body))
     return seen

@@ -20,7 +20,7 @@ from voodoo_jax.fitting.objective import FitFrames
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import V1_NAMES
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
@@ -77,7 +77,7 @@ def held_back(count: int) -> Bool[np.ndarray, " frame"]:
     return runs(count) % EVERY > 0
 
 
-def chosen_frames(tracks: Tracks, people: list[PersonFrame], count: int) -> np.ndarray:
+def chosen_frames(tracks: Tracks, people: list[BodyObservation], count: int) -> np.ndarray:
     """Up to `count` well tracked frames that are not held back, evenly spread. Raises ValueError if there are few."""
     residual = np.where(tracks.tracked, tracks.residual, np.inf)
     seen = np.array([len(f.points) >= 60 for f in people], bool) & ~held_back(len(people))
@@ -92,7 +92,7 @@ def chosen_frames(tracks: Tracks, people: list[PersonFrame], count: int) -> np.n
     return np.unique(np.asarray(good)[np.linspace(0, len(good) - 1, count).round().astype(int)])
 
 
-def feature_names(people: list[PersonFrame], topology: Topology, settings: FeatureSettings) -> tuple[str, ...]:
+def feature_names(people: list[BodyObservation], topology: Topology, settings: FeatureSettings) -> tuple[str, ...]:
     """Names of the features of some frames that the body has a point for."""
     names = FeatureNames(topology, settings)
     found = sorted({name for f in people for name in (*f.rays.names, *f.pairs.names)})
@@ -101,7 +101,7 @@ def feature_names(people: list[PersonFrame], topology: Topology, settings: Featu
 
 def fit_frames(
     tracks: Tracks,
-    people: list[PersonFrame],
+    people: list[BodyObservation],
     at: Int[np.ndarray, " chosen"],
     features: FeatureSettings,
     names: tuple[str, ...],
@@ -156,7 +156,7 @@ def fit_frames(
 
 
 def news(
-    tracks: Tracks, people: list[PersonFrame], at: Int[np.ndarray, " chosen"], count: int
+    tracks: Tracks, people: list[BodyObservation], at: Int[np.ndarray, " chosen"], count: int
 ) -> Float64[np.ndarray, "frame limb"]:
     """What each chosen frame says of each limb that the others do not say, 0..1; zero for padding.
 
@@ -208,5 +208,5 @@ def _some_pairs(pairs: Pairs, rows: list[int]) -> Pairs:
     return Pairs(tuple(pairs.names[i] for i in rows), pairs.points[rows], weights)
 
 
-def _unweighted(frame: PersonFrame) -> PersonFrame:
+def _unweighted(frame: BodyObservation) -> BodyObservation:
     return replace(frame, rays=replace(frame.rays, weights=None), pairs=replace(frame.pairs, weights=None))

@@ -12,7 +12,7 @@ from jaxtyping import Bool
 
 from voodoo_jax.markers.size_fit import Fit, Markers, fit_markers
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 
 JUMP = 0.03  # metres: shorter jumps are motion
 NEAR = 0.3  # of the jump: how near to the other one's place a marker lands
@@ -75,7 +75,7 @@ def sides(
     return markers, fit, found
 
 
-def put_right(frames: list[PersonFrame], exchanges: list[Exchange]) -> list[PersonFrame]:
+def put_right(frames: list[BodyObservation], exchanges: list[Exchange]) -> list[BodyObservation]:
     """The frames with exchanged names put right."""
     out = list(frames)
     for first, second, when in exchanges:

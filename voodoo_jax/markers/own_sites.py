@@ -18,7 +18,7 @@ from voodoo_jax.geometry.rigid import on_device, on_host
 from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.model.marker_names import Known, places_of, split_place, subjects
 from voodoo_jax.model.marker_sets import V1_NAMES
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs
 
 OWN = " marker "  # in the names of such points: no body file has it
@@ -33,7 +33,7 @@ class Named(NamedTuple):
     others: dict[str, tuple[str, ...]]  # names by other subjects in the log, which are left out
 
 
-def named_subject(people: list[PersonFrame], topology: Topology, settings: FeatureSettings) -> Named:
+def named_subject(people: list[BodyObservation], topology: Topology, settings: FeatureSettings) -> Named:
     """The subject with the most measurements, and the places that the settings, marker sets or the body say its names
     mean."""
     seen = Counter(n for f in people for n in (*f.pairs.names, *f.rays.names))
@@ -66,7 +66,7 @@ def named_subject(people: list[PersonFrame], topology: Topology, settings: Featu
     return Named(known, often[0], {s: tuple(groups[s]) for s in often[1:]})
 
 
-def of_subject(people: list[PersonFrame], named: Named) -> list[PersonFrame]:
+def of_subject(people: list[BodyObservation], named: Named) -> list[BodyObservation]:
     """The frames without the named points of other subjects."""
     others = {n for names in named.others.values() for n in names}
     if not others:

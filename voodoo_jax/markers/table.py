@@ -13,7 +13,7 @@ from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.markers.label_swaps import Exchange, sides
 from voodoo_jax.markers.size_fit import Markers, fit_markers, personal
 from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs
 from voodoo_jax.solve.names import FeatureNames
 
@@ -35,7 +35,7 @@ class MarkerTable(NamedTuple):
         return self.markers.seen.sum(1) >= least
 
 
-def without_gaps(frames: list[PersonFrame]) -> list[PersonFrame]:
+def without_gaps(frames: list[BodyObservation]) -> list[BodyObservation]:
     """The frames without named points at exactly zero or at no number: this is how marker systems write a lost one."""
     out = []
     for frame in frames:
@@ -49,7 +49,7 @@ def without_gaps(frames: list[PersonFrame]) -> list[PersonFrame]:
     return out
 
 
-def marker_table(frames: list[PersonFrame], names: FeatureNames) -> MarkerTable:
+def marker_table(frames: list[BodyObservation], names: FeatureNames) -> MarkerTable:
     """Named points of all frames as arrays."""
     all_names = list(dict.fromkeys(n for f in frames for n in f.pairs.names))
     column = {n: k for k, n in enumerate(all_names)}

@@ -1,4 +1,4 @@
 """What flows through the program: frames, observations of the body, scenes, segments, tracks.
 
-Public: `recording.Recording`, `observation.PersonFrame`, `scene.Scene`, `tracks.Tracks`.
+Public: `recording.Recording`, `observation.BodyObservation`, `scene.Scene`, `tracks.Tracks`.
 """

@@ -12,7 +12,7 @@ from voodoo_jax.records.recording import Frame, Pairs, Rays
 
 
 @dataclass(frozen=True)
-class PersonFrame:
+class BodyObservation:
     """The points of one frame that seem to be on the body."""
 
     time_ns: int
@@ -33,7 +33,7 @@ class PersonFrame:
     T_fixed_steady: Float64[np.ndarray, "4 4"] | None = None  # as in Frame
     other: bool = False  # from here on something else is taken for the body than in the frames before
 
-    def only(self, keep: np.ndarray) -> "PersonFrame":
+    def only(self, keep: np.ndarray) -> "BodyObservation":
         """The frame with some of its points: a mask or indices."""
         part = None if self.part is None else self.part[keep]
         weight = None if self.weight is None else self.weight[keep]
@@ -42,7 +42,7 @@ class PersonFrame:
         return other
 
 
-def joined(frames: Sequence[PersonFrame]) -> PersonFrame:
+def joined(frames: Sequence[BodyObservation]) -> BodyObservation:
     """The first frame with the points of the others, which are of the same time and sensors."""
     first = frames[0]
     sizes = [len(f.points) for f in frames]
@@ -57,14 +57,14 @@ def joined(frames: Sequence[PersonFrame]) -> PersonFrame:
     return replace(first, points=points, sensor=sensor, part=part, weight=weight)
 
 
-Seen = TypeVar("Seen", Frame, PersonFrame)
+Seen = TypeVar("Seen", Frame, BodyObservation)
 
 
-def whole(frame: Frame | PersonFrame) -> PersonFrame:
+def whole(frame: Frame | BodyObservation) -> BodyObservation:
     """A frame with all its points."""
-    if isinstance(frame, PersonFrame):
+    if isinstance(frame, BodyObservation):
         return frame
-    return PersonFrame(
+    return BodyObservation(
         frame.time_ns, frame.points, frame.sensor, frame.origins, frame.rays, frame.pairs, frame.part, frame.parts,
         frame.weight, T_fixed_steady=frame.T_fixed_steady,
     )  # fmt: skip
@@ -81,6 +81,6 @@ def with_places(
     return replace(frame, points=place(frame.points), origins=place(frame.origins), rays=rays, pairs=pairs)
 
 
-def assigned(frame: Frame | PersonFrame) -> Bool[np.ndarray, " point"]:
+def assigned(frame: Frame | BodyObservation) -> Bool[np.ndarray, " point"]:
     """Which points somebody has already said to be on the body, or on one of its limbs."""
     return np.zeros(len(frame.points), bool) if frame.part is None else frame.part >= 0

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 
 
@@ -12,4 +12,4 @@ class Subject:
 
     number: int  # from 1: who is seen longest
     scene: Scene
-    frames: list[PersonFrame]  # all of the recording; without points where they are not in view
+    frames: list[BodyObservation]  # all of the recording; without points where they are not in view

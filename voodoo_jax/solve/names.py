@@ -7,7 +7,7 @@ from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.kernels.correspondences import FREE, ON_BODY
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, V1_NAMES, plain_name
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 
 
 class FeatureNames:
@@ -57,7 +57,7 @@ class PartNames:
         self.limbs = {name: i for i, name in enumerate(topology.limbs)}
         self.unknown: set[str] = set()  # parts that the body does not have: their points count as on the body
 
-    def rows(self, frame: PersonFrame) -> np.ndarray:
+    def rows(self, frame: BodyObservation) -> np.ndarray:
         """Limb, ON_BODY or FREE of each point [point], int32."""
         if frame.part is None:
             return np.full(len(frame.points), FREE, np.int32)

@@ -7,7 +7,7 @@ import numpy as np
 
 from voodoo_jax.kernels.correspondences import FREE, Points
 from voodoo_jax.kernels.landmarks import Features
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.solve.names import FeatureNames, PartNames
 
 # Point capacities; a program is compiled once for each that occurs.
@@ -30,7 +30,7 @@ def bucket(count: int, buckets: tuple[int, ...] = BUCKETS) -> int:
 
 
 def pad_features(
-    frames: list[PersonFrame], length: int, capacity: int, names: FeatureNames, choices: int = 1
+    frames: list[BodyObservation], length: int, capacity: int, names: FeatureNames, choices: int = 1
 ) -> Features | None:
     """Named features of `frames`, padded to [length, capacity], more are left out; None where the capacity is zero."""
     if capacity == 0:
@@ -54,7 +54,7 @@ def pad_features(
 
 
 def pad_frames(
-    frames: list[PersonFrame],
+    frames: list[BodyObservation],
     capacity: int,
     length: int,
     previous_ns: int | None,

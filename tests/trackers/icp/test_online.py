@@ -10,10 +10,10 @@ import voodoo_jax as vj
 from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.presets import online
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body_file import human
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.icp.tracker import track_person
@@ -23,17 +23,17 @@ CUT = 60
 
 
 @pytest.fixture(scope="module")
-def demo() -> tuple[Scene, list[PersonFrame], list[PersonFrame]]:
+def demo() -> tuple[Scene, list[BodyObservation], list[BodyObservation]]:
     """Floor and walls, the person in the demo's frames, and in the first of them alone."""
     source = open_log(str(files("voodoo_jax") / "data" / "demo.mcap"))
     frames = [frame for frame, _ in zip(source.frames(), range(90))]
-    scene, people = find_person(frames, source.up, human(), SETTINGS)
-    again, first = find_person(frames[:CUT], source.up, human(), SETTINGS)
+    scene, people = find_body(frames, source.up, human(), SETTINGS)
+    again, first = find_body(frames[:CUT], source.up, human(), SETTINGS)
     assert again.floor.normal.tolist() == scene.floor.normal.tolist()
     return scene, people, first
 
 
-def tracks_of(scene: Scene, people: list[PersonFrame]) -> Tracks:
+def tracks_of(scene: Scene, people: list[BodyObservation]) -> Tracks:
     return track_person(human(), scene, people, SETTINGS, "demo", "base")
 
 

@@ -8,21 +8,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import DetectSettings, Settings, StartSettings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.exporters.foxglove import limb_mesh
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.rest_shape import rest_box, rest_height
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.icp.body_size import measured_height, sized
-from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.tracker import track
 from voodoo_jax.trackers.icp.trials import facing, place, standing_places
 
@@ -30,11 +30,13 @@ UP = np.array([0, 0, 1], np.float32)
 FLOOR = Plane(UP, 0.0)
 
 
-def column(height: float, x: float, origin=(0.0, 0.0, 1.2), pixel: float = 0.006, count: int = 12) -> PersonFrame:
+def column(height: float, x: float, origin=(0.0, 0.0, 1.2), pixel: float = 0.006, count: int = 12) -> BodyObservation:
     """A plate of `height` seen by a camera: rows `pixel` radians apart, the topmost one anywhere below the edge."""
     rows = np.arange(0.05, height, pixel * max(abs(x), 1.0))
     points = np.stack(np.meshgrid([x], np.linspace(-0.1, 0.1, count), rows, indexing="ij"), -1).reshape(-1, 3)
-    return PersonFrame(0, points.astype(np.float32), np.zeros(len(points), np.int32), np.array([origin], np.float32))
+    return BodyObservation(
+        0, points.astype(np.float32), np.zeros(len(points), np.int32), np.array([origin], np.float32)
+    )
 
 
 @pytest.mark.parametrize("name", ["arm", "dog", "human10"])
@@ -165,14 +167,14 @@ def trials(tmp_path_factory):
     sim = simulate(scaled(human(), 1.8), placed(make_motion(human(), "stand", 0.6, 12.0), 3.6, 0.0, 0.0), tof_camera())
     recording, settings = read_log(write_simulation(sim, tmp_path_factory.mktemp("back") / "back.mcap")), Settings()
     body = scaled(human(), 1.8)
-    scene, people = find_person(recording, recording.up, body, settings)
+    scene, people = find_body(recording, recording.up, body, settings)
     options = options_from(settings.solve, settings.track, settings.features)
 
     def run(count: int, length: int, headings: int, chunk: int = 128):
         few = replace(settings, start=replace(settings.start, frames=length), detect=DetectSettings(points=256))
         few = replace(few, track=replace(settings.track, chunk=chunk))
         starts = standing_places(body, people[:count], scene.floor, headings)
-        return Session(body, options, people, scene, few).trials(body, people[:count], starts)
+        return Runner(body, options, people, scene, few).trials(body, people[:count], starts)
 
     return run
 

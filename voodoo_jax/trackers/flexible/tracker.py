@@ -15,10 +15,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.compile.executable import seconds_of_waiting
 from voodoo_jax.config.options import FlexibleSettings, Settings
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame, Picture, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
@@ -98,7 +98,7 @@ class Observed:
 
     features: FeatureStore
     pictures: list[Picture]  # still packed
-    people: list[PersonFrame]
+    people: list[BodyObservation]
     scene: Scene
     time_ns: np.ndarray
     row: np.ndarray  # which frame of the recording each is
@@ -133,7 +133,7 @@ def observe(
             yield replace(frame, points=points, sensor=sensor, origins=origins, rays=Rays(), pictures=(), weight=None)
 
     try:
-        scene, people = find_person(seen(), up, body, settings)
+        scene, people = find_body(seen(), up, body, settings)
         if not len(store):
             raise _without_images(source)
     except BaseException:
@@ -311,6 +311,7 @@ def _tracks(
     return Tracks(
         source, fixed_frame, body, seen.time_ns, rotation, translation, joints, status, residual, explained,
         np.zeros(count, np.int32), points, np.ones((count, limbs), np.float32), notes=notes,
+        up=seen.scene.floor.normal.astype(np.float32),
     )  # fmt: skip
 
 
@@ -322,4 +323,5 @@ def _nobody(body: Body, seen: Observed, source: str, fixed_frame: str, notes: tu
         source, fixed_frame, body, seen.time_ns, blank(limbs, 4), blank(limbs, 3), blank(centres, 3),
         np.full(count, Status.NOT_STARTED, np.int8), blank(), np.zeros(count, np.float32), np.zeros(count, np.int32),
         np.zeros(count, np.int32), np.zeros((count, limbs), np.float32), notes=(*notes, "Nobody was found."),
+        up=seen.scene.floor.normal.astype(np.float32),
     )  # fmt: skip

@@ -7,14 +7,14 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_gap, point_spacing
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.rest_shape import rest_height
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 
 TALL, TALLER = 2.0, 0.1  # metres: stature of which hardly anybody is, and how much more makes one e times as unlikely
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
 
 def measured_height(
-    frames: list[PersonFrame], floor: Plane, pixel: float | list[float], reach: float = float("inf")
+    frames: list[BodyObservation], floor: Plane, pixel: float | list[float], reach: float = float("inf")
 ) -> float:
     """Height of a standing body from its points, metres: median over frames of the third highest point.
 
@@ -39,7 +39,7 @@ def measured_height(
     return float(np.median(heights)) if heights else float("nan")
 
 
-def _spacings(frames: list[PersonFrame]) -> list[float]:
+def _spacings(frames: list[BodyObservation]) -> list[float]:
     """Angle between neighbouring points of each sensor, radians, where it first sees the body; 0 if it never does. Of a
     scanner whose rows are far apart, half of that: on average the top is so far above its highest row."""
     found = [0.0] * len(frames[0].origins)
@@ -59,7 +59,7 @@ def unlikely(body: Body) -> float:
     return float(np.exp(max(0.0, float(body.scale) - TALL) / TALLER)) if body.scale_name == "stature" else 1.0
 
 
-def sized(body: Body, frames: list[PersonFrame], floor: Plane, settings: StartSettings) -> Body:
+def sized(body: Body, frames: list[BodyObservation], floor: Plane, settings: StartSettings) -> Body:
     """The body scaled to what was seen, or to what the settings say."""
     if settings.scale > 0:
         return scaled(body, settings.scale)

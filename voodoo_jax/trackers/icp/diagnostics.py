@@ -9,7 +9,7 @@ from voodoo_jax.markers.label_swaps import Exchange
 from voodoo_jax.markers.own_sites import Named
 from voodoo_jax.markers.table import TO_START
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.runner import Runner
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
 NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
@@ -43,7 +43,7 @@ def _doubtful(tracks: Tracks) -> list[str]:
     return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
 
 
-def notes_on(run: Session, tracks: Tracks, exchanges: list[Exchange], named: Named) -> tuple[str, ...]:
+def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Named) -> tuple[str, ...]:
     """Notes on a tracked recording; `exchanges` of markers were put right before, `named` whose named points these
     are."""
     notes = _implausible(tracks) + _doubtful(tracks) + name_notes(named)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
-from voodoo_jax.detect.pipeline import find_people, find_person
+from voodoo_jax.detect.pipeline import find_body, find_people
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks
@@ -36,7 +36,7 @@ class IcpTracker:
         progress: Progress | None = None,
         visit: Any = None,
     ) -> Tracks:
-        scene, people = find_person(frames, source.up, body, settings, source.up_is_given)
+        scene, people = find_body(frames, source.up, body, settings, source.up_is_given)
         return track_person(
             body, scene, people, settings, source.path, source.fixed_frame, source.notes(), progress, visit
         )

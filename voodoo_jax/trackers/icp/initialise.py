@@ -5,8 +5,8 @@ import numpy as np
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.markers.table import TO_START, marker_start
 from voodoo_jax.trackers.icp.refine.stage import is_active
-from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.start.hypothesis import Beginning, measured_at, sized_at, trial
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, measured_at, sized_at, trial
 from voodoo_jax.trackers.icp.start.later_start import LaterStart
 from voodoo_jax.trackers.icp.start.other_stances import OtherStances
 from voodoo_jax.trackers.icp.start.stage import Search, StartStage
@@ -16,7 +16,7 @@ from voodoo_jax.trackers.icp.start.taller_size import TallerSize
 START: tuple[StartStage, ...] = (LaterStart(), OtherStances(), TallerSize())
 
 
-def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
+def begin(run: Runner, at: int, before: Poses | None = None) -> StartHypothesis:
     """The best trial in frame `at`, or a better one later on, followed back to there.
 
     By markers alone: in the nearest frame that has enough of them. The first start settles the body's size, too.
@@ -25,7 +25,7 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
     if run.by_markers:
         good = np.flatnonzero(run.table.enough(TO_START))
         frame = int(good[np.argmin(np.abs(good - at))])
-        return Beginning(at, run.body, marker_start(run.body, run.table.markers, frame), 0.0)
+        return StartHypothesis(at, run.body, marker_start(run.body, run.table.markers, frame), 0.0)
     first = trial(run, at, sized_at(run, at), before)
     search = Search(at, first, (first,))
     for stage in START:
@@ -40,7 +40,7 @@ def begin(run: Session, at: int, before: Poses | None = None) -> Beginning:
     return best._replace(frame=at)
 
 
-def clearer(run: Session, at: int) -> Beginning | None:
+def clearer(run: Runner, at: int) -> StartHypothesis | None:
     """A start in frame `at` that leaves no doubt, in the size that the body has there, if there is one; it settles the
     size anew. For who began in doubt and may not look ahead."""
     if run.by_markers or not run.can_start(at):
@@ -53,6 +53,6 @@ def clearer(run: Session, at: int) -> Beginning | None:
     return found
 
 
-def _followed(run: Session, start: Beginning, at: int) -> Poses:
+def _followed(run: Runner, start: StartHypothesis, at: int) -> Poses:
     """The poses in an earlier frame `at`."""
     return run.backwards(start.poses, at, start.frame + 1).poses[0]

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Float32, Int, Int8
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.observation import PersonFrame, joined
+from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import Visit
@@ -80,7 +80,7 @@ def in_view_from(subject: Subject) -> int:
     return int(whole[0]) if len(whole) else int(there[0])
 
 
-def _area(frame: PersonFrame) -> float:
+def _area(frame: BodyObservation) -> float:
     """As large as what is seen of somebody, in square metres times points per steradian."""
     if len(frame.points) < 3 * FEW_POINTS:
         return 0.0
@@ -108,8 +108,8 @@ def shared_out(subjects: list[Subject], tracks: list[Tracks]) -> tuple[list[Subj
 
 
 def _given(
-    seen: list[PersonFrame], tracks: list[Tracks], close: list[int], at: int
-) -> tuple[list[PersonFrame], Int[np.ndarray, " person"]]:
+    seen: list[BodyObservation], tracks: list[Tracks], close: list[int], at: int
+) -> tuple[list[BodyObservation], Int[np.ndarray, " person"]]:
     """The frames of all people after those who are close to each other have given points away, and of each how many
     they have gained or lost."""
     owner = {}

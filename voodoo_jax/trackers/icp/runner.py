@@ -17,7 +17,7 @@ from voodoo_jax.markers.table import ENOUGH, TO_START, explained, marker_table
 from voodoo_jax.model.attachments import appeared, applied, directions, hung_on, pointing
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import Stance
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.names import FeatureNames, PartNames
@@ -44,7 +44,7 @@ def spans(bodies: Sequence[tuple[int, Body]], count: int) -> list[tuple[int, int
     return [(first, end, body) for (first, body), end in zip(bodies, ends)]
 
 
-class Session:
+class Runner:
     """Tracks one recording's person frames: start, chunks of frames, changes of the body on the way.
 
     `changes` are those of the settings, loaded, and `body` is prepared for them (see model.attachments.prepared);
@@ -55,7 +55,7 @@ class Session:
         self,
         body: Body,
         options: TrackOptions,
-        people: list[PersonFrame],
+        people: list[BodyObservation],
         scene: Scene,
         settings: Settings,
         changes: Sequence[Change] = (),
@@ -93,11 +93,11 @@ class Session:
             self.capacity, self.sized = 8, True
             self.options = replace(options, by_features=True)
 
-    def anew(self, people: list[PersonFrame]) -> "Session":
+    def anew(self, people: list[BodyObservation]) -> "Runner":
         """The same recording with other points on the body, before its first frame; segments that began in other
         stances may do so again."""
         body, changes = self._given
-        other = Session(body, self.options, people, self.scene, self.settings, changes, self.visit)
+        other = Runner(body, self.options, people, self.scene, self.settings, changes, self.visit)
         other.stances = self.stances
         return other
 
@@ -147,7 +147,7 @@ class Session:
         trial = self.trials(self.body, self.people[at : at + frames], starts)
         self.body = bodies[int(np.argmin(trial.cost))]
 
-    def trials(self, body: Body, frames: list[PersonFrame], starts: list[Poses]) -> Trial:
+    def trials(self, body: Body, frames: list[BodyObservation], starts: list[Poses]) -> Trial:
         """Tracks some frames from every start pose, the last one first."""
         s: StartSettings = self.settings.start
         # backwards in time, so that the trials end where tracking begins
@@ -237,7 +237,7 @@ class Session:
         steps = self.through(poses, turned)[1]
         return self._with_named(jax.tree.map(lambda leaf: leaf[::-1], steps), first, len(turned))
 
-    def through(self, poses: Poses, frames: list[PersonFrame]) -> tuple[State, Step]:
+    def through(self, poses: Poses, frames: list[BodyObservation]) -> tuple[State, Step]:
         """The state after any number of frames, begun at rest in `poses` in the first, and a step for each of them."""
         state, steps, length = at_rest(poses), [], self.length
         for at in range(0, len(frames), length):
@@ -246,14 +246,14 @@ class Session:
             steps.append(step)
         return state, jax.tree.map(lambda *parts: np.concatenate(parts), *steps)
 
-    def _tracked(self, state: State, frames: list[PersonFrame], previous_ns: int | None) -> tuple[State, Step, int]:
+    def _tracked(self, state: State, frames: list[BodyObservation], previous_ns: int | None) -> tuple[State, Step, int]:
         """The state after the frames, a step for each, and how many points were left out."""
         chunk, features = self._padded(frames, previous_ns)
         measured, alone = (chunk.points, chunk.seconds, features), jax.tree.map(lambda x: x[None], on_host(state))
         found = self._visited(self.body, self.options, measured, np.arange(len(frames)), alone)
         return *jax.tree.map(lambda x: x[0], found), chunk.left_out
 
-    def _padded(self, frames: list[PersonFrame], previous_ns: int | None) -> tuple[Chunk, Features | None]:
+    def _padded(self, frames: list[BodyObservation], previous_ns: int | None) -> tuple[Chunk, Features | None]:
         """The frames as the one program takes them."""
         most = self.settings.detect.points
         chunk = pad_frames(frames, self.capacity, self.length, previous_ns, self.sensors, most, self.parts)
@@ -272,7 +272,7 @@ class Session:
         return step._replace(explained=share, residual=residual, limb_weight=weight)
 
 
-def by_markers(people: list[PersonFrame]) -> bool:
+def by_markers(people: list[BodyObservation]) -> bool:
     """Whether a recording has named points and no depth at all."""
     return all(len(f.points) < FEW_POINTS for f in people) and any(len(f.pairs.names) >= TO_START for f in people)
 

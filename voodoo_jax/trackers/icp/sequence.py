@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Bool
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.scan import State, at_rest
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.refine.stage import Named, Stage, is_active, refined
-from voodoo_jax.trackers.icp.runner import Session, first_run
+from voodoo_jax.trackers.icp.runner import Runner, first_run
 from voodoo_jax.trackers.icp.segment import Followed, backwards, segment_of
-from voodoo_jax.trackers.icp.start.hypothesis import Beginning
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 
 Progress = Callable[[int], None]
 SPAN = 1800  # frames after which a segment is tracked back, even if it goes on
@@ -33,14 +33,14 @@ OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not
 class Whole:
     """A recording that is tracked, on its way through the stages that look at all of it."""
 
-    run: Session
+    run: Runner
     segment: Followed  # all its frames
     begin: int  # frame in which tracking began
     first: int  # the first one that was tracked, back in time from there
     enough: Bool[np.ndarray, " frame"]  # frames with points enough to look anew for a body that was lost
     notes: tuple[str, ...] = ()  # what stages want to be known
 
-    def tracked_anew(self, people: list[PersonFrame], stages: tuple[Stage, ...]) -> "Whole":
+    def tracked_anew(self, people: list[BodyObservation], stages: tuple[Stage, ...]) -> "Whole":
         """The recording tracked once more, with other points on the body."""
         return track_whole(self.run.anew(people), self.begin, self.enough, stages, first=self.first)
 
@@ -53,7 +53,7 @@ class RecordingStage(Named, Protocol):
 
 
 def track_whole(
-    run: Session,
+    run: Runner,
     begin: int,
     enough: Bool[np.ndarray, " frame"],
     stages: tuple[Stage, ...],
@@ -72,7 +72,7 @@ def track_whole(
 
 # 62 lines: one state machine, whose steps share eight variables
 def follow(
-    run: Session,
+    run: Runner,
     at: int,
     enough: Bool[np.ndarray, " frame"],
     out: Followed,
@@ -86,7 +86,7 @@ def follow(
     wait = 0 if ahead else patience  # frames until it is known that the body is gone
     say = progress or (lambda _: None)
     state: State | None = None
-    start: Beginning | None = None  # of the present span
+    start: StartHypothesis | None = None  # of the present span
     before: Poses | None = None  # the last ones before the body was gone
     tried, doubt = -1, False
     say(at)
@@ -120,7 +120,7 @@ def follow(
             until = at if over else at - OVERLAP
             state = _refined(run, start, until, at, out, stages) or state
             say(until - start.frame)
-            start = Beginning(until, run.body, state.poses, 0.0)
+            start = StartHypothesis(until, run.body, state.poses, 0.0)
         if doubt and keep == taken and at < count and (better := clearer(run, at)) is not None:
             state, doubt = at_rest(better.poses), False
         if keep < taken:
@@ -136,7 +136,7 @@ def follow(
 
 
 def _refined(
-    run: Session, start: Beginning, until: int, at: int, out: Followed, stages: tuple[Stage, ...]
+    run: Runner, start: StartHypothesis, until: int, at: int, out: Followed, stages: tuple[Stage, ...]
 ) -> State | None:
     """Fills in a span, tracked forwards to before frame `at`, with what the stages make of it up to `until`; the state
     to go on with, where that is another one."""

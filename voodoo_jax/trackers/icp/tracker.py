@@ -13,7 +13,7 @@ from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.compile.executable import program, seconds_of_waiting
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.camera_motion import to_fixed
-from voodoo_jax.detect.pipeline import find_person
+from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.joint_limits import check
@@ -32,7 +32,7 @@ from voodoo_jax.markers.table import TO_START, marker_table, sized_by_markers, w
 from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.notes import as_few
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Rays, Recording
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Segment
@@ -44,7 +44,7 @@ from voodoo_jax.trackers.icp.confidence import rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.pipeline import FINISH, REFINE
 from voodoo_jax.trackers.icp.refine.stage import is_active
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session, by_markers, spans
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner, by_markers, spans
 from voodoo_jax.trackers.icp.sequence import Progress, track_whole
 from voodoo_jax.trackers.stages import check_stages
 
@@ -62,12 +62,12 @@ def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, 
     # most names at once, and each of them: both decide about the program
     said = [max(names, key=len, default=()), *((name,) for name in sorted({name for some in names for name in some}))]
     rays = (Rays(some, *np.zeros((2, len(some), 3), np.float32)) for some in said)
-    frames = [PersonFrame(0, nothing, none, origins, each, part=part) for each in rays]
+    frames = [BodyObservation(0, nothing, none, origins, each, part=part) for each in rays]
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
     options = options_from(settings.solve, settings.track, settings.features)
     if not sensors:  # tracks of markers have points of their own
         body = with_own_sites(body, {})[0]
-    run = Session(body, options, frames, scene, settings, changes)
+    run = Runner(body, options, frames, scene, settings, changes)
     chunk = _padded(Segment.blank(0, body.limb_count), settings.track.chunk)
     threads = [Thread(target=looked_at.prepare, args=(body, *chunk))]
     if sensors:  # markers alone have another program
@@ -108,7 +108,7 @@ def track(
     settings = settings or Settings()
     prepare_for(body, recording, settings)
     r = recording
-    scene, people = find_person(r, r.up, body, settings, r.up_is_given)
+    scene, people = find_body(r, r.up, body, settings, r.up_is_given)
     return given_from(track_person(body, scene, people, settings, r.path, r.fixed_frame, r.notes, progress), r.origin)
 
 
@@ -125,7 +125,7 @@ def prepare_for(body: Body, recording: Recording, settings: Settings) -> None:
 def track_person(
     body: Body,
     scene: Scene,
-    people: list[PersonFrame],
+    people: list[BodyObservation],
     settings: Settings,
     source: str,
     fixed_frame: str,
@@ -134,8 +134,8 @@ def track_person(
     visit: Visit | None = None,
     begin: int = 0,
 ) -> Tracks:
-    """Tracks a body through frames in which it was already told apart from its surroundings (see find_person);
-    `visit` see Session. It starts in frame `begin` or later, and is tracked back from there, too."""
+    """Tracks a body through frames in which it was already told apart from its surroundings (see find_body);
+    `visit` see Runner. It starts in frame `begin` or later, and is tracked back from there, too."""
     began, waited = time.perf_counter(), seconds_of_waiting()
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
@@ -160,7 +160,7 @@ def track_person(
     changes = loaded(settings.changes)
     body = prepared(body, changes)
     options = options_from(settings.solve, settings.track, settings.features)
-    run = Session(body, options, people, scene, settings, changes, visit)
+    run = Runner(body, options, people, scene, settings, changes, visit)
     if begin > at and begin < count and enough[begin] and not from_markers and settings.looks_ahead("track"):
         whole = track_whole(run, begin, enough, REFINE, progress, at)
     else:
@@ -182,7 +182,9 @@ def track_person(
     )
 
 
-def _with_names(body: Body, people: list[PersonFrame], settings: Settings) -> tuple[list[PersonFrame], Settings, Named]:
+def _with_names(
+    body: Body, people: list[BodyObservation], settings: Settings
+) -> tuple[list[BodyObservation], Settings, Named]:
     """The frames with the named points of one subject, the settings with what their names mean, and who it is."""
     t = body.topology
     named = named_subject(people, t, settings.features)
@@ -190,7 +192,7 @@ def _with_names(body: Body, people: list[PersonFrame], settings: Settings) -> tu
     return of_subject(people, named), replace(settings, features=features), named
 
 
-def _with_residuals(tracks: Tracks, run: Session) -> Tracks:
+def _with_residuals(tracks: Tracks, run: Runner) -> Tracks:
     """Tracks by markers alone with the markers' residuals, and their body without the points made for these."""
     poses = Poses(tracks.rotation, tracks.translation)
     found = residuals(run.body, run.table.markers, poses, tracks.tracked)
@@ -198,7 +200,7 @@ def _with_residuals(tracks: Tracks, run: Session) -> Tracks:
     return replace(tracks, body=without_own_sites(tracks.body), marker_names=tuple(found), marker_residual=residual)
 
 
-def tracks_of(run: Session, segment: Segment, source: str, fixed_frame: str) -> Tracks:
+def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> Tracks:
     """Tracks of a whole recording, with all that follows from its poses; these are moved to the fixed frame in place.
 
     **Arguments:** `segment` all frames of the recording; `source` its path.
@@ -224,7 +226,7 @@ def tracks_of(run: Session, segment: Segment, source: str, fixed_frame: str) -> 
     )  # fmt: skip
 
 
-def _up(run: Session) -> Float32[np.ndarray, "3"]:
+def _up(run: Runner) -> Float32[np.ndarray, "3"]:
     """Upwards in the fixed frame; of a camera that moves unknown to the log, in its first frame."""
     normal = np.asarray(run.scene.floor.normal, np.float32)
     T = run.people[0].T_fixed_steady if run.people else None

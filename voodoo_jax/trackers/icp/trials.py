@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import AnyArray, Poses, compose, on_host, rotate, unrotate
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
@@ -42,7 +42,7 @@ def _level_direction(foot: np.ndarray, origin: np.ndarray, up: np.ndarray) -> np
     return towards / distance if distance > 0.1 else np.cross(up, side)
 
 
-def standing_places(body: Body, frames: list[PersonFrame], floor: Plane, headings: int) -> list[Poses]:
+def standing_places(body: Body, frames: list[BodyObservation], floor: Plane, headings: int) -> list[Poses]:
     """Rest poses at the cloud's place in evenly spread headings, the first one facing the sensor that sees most."""
     cloud = np.concatenate([f.points for f in frames])
     up = floor.normal

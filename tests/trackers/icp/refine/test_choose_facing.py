@@ -13,7 +13,7 @@ from voodoo_jax.trackers.icp.pipeline import SETTLE
 from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing, gone_ahead
 from voodoo_jax.trackers.icp.refine.stage import refined
 from voodoo_jax.trackers.icp.segment import forwards
-from voodoo_jax.trackers.icp.start.hypothesis import Beginning
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
@@ -42,7 +42,7 @@ def turned_round(poses):
 
 def way(run, first, second, cost: float = 1.0):
     """What becomes of a start in the first poses with a rival in the second ones that costs so much more."""
-    start = Beginning(0, BODY, first, 1.0, rival=Beginning(0, BODY, second, cost))
+    start = StartHypothesis(0, BODY, first, 1.0, rival=StartHypothesis(0, BODY, second, cost))
     settled = refined(run, replace(forwards(run, first, 0, COUNT), start=start), SETTLE)
     found = ChooseFacing(SETTLE)(run, settled)
     return found, found.state

@@ -11,7 +11,7 @@ from tests.support.segments import tracked_segment
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained, distance_outside
@@ -29,7 +29,7 @@ def tracked(explained: float = 0.93, status: int = Status.TRACKED) -> Segment:
     return tracked_segment(rest, **arrays)
 
 
-def frames(rng, stool: int = 300) -> list[PersonFrame]:
+def frames(rng, stool: int = 300) -> list[BodyObservation]:
     """The body in the rest pose, and so many points of the stool, always in the same directions."""
     ball = rng.normal(size=(4 * stool, 3))
     ball = (STOOL + 0.2 * ball / np.linalg.norm(ball, axis=1, keepdims=True))[ball[:, 0] > 0][:stool]
@@ -39,7 +39,7 @@ def frames(rng, stool: int = 300) -> list[PersonFrame]:
     out = []
     for k in range(COUNT):
         noisy = (SENSOR + rays * (1 + rng.normal(0, 0.008, distance.shape) / distance)).astype(np.float32)
-        out.append(PersonFrame(k * 33_000_000, noisy, np.zeros(len(noisy), np.int32), SENSOR, noise=0.008))
+        out.append(BodyObservation(k * 33_000_000, noisy, np.zeros(len(noisy), np.int32), SENSOR, noise=0.008))
     return out
 
 

@@ -11,7 +11,7 @@ from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Rays
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
@@ -33,12 +33,12 @@ def tracked(body=BODY, off: float = 0.0) -> Segment:
     return tracked_segment(Poses(*(np.tile(x, (COUNT, 1, 1)) for x in (np.array(body.rest.rotation), place))))
 
 
-def people(*named: str) -> list[PersonFrame]:
+def people(*named: str) -> list[BodyObservation]:
     """Frames in which a detector names these points."""
     flat = np.zeros((len(named), 3), np.float32)
     rays = Rays(named, flat, flat + 1) if named else Rays()
     none = np.zeros((0, 3), np.float32)
-    return [PersonFrame(k, none, np.zeros(0, int), none, rays) for k in range(COUNT)]
+    return [BodyObservation(k, none, np.zeros(0, int), none, rays) for k in range(COUNT)]
 
 
 @pytest.mark.parametrize("off", [-0.01, 0.0, 0.02])
@@ -96,14 +96,14 @@ def test_other_bodies_stay(other):
 
 def test_tracks_say_what_they_found():
     """The demo with and without: poses are the same, wrists and forearms are not; one pass leaves the body alone."""
-    from voodoo_jax.detect.pipeline import find_person
+    from voodoo_jax.detect.pipeline import find_body
     from voodoo_jax.io.log_reader import open_log
     from voodoo_jax.trackers.icp.tracker import track_person
 
     source = open_log(str(files("voodoo_jax") / "data" / "demo.mcap"))
     frames = [frame for frame, _ in zip(source.frames(), range(40))]
     settings = Settings()
-    scene, found = find_person(frames, source.up, human(), settings)
+    scene, found = find_body(frames, source.up, human(), settings)
     lengths = {}
     for name, skip in (("on", ()), ("off", ("fit_forearms",)), ("one pass", ("looks_ahead",))):
         how = replace(settings, track=replace(settings.track, skip=skip))

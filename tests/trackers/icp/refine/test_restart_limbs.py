@@ -8,7 +8,7 @@ from tests.support.in_front import error, in_front
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
@@ -18,9 +18,9 @@ from voodoo_jax.trackers.icp.segment import forwards
 BODY = scaled(human(), 1.75)
 
 
-def frames(noise) -> list[PersonFrame]:
+def frames(noise) -> list[BodyObservation]:
     nothing = np.zeros((0, 3), np.float32)
-    return [PersonFrame(0, nothing, np.zeros(0, np.int32), nothing, noise=float(n)) for n in noise]
+    return [BodyObservation(0, nothing, np.zeros(0, np.int32), nothing, noise=float(n)) for n in noise]
 
 
 def doubted(people, cost, tracked=True):

@@ -15,7 +15,7 @@ from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.initialise import begin
-from voodoo_jax.trackers.icp.start.hypothesis import Beginning
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.icp.tracker import track
 
 BODY = scaled(human(), 1.75)
@@ -49,9 +49,9 @@ def test_who_sat_before_the_chair_was_taken_away_sits(session, monkeypatch):
 
     def trial(run, at, body, before=None, rest=None):
         if rest is None:
-            return Beginning(at, body, body.rest, 10e-4)
+            return StartHypothesis(at, body, body.rest, 10e-4)
         sits = centre(rest, "l_knee")[0] > centre(rest, "l_hip")[0] + 0.2
-        return Beginning(at, rest, rest.rest, 11e-4 if sits else 9e-4)
+        return StartHypothesis(at, rest, rest.rest, 11e-4 if sits else 9e-4)
 
     for module in ("initialise", "start.other_stances"):
         monkeypatch.setattr(f"voodoo_jax.trackers.icp.{module}.trial", trial)

@@ -10,9 +10,9 @@ from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.refine.stage import Stage, refined
-from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import WRONG_WAY, Followed, bent, segment_of
-from voodoo_jax.trackers.icp.start.hypothesis import RIVAL, Beginning
+from voodoo_jax.trackers.icp.start.hypothesis import RIVAL, StartHypothesis
 from voodoo_jax.trackers.icp.trials import facing
 
 WHILE, STRAIGHT = 0.3, 0.95  # seconds in which who goes ahead turns by no more than the angle of that cosine
@@ -32,7 +32,7 @@ class ChooseFacing:
     stride: float = 0.5  # metres beyond which say all that going tells
     ahead: float = 0.25  # logarithm of what costs are divided by where somebody goes ahead, and times where backwards
 
-    def __call__(self, run: Session, segment: Followed) -> Followed:
+    def __call__(self, run: Runner, segment: Followed) -> Followed:
         start = segment.start
         if start is None or start.rival is None:
             return segment
@@ -44,13 +44,13 @@ class ChooseFacing:
         doubt = [self._doubt(run, start.cost, segment), self._doubt(run, start.rival.cost, other)]
         return segment if doubt[0] <= doubt[1] else replace(other, start=start.rival, state=state)
 
-    def _speaks_for(self, run: Session, start: Beginning, segment: Followed) -> bool:
+    def _speaks_for(self, run: Runner, start: StartHypothesis, segment: Followed) -> bool:
         """Whether how a segment goes speaks for the start's rival, though that costs clearly more."""
         assert start.rival is not None
         bends = start.rival.cost < RIVAL * start.cost * _odds_of_bends(run, segment)
         return bends or _gone(run, segment) < -self.step
 
-    def _doubt(self, run: Session, trial: float, segment: Followed) -> float:
+    def _doubt(self, run: Runner, trial: float, segment: Followed) -> float:
         """How unlikely a segment is, to compare: by the cost of its trial and its own, joints bent the wrong way, and
         where the body goes: people walk backwards, but seldom."""
         gone = _gone(run, segment)
@@ -58,12 +58,12 @@ class ChooseFacing:
         return trial * float(np.mean(segment.cost)) * _odds_of_bends(run, segment) * float(np.exp(-likely))
 
 
-def _odds_of_bends(run: Session, segment: Segment) -> float:
+def _odds_of_bends(run: Runner, segment: Segment) -> float:
     """How much likelier it is, by the joints that are bent the wrong way, that the body faces the other way."""
     return float(np.exp(np.mean(bent(run, segment)) / WRONG_WAY))
 
 
-def _gone(run: Session, segment: Segment) -> float:
+def _gone(run: Runner, segment: Segment) -> float:
     times = [f.time_ns for f in run.people[segment.first : segment.end]]
     return gone_ahead(run.body, np.array(times) / 1e9, segment.poses)
 

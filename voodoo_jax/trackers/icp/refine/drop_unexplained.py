@@ -14,7 +14,7 @@ from voodoo_jax.detect.stage import WINDOW
 from voodoo_jax.detect.static_points import resting
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.observation import PersonFrame, assigned
+from voodoo_jax.records.observation import BodyObservation, assigned
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.refine.stage import Stage
 from voodoo_jax.trackers.icp.runner import spans
@@ -51,8 +51,8 @@ class DropUnexplained:
         return whole
 
     def without(
-        self, people: list[PersonFrame], bodies: list[tuple[int, Body]], segment: Segment
-    ) -> Iterator[PersonFrame] | None:
+        self, people: list[BodyObservation], bodies: list[tuple[int, Body]], segment: Segment
+    ) -> Iterator[BodyObservation] | None:
         """The frames without what is at rest and not explained by the body, tracked as `segment` says; None if there is
         hardly anything. `bodies` [(first frame, body)] as they were tracked."""
         windows = [slice(at, min(at + WINDOW, len(people))) for at in range(0, len(people), WINDOW)]
@@ -61,7 +61,9 @@ class DropUnexplained:
             return None
         return (frame for window, points in zip(windows, found) for frame in self._dropped(people[window], points))
 
-    def _dropped(self, frames: list[PersonFrame], points: Float[np.ndarray, "point 3"]) -> Iterator[PersonFrame]:
+    def _dropped(
+        self, frames: list[BodyObservation], points: Float[np.ndarray, "point 3"]
+    ) -> Iterator[BodyObservation]:
         tree = KDTree(points) if len(points) else None
         for f in frames:
             if tree is not None and len(f.points):
@@ -70,7 +72,7 @@ class DropUnexplained:
             yield f
 
     def _leftovers(
-        self, people: list[PersonFrame], bodies: list[tuple[int, Body]], segment: Segment, window: slice
+        self, people: list[BodyObservation], bodies: list[tuple[int, Body]], segment: Segment, window: slice
     ) -> Float[np.ndarray, "point 3"]:
         """Points at rest that are furniture; none if those are few."""
         nothing = np.zeros((0, 3))

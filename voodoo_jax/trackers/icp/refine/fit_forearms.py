@@ -16,7 +16,7 @@ from jaxtyping import Float
 from voodoo_jax.geometry.rigid import Poses, apply, on_host, unrotate
 from voodoo_jax.model.body import Body, scaled, with_proportions
 from voodoo_jax.model.body_file import load_on_host
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
@@ -59,7 +59,7 @@ class FitForearms:
         run.bodies = [(0, run.body)]
         return whole
 
-    def fitted(self, body: Body, people: list[PersonFrame], names: FeatureNames, segment: Segment) -> Body:
+    def fitted(self, body: Body, people: list[BodyObservation], names: FeatureNames, segment: Segment) -> Body:
         """The body with the forearms that its tracks ask for, or the same one. **Arguments:** as for `stretch`."""
         found = stretch(body, people, names, segment) if _is_usual(body) else None
         if found is None:
@@ -79,7 +79,9 @@ class FitForearms:
         return gap / (self.by_points + self.by_names * named) - self.hand
 
 
-def stretch(body: Body, people: list[PersonFrame], names: FeatureNames, segment: Segment | Tracks) -> Stretch | None:
+def stretch(
+    body: Body, people: list[BodyObservation], names: FeatureNames, segment: Segment | Tracks
+) -> Stretch | None:
     """What the wrists tell in frames where the body is tracked and the hand is seen; None without any.
 
     **Arguments:** `people` and `segment` frames, and what was tracked in them; `names` of features.

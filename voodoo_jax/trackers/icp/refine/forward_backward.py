@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rotations import axis_of, half_turn, limb_ends, rotations
 from voodoo_jax.trackers.icp.refine.stage import is_active
-from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import Followed, Pass, backwards, pass_of
 from voodoo_jax.trackers.icp.start.fresh_end import FreshEnd
 
@@ -39,7 +39,7 @@ class ForwardBackward:
     window: int = 7  # frames over which costs are compared: single frames decide by noise
     better: float = 0.97  # the backward pass is taken where it costs less than this share of the forward one
 
-    def __call__(self, run: Session, segment: Followed) -> Followed:
+    def __call__(self, run: Runner, segment: Followed) -> Followed:
         good = np.flatnonzero(segment.tracked)
         if not len(good):
             return segment

@@ -12,7 +12,7 @@ import numpy as np
 from voodoo_jax.geometry.rotations import limb_ends
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import Followed, backwards, forwards, pass_of
 
 
@@ -31,7 +31,7 @@ class MendDiscontinuities:
     better: float = 0.9  # it is kept where it costs less than this share
     every: int = 30  # frames of a segment for each of the jumps that are looked at
 
-    def __call__(self, run: Session, segment: Followed) -> Followed:
+    def __call__(self, run: Runner, segment: Followed) -> Followed:
         left: set[int] = set()
         for _ in range(1 + len(segment) // self.every):
             found = [k for k in self.jumps(run.body, segment) if k not in left]
@@ -59,7 +59,7 @@ class MendDiscontinuities:
         found = 1 + np.flatnonzero(over > self.far)
         return found[np.argsort(-over[found - 1])].tolist()
 
-    def _mended(self, run: Session, segment: Followed, at: int) -> Followed:
+    def _mended(self, run: Runner, segment: Followed, at: int) -> Followed:
         """The segment with the cheaper one of the sides of the jump into its frame `at` carried on over the other one,
         up to where both are the same; the same segment if none explains more."""
         lengths, first = np.asarray(run.body.sizes)[:, 4], segment.first

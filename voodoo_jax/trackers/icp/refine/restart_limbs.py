@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float
 from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
 from voodoo_jax.trackers.icp.segment import Followed, pass_of, tracked_anew
 from voodoo_jax.trackers.icp.start.hypothesis import USUAL, soon
 from voodoo_jax.trackers.icp.trials import standing_places
@@ -56,13 +56,13 @@ class RestartLimbs:
     around: int = 15  # frames before and after them that are tracked anew, too
     passes: ForwardBackward = ForwardBackward()  # by which passes are compared frame by frame
 
-    def __call__(self, run: Session, segment: Followed) -> Followed:
+    def __call__(self, run: Runner, segment: Followed) -> Followed:
         for start, end in self.in_doubt(run.people[segment.first : segment.end], segment.cost, segment.tracked):
             segment = self._looked(run, segment, start, end)
         return segment
 
     def in_doubt(
-        self, people: list[PersonFrame], cost: Float[np.ndarray, " frame"], tracked: Bool[np.ndarray, " frame"]
+        self, people: list[BodyObservation], cost: Float[np.ndarray, " frame"], tracked: Bool[np.ndarray, " frame"]
     ) -> list[tuple[int, int]]:
         """Begin and end of the stretches of `tracked` frames that cost more than noise and the rest of them explain."""
         if not tracked.any():
@@ -73,7 +73,7 @@ class RestartLimbs:
         found = [(int(r[k]), int(r[min(k + longest, len(r)) - 1]) + 1) for r in runs for k in range(0, len(r), longest)]
         return [(start, end) for start, end in found if end - start >= self.fewest]
 
-    def _looked(self, run: Session, segment: Followed, start: int, end: int) -> Followed:
+    def _looked(self, run: Runner, segment: Followed, start: int, end: int) -> Followed:
         """The segment with limbs that were started anew between two of its frames, where they cost less."""
         first, count, cost = segment.first, len(segment), segment.cost
         at = start + int(np.argmax(self.passes.smoothed(cost)[start:end]))

@@ -6,7 +6,7 @@ The name of a stage is its file, its switch (`track.skip`), its test file and it
 from collections.abc import Iterable
 from typing import ClassVar, Protocol, runtime_checkable
 
-from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import Followed
 
 
@@ -16,23 +16,23 @@ class Named(Protocol):
 
     name: ClassVar[str]
     looks_ahead: ClassVar[bool]  # uses later frames: left out with Settings.online
-    needs: ClassVar[frozenset[str]]  # of Session.offers: else it is passed over
+    needs: ClassVar[frozenset[str]]  # of Runner.offers: else it is passed over
 
 
 @runtime_checkable
 class Stage(Named, Protocol):
     """One correction of a segment, once it is tracked. It gives back the same segment where it changes nothing."""
 
-    def __call__(self, run: Session, segment: Followed) -> Followed: ...
+    def __call__(self, run: Runner, segment: Followed) -> Followed: ...
 
 
-def is_active(run: Session, stage: Named) -> bool:
+def is_active(run: Runner, stage: Named) -> bool:
     """Whether a stage is neither switched off nor of no use for what is tracked."""
     skipped = run.settings.skips("track", stage.name, stage.looks_ahead)
     return not skipped and stage.needs <= run.offers
 
 
-def refined(run: Session, segment: Followed, stages: Iterable[Stage]) -> Followed:
+def refined(run: Runner, segment: Followed, stages: Iterable[Stage]) -> Followed:
     """The segment after all stages that are active, in their order."""
     for stage in stages:
         if is_active(run, stage):

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from voodoo_jax.geometry.rigid import Poses, on_host
-from voodoo_jax.trackers.icp.runner import Session
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.start.hypothesis import noise_of, trial, tried_on
 from voodoo_jax.trackers.icp.trials import facing
 
@@ -24,7 +24,7 @@ class FreshEnd:
     much_better: float = 0.5  # of its cost, where the fresh start is in doubt, too
 
     def __call__(
-        self, run: Session, first: int, cost: Float[np.ndarray, " frame"], rotation: Float32[np.ndarray, "frame limb 4"]
+        self, run: Runner, first: int, cost: Float[np.ndarray, " frame"], rotation: Float32[np.ndarray, "frame limb 4"]
     ) -> Poses | None:
         """Poses in the last of some frames, the first of them `first`, from a start of its own shortly before, if that
         explains more than the track with this `cost` and these `rotation`s, and is in no doubt: a wrong track is left

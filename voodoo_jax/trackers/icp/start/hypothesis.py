@@ -9,9 +9,9 @@ import numpy as np
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.observation import PersonFrame
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.body_size import sized, unlikely
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
 from voodoo_jax.trackers.icp.trials import opposite, standing_places
 
 RIVAL = (
@@ -23,7 +23,7 @@ USUAL = 0.018  # metres of noise that a start is allowed in any case; by hand
 NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is; by hand
 
 
-class Beginning(NamedTuple):
+class StartHypothesis(NamedTuple):
     """A start hypothesis."""
 
     frame: int
@@ -31,14 +31,14 @@ class Beginning(NamedTuple):
     poses: Poses
     cost: float  # see solve.scan.cost_of and body_size.unlikely
     noise: float = 0.0  # of the points that it was tried on, metres, at least USUAL
-    rival: "Beginning | None" = None  # faces the other way
+    rival: "StartHypothesis | None" = None  # faces the other way
 
     def clear(self, sure: float) -> bool:
         """Whether neither what it costs nor noise leaves a doubt that it is right."""
         return self.unexplained <= sure and self.noise <= NOISY
 
     @property
-    def close_rival(self) -> "Beginning | None":
+    def close_rival(self) -> "StartHypothesis | None":
         """The rival, if it costs hardly more."""
         return self.rival if self.rival is not None and self.rival.cost < RIVAL * self.cost else None
 
@@ -48,7 +48,7 @@ class Beginning(NamedTuple):
         return self.cost - self.noise**2
 
 
-def trial(run: Session, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> Beginning:
+def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> StartHypothesis:
     """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
 
     `rest` the body with another rest pose, to begin with that.
@@ -64,18 +64,20 @@ def trial(run: Session, at: int, body: Body, before: Poses | None = None, rest: 
     tried = run.trials(body, frames, places)
     odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # of a size that is known nobody doubts
     found = [
-        Beginning(at, body, jax.tree.map(lambda x, k=k: x[k], tried.state.poses), odds * float(tried.cost[k]), noise)
+        StartHypothesis(
+            at, body, jax.tree.map(lambda x, k=k: x[k], tried.state.poses), odds * float(tried.cost[k]), noise
+        )
         for k in opposite(body, tried, FAR_RIVAL)
     ]
     return found[0]._replace(rival=found[1] if len(found) > 1 else None)
 
 
-def sized_at(run: Session, at: int, low: float = np.inf) -> Body:
+def sized_at(run: Runner, at: int, low: float = np.inf) -> Body:
     """The body in the size that it is known to have, or else in the one that it seems to have, see measured_at."""
     return run.body if run.sized else measured_at(run, at, low)
 
 
-def measured_at(run: Session, at: int, low: float = np.inf) -> Body:
+def measured_at(run: Runner, at: int, low: float = np.inf) -> Body:
     """The body in the size that it seems to have from frame `at` on.
 
     `low` how high above the floor the lowest points are when it stands, metres: in the air it is as much lower."""
@@ -86,24 +88,24 @@ def measured_at(run: Session, at: int, low: float = np.inf) -> Body:
     return sized(run.body, lowered, run.scene.floor, s)
 
 
-def lowest(run: Session, frame: PersonFrame) -> float:
+def lowest(run: Runner, frame: BodyObservation) -> float:
     """How high above the floor the lowest points are, metres."""
     return float(np.percentile(run.scene.floor.height(frame.points), 1)) if len(frame.points) else -np.inf
 
 
-def tried_on(run: Session, at: int) -> list[PersonFrame]:
+def tried_on(run: Runner, at: int) -> list[BodyObservation]:
     """The frames from `at` on by which trials are compared."""
     s: StartSettings = run.settings.start
     return soon([f for f in run.people[at : at + 3 * s.frames] if len(f.points) >= FEW_POINTS], s)
 
 
-def soon(frames: list[PersonFrame], s: StartSettings) -> list[PersonFrame]:
+def soon(frames: list[BodyObservation], s: StartSettings) -> list[BodyObservation]:
     """As many of the frames, from the first on, as trials are compared by: over a longer time starts that are right
     are lost, too."""
     return [f for k, f in enumerate(frames[: s.frames]) if k < 3 or f.time_ns - frames[0].time_ns <= s.seconds * 1e9]
 
 
-def noise_of(frames: list[PersonFrame]) -> float:
+def noise_of(frames: list[BodyObservation]) -> float:
     """What noise a start from these frames is allowed, metres."""
     # people are no cylinders: a quieter sensor does not come nearer to them
     return max(USUAL, float(np.median([f.noise for f in frames])))

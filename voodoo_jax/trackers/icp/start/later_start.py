@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, Session, first_run
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner, first_run
 from voodoo_jax.trackers.icp.start.hypothesis import lowest, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
 
@@ -20,7 +20,7 @@ class LaterStart:
 
     clearer: float = 0.5  # a later start is taken where it costs less than this share of the first
 
-    def __call__(self, run: Session, search: Search) -> Search:
+    def __call__(self, run: Runner, search: Search) -> Search:
         first, found = search.best, list(search.found)
         if first.clear(run.settings.start.sure):
             return search
@@ -34,7 +34,7 @@ class LaterStart:
         return search._replace(best=best, found=tuple(found))
 
 
-def frames_after(run: Session, at: int) -> list[int]:
+def frames_after(run: Runner, at: int) -> list[int]:
     """Frames after `at` to start from: with points on end until there, and before the body changes."""
     end = min([len(run.people), *(frame for frame, _ in run.pending)])
     seconds = np.array([f.time_ns - run.people[at].time_ns for f in run.people[at:end]]) / 1e9

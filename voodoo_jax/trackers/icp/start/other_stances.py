@@ -5,8 +5,8 @@ from typing import ClassVar
 
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
-from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.start.hypothesis import Beginning, sized_at, trial
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
 
 
@@ -20,7 +20,7 @@ class OtherStances:
 
     likelier: float = 0.8  # to stand, or what was found before, is left where another costs less than this share of it
 
-    def __call__(self, run: Session, search: Search) -> Search:
+    def __call__(self, run: Runner, search: Search) -> Search:
         # who sat before what is at rest was taken away did not stand up by that; else people stand
         earlier = run.stances.pop(search.at, None)
         posed = in_stances(run, search.best.frame) if search.best.unexplained > run.settings.start.sure else []
@@ -31,7 +31,7 @@ class OtherStances:
         return search._replace(best=best, stance=stance)
 
 
-def in_stances(run: Session, at: int) -> list[tuple[Beginning, Stance]]:
+def in_stances(run: Runner, at: int) -> list[tuple[StartHypothesis, Stance]]:
     """Starts from frame `at` with arms raised or sitting; none for a body that can do neither."""
     found, seen = [], sized_at(run, at)
     for stance in STANCES:

@@ -7,16 +7,16 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.trackers.icp.refine.stage import Named
-from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.start.hypothesis import Beginning
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 
 
 class Search(NamedTuple):
     """The search for how a segment begins."""
 
     at: int  # frame in which it begins
-    best: Beginning  # may be of a later frame
-    found: tuple[Beginning, ...]  # standing, of this frame and of later ones
+    best: StartHypothesis  # may be of a later frame
+    found: tuple[StartHypothesis, ...]  # standing, of this frame and of later ones
     stance: Stance | None = None  # of the best one, if it does not stand
 
 
@@ -24,4 +24,4 @@ class Search(NamedTuple):
 class StartStage(Named, Protocol):
     """One more kind of start that is tried."""
 
-    def __call__(self, run: Session, search: Search) -> Search: ...
+    def __call__(self, run: Runner, search: Search) -> Search: ...

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from voodoo_jax.trackers.icp.runner import Session
-from voodoo_jax.trackers.icp.start.hypothesis import Beginning, trial
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, trial
 from voodoo_jax.trackers.icp.start.stage import Search
 
 
@@ -22,14 +22,14 @@ class TallerSize:
     )
     most: int = 2  # sizes that are tried
 
-    def __call__(self, run: Session, search: Search) -> Search:
+    def __call__(self, run: Runner, search: Search) -> Search:
         if search.stance is not None:
             return search
         best = search.best
         near = [b for b in search.found if b.cost < self.alike * best.cost]
         taller = [b.body for b in near if float(b.body.scale) > 1.01 * float(best.body.scale)]
         for body in sorted(taller, key=lambda b: float(b.scale), reverse=True)[: self.most]:
-            tried: Beginning = trial(run, best.frame, body)
+            tried: StartHypothesis = trial(run, best.frame, body)
             if tried.cost < self.as_well * best.cost:  # else a hand was what was highest
                 return search._replace(best=tried)
         return search
