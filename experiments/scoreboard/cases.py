@@ -63,8 +63,8 @@ def log_found(path: Path, frames: int) -> Found:
         return Found((), (), unnamed(str(error), path))
     if frames:
         recording = replace(recording, frames=recording.frames[:frames])
-    tracks = vj.track(vj.human(), recording)  # one person per log is tracked today
-    return Found((tracks,), tracks.notes, "")
+    people = vj.track_people(vj.human(), recording)
+    return Found(tuple(people), people[0].notes, "")
 
 
 def folder_found(path: Path) -> Found:

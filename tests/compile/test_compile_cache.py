@@ -15,11 +15,11 @@ from voodoo_jax.cli.main import main
 from voodoo_jax.compile import cache_dir
 from voodoo_jax.compile.cache_dir import (
     CacheError,
-    _link_all,
     alone,
     cache_folder,
     keep,
     kept,
+    link_all,
     refused,
     safe_folder,
 )
@@ -194,7 +194,7 @@ def test_entries_of_others_are_not_read(shared, tmp_path, monkeypatch, how):
         entry.unlink()
         os.mkfifo(entry)
     assert kept("x") is None
-    _link_all(*shared)  # nor handed to jax
+    link_all(*shared)  # nor handed to jax
     assert not own.exists()
 
 
@@ -203,7 +203,7 @@ def test_entries_are_this_user_s_alone_whatever_the_umask(shared):
     try:
         keep("x", b"program")
         (shared[1] / "jit-cache").write_bytes(b"of jax")
-        _link_all(shared[1], shared[0])
+        link_all(shared[1], shared[0])
     finally:
         os.umask(before)
     modes = {path.name: path.stat().st_mode & 0o777 for path in shared[0].iterdir() if path.is_file()}

@@ -9,6 +9,7 @@ from tests.support.segments import blank_tracks
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.weigh_by_noise import FEWEST, range_noise, weighed
 from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.markers.own_sites import named_subject
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
@@ -104,5 +105,6 @@ def test_a_noisy_log_says_so(rng, sigma, said):
     people = list(weighed([frame(cylinder(rng, 3.0, sigma))] * 3, settings.detect.noise))
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), True)
     run = Runner(body, options_from(settings.solve, settings.track), people, scene, settings)
-    notes = notes_on(run, blank_tracks(body, len(people)), [])
+    named = named_subject(people, body.topology, settings.features)
+    notes = notes_on(run, blank_tracks(body, len(people)), [], named)
     assert any("Distances are noisy" in note for note in notes) == said

@@ -216,14 +216,14 @@ def test_limb_without_pose_is_left_out(tmp_path):
 
 def test_failure_in_the_middle_leaves_nothing(tmp_path, monkeypatch):
     tracks = make_tracks()
-    real = foxglove._quality
+    real = foxglove.quality_of
 
     def dies(t, frame, confidence):
         if frame == 50:
             raise RuntimeError("out of luck")
         return real(t, frame, confidence)
 
-    monkeypatch.setattr(foxglove, "_quality", dies)
+    monkeypatch.setattr(foxglove, "quality_of", dies)
     with pytest.raises(RuntimeError, match="out of luck"):
         write_tracks_mcap(tracks, tmp_path / "a.mcap")
 

@@ -96,6 +96,7 @@ def one_by_one(*asked: Any) -> tuple[State, Step]:
     return jax.lax.map(lambda mine: track_visits.function(*mine), asked)
 
 
+# 7 parameters: those of the program that it stands for
 def in_lockstep(
     body: Body,
     options: TrackOptions,

@@ -27,6 +27,7 @@ __all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
 SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being done
 
 
+# 14 parameters, the options of the command, each by name; half of the lines say what they are
 def replay(
     logs: Iterable[str | os.PathLike[str]],
     out: str | os.PathLike[str],

@@ -19,6 +19,7 @@ from voodoo_jax.trackers.icp.tracker import track_person
 from voodoo_jax.trackers.stages import check_stages
 
 
+# 67 lines, a third of them what it takes and gives
 @users_cache()
 def track_many(
     bodies: Body | Sequence[Body],

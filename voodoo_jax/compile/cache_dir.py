@@ -126,7 +126,7 @@ def use_compile_cache(folder: str) -> str:
     if not folder:
         return ""
     if folder in _own:
-        _link_all(*_own[folder])
+        link_all(*_own[folder])
         return ""
     import jax
     from jax.experimental.compilation_cache import compilation_cache
@@ -139,7 +139,7 @@ def use_compile_cache(folder: str) -> str:
         shared = _shared(folder)
         _sweep(shared)
         own = Path(tempfile.mkdtemp(prefix=f"run-{socket.gethostname()}-{os.getpid()}-", dir=shared))
-        _link_all(shared, own)
+        link_all(shared, own)
     except OSError as problem:
         return f"no compile cache in {folder}: {problem.strerror}"
     _own[folder] = shared, own
@@ -157,7 +157,7 @@ def leave_compile_cache() -> None:
     """Hands on what was compiled, and removes this process's own folders."""
     for folder in list(_own):
         shared, own = _own.pop(folder)
-        _link_all(own, shared)
+        link_all(own, shared)
         shutil.rmtree(own, ignore_errors=True)
 
 
@@ -177,7 +177,7 @@ if hasattr(os, "register_at_fork"):
 def keep_compiled() -> None:
     """Hands what was compiled since the last call to other processes."""
     for shared, own in _own.values():
-        _link_all(own, shared)
+        link_all(own, shared)
 
 
 @contextmanager
@@ -219,7 +219,7 @@ def kept(name: str) -> bytes | None:
 def keep(name: str, data: bytes) -> None:
     """Keeps something for other processes, at once: what takes long to make, two should not make."""
     for shared, own in _own.values():
-        with suppress(OSError):  # as in _link_all
+        with suppress(OSError):  # as in link_all
             entry = _entry(own, name)
             partial = entry.with_name(f".{name}.tmp")
             packed = zlib.compress(data, 1)
@@ -260,7 +260,7 @@ def _entry(folder: Path, name: str) -> Path:
     return folder / f"program-{name}-cache"
 
 
-def _link_all(source: Path, target: Path) -> None:
+def link_all(source: Path, target: Path) -> None:
     """Gives `target` all entries of `source` that it does not have, each whole or not at all."""
     with suppress(OSError):  # a full disk, or a folder that somebody has cleared: compiled again next time
         there = set(os.listdir(target))

@@ -26,6 +26,7 @@ class Build(NamedTuple):
         return max(self.height, self.width) * (1 + self.loose)
 
 
+# 7 parameters: what is measured of a thing, each once
 def candidate(
     points: Float32[np.ndarray, "point 3"],
     label: Int[np.ndarray, " point"],

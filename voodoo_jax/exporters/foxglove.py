@@ -105,7 +105,7 @@ def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, b
     for i, stamp in enumerate(tracks.time_ns.tolist()):
         seconds, nanos = divmod(stamp, 1_000_000_000)
         time = Timestamp(seconds=seconds, nanos=nanos)
-        messages = {"quality": _quality(tracks, i, confidence[i])}
+        messages = {"quality": quality_of(tracks, i, confidence[i])}
         if transforms := _transforms(tracks, i, time, named):
             messages["tf"] = FrameTransforms(transforms=transforms).SerializeToString()
             limbs = [t for t in transforms if not t.child_frame_id.startswith(f"{prefix}joint/")]
@@ -149,7 +149,7 @@ def _transforms(tracks: Tracks, frame: int, time: Timestamp, named: list[FrameTr
     return [transform for transform, use in zip(named, there) if use]
 
 
-def _quality(tracks: Tracks, frame: int, confidence: float) -> bytes:
+def quality_of(tracks: Tracks, frame: int, confidence: float) -> bytes:
     number = lambda x: float(x) if math.isfinite(x) else None  # noqa: E731  (JSON has no NaN)
     scalars = {
         "residual_m": number(tracks.residual[frame]),

@@ -53,6 +53,7 @@ TruthLike = Truth | str | os.PathLike[str] | None
 Log = str | os.PathLike[str] | Recording
 
 
+# 8 parameters: the options of the command, each by name
 @users_cache()
 def fit(
     body: Body,
@@ -86,6 +87,7 @@ def fit(
     return fit_tracked(seen, settings, options, truths, loss, state, say)
 
 
+# 77 lines: one round after the other, which share ten variables
 def fit_tracked(
     seen: Sequence[Seen],
     settings: Settings,

@@ -99,6 +99,7 @@ def feature_names(people: list[BodyObservation], topology: Topology, settings: F
     return tuple(name for name in found if names.look_up(name))
 
 
+# 10 parameters: what a recording says of itself, and how frames are chosen
 def fit_frames(
     tracks: Tracks,
     people: list[BodyObservation],

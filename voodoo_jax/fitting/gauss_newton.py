@@ -73,11 +73,13 @@ class FitError(ValueError):
     """A fit that cannot be made; says why, and what to try."""
 
 
+# 7 parameters: those of the program that it is
 def _placed(body: Body, options: IcpOptions, frames: FitFrames, starts: Poses, x, maps, objective: Objective) -> Placed:
     free = Parameters((), np.zeros(0), maps, True)  # the names are not needed here
     return placed(body, options, frames, starts, x, free.changes, objective)
 
 
+# 7 parameters: those of the program that it is
 def _normals(body: Body, options: IcpOptions, frames: FitFrames, at: Placed, x, maps, objective: Objective) -> Normals:
     free = Parameters((), np.zeros(0), maps, True)
     return normals(body, options, frames, at, x, free.changes, objective)

@@ -139,6 +139,7 @@ class Normals(NamedTuple):
 Say = Callable[[Float[Array, " free"]], Changes]
 
 
+# 8 parameters, traced ones apart from static ones
 def placed(
     body: Body,
     options: IcpOptions,
@@ -163,6 +164,7 @@ def placed(
     return one_by_one(one, (frames, starts), batch)
 
 
+# 8 parameters, traced ones apart from static ones
 def normals(
     body: Body,
     options: IcpOptions,

@@ -201,6 +201,7 @@ class LogReader:
         counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
         return counted + self._plan_parts.losses()
 
+    # 76 lines: one pass over the messages, which share a dozen variables
     def frames(self, progress: Progress | None = None) -> Iterator[Frame]:
         """Frames in the order of their stamps. `progress` gets the number of depth messages (without
         any: frames) done, and of all.

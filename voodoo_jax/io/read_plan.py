@@ -55,6 +55,7 @@ class Plan:
     pictures: PicturePlan | None = None  # of single cameras, where images are asked for
 
 
+# 82 lines: one decision after the other, each for the next
 def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
     """Plans the second pass. Raises LogError if there is nothing to track in it, or no way to the fixed frame.
 

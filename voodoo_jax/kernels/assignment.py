@@ -74,6 +74,7 @@ def in_reach(sizes, poses, points: Points, options: MatchOptions, present) -> Bo
     return near_body & (points.weight > 0)
 
 
+# 7 parameters: points by component, for products over an axis of 3 are slow
 def may_belong(limb, size, px, py, pz, points: Points, options: MatchOptions):
     """Which points may belong to a limb: by its box, or because somebody knows."""
     inside = in_limb_box(size, px, py, pz, options.limb_enlarge)
@@ -108,6 +109,7 @@ def _signed_if_near(limb, here, row, xyz, points, options):
     return jnp.where(here & may_belong(limb, size, px, py, pz, points, options), signed, jnp.inf)
 
 
+# 7 parameters: points by component, for products over an axis of 3 are slow
 def closest_limb(sizes, poses, points, xyz, near_body, present, options) -> Int[Array, " point"]:
     """The closest limb of those in whose box a point is; the number of limbs where there is none."""
     limbs, true = sizes.shape[0], options.robust_scale > 0

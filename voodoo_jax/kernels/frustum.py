@@ -81,6 +81,7 @@ def uncut(*numbers: Array) -> Any:
     return numbers
 
 
+# 9 parameters: points and a limb's sizes by component
 def _closest(size, rims, x, y, z, refine, caps, cut=uncut, alone=False):
     """Closest points, their squared distances, and which points are inside. `alone`: distances alone are wanted, and
     their values, not their derivatives."""
@@ -127,6 +128,7 @@ def _closest(size, rims, x, y, z, refine, caps, cut=uncut, alone=False):
     return (cx, cy, cz), d2, inside
 
 
+# 8 parameters: points and a limb's sizes by component
 def closest_point(
     size: Size,
     x: Float[Array, " point"],
@@ -158,6 +160,7 @@ def closest_point(
     return SurfacePoint(x, y, z, jnp.where(inside, -distance, distance))
 
 
+# 7 parameters: points and a limb's sizes by component
 def signed_square(
     size: Size,
     x: Float[Array, " point"],

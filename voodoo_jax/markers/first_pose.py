@@ -108,6 +108,7 @@ def first_pose(
     return q, out_at, factor
 
 
+# 10 parameters: what limbs before this one have told
 def _limb_turn(model, data, limb, trust, own, children, factor, turn, shift, pin=None):
     """A limb's rotation and translation from the rest pose: its own points, its children's a little, held by the joint
     and weakly by the parent's rotation (root: by the whole body's)."""

@@ -129,6 +129,7 @@ def _first_poses(body: Body, rows, points, seen, factor, trust) -> tuple[np.ndar
     return turn, np.stack([at for _, at, _ in first]), float(np.median([found for _, _, found in first]))
 
 
+# 7 parameters: the state of the fit
 def _found_places(chain: Chain, x, loose, turn, origins, points, seen) -> np.ndarray:
     """Shifts of the markers to where those whose place is not known sit on their limbs in the first poses: in those
     nearest to rest, for how a bent limb is turned about itself is told by such markers only."""
@@ -143,6 +144,7 @@ def _found_places(chain: Chain, x, loose, turn, origins, points, seen) -> np.nda
     return shifts
 
 
+# 9 parameters: the state of the fit
 def _step(chain: Chain, priors: Priors, x, turn, off, seen, reach: float, damping: float, sizes: bool):
     """One damped Gauss-Newton step: motions of all poses and the change of x (none without `sizes`)."""
     frames = len(turn)

@@ -20,6 +20,7 @@ from voodoo_jax.model.body import Body, Topology, scaled, tree_order, with_rest_
 from voodoo_jax.model.body_file import load_body
 
 
+# 8 parameters: what a held thing is, each by name
 def attach(
     body: Body,
     thing: Body,

@@ -101,6 +101,7 @@ def parse_body(text: str, source: str = "<text>") -> Body:
     return on_device(_parsed(text, source))
 
 
+# 68 lines: one table of the file after the other
 def _parsed(text: str, source: str) -> Body:
     file = TomlFile(text, source, KEYS, BodyFileError)
     root = file.root()

@@ -105,6 +105,7 @@ class Simulation:
     joints: Float32[np.ndarray, "frame centre 3"]  # body.topology.centres, metres
 
 
+# 8 parameters, all but three with a default
 def simulate(
     body: Body,
     motion: Motion,

@@ -53,6 +53,7 @@ def pad_features(
     return Features(*jax.device_put((point, origin, direction, weight)))
 
 
+# 7 parameters: the shapes that are decided here, each once
 def pad_frames(
     frames: list[BodyObservation],
     capacity: int,

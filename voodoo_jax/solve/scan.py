@@ -266,6 +266,7 @@ class Visits(NamedTuple):
 NOBODY = -1
 
 
+# 7 parameters: those of the one program, traced each
 @program
 def track_visits(
     body: Body,
@@ -313,6 +314,7 @@ def covariances_of(
     return jax.lax.cond(sure, found, lambda: jnp.zeros((count, limbs, 6, 6), normals.dtype))
 
 
+# 7 parameters: those of the one program, traced each
 def track_chunk(
     body: Body,
     options: TrackOptions,

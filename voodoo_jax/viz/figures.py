@@ -239,6 +239,7 @@ def _rings(tracks: Tracks, i: int) -> np.ndarray:
     return np.concatenate([bottom, top], 1) @ turn.transpose(0, 2, 1) + tracks.translation[i][:, None]
 
 
+# 7 parameters: what is drawn, where and how
 def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int, int, int], colours) -> None:
     """The limbs' outlines, farthest first, and joint centres in frame `i`; `view`: axes for right, up and away."""
     h, v, depth = view

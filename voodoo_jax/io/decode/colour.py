@@ -10,6 +10,7 @@ from voodoo_jax.records.messages import Colour, Image, frame_name, pb_stamp, ros
 COLOUR_KIND = "colour image"
 
 
+# 7 parameters: the fields of an image message
 def colour_image(stamp_ns: int, frame: str, encoding: str, rows: int, columns: int, step: int, data: Any) -> Colour:
     """An image with an encoding of `PIXELS`."""
     name = encoding.strip().lower()

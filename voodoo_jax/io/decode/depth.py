@@ -142,6 +142,7 @@ def _foxglove_transform(m: Any) -> Transform:
     )
 
 
+# 7 parameters: the fields of a cloud message
 def _grid(data: Any, rows: int, columns: int, step: int, row_step: int, fields: dict, order: str) -> np.ndarray:
     if any(axis not in fields or fields[axis][0] is None for axis in _AXES):
         raise ValueError(f"the cloud has no fields x, y, z but {', '.join(fields) or 'none'}")
@@ -159,6 +160,7 @@ def _grid(data: Any, rows: int, columns: int, step: int, row_step: int, fields: 
     return np.ndarray((rows, columns), dtype, buffer=data, strides=(row_step, step))
 
 
+# 8 parameters: the fields of an image message
 def _image(
     stamp_ns: int, frame: str, encoding: str, rows: int, columns: int, step: int, data: Any, order: str
 ) -> Image:

@@ -245,6 +245,7 @@ def _restarted(
     return jax.vmap(limb)(jax.random.split(key, 4), x[LIMBS[:, 0]], bones, context.others, jnp.asarray(IS_ARM, x.dtype))
 
 
+# 9 parameters: model, state and measurements of a limb, traced each
 def _layers(
     key: Array, p: Array, origin: Array, spread: Array, space: LimbSpace, context: LimbContext, view: View, n: Numbers,
     shape: Shape,
@@ -255,6 +256,7 @@ def _layers(
     scales = jnp.asarray([0.5**k for k in range(count)], jnp.float32)
     powers = jnp.asarray([(k + 1) / count for k in range(count)], jnp.float32)
 
+    # 8 parameters: model, state and measurements of a limb, traced each
     def limb_layer(key, p, origin, spread, space, context, scale, power):
         keys = jax.random.split(key, 5)
         at, _ = project(view, p)
@@ -287,6 +289,7 @@ def _layers(
     return lax.scan(layer, first, (jnp.arange(count), scales, powers))[0]
 
 
+# 7 parameters: model, state and measurements, traced each
 def refined(
     body: FlexibleBody, x: Float[Array, "16 3"], points: Float[Array, "point 3"], share: Float[Array, "point"],
     rounds: int, legs_apart: Float[Array, ""] | float = 0.0, floor: Float[Array, "4"] | None = None,
@@ -311,6 +314,7 @@ def refined(
     return lax.fori_loop(0, rounds, one, x) if rounds else x
 
 
+# 7 parameters: model, state and measurements, traced each
 def _seen(
     body: FlexibleBody, x: Float[Array, "16 3"], spread: Array, masses: Array, given: Inputs, context: LimbContext,
     n: Numbers,

@@ -203,6 +203,7 @@ def _apart(p: Float[Array, "2 3"], free: Float[Array, "2"], space: LimbSpace) ->
     return p + free[:, None] * (space.is_arm * push + (1 - space.is_arm) * across[:, None] * space.outward)
 
 
+# 7 parameters: the body, its state and what acts on it, traced each
 def relax(
     body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], iterations: int,
     apart: Float[Array, ""] | float = 0.0, limits: bool = True, floor: Float[Array, "4"] | None = None,
@@ -232,6 +233,7 @@ def project_limb(
     return limb_bones(lax.fori_loop(0, iterations, step, p), inverse, space)
 
 
+# 9 parameters: the body, its state and what acts on it, traced each
 def step(
     body: FlexibleBody, x: Float[Array, "16 3"], before: Float[Array, "16 3"], gravity: Float[Array, "3"],
     dt: Float[Array, ""] | float, damping: float, iterations: int,

@@ -190,6 +190,7 @@ def log_weight(score: Score, w: Weighing) -> Float[Array, "*n"]:
     return w.edge * score.edge + w.surface * score.surface + w.depth * score.depth - w.points * score.points
 
 
+# 7 parameters: model, state and measurements, traced each
 def learn(
     body: FlexibleBody, x: Float[Array, "16 3"], frames: Frames, view: View, colours: Float[Array, "4 2 ring 3"],
     learnt: Float[Array, "4 2 ring"], rate: Float[Array, "4 2"],

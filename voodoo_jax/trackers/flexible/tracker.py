@@ -162,6 +162,7 @@ def track_frames(
         seen.features.close()
 
 
+# 8 parameters: those of the program that it is
 def follow(
     body: Body, seen: Observed, settings: Settings, source: str, fixed_frame: str, notes: tuple[str, ...] = (),
     progress: Progress | None = None, began: float | None = None,
@@ -246,6 +247,7 @@ def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
 
+# 9 parameters: a pass is run from two places
 def _run(
     model: FlexibleBody, state: State, seen: Observed, heads: Heads, order: range, key: jax.Array, s: FlexibleSettings,
     up: np.ndarray, progress: Progress | None,
@@ -290,6 +292,7 @@ def _first(count: int, a: jax.Array) -> np.ndarray:
     return np.asarray(a)[:count]
 
 
+# 8 parameters: what a log says of itself, and what was found
 def _tracks(
     body: Body, begin: Start, seen: Observed, first: int, found: Seen, source: str,
     fixed_frame: str, notes: tuple[str, ...],
