@@ -30,8 +30,8 @@ from experiments.stress.scenes import scenes, shoot
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect import pipeline as detection
 from voodoo_jax.records.recording import Frame
+from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.icp import pipeline as icp
-from voodoo_jax.trackers.icp.tracker import track
 
 CHANGED_LOGS = 9  # every so manieth recording is changed in all ways of experiments/stress
 ALWAYS = ("weigh_by_noise", "forward_backward", "fit_forearms")  # act in every log: judged on the recordings only

@@ -16,7 +16,7 @@ from voodoo_jax.simulate.motion import Motion, grounded, motion_of_turns
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.room import Box, Room
 from voodoo_jax.simulate.sensor import tof_camera
-from voodoo_jax.trackers.icp.tracker import track
+from voodoo_jax.trackers.front import track
 
 RATE, SECONDS = 30, 3.0
 SIZES = (0.4, 0.5, 0.6, 0.7, 0.75, 0.85)  # height of the withers, metres; the body file says 0.6

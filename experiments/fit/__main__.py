@@ -32,7 +32,7 @@ from voodoo_jax.simulate.motion import Motion, placed, sequence
 from voodoo_jax.simulate.recording import Simulation, simulate
 from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import NO_NOISE, TOF_NOISE, Noise
-from voodoo_jax.trackers.icp.tracker import track
+from voodoo_jax.trackers.front import track
 
 NOTE = """
 After: the fitted body, whether it is written or not. Two of three runs of time are held back. Settings (noise, what is

@@ -28,7 +28,7 @@ from voodoo_jax.simulate.motion import Motion, make_motion, placed, pose_body
 from voodoo_jax.simulate.recording import render, simulate
 from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import Camera
-from voodoo_jax.trackers.icp.tracker import track
+from voodoo_jax.trackers.front import track
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 MS = 1_000_000

@@ -27,7 +27,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Recording
 from voodoo_jax.simulate.motion import make_motion, placed, pose_body, sequence
 from voodoo_jax.solve.names import FeatureNames
-from voodoo_jax.trackers.icp.tracker import track
+from voodoo_jax.trackers.front import track
 
 RATE = 60.0
 LENGTHS = {"l_thigh": 1.06, "r_thigh": 1.06, "l_forearm": 1.08, "r_forearm": 1.08, "chest": 0.96}

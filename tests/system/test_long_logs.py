@@ -13,8 +13,8 @@ from tests.support.small_logs import SETTINGS, small_body, small_log
 from voodoo_jax.detect.disk_buffer import ARRAYS, spilled
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.icp import sequence
-from voodoo_jax.trackers.icp.tracker import track
 
 
 def cloud(i: int, count: int, parts: bool = True) -> BodyObservation:

@@ -9,24 +9,25 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.exporters.formats import FORMATS, ExportError, export, gaps_note
 from voodoo_jax.exporters.npz import read_tracks_npz
 from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.storage.urls import NPZ
 
-TRACKS_NPZ, VIEW = ".tracks.npz", ".html"
+VIEW = ".html"
 
 
 def exported_name(npz: str | Path, format: str) -> str:
     """Name of the file that tracks are exported to."""
-    return Path(npz).name.removesuffix(TRACKS_NPZ) + FORMATS[format].suffix
+    return Path(npz).name.removesuffix(NPZ) + FORMATS[format].suffix
 
 
 def people_of(tracks: Tracks, npz: Path) -> list[tuple[Path, Tracks]]:
     """Tracks of a log and those of its other people, which lie beside them as `<log>.2.tracks.npz` and so on."""
-    stem = npz.name.removesuffix(TRACKS_NPZ)
+    stem = npz.name.removesuffix(NPZ)
     others = [
         path
-        for path in npz.parent.glob(f"{escape(stem)}.*{TRACKS_NPZ}")
-        if re.fullmatch(r"\d+", path.name.removeprefix(f"{stem}.").removesuffix(TRACKS_NPZ))
+        for path in npz.parent.glob(f"{escape(stem)}.*{NPZ}")
+        if re.fullmatch(r"\d+", path.name.removeprefix(f"{stem}.").removesuffix(NPZ))
     ]
-    number = lambda path: int(path.name.removesuffix(TRACKS_NPZ).rsplit(".", 1)[1])  # noqa: E731
+    number = lambda path: int(path.name.removesuffix(NPZ).rsplit(".", 1)[1])  # noqa: E731
     return [(npz, tracks), *((path, read_tracks_npz(path)) for path in sorted(others, key=number))]
 
 
@@ -50,7 +51,7 @@ def write_view(tracks: Tracks, npz: Path, settings: Settings, log: str) -> list[
     from voodoo_jax.io.log_reader import LogError, open_log
     from voodoo_jax.viz.html_view import write_html
 
-    target = npz.with_name(npz.name.removesuffix(TRACKS_NPZ) + VIEW)
+    target = npz.with_name(npz.name.removesuffix(NPZ) + VIEW)
     try:
         write_html([own for _, own in people_of(tracks, npz)], open_log(log, settings.read).frames(), target)
     except (ValueError, OSError, LogError) as problem:

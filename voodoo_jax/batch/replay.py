@@ -20,7 +20,7 @@ from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.compile.cache_dir import safe_folder
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
-from voodoo_jax.storage.urls import byte_size, expanded, file_system, is_url, joined, person_place
+from voodoo_jax.storage.urls import NPZ, byte_size, expanded, file_system, is_url, joined, person_place
 
 __all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
 
@@ -151,7 +151,7 @@ def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "
 
 def _finished(job: Job, again: bool) -> Outcome | None:
     """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run."""
-    from voodoo_jax.batch.extra_files import TRACKS_NPZ, VIEW, exported_name
+    from voodoo_jax.batch.extra_files import VIEW, exported_name
     from voodoo_jax.batch.resume import finished_arrays
 
     npz, mcap, png = output_places(job.log, job.out)
@@ -159,7 +159,7 @@ def _finished(job: Job, again: bool) -> Outcome | None:
     if arrays is None:
         return None
     wanted = [png] if job.picture else []
-    wanted += [npz.removesuffix(TRACKS_NPZ) + VIEW] if job.html else []
+    wanted += [npz.removesuffix(NPZ) + VIEW] if job.html else []
     wanted += [joined(job.out, exported_name(npz, name)) for name in job.exports]
     due = bool(wanted) and min(map(_changed, wanted)) < _changed(npz)
     drawn = "due" if due else png if job.picture else ""

@@ -8,16 +8,17 @@ from voodoo_jax.cli.commands import Export
 
 def run_export(command: Export) -> int:
     """0 if all was written, 1 if something could not be, 2 if nothing could be begun."""
-    from voodoo_jax.batch.extra_files import TRACKS_NPZ, exported_name
+    from voodoo_jax.batch.extra_files import exported_name
     from voodoo_jax.exporters.formats import ExportError, check_formats, export, gaps_note
     from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
+    from voodoo_jax.storage.urls import NPZ
 
     def say(problem: object) -> None:
         print(f"voodoo-jax export: {problem}", file=sys.stderr)
 
     try:
         formats = check_formats([command.formats])
-        paths = [path for place in command.tracks for path in _files(place, TRACKS_NPZ)]
+        paths = [path for place in command.tracks for path in _files(place, NPZ)]
         if command.out is not None:
             command.out.mkdir(parents=True, exist_ok=True)
     except (ExportError, OSError) as problem:

@@ -21,9 +21,9 @@ from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.solve.scan import options_from
+from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.icp.body_size import measured_height, sized
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.tracker import track
 from voodoo_jax.trackers.icp.trials import facing, place, standing_places
 
 UP = np.array([0, 0, 1], np.float32)

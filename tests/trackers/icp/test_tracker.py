@@ -23,8 +23,9 @@ from voodoo_jax.simulate.recording import render, simulate
 from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
 from voodoo_jax.solve.scan import track_visits
+from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.icp.runner import first_run
-from voodoo_jax.trackers.icp.tracker import looked_at, prepare, track
+from voodoo_jax.trackers.icp.tracker import looked_at, prepare
 
 CAMERA = tof_camera(1.0, 0.07)
 NO, YES, GONE = Status.NOT_STARTED, Status.TRACKED, Status.NO_DATA

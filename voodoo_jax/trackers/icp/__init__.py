@@ -1,4 +1,4 @@
 """The tracker by articulated ICP (Knoop et al. 2006, 2007).
 
-Public: `tracker.track`, `tracker.track_person`, `people.track_people`.
+Public: `entry.IcpTracker`, `tracker.track_person`, `people.track_subjects`.
 """

@@ -9,11 +9,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Float32
 
-from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.compile.executable import program, seconds_of_waiting
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.camera_motion import to_fixed
-from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.joint_limits import check
@@ -33,10 +31,10 @@ from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.recording import Rays, Recording
+from voodoo_jax.records.recording import Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.tracks import Status, Tracks, given_from
+from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.covariance import covariances
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
@@ -46,7 +44,6 @@ from voodoo_jax.trackers.icp.pipeline import FINISH, REFINE
 from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner, by_markers, spans
 from voodoo_jax.trackers.icp.sequence import Progress, track_whole
-from voodoo_jax.trackers.stages import check_stages
 
 
 def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, ...]], parts: bool) -> list[Thread]:
@@ -92,33 +89,6 @@ def looked_at(body: Body, poses: Poses, twist: Float[Array, "frame limb 6 6"]) -
     """Joint centres of a chunk of frames, how sure they are, and what is not plausible."""
     centres, odd = jax.vmap(lambda some: (joint_centres(body, some), check(body, some)))(poses)
     return Derived(centres, odd.beyond, odd.depth, *covariances(body, poses, twist))
-
-
-@users_cache()
-def track(
-    body: Body, recording: Recording, settings: Settings | None = None, progress: Progress | None = None
-) -> Tracks:
-    """Tracks a body through a recording; nothing about the person need be known.
-
-    **Arguments:** `body` any body, scaled to what is seen unless `settings.start.scale` says otherwise; `progress` is
-    called with the number of frames done since the last call, for each pass (see README).
-
-    **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
-    """
-    settings = settings or Settings()
-    prepare_for(body, recording, settings)
-    r = recording
-    scene, people = find_body(r, r.up, body, settings, r.up_is_given)
-    return given_from(track_person(body, scene, people, settings, r.path, r.fixed_frame, r.notes, progress), r.origin)
-
-
-def prepare_for(body: Body, recording: Recording, settings: Settings) -> None:
-    """Checks the settings, and begins to compile or load what a recording is tracked with, see prepare."""
-    check_stages(settings)
-    if first := recording.frames[:1]:
-        sensors = len(first[0].origins) if any(len(f.points) for f in recording) else 0
-        names = {(*f.rays.names, *f.pairs.names) for f in recording}
-        prepare(body, settings, sensors, names, first[0].part is not None)
 
 
 # 10 parameters: what a log says of itself, who looks on, and where to begin

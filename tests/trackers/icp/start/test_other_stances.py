@@ -14,9 +14,9 @@ from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
+from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.icp.initialise import begin
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
-from voodoo_jax.trackers.icp.tracker import track
 
 BODY = scaled(human(), 1.75)
 

@@ -11,7 +11,7 @@ from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import Motion, make_motion, motion_of_turns, placed, sequence
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
-from voodoo_jax.trackers.icp.tracker import track
+from voodoo_jax.trackers.front import track
 
 
 def test_who_jumps_is_not_taller(tmp_path):
