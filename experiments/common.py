@@ -25,6 +25,7 @@ from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.tracker import track_person
 
@@ -201,8 +202,7 @@ def grade(error: np.ndarray, names: tuple[str, ...], rate: float) -> int:
 
 def longest(mask: np.ndarray) -> int:
     """Length of the longest run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, int), [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    return max((end - begin for begin, end in stretches(np.asarray(mask, bool))), default=0)
 
 
 def sweep(logs: list[Log], body: Body, variants: dict[tuple, Settings]) -> dict[tuple, list[Score]]:

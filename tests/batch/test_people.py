@@ -63,10 +63,12 @@ def test_both_are_told_of(replayed):
     assert attached == {"body.toml", "body.2.toml"}
 
 
-def test_a_second_run_has_nothing_to_do_and_one_person_alone_leaves_no_other(pair, replayed):
+def test_a_second_run_tracks_nothing_and_one_person_alone_leaves_no_other(pair, replayed):
     out, outcome = replayed
-    again = replay_logs([pair[0]], out, quiet=True)[0]
+    again = replay_logs([pair[0]], out, quiet=True, picture=True, export=["csv"])[0]
     assert again.skipped and [o.size for o in again.people] == [o.size for o in outcome.people]
+    # what is made of tracks that are there is made of everybody's
+    assert {path.name for path in out.glob("*.csv")} == {"pair.csv", "pair.2.csv"}
     (out / BOTH[1]).write_bytes(b"half")
     assert not replay_logs([pair[0]], out, quiet=True)[0].skipped
     alone = Settings(detect=DetectSettings(people=1))

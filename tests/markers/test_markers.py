@@ -27,7 +27,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Recording
 from voodoo_jax.simulate.motion import make_motion, placed, pose_body, sequence
 from voodoo_jax.solve.names import FeatureNames
-from voodoo_jax.trackers.front import track
+from voodoo_jax.trackers.front import track, track_people
 
 RATE = 60.0
 LENGTHS = {"l_thigh": 1.06, "r_thigh": 1.06, "l_forearm": 1.08, "r_forearm": 1.08, "chest": 0.96}
@@ -220,7 +220,7 @@ def test_another_set_has_clusters_and_joints_between_two_markers(everywhere, tmp
 
 
 def test_key_points_of_two_subjects(everywhere, tmp_path):
-    """Joint centres by their names in pose nets; of two people in a log the one that is seen more is tracked."""
+    """Joint centres by their names in pose nets; of two people in a log the one that is seen more is the first."""
     body, _, joints, _ = everywhere
     t, rng = body.topology, np.random.default_rng(8)
     names = {"hip": "hip", "knee": "knee", "talocrural": "ankle", "shoulder": "shoulder", "elbow": "elbow"}
@@ -233,11 +233,17 @@ def test_key_points_of_two_subjects(everywhere, tmp_path):
         mine = {f"Anna:{n}": f[t.centres.index(c)] for c, n in names.items()}
         other = {f"Ben:{n}": f[t.centres.index(c)] + [0.3, 0.8, 0.0] for c, n in names.items()} if k % 2 else {}
         frames.append({**other, **mine})
-    tracks = track(human(), recorded(tmp_path, frames))
+    recording = recorded(tmp_path, frames)
+    tracks = track(human(), recording)
     chosen = [t.centres.index(c) for c in names]
     off = np.linalg.norm(tracks.joints - joints, axis=-1)[:, chosen]
     assert tracks.tracked.all() and off.mean() < 0.02 and off.max() < 0.06, (off.mean(), off.max())
     assert any("'Anna' is tracked" in note and "'Ben'" in note for note in tracks.notes)
+    anna, ben = track_people(human(), recording)
+    np.testing.assert_array_equal(anna.joints, tracks.joints)
+    off = np.linalg.norm(ben.joints - joints - [0.3, 0.8, 0.0], axis=-1)[1::2, chosen]
+    assert (ben.person, ben.people) == (2, 2) and off.mean() < 0.03, off.mean()
+    assert any("these are the tracks of 'Ben'" in note for note in ben.notes)
 
 
 def test_names_of_the_body_and_of_the_settings_come_before_sets():

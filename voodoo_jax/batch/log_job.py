@@ -84,11 +84,11 @@ def track_log(
             more(1)
             yield frame
 
-    found = tracker.track_people(body, counted(), source, settings, more, visit)
+    found = tracker.track(body, counted(), source, settings, more, visit)
     return [given_from(tracks, log.origin) for tracks in found]
 
 
-def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
+def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
     """Writes a picture of some frames of a tracked log, reading it (or its copy `log`) once more but keeping these
     frames only."""
     from voodoo_jax.detect.opening import open_checked
@@ -96,13 +96,14 @@ def draw(tracks: Tracks, target: Path, settings: Settings, count: int = 4, log: 
     from voodoo_jax.records.recording import Recording
     from voodoo_jax.viz.figures import picture, spread
 
+    tracks = people[0]
     build = build_of(tracks.body, settings.start.scale)
     read = replace(settings.read, images=False, matching="fine")  # clouds are drawn
     reader = open_checked(log or tracks.source, read, build, settings.detect)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
     frames = tuple(frame for frame in reader.frames() if frame.time_ns in wanted)
     read = Recording(reader.path, reader.fixed_frame, reader.up, reader.sensors, frames, origin=reader.origin)
-    picture(tracks, read, target, count)
+    picture(people, read, target, count)
 
 
 def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = None) -> Outcome:
@@ -168,19 +169,19 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             for one in people[::-1]:  # the main one last: where it is, all are
                 write_tracks_npz(one, Path(person_place(str(npz), one.person)), key)
             remove_others(place, len(people))
-        trouble = _picture(people[0], target, job, log) if job.picture else ""
-        told = write_exports(people[0], npz, job.exports)
-        told += write_view(people[0], npz, job.settings, log) if job.html else []
+        trouble = _picture(people, target, job, log) if job.picture else ""
+        told = write_exports(people, npz, job.exports)
+        told += write_view(people, npz, job.settings, log) if job.html else []
     others = tuple(outcome_of(job.log, person_place(place, one.person), one) for one in people[1:])
     outcome = outcome_of(job.log, place, people[0], picture=drawn if job.picture and not trouble else "", others=others)
     told = [f"No picture: {trouble}", *told] if trouble else told
     return replace(outcome, told=tuple(told), skipped=job.only_picture)
 
 
-def _picture(tracks: Tracks, target: Path, job: Job, log: str) -> str:
+def _picture(people: list[Tracks], target: Path, job: Job, log: str) -> str:
     """Draws; why that did not work, or nothing."""
     try:
-        draw(tracks, target, job.settings, log=log)
+        draw(people, target, job.settings, log=log)
     except (ValueError, OSError) as problem:
         return str(problem)
     return ""

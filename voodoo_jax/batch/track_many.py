@@ -14,7 +14,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks, given_from
 from voodoo_jax.solve.scan import Visit
-from voodoo_jax.trackers.base import source_of, tracker_of
+from voodoo_jax.trackers.base import alone, source_of, tracker_of
 from voodoo_jax.trackers.icp.tracker import track_person
 from voodoo_jax.trackers.stages import check_stages
 
@@ -67,8 +67,8 @@ def track_many(
         def tracked(visit: Visit) -> Tracks:
             try:
                 if own.tracker != "icp":
-                    found = tracker_of(own).track(body, recording, source_of(recording), own)
-                    return given_from(found, recording.origin)
+                    found = tracker_of(own).track(body, recording, source_of(recording), alone(own))
+                    return given_from(found[0], recording.origin)
                 key = id(recording), id(body), own.detect, own.online, own.start.scale
                 if key not in people:
                     people[key] = find_body(recording, recording.up, body, own, recording.up_is_given)

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.fitting.parameters import Changes, changed, changed_options
 from voodoo_jax.geometry.rigid import Poses, rotate
+from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.kernels.correspondences import Points, match_assigned
 from voodoo_jax.kernels.landmarks import Features, named_points
 from voodoo_jax.model.body import Body, joint_centres
@@ -81,8 +82,8 @@ def frame_residuals(
 
 
 def _robust(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
-    """Vectors whose square is Geman and McClure's cost of the given ones."""
-    return gap / jnp.sqrt(1 + jnp.sum(gap * gap, -1, keepdims=True) / scale**2)
+    """Vectors whose square is Geman and McClure's loss of the given ones."""
+    return gap * jnp.sqrt(geman_mcclure_root(jnp.sum(gap * gap, -1, keepdims=True), scale))
 
 
 def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: Poses) -> Float[Array, " residual"]:

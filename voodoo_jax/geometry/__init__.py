@@ -1,1 +1,1 @@
-"""Rigid poses, planes, voxels, point clouds and lenses. Nothing here knows of bodies or logs."""
+"""Rigid poses, planes, voxels, point clouds, lenses and a robust loss. Nothing here knows of bodies or logs."""

@@ -1,4 +1,9 @@
-"""Pixels to rays: a calibrated camera, lens distortion undone."""
+"""Pixels to rays: a calibrated camera, lens distortion undone.
+
+By Newton, not by OpenCV's fixed point, which was measured against it: that one is over a tenth of a pixel off for 22 %
+of the pixels of a webcam (k1 = -0.35), 39 % of a wide action camera's and 54 % of an Azure Kinect's (by up to 16
+pixels there), and does not tell the pixels without a ray.
+"""
 
 import numpy as np
 from jaxtyping import Float

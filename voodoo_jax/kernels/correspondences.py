@@ -8,6 +8,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, unrotate
+from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.assignment import closest_limb, cuts, in_reach, into_limb, may_belong, once, sampled
 from voodoo_jax.kernels.assignment import closest_limbs as closest_limbs
 from voodoo_jax.kernels.bounding_boxes import resolve_overlap
@@ -130,8 +131,7 @@ def match_assigned(
 def _weigh(chosen, model, data, weight, options, cut=uncut) -> Match:
     """Maximum distance and robust weight (Geman-McClure) of the chosen pairs."""
     (d2,) = cut(sum((p - c) ** 2 for p, c in zip(data, model)))
-    # a ratio, so that an infinite scale gives exactly one
-    robust = (1 / (1 + d2 / options.robust_scale**2)) ** 2
+    robust = geman_mcclure(d2, options.robust_scale)
     keep = chosen & (d2 <= options.max_distance**2)
     (weight,) = cut(jnp.where(keep, robust * weight, 0.0))
     return Match(weight, jnp.sqrt(d2 + 1e-12), model, data)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, rotate, unrotate
+from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.model.body import Body
 
 
@@ -69,7 +70,7 @@ def feature_sums(body: Body, poses: Poses, features: Features, options: FeatureO
     pose = poses[limb]
     gap = _gaps(poses, limb, c, features)
     e2 = jnp.sum(gap * gap, -1)
-    robust = (1 / (1 + e2 / options.robust_scale**2)) ** 2
+    robust = geman_mcclure(e2, options.robust_scale)
     w = jnp.where((e2 <= options.max_distance**2) & body.present[limb], robust * features.weight, 0.0)
 
     gap_limb, d_limb = unrotate(pose.rotation, gap), unrotate(pose.rotation, d)

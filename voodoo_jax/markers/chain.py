@@ -1,4 +1,8 @@
-"""A body as a chain of limbs with unknown sizes, for fits to named points: places and their derivatives, in NumPy."""
+"""A body as a chain of limbs with unknown sizes, for fits to named points: places and their derivatives, in NumPy.
+
+By hand, for JAX's were measured (40 markers, 60 frames): 2.9 times as long forwards, 4 times backwards, and 3 seconds
+to compile for each number of markers.
+"""
 
 import numpy as np
 from jaxtyping import Int

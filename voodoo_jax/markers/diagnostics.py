@@ -12,6 +12,7 @@ from voodoo_jax.markers.size_fit import Markers
 from voodoo_jax.markers.table import CLOSE, MarkerTable, places
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.marker_names import nobodys
+from voodoo_jax.records.stretches import stretches
 
 GAP = 0.2  # seconds: a marker that is away for longer is named
 SHOWN = 3  # notes of one kind that are told one by one, and gaps of one marker
@@ -30,18 +31,12 @@ class Spans(NamedTuple):
 
     def long(self, mask: np.ndarray) -> list[tuple[int, int]]:
         """First and last frame of each stretch of True that is worth a note."""
-        return [(a, b) for a, b in runs(mask) if self.seconds[b] - self.seconds[a] + self.step > GAP]
+        return [(a, b - 1) for a, b in stretches(mask) if self.seconds[b - 1] - self.seconds[a] + self.step > GAP]
 
     def told(self, some: list[tuple[int, int]]) -> str:
         """Some stretches in words."""
         text = ", ".join(f"{a} to {b}" for a, b in some[:SHOWN])
         return text + (f" and {len(some) - SHOWN} more times" if len(some) > SHOWN else "")
-
-
-def runs(mask: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:
-    """First and last index of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2])]
 
 
 def marker_notes(
@@ -66,7 +61,7 @@ def marker_notes(
         notes.append(f"There are no markers in frames {spans.told(empty)}.")
     put_right = []
     for e in exchanges:
-        where = "all frames" if e.frames.all() else f"frames {spans.told(runs(e.frames))}"
+        where = "all frames" if e.frames.all() else f"frames {spans.told([(a, b - 1) for a, b in stretches(e.frames)])}"
         put_right.append((f"{e.first} and {e.second}", f"were exchanged in {where}: put right"))
     notes += in_few_lines(put_right, "pairs of markers were exchanged for a time and put right", "Markers ")
     missing = []

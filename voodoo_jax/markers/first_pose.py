@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.model.body import Body, tree_order
 
@@ -33,7 +34,7 @@ def _robust(model, data, weight, reach: float, turn=None, shift=None):
         turn, shift = rigid(model, data, weight)
     for _ in range(8):
         e2 = np.sum((model @ turn.T + shift - data) ** 2, -1)
-        turn, shift = rigid(model, data, weight / (1 + e2 / reach**2) ** 2)
+        turn, shift = rigid(model, data, weight * geman_mcclure(e2, reach))
     return turn, shift
 
 
@@ -57,7 +58,7 @@ def agreed(
     placed = size[:, None, None] * np.einsum("tij,pj->tpi", turn, model) + shift[:, None]
     e2 = np.sum((placed - data) ** 2, -1)
     # relative to the size tried: else a tiny body would be near everything
-    best = int(np.argmax(np.sum(1 / (1 + e2 / (0.05 * spread * size[:, None]) ** 2) ** 2, 1)))
+    best = int(np.argmax(np.sum(geman_mcclure(e2, 0.05 * spread * size[:, None]), 1)))
     factor = float(size[best])
     reach = 0.05 * spread * factor
     turn, shift = _robust(factor * model, data, np.ones(len(model)), reach, turn[best], shift[best])

@@ -16,10 +16,11 @@ from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry.rigid import on_device, on_host
 from voodoo_jax.model.body import Body, Topology
-from voodoo_jax.model.marker_names import Known, places_of, split_place, subjects
+from voodoo_jax.model.marker_names import LEAST, Known, places_of, split_place, subjects
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs
+from voodoo_jax.records.subject import Subject
 
 OWN = " marker "  # in the names of such points: no body file has it
 ROOM = 16  # set by hand: markers on one limb that there is room for; more come in steps of so many
@@ -34,14 +35,23 @@ class Named(NamedTuple):
 
 
 def named_subject(people: list[BodyObservation], topology: Topology, settings: FeatureSettings) -> Named:
-    """The subject with the most measurements, and the places that the settings, marker sets or the body say its names
-    mean."""
+    """The first of `named_subjects`; nobody where nothing is named."""
+    return next(iter(named_subjects(people, topology, settings)), Named(Known(), "", {}))
+
+
+def named_subjects(people: list[BodyObservation], topology: Topology, settings: FeatureSettings) -> list[Named]:
+    """The subjects whose points a recording names, and the places that the settings, marker sets or the body say their
+    names mean: who has a body's points before wands and boxes, then who has the most measurements."""
     seen = Counter(n for f in people for n in (*f.pairs.names, *f.rays.names))
     groups = subjects(seen)
-    often = sorted(groups, key=lambda s: -sum(seen[n] for n in groups[s]))
-    if not often:
-        return Named(Known(), "", {})
-    names = groups[often[0]]
+    known = {s: _known(names, topology, settings) for s, names in groups.items()}
+    count = {s: sum(seen[n] for n in names) for s, names in groups.items()}
+    order = sorted(groups, key=lambda s: (len(known[s].places) < LEAST, -count[s]))
+    return [Named(known[s], s, {other: tuple(groups[other]) for other in order if other != s}) for s in order]
+
+
+def _known(names: Mapping[str, str], topology: Topology, settings: FeatureSettings) -> Known:
+    """What the names of one subject mean; full name, and the name without the subject's."""
     points = (*topology.sites, *topology.centres)
     given = check_pairs("features.names", settings.names, numbers=False)
     said, joints = {}, {}
@@ -56,14 +66,22 @@ def named_subject(people: list[BodyObservation], topology: Topology, settings: F
     told = {*said, *joints} if len(known.places) <= len(joints) + len(said) else {*said}
     by_set = {n: p for n, p in known.places.items() if n not in told}
     places = {n: p for n, p in {**joints, **by_set, **said}.items() if "|" not in p}
-    known = Known(
+    return Known(
         places,
         known.titles if by_set else (),
         {n: w for n, w in known.weights.items() if n in by_set},
         tuple(n for n in known.unknown if n not in places and n not in said),
         known.newington,
     )
-    return Named(known, often[0], {s: tuple(groups[s]) for s in often[1:]})
+
+
+def apart_by_names(subject: Subject, topology: Topology, settings: FeatureSettings) -> list[Subject]:
+    """The people whose markers a recording of markers alone names, who has the most first; the subject itself where
+    there are not several."""
+    named = [n for n in named_subjects(subject.frames, topology, settings) if len(n.known.places) >= LEAST]
+    if len(named) < 2:
+        return [subject]
+    return [Subject(k, subject.scene, of_subject(subject.frames, n), n.subject) for k, n in enumerate(named, 1)]
 
 
 def of_subject(people: list[BodyObservation], named: Named) -> list[BodyObservation]:

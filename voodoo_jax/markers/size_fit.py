@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.markers.chain import Chain
 from voodoo_jax.markers.first_pose import first_pose
@@ -148,7 +149,7 @@ def _found_places(chain: Chain, x, loose, turn, origins, points, seen) -> np.nda
 def _step(chain: Chain, priors: Priors, x, turn, off, seen, reach: float, damping: float, sizes: bool):
     """One damped Gauss-Newton step: motions of all poses and the change of x (none without `sizes`)."""
     frames = len(turn)
-    robust = seen / (1 + np.sum(off**2, -1) / reach**2) / NOISE
+    robust = seen * geman_mcclure_root(np.sum(off**2, -1), reach) / NOISE
     by_pose, by_x = chain.slopes(chain.sized(x), chain.sized_by(x), turn)
     by_pose, by_x = ((robust[..., None, None] * j).reshape(frames, -1, j.shape[-1]) for j in (by_pose, by_x))
     r = (robust[..., None] * off).reshape(frames, -1)

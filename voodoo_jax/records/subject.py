@@ -13,3 +13,4 @@ class Subject:
     number: int  # from 1: who is seen longest
     scene: Scene
     frames: list[BodyObservation]  # all of the recording; without points where they are not in view
+    name: str = ""  # where the log says it

@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from voodoo_jax.geometry.robust import geman_mcclure
+
 Grey = UInt8[np.ndarray, "row column"]
 Pixels = Float32[np.ndarray, "row column"]  # grey levels, or disparities: columns to the left in the right image
 NOWHERE = -1000.0  # pixels: the disparity of what is not found
@@ -88,7 +90,7 @@ def refined(left: Pixels, right: Pixels, raw: Pixels, every: int) -> Float32[np.
         # cubic interpolation would pull to whole pixels
         moved, other = (cv2.remap(x, u - d, v, cv2.INTER_LINEAR) for x in (images[1], slopes[1]))
         g, e = (slope + other) / 2, a - moved
-        weight = g / (1 + (2 * e / OUTLIER) ** 2) ** 2  # what is hidden in one of the images differs
+        weight = g * geman_mcclure(e**2, OUTLIER / 2)  # what is hidden in one of the images differs
         # with the image's noise as damping: where there is no texture the step is small
         d = d - np.clip(around(weight * e) / (around(weight * g) + 1.0), -0.5, 0.5)
     return smooth(d)

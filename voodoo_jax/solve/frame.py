@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, apply, compose, quat_normalize
+from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.absolute_orientation import align
 from voodoo_jax.kernels.bands import link_moments, prior_moments
 from voodoo_jax.kernels.correspondences import Match, MatchOptions, Points, match, sums
@@ -127,8 +128,7 @@ def _near(body: Body, poses: Poses, predicted: Poses, distance: Float[Array, ""]
     # the side: somebody who turns on the spot does not stand still
     seen = jnp.stack([jnp.stack(p, -1) for p in ((zero, zero, zero), (zero, zero, length), (a, b, length / 2))], 1)
     moved = apply(poses[:, None], seen) - apply(predicted[:, None], seen)
-    far = jnp.max(jnp.sum(moved * moved, -1), -1) / distance**2
-    return 1.0 / (1.0 + far) ** 2
+    return geman_mcclure(jnp.max(jnp.sum(moved * moved, -1), -1), distance)
 
 
 def pull_to_prediction(

@@ -1,7 +1,7 @@
 """What every tracker takes and gives, and the table of trackers by name (setting `tracker`)."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -14,7 +14,8 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame, Recording
 from voodoo_jax.records.tracks import Tracks
 
-Progress = Callable[[int], None]  # called with the number of frames done since the last call, for each pass
+# called with the number of frames done since the last call, for each pass; of several people each one's share
+Progress = Callable[[float], None]
 
 
 class Unsuitable(ValueError):
@@ -61,21 +62,10 @@ class Tracker(Protocol):
         settings: Settings,
         progress: Progress | None = None,
         visit: Any = None,
-    ) -> Tracks:
-        """Tracks of the main person (or body), one row per frame, in the frames' own places; `visit` runs programs of
-        several recordings as one batch, where it can. Raises Unsuitable."""
-        ...
-
-    def track_people(
-        self,
-        body: Body,
-        frames: Iterable[Frame],
-        source: Source,
-        settings: Settings,
-        progress: Callable[[float], None] | None = None,
-        visit: Any = None,
     ) -> list[Tracks]:
-        """The same of everybody whom the tracker tells apart, who is seen longest first; one at least."""
+        """Tracks of everybody whom the tracker tells apart, `settings.detect.people` of them at most, who is seen
+        longest first; one at least. One row per frame, in the frames' own places; `visit` runs programs of several
+        recordings as one batch, where it can. Raises Unsuitable."""
         ...
 
 
@@ -89,6 +79,11 @@ def tracker_of(settings: Settings) -> Tracker:
     """The tracker that settings name; it is imported here."""
     module, _, name = TRACKERS[settings.tracker].partition(":")
     return getattr(import_module(module), name)()
+
+
+def alone(settings: Settings) -> Settings:
+    """Settings with which the main person is tracked, and nobody else is looked for."""
+    return replace(settings, detect=replace(settings.detect, people=1))
 
 
 def source_of(recording: Recording) -> Source:

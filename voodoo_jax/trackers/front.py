@@ -1,6 +1,5 @@
 """`vj.track` and `vj.track_people`: a recording in memory, by the tracker that settings name."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -9,7 +8,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks, given_from
-from voodoo_jax.trackers.base import Progress, Source, Tracker, source_of, tracker_of
+from voodoo_jax.trackers.base import Progress, Source, Tracker, alone, source_of, tracker_of
 from voodoo_jax.trackers.stages import check_stages
 
 
@@ -34,7 +33,8 @@ def track(
     """
     settings = replace(settings or Settings(), tracker=tracker) if tracker else settings or Settings()
     chosen, source = _ready(body, recording, settings)
-    return given_from(chosen.track(body, recording, source, settings, progress), recording.origin)
+    found = chosen.track(body, recording, source, alone(settings), progress)
+    return given_from(found[0], recording.origin)
 
 
 @users_cache()
@@ -42,7 +42,7 @@ def track_people(
     body: Body,
     recording: Recording,
     settings: Settings | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Tracks]:
     """Tracks everybody in a recording, or `settings.detect.people` of them; nothing about them need be known.
 
@@ -53,7 +53,7 @@ def track_people(
     """
     settings = settings or Settings()
     chosen, source = _ready(body, recording, settings)
-    found = chosen.track_people(body, recording, source, settings, progress)
+    found = chosen.track(body, recording, source, settings, progress)
     return [given_from(tracks, recording.origin) for tracks in found]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int64
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Tracks
 
 
@@ -29,13 +30,9 @@ def smooth(tracks: Tracks, seconds: float = 0.033) -> Tracks:
     return replace(tracks, translation=translation, joints=joints, rotation=rotation.astype(np.float32))
 
 
-def _runs(time_ns: Int64[np.ndarray, " frame"], there: np.ndarray) -> list[np.ndarray]:
-    """Indices of consecutive frames that belong together."""
-    index = np.flatnonzero(there)
-    if not len(index):
-        return []
-    apart = (np.diff(index) > 1) | (np.diff(time_ns[index]) >= 500_000_000)
-    return np.split(index, np.flatnonzero(apart) + 1)
+def _runs(time_ns: Int64[np.ndarray, " frame"], there: np.ndarray) -> list[slice]:
+    """Consecutive frames that belong together."""
+    return [slice(*run) for run in stretches(there, np.diff(time_ns, prepend=time_ns[:1]) >= 500_000_000)]
 
 
 def _average(time: Float[np.ndarray, " frame"], values: Float[np.ndarray, "frame dim"], seconds: float) -> np.ndarray:
@@ -58,7 +55,7 @@ def _smoothed(time_ns, values: Float[np.ndarray, "frame item 3"], seconds: float
     out = values.copy()
     for item in range(values.shape[1]):
         for run in _runs(time_ns, np.asarray(np.isfinite(values[:, item]).all(-1))):
-            time = (time_ns[run] - time_ns[run[0]]) / 1e9
+            time = (time_ns[run] - time_ns[run.start]) / 1e9
             out[run, item] = _average(time, values[run, item].astype(float), seconds)
     return out
 
@@ -69,6 +66,6 @@ def _turned(time_ns, rotation: Float32[np.ndarray, "frame 4"], seconds: float) -
     for run in _runs(time_ns, np.asarray(np.isfinite(rotation).all(-1))):
         q = Rotation.from_quat(out[run], scalar_first=True).as_quat(scalar_first=True)
         flips = np.cumprod(np.concatenate([[1.0], np.where((q[1:] * q[:-1]).sum(1) < 0, -1.0, 1.0)]))
-        mean = _average((time_ns[run] - time_ns[run[0]]) / 1e9, q * flips[:, None], seconds)
+        mean = _average((time_ns[run] - time_ns[run.start]) / 1e9, q * flips[:, None], seconds)
         out[run] = mean / np.linalg.norm(mean, axis=1, keepdims=True)
     return out

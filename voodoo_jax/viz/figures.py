@@ -1,6 +1,7 @@
 """Pictures of tracks: the cloud, and the body laid over it, from the front and from the side. No global plot state."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ RAY_COLOUR, RAY_LENGTH = "#2a9d4a", 8.0  # metres
 # origin and axes (rows: right, up, away) of a drawing, and which of them are a panel's right, up and away
 Drawing = tuple[np.ndarray, np.ndarray, tuple[int, int, int]]
 SIDE_MAPS = {"left": "Oranges", "right": "Blues", "middle": "Greys"}  # of matplotlib
+PERSON_MAPS = ("Greens", "Purples", "YlOrBr", "RdPu", "GnBu")  # of the second person and so on
 
 
 def spread(length: int, count: int) -> Int[np.ndarray, " chosen"]:
@@ -39,7 +41,7 @@ def spread(length: int, count: int) -> Int[np.ndarray, " chosen"]:
 
 
 def picture(
-    tracks: Tracks,
+    tracks: Tracks | Sequence[Tracks],
     recording: Recording,
     path: str | os.PathLike[str],
     frames: int = 4,
@@ -54,7 +56,7 @@ def picture(
 
 
 def show(
-    tracks: Tracks,
+    tracks: Tracks | Sequence[Tracks],
     recording: Recording,
     frames: int = 4,
     truth: Float[np.ndarray, "frame joint 3"] | None = None,
@@ -63,21 +65,26 @@ def show(
 
     The front view is that of the first sensor, the side view that from the right edge of its image; without sensors
     (markers alone) it is that of the body, and there is no cloud. Axes in metres, equal scale; each column's window
-    follows the body. Left limbs are warm, right ones cool. truth: joint centres for the frames of `tracks`, metres in
-    the fixed frame, drawn as crosses. Raises ValueError if there is no frame or the truth has another number of frames.
+    follows the body. Left limbs are warm, right ones cool. Of several people the first one is drawn so, the others each
+    in a colour of their own, left limbs lighter. truth: joint centres of the first for the frames of `tracks`, metres
+    in the fixed frame, drawn as crosses. Raises ValueError if there is no frame or the truth has another number of
+    frames.
     """
     from matplotlib.figure import Figure
 
+    people = [tracks] if isinstance(tracks, Tracks) else list(tracks)
+    tracks = people[0]
     if not len(recording) or not len(tracks.time_ns):
         raise ValueError(f"nothing to draw: {recording.path} or its tracks have no frame")
     if truth is not None and len(truth) != len(tracks.time_ns):
         raise ValueError(f"truth has {len(truth)} frames, the tracks have {len(tracks.time_ns)}")
-    chosen, tracks = spread(len(tracks.time_ns), frames), given_from(tracks, -recording.origin)
+    chosen, people = spread(len(tracks.time_ns), frames), [given_from(one, -recording.origin) for one in people]
+    tracks = people[0]
     truth = None if truth is None else truth - recording.origin
     stamps = np.array([frame.time_ns for frame in recording])
     nearest = [recording.frames[int(np.abs(stamps - tracks.time_ns[i]).argmin())] for i in chosen]
     middle, axes3 = _view(tracks, recording, nearest, int(chosen[len(chosen) // 2]))
-    windows = _windows(tracks, nearest, chosen, middle, axes3)
+    windows = _windows(people, nearest, chosen, middle, axes3)
     rows = [((0, 1, 2), "front"), ((2, 1, 0), "side")]
     if any(len(frame.points) for frame in nearest):  # else there are markers alone, which are drawn with the body
         rows.insert(0, ((0, 1, 2), "cloud"))
@@ -89,46 +96,51 @@ def show(
     figure = Figure(figsize=(width * len(chosen) + 0.6, height))
     figure.set_layout_engine("constrained")
     grid = figure.subplots(len(rows), len(chosen), squeeze=False)
-    colours = limb_colours(tracks.body.topology.limbs)
+    colours = [limb_colours(one.body.topology.limbs, number) for number, one in enumerate(people)]
     start = int(recording.frames[0].time_ns)
     for column, (i, frame, window) in enumerate(zip(chosen, nearest, windows)):
         for ax, (view, what) in zip(grid[:, column], rows):
             drawing = (middle, axes3, view)
             _draw_measured(ax, frame, drawing, window, marks=what != "cloud" or len(frame.points) == 0)
             if what != "cloud":
-                _draw_tracked(ax, tracks, int(i), drawing, colours, truth)
-            ax.set_xlim(window[0, view[0]], window[1, view[0]])
-            ax.set_ylim(window[0, view[1]], window[1, view[1]])
-            ax.set_aspect("equal")
-            ax.tick_params(labelsize=7)
-            from_where = LABELS[what] if recording.sensors else LABELS[what].replace("sensor", "front")
-            if column == 0:
-                ax.set_ylabel(f"{from_where}\nup, m", fontsize=8)
-            else:
-                ax.tick_params(labelleft=False)
-            away = "away from the sensor, m" if recording.sensors else "backwards, m"
-            ax.set_xlabel("right, m" if view[0] == 0 else away, fontsize=8)
+                for one, own in zip(people, colours):
+                    _draw_tracked(ax, one, int(i), drawing, own, truth if one is tracks else None)
+            _frame_axes(ax, window, view, LABELS[what], column == 0, bool(recording.sensors))
         grid[0, column].set_title(_title(tracks, int(i), start), fontsize=9)
-    _legend(figure, tracks, nearest, truth is not None)
+    _legend(figure, people, nearest, truth is not None)
     return figure
 
 
-def _legend(figure: "Figure", tracks: Tracks, frames: list[Frame], truth: bool) -> None:
+def _frame_axes(ax: "Axes", window, view: tuple[int, int, int], label: str, first: bool, sensors: bool) -> None:
+    """Region, scale and words of a panel; `first` of its row."""
+    ax.set_xlim(window[0, view[0]], window[1, view[0]])
+    ax.set_ylim(window[0, view[1]], window[1, view[1]])
+    ax.set_aspect("equal")
+    ax.tick_params(labelsize=7, labelleft=first)
+    if first:
+        ax.set_ylabel(f"{label if sensors else label.replace('sensor', 'front')}\nup, m", fontsize=8)
+    away = "away from the sensor, m" if sensors else "backwards, m"
+    ax.set_xlabel("right, m" if view[0] == 0 else away, fontsize=8)
+
+
+def _legend(figure: "Figure", people: list[Tracks], frames: list[Frame], truth: bool) -> None:
     """What colours and signs mean, above and below the panels."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    sides = {_side(name) for name in tracks.body.topology.limbs}
+    sides = {_side(name) for name in people[0].body.topology.limbs}
     handles: list[Patch | Line2D] = []
     if {"left", "right"} <= sides:
         handles += [Patch(color=_shades(side)[0], label=side, alpha=0.7) for side in ("left", "right")]
+    for number in range(1, len(people)):
+        handles.append(Patch(color=_shades("", number)[0], label=f"person {number + 1}", alpha=0.7))
     if any(len(frame.pairs.points) for frame in frames):
         handles.append(Line2D([], [], linestyle="", label="markers", **MARK))
     if any(len(frame.rays.origins) for frame in frames):
         handles.append(Line2D([], [], color=RAY_COLOUR, label="lines of sight of 2D features"))
     if handles:
         figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False)
-    told = "" if tracks.joint_confidence is None else ", the redder the more doubtful"
+    told = "" if people[0].joint_confidence is None else ", the redder the more doubtful"
     figure.supxlabel(f"circles: joint centres{told}" + ("; crosses: truth" if truth else ""), fontsize=8)
 
 
@@ -159,7 +171,7 @@ def _draw_tracked(ax: "Axes", tracks: Tracks, i: int, drawing: Drawing, colours,
     h, v, _ = view
     if np.isfinite(tracks.translation[i]).any():
         draw_body(ax, tracks, i, middle, axes3, view, colours)
-    else:
+    elif tracks.person == 1:
         box = dict(facecolor="white", edgecolor="none", alpha=0.8)
         ax.text(0.5, 0.5, "no pose", transform=ax.transAxes, ha="center", va="center", bbox=box)
     if truth is not None:
@@ -201,10 +213,12 @@ def _view(tracks: Tracks, recording: Recording, frames: list[Frame], i: int) -> 
     return sensor - up * (sensor @ up), np.stack([np.cross(away, up), up, away])
 
 
-def _windows(tracks: Tracks, frames: list[Frame], chosen, middle, axes3) -> list[np.ndarray]:
-    """Drawn region of each frame [low or high, right/up/away] in metres, all of one size and height: around the body
-    in that frame; where it has no pose, where it is in the nearest frame; around the clouds if there is none at all."""
-    rings = [(_rings(tracks, int(i)).reshape(-1, 3) - middle) @ axes3.T for i in chosen]
+def _windows(people: list[Tracks], frames: list[Frame], chosen, middle, axes3) -> list[np.ndarray]:
+    """Drawn region of each frame [low or high, right/up/away] in metres, all of one size and height: around the bodies
+    in that frame; where none has a pose, where they are in the nearest frame; around the clouds if there is none at
+    all."""
+    every = [np.concatenate([_rings(tracks, int(i)).reshape(-1, 3) for tracks in people]) for i in chosen]
+    rings = [(ring - middle) @ axes3.T for ring in every]
     rings = [ring[np.isfinite(ring).all(1)] for ring in rings]
     bodies = [k for k, ring in enumerate(rings) if len(ring)]
     if bodies:
@@ -245,8 +259,8 @@ def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int
     h, v, depth = view
     rings = (_rings(tracks, i) - middle) @ axes3.T
     sign = -1 if depth == 2 else 1  # farthest first: away from the sensor, or the far side of the side view
-    order = np.argsort(sign * rings[:, :, depth].mean(1))
-    for rank, limb in enumerate(order):
+    near = np.clip(400 + 50 * sign * rings[:, :, depth].mean(1), 10, 790)  # by metres, for several bodies
+    for limb in np.argsort(near):
         flat = rings[limb][:, [h, v]]
         if not np.isfinite(flat).all():
             continue
@@ -254,8 +268,8 @@ def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int
             outline = flat[ConvexHull(flat).vertices]
         except QhullError:  # a limb without extent in this view
             continue
-        ax.fill(*outline.T, facecolor=colours[limb], alpha=0.45, linewidth=0, zorder=10 + rank)
-        ax.fill(*outline.T, facecolor="none", edgecolor=colours[limb], linewidth=1.1, zorder=10 + rank)
+        ax.fill(*outline.T, facecolor=colours[limb], alpha=0.45, linewidth=0, zorder=float(near[limb]))
+        ax.fill(*outline.T, facecolor="none", edgecolor=colours[limb], linewidth=1.1, zorder=float(near[limb]))
     joints = (np.asarray(tracks.joints[i], float) - middle) @ axes3.T
     sure = np.ones(len(joints)) if tracks.joint_confidence is None else tracks.joint_confidence[i]
     pale = np.where(np.isfinite(sure), sure, 1.0)
@@ -267,19 +281,24 @@ def _side(limb: str) -> str:
     return "left" if limb.startswith("l_") else "right" if limb.startswith("r_") else "middle"
 
 
-def _shades(side: str) -> list:
-    """Colours of the limbs of a side, neighbours well apart."""
+def _shades(side: str, number: int = 0) -> list:
+    """Colours of the limbs of a side, neighbours well apart; `number` of the person, from 0."""
     from matplotlib import colormaps
 
+    if number:
+        bright = 0.25 if side == "left" else 0.0
+        return [colormaps[PERSON_MAPS[(number - 1) % len(PERSON_MAPS)]](s - bright) for s in (0.75, 0.95, 0.6)]
     return [colormaps[SIDE_MAPS[side]](share) for share in (0.62, 0.85, 0.45)]
 
 
-def limb_colours(limbs: tuple[str, ...]) -> list:
+def limb_colours(limbs: tuple[str, ...], number: int = 0) -> list:
     """One colour per limb: warm for the left, cool for the right, grey between; if the body has no sides, neighbours
-    in the list well apart."""
+    in the list well apart. Of the second person (`number` 1) and so on shades of one colour."""
     from matplotlib import colormaps
 
     sides = [_side(name) for name in limbs]
+    if number:
+        return [_shades(side, number)[sides[:i].count(side) % 3] for i, side in enumerate(sides)]
     if not {"left", "right"} <= set(sides):
         table = colormaps["tab20"]
         return [table(i % 20) for i in range(len(limbs))]

@@ -1,6 +1,6 @@
 """The flexible tracker behind the interface of all trackers."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -34,17 +34,6 @@ class FlexibleTracker:
         source: Source,
         settings: Settings,
         progress: Progress | None = None,
-        visit: Any = None,
-    ) -> Tracks:
-        return track_frames(body, frames, source, settings, progress)
-
-    def track_people(
-        self,
-        body: Body,
-        frames: Iterable[Frame],
-        source: Source,
-        settings: Settings,
-        progress: Callable[[float], None] | None = None,
         visit: Any = None,
     ) -> list[Tracks]:
         """The main person alone: nobody else is told apart in images."""

@@ -1,16 +1,18 @@
 """The ICP tracker behind the interface of all trackers."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
-from voodoo_jax.detect.pipeline import find_body, find_people
+from voodoo_jax.detect.pipeline import find_people
+from voodoo_jax.markers.own_sites import apart_by_names
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import Progress, Source
 from voodoo_jax.trackers.icp.people import track_subjects
-from voodoo_jax.trackers.icp.tracker import prepare, track_person
+from voodoo_jax.trackers.icp.runner import by_markers
+from voodoo_jax.trackers.icp.tracker import prepare
 
 
 class IcpTracker:
@@ -35,21 +37,9 @@ class IcpTracker:
         settings: Settings,
         progress: Progress | None = None,
         visit: Any = None,
-    ) -> Tracks:
-        scene, people = find_body(frames, source.up, body, settings, source.up_is_given)
-        return track_person(
-            body, scene, people, settings, source.path, source.fixed_frame, source.notes(), progress, visit
-        )
-
-    def track_people(
-        self,
-        body: Body,
-        frames: Iterable[Frame],
-        source: Source,
-        settings: Settings,
-        progress: Callable[[float], None] | None = None,
-        visit: Any = None,
     ) -> list[Tracks]:
         people = find_people(frames, source.up, body, settings, source.up_is_given)
+        if settings.detect.people != 1 and by_markers(people[0].frames):
+            people = apart_by_names(people[0], body.topology, settings.features)[: settings.detect.people or None]
         each = progress and (lambda count: progress(count / len(people)))
         return track_subjects(body, people, settings, source.path, source.fixed_frame, source.notes(), each, visit)

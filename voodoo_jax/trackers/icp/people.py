@@ -16,6 +16,7 @@ from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import Visit
+from voodoo_jax.trackers.icp.limb_distance import signed_distance
 from voodoo_jax.trackers.icp.runner import FEW_POINTS
 from voodoo_jax.trackers.icp.sequence import Progress
 from voodoo_jax.trackers.icp.tracker import track_person
@@ -42,14 +43,19 @@ def track_subjects(
 ) -> list[Tracks]:
     """Tracks a body through what was seen of each person, see find_people; the others as for track_person."""
 
+    names = [subject.name for subject in subjects if subject.name]
+    shares = any(len(frame.points) for subject in subjects for frame in subject.frames)
+
     def tracked(subject: Subject, say: Progress | None = None) -> Tracks:
+        whose = f"Named points of {len(names)} people: these are the tracks of '{subject.name}'."
+        told = [whose] if subject.name else []
         begin = in_view_from(subject) if len(subjects) > 1 else 0
         return track_person(
-            body, subject.scene, subject.frames, settings, source, fixed_frame, notes, say, visit, begin
+            body, subject.scene, subject.frames, settings, source, fixed_frame, (*notes, *told), say, visit, begin
         )
 
     found = [tracked(subject, progress) for subject in subjects]
-    for _ in range(ROUNDS if len(subjects) > 1 else 0):
+    for _ in range(ROUNDS if len(subjects) > 1 and shares else 0):
         subjects, concerned = shared_out(subjects, found)
         if not concerned.any():
             break
@@ -130,26 +136,17 @@ def _given(
 def surface_distance(
     tracks: Tracks, at: int, points: Float32[np.ndarray, "point 3"], most: float = np.inf
 ) -> Float[np.ndarray, " point"]:
-    """How far points are from the surface of somebody's nearest limb in a frame, metres; `most` where it is more.
-
-    Across a limb by the ratio of its ellipse: exact on its surface and for round limbs.
-    """
+    """How far points are from the surface of somebody's nearest limb in a frame, metres; `most` where it is more."""
     out = np.full(len(points), min(most, 1e3))
     low, high = _box(tracks, at)
     near = np.flatnonzero(np.all((points > low - out[:1].max(initial=0)) & (points < high + out.max(initial=0)), 1))
     some = points[near]
     best = out[near]
-    for limb, (a0, b0, a1, b1, length) in enumerate(np.asarray(tracks.body.sizes, np.float32)):
+    for limb, size in enumerate(np.asarray(tracks.body.sizes, np.float32)):
         turn, place = tracks.rotation[at, limb], tracks.translation[at, limb]
         if not np.isfinite(place).all():
             continue
-        x, y, z = _into(turn, some - place).T
-        along = np.clip(z / length, 0, 1)
-        a, b = a0 + (a1 - a0) * along, b0 + (b1 - b0) * along
-        off, ratio = np.hypot(x, y), np.hypot(x / a, y / b)
-        across = np.where(ratio > 0, off * (1 - 1 / np.maximum(ratio, 1e-6)), -np.minimum(a, b))
-        beyond = np.maximum(np.maximum(-z, z - length), 0)
-        best = np.minimum(best, np.where(beyond > 0, np.hypot(np.maximum(across, 0), beyond), np.abs(across)))
+        best = np.minimum(best, np.abs(signed_distance(size, _into(turn, some - place))))
     out[near] = best
     return out
 

@@ -16,6 +16,7 @@ from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation, assigned
 from voodoo_jax.records.segment import Segment
+from voodoo_jax.trackers.icp.limb_distance import signed_distance
 from voodoo_jax.trackers.icp.refine.stage import Stage
 from voodoo_jax.trackers.icp.runner import spans
 from voodoo_jax.trackers.icp.sequence import Whole
@@ -98,16 +99,10 @@ class DropUnexplained:
 def distance_outside(
     body: Body, points: Float[np.ndarray, "point 3"], frame: np.ndarray, segment: Segment
 ) -> Float[np.ndarray, " point"]:
-    """How far each point is outside of the limbs as they were in its frame, metres; inside 0, caps as if they were
-    flat."""
+    """How far each point is outside of the limbs as they were in its frame, metres; inside 0."""
     nearest = np.full(len(points), np.inf)
-    for limb, (a, b, c, d, length) in enumerate(np.asarray(body.sizes, float)):
+    for limb, size in enumerate(np.asarray(body.sizes, float)):
         rotation, place = segment.rotation[frame, limb], segment.translation[frame, limb]
-        x, y, z = rotations(rotation).inv().apply(points - place).T
-        along = np.clip(z / max(length, 1e-6), 0, 1)
-        wide, deep = a + (c - a) * along, b + (d - b) * along
-        radius = np.hypot(x, y)
-        rim = wide * deep / np.maximum(np.hypot(deep * x, wide * y), 1e-9) * radius
-        far = np.hypot(np.maximum(radius - rim, 0), z - along * length)
-        nearest = np.fmin(nearest, far)  # NaN: the limb is not there
+        far = signed_distance(size, rotations(rotation).inv().apply(points - place))
+        nearest = np.fmin(nearest, np.maximum(far, 0))  # NaN: the limb is not there
     return nearest

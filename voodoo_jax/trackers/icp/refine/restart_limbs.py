@@ -15,6 +15,7 @@ from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.stretches import stretches
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
 from voodoo_jax.trackers.icp.segment import Followed, pass_of, tracked_anew
@@ -68,9 +69,8 @@ class RestartLimbs:
         if not tracked.any():
             return []
         cost, longest = self.passes.smoothed(cost / np.maximum([f.noise for f in people], USUAL) ** 2), self.longest
-        bad = np.flatnonzero(tracked & (cost > self.worse * np.percentile(cost[tracked], self.well)))
-        runs = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)
-        found = [(int(r[k]), int(r[min(k + longest, len(r)) - 1]) + 1) for r in runs for k in range(0, len(r), longest)]
+        bad = stretches(tracked & (cost > self.worse * np.percentile(cost[tracked], self.well)))
+        found = [(k, min(k + longest, end)) for start, end in bad for k in range(start, end, longest)]
         return [(start, end) for start, end in found if end - start >= self.fewest]
 
     def _looked(self, run: Runner, segment: Followed, start: int, end: int) -> Followed:
