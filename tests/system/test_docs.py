@@ -26,7 +26,7 @@ def blocks(language: str) -> list[tuple[str, str]]:
 def flags(command: str, capsys) -> set[str]:
     """The flags that a command has, as its help says."""
     with pytest.raises(SystemExit) as end:
-        main([command, "--help"])
+        main([command, "--help-all"])
     assert end.value.code == 0, f"voodoo-jax {command} is no command"
     return set(FLAG.findall(capsys.readouterr().out))
 

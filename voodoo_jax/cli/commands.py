@@ -4,10 +4,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg, subcommand
 
 from voodoo_jax.config.fit_options import FitSettings
-from voodoo_jax.config.options import ReadSettings, Settings
+from voodoo_jax.config.options import (
+    DetectSettings,
+    FeatureSettings,
+    FlexibleSettings,
+    ReadSettings,
+    Settings,
+    SolveSettings,
+    StartSettings,
+    TrackSettings,
+)
 
 BODY_HELP = (
     "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
@@ -24,28 +33,26 @@ EXPORT_HELP = f"Also write the tracks for other programs. {FORMATS_HELP}"
 
 
 @dataclass(frozen=True)
-class Replay:
-    """Track people (or other bodies) in recorded logs.
+class Results:
+    """What is written."""
 
-    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
-    log; where several people are in view, <log>.2.tracks.npz, ... for the others. Nothing about them need be
-    given: start, place and size are found.
-    """
-
-    logs: Positional[tuple[str, ...]] = ()
-    """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
     out: str = "voodoo-out"
     """Folder for the results, or a URL; made if it is missing."""
-    body: Annotated[str, arg(help=BODY_HELP)] = ""
-    preset: Annotated[Literal["default", "knoop2007", "flexible", "hecht2009"], arg(help=PRESET_HELP)] = "default"
-    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
-    smooth: float = 0.0
-    """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
     picture: bool = False
     """Also write <log>.png: cloud and tracked body side by side."""
     html: bool = False
     """Also write <log>.html: cloud, tracked bodies and quality over time, to play and turn in a browser, offline."""
+    report: bool = False
+    """Also write report.html: a row for each log in --out, with drawings, what was found, and what is in doubt."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
+    smooth: float = 0.0
+    """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
+
+
+@dataclass(frozen=True)
+class Running:
+    """How many logs are done, where, and at once."""
+
     again: bool = False
     """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""
     workers: int = 0
@@ -56,7 +63,39 @@ class Replay:
     """local: processes here; batch: many logs at once in one, for GPUs; ray: the cluster here, or RAY_ADDRESS."""
     compile_cache: str = ""
     """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Track people (or other bodies) in recorded logs.
+
+    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
+    log; where several people are in view, <log>.2.tracks.npz, ... for the others. Nothing about them need be
+    given: start, place and size are found. --help shows the usual options, --help-all all settings, such as
+    --start.scale or --detect.people.
+    """
+
+    logs: Positional[tuple[str, ...]] = ()
+    """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
+    body: Annotated[str, arg(help=BODY_HELP)] = ""
+    preset: Annotated[Literal["default", "knoop2007", "flexible", "hecht2009"], arg(help=PRESET_HELP)] = "default"
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    results: OmitArgPrefixes[Results] = field(default_factory=Results)
+    running: OmitArgPrefixes[Running] = field(default_factory=Running)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+
+
+@dataclass(frozen=True)
+class UsualSettings(Settings):
+    """Settings of which the short help shows only those of no section."""
+
+    read: Suppress[ReadSettings] = field(default_factory=ReadSettings)
+    detect: Suppress[DetectSettings] = field(default_factory=DetectSettings)
+    start: Suppress[StartSettings] = field(default_factory=StartSettings)
+    features: Suppress[FeatureSettings] = field(default_factory=FeatureSettings)
+    solve: Suppress[SolveSettings] = field(default_factory=SolveSettings)
+    track: Suppress[TrackSettings] = field(default_factory=TrackSettings)
+    flexible: Suppress[FlexibleSettings] = field(default_factory=FlexibleSettings)
 
 
 @dataclass(frozen=True)
@@ -115,7 +154,7 @@ class FitCommand:
 
     Tracks the logs, changes the body until measurements that the poses were not solved on lie on it, and tracks them
     again. The body file is written only if the fitted body is better, beyond noise, in time held back from the fit; a
-    report (.md, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
+    report (.md, .html, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
     not tell stays as it was. Weights of measurements and options of the solve, if they were fitted, go into a settings
     file (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: the size is found anew, the
     proportions are kept. Ctrl-C stops it; the same command goes on from there.

@@ -204,7 +204,7 @@ def _view(tracks: Tracks, recording: Recording, frames: list[Frame], i: int) -> 
 def _windows(tracks: Tracks, frames: list[Frame], chosen, middle, axes3) -> list[np.ndarray]:
     """Drawn region of each frame [low or high, right/up/away] in metres, all of one size and height: around the body
     in that frame; where it has no pose, where it is in the nearest frame; around the clouds if there is none at all."""
-    rings = [(_rings(tracks, int(i)).reshape(-1, 3) - middle) @ axes3.T for i in chosen]
+    rings = [(limb_rings(tracks, int(i)).reshape(-1, 3) - middle) @ axes3.T for i in chosen]
     rings = [ring[np.isfinite(ring).all(1)] for ring in rings]
     bodies = [k for k, ring in enumerate(rings) if len(ring)]
     if bodies:
@@ -226,24 +226,29 @@ def _windows(tracks: Tracks, frames: list[Frame], chosen, middle, axes3) -> list
     return out
 
 
-def _rings(tracks: Tracks, i: int) -> np.ndarray:
+def limb_rings(tracks: Tracks, i: int) -> np.ndarray:
     """Points on both end ellipses of all limbs [limb, 2 RING, 3] in the fixed frame, metres; NaN: not there."""
-    sizes = np.asarray(tracks.body.sizes, float)[:, :, None]
+    return rings(np.asarray(tracks.body.sizes, float), tracks.rotation[i], tracks.translation[i])
+
+
+def rings(sizes: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """The same of limbs of these sizes [limb, 5] and poses (quaternions wxyz, metres)."""
+    sizes = sizes[:, :, None]
     angle = np.linspace(0, 2 * np.pi, RING, endpoint=False)
     c, s, flat = np.cos(angle), np.sin(angle), np.zeros((len(sizes), RING))
     bottom = np.stack([sizes[:, 0] * c, sizes[:, 1] * s, flat], -1)
     top = np.stack([sizes[:, 2] * c, sizes[:, 3] * s, flat + sizes[:, 4]], -1)
     # a limb that is not there stays NaN by its place
-    turn = np.where(np.isfinite(tracks.rotation[i]), tracks.rotation[i], 1.0).astype(float)
+    turn = np.where(np.isfinite(rotation), rotation, 1.0).astype(float)
     turn = Rotation.from_quat(turn, scalar_first=True).as_matrix()
-    return np.concatenate([bottom, top], 1) @ turn.transpose(0, 2, 1) + tracks.translation[i][:, None]
+    return np.concatenate([bottom, top], 1) @ turn.transpose(0, 2, 1) + translation[:, None]
 
 
 # 7 parameters: what is drawn, where and how
 def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int, int, int], colours) -> None:
     """The limbs' outlines, farthest first, and joint centres in frame `i`; `view`: axes for right, up and away."""
     h, v, depth = view
-    rings = (_rings(tracks, i) - middle) @ axes3.T
+    rings = (limb_rings(tracks, i) - middle) @ axes3.T
     sign = -1 if depth == 2 else 1  # farthest first: away from the sensor, or the far side of the side view
     order = np.argsort(sign * rings[:, :, depth].mean(1))
     for rank, limb in enumerate(order):
