@@ -66,7 +66,7 @@ def show(
     follows the body. Left limbs are warm, right ones cool. truth: joint centres for the frames of `tracks`, metres in
     the fixed frame, drawn as crosses. Raises ValueError if there is no frame or the truth has another number of frames.
     """
-    from matplotlib.figure import Figure
+    from voodoo_jax.viz.shown import ShownFigure
 
     if not len(recording) or not len(tracks.time_ns):
         raise ValueError(f"nothing to draw: {recording.path} or its tracks have no frame")
@@ -86,7 +86,7 @@ def show(
     spans = windows[0][1] - windows[0][0]
     width = 2.9
     height = 1.1 + len(rows) * width * min(spans[1] / max(spans[0], spans[2]), 1.6)
-    figure = Figure(figsize=(width * len(chosen) + 0.6, height))
+    figure = ShownFigure(figsize=(width * len(chosen) + 0.6, height))
     figure.set_layout_engine("constrained")
     grid = figure.subplots(len(rows), len(chosen), squeeze=False)
     colours = limb_colours(tracks.body.topology.limbs)
