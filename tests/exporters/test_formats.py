@@ -230,8 +230,9 @@ def test_trc_and_mot_and_csv(tmp_path):
     )
 
 
-def test_readers_of_others_take_tables(tmp_path):
+def test_readers_of_others_take_tables(tmp_path, monkeypatch):
     """trc-data-reader, pandas, and OpenSim where it is installed, which most is written for."""
+    monkeypatch.chdir(tmp_path)  # where OpenSim leaves a log
     tracks = loose_tracks()
     knee = tracks.joint("l_knee")[:, [0, 2, 1]] * [1, 1, -1]
     file = trc.TRCData()

@@ -176,6 +176,27 @@ class FitCommand:
 
 
 @dataclass(frozen=True)
+class BodyCommand:
+    """Make a body file of a robot description (URDF) or of a skinned mesh (glTF).
+
+    Links, or the parts of the mesh that follow a joint, become limbs: the nearest tapered elliptic cylinders. What fits
+    badly is said. Track with it by `voodoo-jax replay LOG --body FILE --start.scale N`, N as this command prints it.
+    """
+
+    source: Positional[Path | None] = None
+    """A .urdf, .glb or .gltf file."""
+    out: Path = Path("body.toml")
+    """Body file to write."""
+    rest: tuple[str, ...] = ()
+    """Values of a robot's joints in its rest pose, such as elbow=0.5, radians; 0 for others. It should not be stretched
+    out, nor at the joints' limits."""
+    least: float = 0.03
+    """Parts smaller than this are one with what they hang on, metres."""
+    overwrite: bool = False
+    """Replace a file that exists."""
+
+
+@dataclass(frozen=True)
 class Config:
     """Print the settings with their meanings, as a file for --config."""
 
@@ -190,5 +211,6 @@ Command = (
     | Annotated[Export, subcommand("export")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[FitCommand, subcommand("fit")]
+    | Annotated[BodyCommand, subcommand("body")]
     | Annotated[Config, subcommand("config")]
 )

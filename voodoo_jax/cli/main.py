@@ -13,6 +13,7 @@ from tyro.conf import arg
 
 from voodoo_jax.cli.commands import (
     PRESET_BODIES,
+    BodyCommand,
     Command,
     Config,
     Convert,
@@ -190,7 +191,7 @@ def main(argv: list[str] | None = None) -> int:
         return 130
 
 
-def _run(command: "Replay | Info | Demo | Config | FitCommand | Export | Convert", base: Settings) -> int:
+def _run(command: "Replay | Info | Demo | Config | FitCommand | BodyCommand | Export | Convert", base: Settings) -> int:
     if isinstance(command, Export):
         from voodoo_jax.cli.export import run_export
 
@@ -199,6 +200,10 @@ def _run(command: "Replay | Info | Demo | Config | FitCommand | Export | Convert
         from voodoo_jax.cli.convert import run_convert
 
         return run_convert(command)
+    if isinstance(command, BodyCommand):
+        from voodoo_jax.cli.body import run_body
+
+        return run_body(command)
     if isinstance(command, FitCommand):
         from voodoo_jax.cli.fit import run_fit
 

@@ -2,9 +2,9 @@
 
 Coordinates have the names and signs of the Rajagopal 2016 model where the body is a person: they move it. Its shoulder
 turns about Z, X, Y (arm_flex, arm_add, arm_rot), unlike the ISB's of tracks.angles(), which are in the CSV file. Frames
-that are not tracked are left out. OpenSim's older reader ends without a word at the first value that is no number: where
-a limb is hidden its coordinate is that of the predicted pose, near gimbal lock it is interpolated, and the header says
-how much of it. The CSV file has no value there. Other bodies have the angles of tracks.angles().
+that are not tracked are left out. OpenSim's older reader ends without a word at the first value that is no number:
+where a limb is hidden its coordinate is that of the predicted pose, near gimbal lock it is interpolated, and the header
+says how much of it. The CSV file has no value there. Other bodies have the angles of tracks.angles().
 """
 
 import os
