@@ -116,9 +116,10 @@ class Export:
 class Convert:
     """Make an MCAP log of a recording of another format.
 
-    ROS 1 bags (.bag), SQLite bags of ROS 2 (.db3, or their folder), C3D and TRC, and folders of 16-bit depth images
-    (PNG), as the TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay converts
-    .bag, .db3, .c3d and .trc in passing.
+    ROS 1 bags (.bag), also RealSense's, SQLite bags of ROS 2 (.db3, or their folder), recordings of Azure Kinect and
+    Femto cameras (.mkv), skeletons of a Kinect (.json), C3D and TRC, and folders of 16-bit depth images (PNG), as the
+    TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay converts files in
+    passing.
     """
 
     sources: Positional[tuple[Path, ...]] = ()
@@ -126,7 +127,8 @@ class Convert:
     out: Path | None = None
     """The log (.mcap) of one recording, or a folder for the logs of several."""
     camera: Path | None = None
-    """Camera file of depth images (TOML): width, height, fx, fy, cx, cy, unit (metres of a count), rate (Hz)."""
+    """Camera file (TOML) of depth images, or of an .mkv without calibration: width, height, fx, fy, cx, cy, unit
+    (metres of a count), rate (Hz)."""
     rate: float = 0.0
     """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
 
@@ -137,6 +139,22 @@ class Info:
 
     logs: Positional[tuple[Path, ...]]
     """MCAP logs, or folders of them."""
+    read: ReadSettings = field(default_factory=ReadSettings)
+
+
+@dataclass(frozen=True)
+class View:
+    """Show a log and its tracks in a browser: cloud, bodies, markers, camera image with the bodies over it.
+
+    To send somebody a view, use replay --html instead: a file that needs no program.
+    """
+
+    what: Positional[tuple[Path, ...]] = ()
+    """The log, and <log>.tracks.npz, whose other people (<log>.2.tracks.npz, ...) are shown as well."""
+    port: int = 8080
+    """Of this machine's own address, on which the browser finds it; the next free one if it is taken."""
+    once: bool = False
+    """End at once when it is ready: a trial."""
     read: ReadSettings = field(default_factory=ReadSettings)
 
 
@@ -208,6 +226,7 @@ Command = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Replay, subcommand("replay")]
     | Annotated[Info, subcommand("info")]
+    | Annotated[View, subcommand("view")]
     | Annotated[Export, subcommand("export")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[FitCommand, subcommand("fit")]

@@ -23,6 +23,7 @@ from voodoo_jax.cli.commands import (
     Info,
     Replay,
     UsualSettings,
+    View,
 )
 from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
@@ -191,7 +192,9 @@ def main(argv: list[str] | None = None) -> int:
         return 130
 
 
-def _run(command: "Replay | Info | Demo | Config | FitCommand | BodyCommand | Export | Convert", base: Settings) -> int:
+def _run(
+    command: "Replay | Info | Demo | Config | FitCommand | BodyCommand | View | Export | Convert", base: Settings
+) -> int:
     if isinstance(command, Export):
         from voodoo_jax.cli.export import run_export
 
@@ -200,6 +203,10 @@ def _run(command: "Replay | Info | Demo | Config | FitCommand | BodyCommand | Ex
         from voodoo_jax.cli.convert import run_convert
 
         return run_convert(command)
+    if isinstance(command, View):
+        from voodoo_jax.cli.view import run_view
+
+        return run_view(command)
     if isinstance(command, BodyCommand):
         from voodoo_jax.cli.body import run_body
 
