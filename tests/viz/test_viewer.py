@@ -1,4 +1,4 @@
-"""The viewer: bodies where they are tracked, in the scene and over the camera's image; needs no browser to be tested."""
+"""The viewer: bodies where they are tracked, in the scene and over the camera's image; tested without a browser."""
 
 import urllib.request
 from dataclasses import replace
