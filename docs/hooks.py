@@ -1,7 +1,8 @@
 """Hooks of the documentation's build (mkdocs.yml): pages from elsewhere in the repository, generated text, and links.
 
 The pages are written so that their links work on a code host, where `../experiments/README.md` is a file. The site has
-another layout, so links are rewritten here. Comments in the pages name what is generated:
+another layout, so links are rewritten here. Notebooks become pages with the outputs that they are kept with. Comments
+in the pages name what is generated:
 
     <!-- output: config -->              what `voodoo-jax config` prints
     <!-- include: experiments/x.md -->   a page of the repository, without its title
@@ -10,6 +11,8 @@ another layout, so links are rewritten here. Comments in the pages name what is 
 """
 
 import ast
+import base64
+import json
 import os
 import posixpath
 import re
@@ -43,6 +46,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             uri = path.relative_to(ROOT).as_posix()
             if "/out/" not in uri:
                 files.append(File.generated(config, uri, abs_src_path=str(path)))
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for uri, content in notebook_page(path).items():
+            files.append(File.generated(config, uri, content=content))
     if not (ROOT / SCOREBOARD).exists():
         files.append(File.generated(config, SCOREBOARD, content=NOT_MEASURED))
     return files
@@ -64,6 +70,23 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
         for public, (_, name) in public_names().items():
             html = html.replace(f'<span class="nf">{name}</span>', f'<span class="nf">{public}</span>')
     return html
+
+
+def notebook_page(path: Path) -> dict[str, str | bytes]:
+    """A notebook as a page with its pictures: uri -> content."""
+    uri, text, pictures = f"notebooks/{path.stem}.md", [], {}
+    for cell in json.loads(path.read_text())["cells"]:
+        source = "".join(cell["source"])
+        text.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            data = output.get("data", {})
+            if "image/png" in data:
+                name = f"{path.stem}-{len(pictures) + 1}.png"
+                pictures[f"notebooks/{name}"] = base64.b64decode("".join(data["image/png"]))
+                text.append(f"![]({name})")
+            elif output.get("name") != "stderr" and (said := "".join(output.get("text") or data.get("text/plain", ""))):
+                text.append(f"```text\n{said.rstrip()}\n```")
+    return {uri: "\n\n".join(text), **pictures}
 
 
 def generated(kind: str, what: str, uri: str, files: Files) -> str:
@@ -152,6 +175,8 @@ def site_page(path: str) -> str:
     """The file of the site for a path in the repository."""
     if path in ("README.md", "."):
         return "index.md"
+    if path.endswith(".ipynb"):
+        path = path.replace(".ipynb", ".md")
     if (ROOT / path).is_dir():
         path = posixpath.join(path, "README.md")
     return path.removeprefix("docs/")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.fitting.custom_loss import solve_frames as solve_frames
     from voodoo_jax.fitting.fit import fit as fit
+    from voodoo_jax.fitting.losses import loss as loss
     from voodoo_jax.io.log_reader import LogError as LogError
     from voodoo_jax.io.log_reader import survey as survey
     from voodoo_jax.model.attachments import attach as attach
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from voodoo_jax.model.body_file import load_body as load_body
     from voodoo_jax.model.body_file import read_body as read_body
     from voodoo_jax.model.body_file import write_body as write_body
+    from voodoo_jax.model.foreign.sources import body_from as body_from
     from voodoo_jax.records.recording import Recording as Recording
     from voodoo_jax.records.tracks import Tracks as Tracks
     from voodoo_jax.solve.implicit import solution as solution
@@ -56,10 +58,12 @@ _PUBLIC = {
     "Settings": ("config.options", "Settings"),
     "Tracks": ("records.tracks", "Tracks"),
     "attach": ("model.attachments", "attach"),
+    "body_from": ("model.foreign.sources", "body_from"),
     "export": ("exporters.formats", "export"),
     "fit": ("fitting.fit", "fit"),
     "human": ("model.body_file", "human"),
     "joint_centres": ("model.body", "joint_centres"),
+    "loss": ("fitting.losses", "loss"),
     "load_body": ("model.body_file", "load_body"),
     "online": ("config.presets", "online"),
     "preset": ("config.presets", "preset"),

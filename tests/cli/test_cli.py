@@ -41,8 +41,14 @@ def test_help_of_every_command(name, capsys):
     printed = capsys.readouterr().out
     assert stopped.value.code == 0 and f"voodoo-jax {name}" in printed
     if name == "replay":
-        for word in ("--out", "--body", "--config", "--solve.max-steps", "--start.scale", "--picture"):
-            assert word in printed
+        usual = ("--out", "--body", "--config", "--tracker", "--picture", "--report", "--help-all")
+        with pytest.raises(SystemExit):
+            main(["replay", "--preset", "knoop2007", "--help-all"])
+        everything = capsys.readouterr().out
+        assert all(word in printed and word in everything for word in usual)
+        for word in ("--solve.max-steps INT", "--start.scale FLOAT"):
+            assert word not in printed and word in everything
+        assert "(default: 6)" in everything and printed.count("\n") < 80
 
 
 @pytest.mark.parametrize("words", [[], ["--help"]])

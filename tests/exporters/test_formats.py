@@ -6,9 +6,11 @@ from dataclasses import replace
 import bvhio
 import ezc3d
 import numpy as np
+import pandas
 import pybvh
 import pygltflib
 import pytest
+import trc
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 from scipy.spatial.transform import Rotation
 
@@ -200,7 +202,7 @@ def test_trc_and_mot_and_csv(tmp_path):
     at = 2 + 3 * names.index("l_knee")
     x, y, z = tracks.joint("l_knee")[9]
     np.testing.assert_allclose([float(v) for v in rows[9][at : at + 3]], [x, z, -y], atol=1e-5)
-    assert rows[LOST][at : at + 3] == ["", "", ""] and len({len(row) for row in rows}) == 1
+    assert rows[LOST][at : at + 3] == ["NaN"] * 3 and len({len(row) for row in rows}) == 1
 
     lines = export(tracks, tmp_path / "a.mot").read_text().split("\n")
     end = lines.index("endheader")
@@ -209,6 +211,12 @@ def test_trc_and_mot_and_csv(tmp_path):
     assert len(rows) == tracks.tracked.sum()
     knee = np.degrees(tracks.angles()["r_knee_flexion"][tracks.tracked])
     np.testing.assert_allclose([float(row[names.index("knee_angle_r")]) for row in rows], knee, atol=1e-4)
+    # a hidden shank's angle is that of the predicted pose, and this is said
+    weight = tracks.limb_weight.copy()
+    weight[20:40, tracks.body.topology.limbs.index("r_shank")] = 0
+    text = export(replace(tracks, limb_weight=weight), tmp_path / "b.mot").read_text()
+    share = f"knee_angle_r {100 * float(tracks.tracked[20:40].sum() / tracks.tracked.sum()):.0f} %"
+    assert "nan" not in text and share in text and text.split("\n")[-len(rows) - 1 :] == [*lines[end + 2 :]]
     hips = (tracks.joint("l_hip") + tracks.joint("r_hip"))[tracks.tracked] / 2
     np.testing.assert_allclose([float(row[names.index("pelvis_ty")]) for row in rows], hips[:, 2], atol=1e-4)
 
@@ -220,6 +228,31 @@ def test_trc_and_mot_and_csv(tmp_path):
     assert float(table[9]["l_hip_flexion_deg"]) == pytest.approx(
         np.degrees(tracks.angles()["l_hip_flexion"][9]), abs=0.01
     )
+
+
+def test_readers_of_others_take_tables(tmp_path, monkeypatch):
+    """trc-data-reader, pandas, and OpenSim where it is installed, which most is written for."""
+    monkeypatch.chdir(tmp_path)  # where OpenSim leaves a log
+    tracks = loose_tracks()
+    knee = tracks.joint("l_knee")[:, [0, 2, 1]] * [1, 1, -1]
+    file = trc.TRCData()
+    file.load(str(export(tracks, tmp_path / "a.trc")))
+    np.testing.assert_allclose(np.array(file["l_knee"])[tracks.tracked], knee[tracks.tracked], atol=1e-5)
+    assert file["NumFrames"] == len(knee) and np.isnan(file["l_knee"][LOST]).all() and file["Units"] == "m"
+    table = pandas.read_csv(export(tracks, tmp_path / "a.csv"))
+    columns = [f"l_knee_{axis}_m" for axis in "xyz"]
+    np.testing.assert_allclose(table[columns][tracks.tracked], tracks.joint("l_knee")[tracks.tracked], atol=1e-5)
+    assert table["tracked"].tolist() == tracks.tracked.astype(int).tolist() and table["l_knee_x_m"].isna().sum() == 3
+    opensim = pytest.importorskip("opensim", reason="OpenSim is not installed: pip install opensim (220 MB)")
+    markers = opensim.TimeSeriesTableVec3(str(tmp_path / "a.trc"))
+    at = list(markers.getColumnLabels()).index("l_knee")
+    np.testing.assert_allclose(markers.getRowAtIndex(9)[at].to_numpy(), knee[9], atol=1e-5)
+    assert markers.getNumRows() == len(knee) and markers.getTableMetaDataString("Units") == "m"
+    path = str(export(tracks, tmp_path / "a.mot"))
+    motion, older = opensim.TimeSeriesTable(path), opensim.Storage(path)
+    assert motion.getNumRows() == older.getSize() == tracks.tracked.sum() and older.isInDegrees()
+    angle = np.degrees(tracks.angles()["r_knee_flexion"][tracks.tracked])
+    np.testing.assert_allclose(motion.getDependentColumn("knee_angle_r").to_numpy(), angle, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["arm", "stick", "dog"])

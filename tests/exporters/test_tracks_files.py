@@ -53,7 +53,7 @@ def read_all(path) -> tuple[dict[str, list], object]:
             if channel.message_encoding == "json":
                 found.setdefault(channel.topic, []).append((message, json.loads(message.data)))
         for _, channel, message, decoded in reader.iter_decoded_messages(
-            topics=["/voodoo/tf", "/voodoo/poses", "/voodoo/body"]
+            topics=["/voodoo/tf", "/voodoo/poses", "/voodoo/body", "/voodoo/joints"]
         ):
             found.setdefault(channel.topic, []).append((message, decoded))
         extra = (list(reader.iter_metadata()), list(reader.iter_attachments()))
@@ -135,6 +135,10 @@ def test_mcap_transforms_reproduce_the_tracks(tmp_path):
         joints = [by_name[f"voodoo/joint/{n}"] for n in centres]
         np.testing.assert_allclose([xyz(t.translation) for t in joints], tracks.joints[i], atol=1e-3)
         assert all(t.rotation.w == 1 for t in joints)
+    _, cloud = found["/voodoo/joints"][-1]
+    table = np.frombuffer(cloud.data, "<f4").reshape(-1, 4)
+    np.testing.assert_allclose(table, np.c_[tracks.joints[-1], np.full(len(table), 0.9)], rtol=1e-6)
+    assert [f.name for f in cloud.fields] == ["x", "y", "z", "confidence"] and cloud.frame_id == tracks.fixed_frame
     _, poses = found["/voodoo/poses"][-1]
     np.testing.assert_allclose([xyz(p.position) for p in poses.poses], tracks.translation[-1], atol=1e-3)
     assert poses.frame_id == "world" and all(abs(q.orientation.w) + abs(q.orientation.x) > 0 for q in poses.poses)

@@ -246,9 +246,11 @@ def test_fit_of_the_demo(tmp_path, capsys):
     words += ["--noise", "0.002", "--frames", "28", "--points", "256", "--iterations", "10", "--rounds", "2"]
     assert main([*words, "--free", "radii.chest.*", "radii.pelvis.*", "lengths.thigh"]) == 0
     assert "is better" in capsys.readouterr().out
-    assert {p.name for p in tmp_path.iterdir()} == {"wrong.toml", "body.toml", "body.md", "body.png"}
+    assert {p.name for p in tmp_path.iterdir()} == {"wrong.toml", "body.toml", "body.md", "body.png", "body.html"}
     text = (tmp_path / "body.md").read_text()
     assert "95 % interval" in text and "lengths.thigh" in text and "nan" not in text
+    page = (tmp_path / "body.html").read_text()
+    assert page.count("<table>") == text.count("|\n\n") and "data:image/png" in page and 'class="before"' in page
     chest = BODY.topology.limbs.index("chest")
     radius = lambda b: float(np.mean(b.sizes[chest, :2])) / float(b.scale)  # noqa: E731
     wrong, fitted = (radius(read_body(tmp_path / name)) for name in ("wrong.toml", "body.toml"))
@@ -279,7 +281,7 @@ def test_wrong_lengths_are_mended_and_right_ones_left_alone(tmp_path, capsys):
     assert main(words) == 0
     out = capsys.readouterr().out
     assert "stays as it was" in out and "--keep-anyway" in out
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"body.md", "body.png"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"body.md", "body.png", "body.html"}
     assert "stays as it was" in (tmp_path / "out" / "body.md").read_text()
     assert main([*words, "--overwrite", "--keep-anyway"]) == 0
     assert "written all the same" in capsys.readouterr().out and (tmp_path / "out" / "body.toml").exists()

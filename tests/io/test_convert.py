@@ -1,7 +1,12 @@
 """Recordings of other formats become logs that are read as the recording itself would be."""
 
+import json
+import struct
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import ezc3d
 import numpy as np
@@ -213,13 +218,149 @@ def test_folders_of_clouds(kind, tmp_path):
         np.testing.assert_allclose(points, clouds[i], atol=1e-6)
 
 
+def kinect_calibration() -> dict:
+    """As in a recording's attachment, of a 1024 x 1024 sensor; colour 9:16 is cut from 3:4."""
+    depth = [0.5127, 0.5169, 0.4928, 0.4929, 0.55, -0.02, -0.003, 0.89, 0.086, -0.014, 0, 0, -7e-5, 2e-5]
+    colour = [0.4998, 0.5066, 0.478, 0.6374, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0]
+    turn = [1, 0, 0, 0, 0.9948, 0.1019, 0, -0.1019, 0.9948]
+    cameras = [
+        {"Location": "CALIBRATION_CameraLocationD0", "Intrinsics": {"ModelParameters": depth}},
+        {"Location": "CALIBRATION_CameraLocationPV0", "Intrinsics": {"ModelParameters": colour},
+         "Rt": {"Rotation": turn, "Translation": [-0.032, -0.002, 0.004]}},
+    ]  # fmt: skip
+    return {"CalibrationInformation": {"Cameras": cameras}}
+
+
+def kinect_mkv(path: Path, images: list[np.ndarray], calibration: bytes | None) -> Path:
+    """A recording as the Kinect's recorder writes it: raw big-endian depth (FOURCC b16g), JPEG, an attachment."""
+    height, width = images[0].shape
+    with av.open(str(path), "w", options={"allow_raw_vfw": "1"}) as container:
+        depth = container.add_stream("rawvideo", rate=30)
+        depth.width, depth.height, depth.pix_fmt, depth.metadata["title"] = width, height, "gray16be", "DEPTH"
+        colour = container.add_stream("mjpeg", rate=30)
+        colour.width, colour.height, colour.pix_fmt, colour.metadata["title"] = 64, 36, "yuvj420p", "COLOR"
+        if calibration is not None:
+            container.add_attachment("calibration.json", "application/octet-stream", calibration)
+        container.metadata["K4A_DEPTH_MODE"] = "NFOV_2X2BINNED"
+        for i, image in enumerate(images):
+            frame = av.VideoFrame.from_ndarray(image, format="gray16le").reformat(format="gray16be")
+            picture = av.VideoFrame.from_ndarray(np.full((36, 64, 3), 60 * i, np.uint8), format="rgb24")
+            for stream, made in ((depth, frame), (colour, picture.reformat(format="yuvj420p"))):
+                made.pts, made.time_base = 33 * i, Fraction(1, 1000)
+                container.mux(stream.encode(made))
+    data = path.read_bytes()
+    at = data.find(struct.pack("<Iii", 40, width, -height))  # the header of raw images, which says no FOURCC
+    path.write_bytes(data[: at + 16] + b"b16g" + data[at + 20 :])
+    return path
+
+
+def test_recordings_of_azure_kinects(tmp_path):
+    """Depth to the count, the calibration of that depth mode as OpenCV has it, colour images beside."""
+    rng = np.random.default_rng(0)
+    images = [rng.integers(900, 4000, (288, 320)).astype(np.uint16) for _ in range(4)]
+    images[0][0, :5] = 0
+    path = kinect_mkv(tmp_path / "a.mkv", images, json.dumps(kinect_calibration()).encode() + b"\0")
+    with as_mcap(str(path)) as (log, notes):
+        recording = vj.read_log(log, vj.Settings().read)
+        with_images = vj.read_log(log, replace(vj.Settings().read, images=True))
+    assert notes == [] and len(recording) == 4
+    np.testing.assert_allclose(np.diff([f.time_ns for f in recording]), 33_000_000, atol=1_500_000)
+    p = kinect_calibration()["CalibrationInformation"]["Cameras"][0]["Intrinsics"]["ModelParameters"]
+    k = np.array([[512 * p[2], 0, 512 * p[0] - 96.5], [0, 512 * p[3], 512 * p[1] - 90.5], [0, 0, 1]])
+    lens = np.array([*p[4:6], p[13], p[12], *p[6:10]])
+    found = recording.frames[2].points.astype(float)
+    assert len(found) > 0.9 * images[2].size
+    pixel = cv2.projectPoints(found, np.zeros(3), np.zeros(3), k, lens)[0][:, 0]
+    u, v = np.round(pixel).astype(int).T
+    assert np.quantile(np.abs(pixel - np.stack([u, v], 1)), 0.99) < 0.05
+    np.testing.assert_allclose(found[:, 2], images[2][v, u] / 1000, atol=1e-6)
+    assert sum(len(frame.pictures) for frame in with_images) >= 3
+
+    (tmp_path / "cam.toml").write_text(camera_text(0.001, width=320, height=288))
+    bare = kinect_mkv(tmp_path / "b.mkv", images, None)
+    with pytest.raises(ConvertError, match="no calibration.*--camera"):
+        convert(bare, tmp_path / "b.mcap")
+    (note,) = convert(bare, tmp_path / "b.mcap", tmp_path / "cam.toml")
+    assert "colour" in note and len(vj.read_log(tmp_path / "b.mcap")) == 4
+
+
+def test_skeletons_of_kinects(tmp_path):
+    """Joints of two bodies become the markers of two people, in metres."""
+    names = ["PELVIS", "SPINE_NAVEL", "NECK", "SHOULDER_LEFT", "ELBOW_LEFT"]
+    rng = np.random.default_rng(1)
+    places = rng.normal(0, 500, (6, 2, 5, 3)) + [0, 0, 2500]
+    frames = [
+        {"timestamp_usec": 10**6 + 33_333 * i, "frame_id": i, "num_bodies": 2 - (i == 3), "bodies": [
+            {"body_id": b + 1, "joint_positions": places[i, b].tolist()} for b in range(2 - (i == 3))
+        ]} for i in range(6)
+    ]  # fmt: skip
+    (tmp_path / "a.json").write_text(json.dumps({"joint_names": names, "frames": frames}))
+    (note,) = convert(tmp_path / "a.json", tmp_path / "a.mcap")
+    assert "2 bodies" in note
+    recording = vj.read_log(tmp_path / "a.mcap", replace(vj.Settings().read, scale=("/skeletons=1",)))
+    assert [len(f.pairs.names) for f in recording] == [10, 10, 10, 5, 10, 10]
+    at = dict(zip(recording.frames[2].pairs.names, recording.frames[2].pairs.points))
+    np.testing.assert_allclose(at["body2:ELBOW_LEFT"], places[2, 1, 4] / 1000, atol=1e-6)
+    (tmp_path / "b.json").write_text('{"frames": []}')
+    with pytest.raises(ConvertError, match="joint_names"):
+        convert(tmp_path / "b.json", tmp_path / "b.mcap")
+
+
+@pytest.mark.parametrize("unit", [0.001, 0.0001])
+def test_bags_of_realsense(unit, log, tmp_path):
+    """Image and calibration have names of their own and one frame for all; counts have any unit."""
+    store, two = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+    t, depth = store.types, "/device_0/sensor_0/Depth_0"
+    stamps, images = depth_of(log)
+
+    def header(stamp):
+        time = t["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+        return t["std_msgs/msg/Header"](seq=0, stamp=time, frame_id="0")
+
+    with Bag1(tmp_path / "rs.bag") as bag:
+        option = bag.add_connection(
+            "/device_0/sensor_0/option/Depth_Units/value", "std_msgs/msg/Float32", typestore=store
+        )
+        bag.write(option, stamps[0], store.serialize_ros1(t["std_msgs/msg/Float32"](data=unit), "std_msgs/msg/Float32"))
+        info = bag.add_connection(f"{depth}/info/camera_info", "sensor_msgs/msg/CameraInfo", typestore=store)
+        old = next(two.deserialize_cdr(d, k) for _, k, _, d in messages(log) if k.endswith("CameraInfo"))
+        roi = t["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        made = t["sensor_msgs/msg/CameraInfo"](
+            header=header(stamps[0]), height=old.height, width=old.width, distortion_model="plumb_bob",
+            D=old.d, K=old.k, R=old.r, P=old.p, binning_x=0, binning_y=0, roi=roi,
+        )  # fmt: skip
+        bag.write(info, stamps[0], store.serialize_ros1(made, "sensor_msgs/msg/CameraInfo"))
+        data = bag.add_connection(f"{depth}/image/data", "sensor_msgs/msg/Image", typestore=store)
+        for stamp, image in zip(stamps, images):
+            counts = np.round(image * (0.001 / unit)).astype("<u2")
+            made = t["sensor_msgs/msg/Image"](
+                header=header(stamp), height=31, width=40, encoding="mono16", is_bigendian=0, step=80,
+                data=counts.view(np.uint8).ravel(),
+            )  # fmt: skip
+            bag.write(data, stamp, store.serialize_ros1(made, "sensor_msgs/msg/Image"))
+    notes = convert(tmp_path / "rs.bag", tmp_path / "rs.mcap")
+    assert notes == ([] if unit == 0.001 else ["/device_0: depth counts of 0.1 mm became metres"])
+    expected = vj.read_log(log)
+    for a, b in zip(vj.read_log(tmp_path / "rs.mcap"), expected):
+        turned = (b.points - np.array(CAMERA.position)) @ CAMERA.rotation
+        np.testing.assert_allclose(a.points, turned, atol=1e-4)
+
+
 def test_what_cannot_be_converted_is_said(tmp_path, capsys):
     (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\nbroken")
     (tmp_path / "a.trc").write_text("PathFileType\t4\n")
     (tmp_path / "a.c3d").write_bytes(b"\x02P\0\0")
     (tmp_path / "a.mkv").write_bytes(b"")
+    (tmp_path / "a.mov").write_bytes(b"")
     (tmp_path / "images").mkdir()
-    cases = {"a.bag": "bag", "a.trc": "TRC", "a.c3d": "C3D", "a.mkv": "not converted", "images": "camera file"}
+    cases = {
+        "a.bag": "bag",
+        "a.trc": "TRC",
+        "a.c3d": "C3D",
+        "a.mkv": "as a video",
+        "a.mov": "not converted",
+        "images": "camera file",
+    }
     for name, said in (cases | {"none.bag": "no file"}).items():
         with pytest.raises(ConvertError, match=said):
             convert(tmp_path / name, tmp_path / "out.mcap")

@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 from tests.exporters.test_tracks_files import make_tracks
+from voodoo_jax.config.options import FeatureSettings
+from voodoo_jax.kernels.correspondences import ON_BODY
 from voodoo_jax.model.body_file import load_body
+from voodoo_jax.model.joint_names import LIMB_WORDS, row_of
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Recording
+from voodoo_jax.solve.names import FeatureNames, PartNames
 
 NAMES = {
     "l_radiocarpal": [
@@ -22,12 +27,34 @@ NAMES = {
     ],
     "r_talocrural": ["right_ankle", "RAnkle", "r_ankle", "ANKLE_RIGHT", "ankle_r", "r.ankle", "JointType_AnkleRight"],
     "l_hip": ["left_hip", "LHip", "HIP_LEFT", "LeftUpLeg", "lhip"],
-    "r_shoulder": ["RShoulder", "right shoulder", "mixamorig:RightArm".split(":")[1], "shoulder-right"],
+    "r_shoulder": ["RShoulder", "right shoulder", "mixamorig:RightArm", "shoulder-right"],
     "l_elbow": ["LeftForeArm", "ELBOW_LEFT", "lElbow", "lelbow"],
     "r_knee": ["RKnee", "rightKnee", "RightLeg", "knee_right"],
     "vc7": ["neck", "Neck", "C7", "SpineShoulder", "K4ABT_JOINT_NECK"],
     "skullbase": ["head", "Head", "HEAD", "K4ABT_JOINT_HEAD"],
 }
+
+
+def test_limbs_and_features_under_the_names_of_other_conventions():
+    """In settings: which limb a segmentation means, which point of the body a feature is."""
+    t = load_body("human").topology
+    names = {
+        "l_forearm": ["left_forearm", "LForearm", "LeftLowerArm", "lower_arm_l"],
+        "r_shank": ["RightLeg", "r_calf"],
+        "r_upper_arm": ["RightArm", "right upper arm"],
+        "pelvis": ["Hips"],
+        "l_thigh": ["LeftUpLeg", "left_femur"],
+    }
+    for own, others in names.items():
+        assert [row_of(t.limbs, other, LIMB_WORDS) for other in others] == [t.limbs.index(own)] * len(others), own
+    assert row_of(t.limbs, "tail", LIMB_WORDS) is None
+    parts = PartNames(t)
+    frame = BodyObservation(0, np.zeros((3, 3), np.float32), np.zeros(3, np.int32), np.zeros((1, 3), np.float32),
+                            part=np.array([0, 1, 2], np.int32), parts=("left_forearm", "body", "wing"))  # fmt: skip
+    assert parts.rows(frame).tolist() == [t.limbs.index("l_forearm"), ON_BODY, ON_BODY] and parts.unknown == {"wing"}
+    features = FeatureNames(t, FeatureSettings(names=("a=left_wrist", "b=WRIST_LEFT|nose_of_nobody", "c=nothing")))
+    wrist = len(t.sites) + t.centres.index("l_radiocarpal")
+    assert features.look_up("a") == features.look_up("b") == (wrist,) and features.look_up("c") is None
 
 
 def test_joints_under_the_names_of_other_conventions():

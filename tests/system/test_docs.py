@@ -1,6 +1,7 @@
 """What README and docs/ tell people to type exists: commands, flags, settings, public names."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ def blocks(language: str) -> list[tuple[str, str]]:
 def flags(command: str, capsys) -> set[str]:
     """The flags that a command has, as its help says."""
     with pytest.raises(SystemExit) as end:
-        main([command, "--help"])
+        main([command, "--help-all"])
     assert end.value.code == 0, f"voodoo-jax {command} is no command"
     return set(FLAG.findall(capsys.readouterr().out))
 
@@ -70,3 +71,22 @@ def test_python_names_are_public():
     assert "track" in used and used <= set(vj.__all__)
     for text in texts:
         compile(text, "documentation", "exec")
+
+
+def test_versions_and_extras_agree():
+    """pyproject, citation, changelog; what texts and the Dockerfile install."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    version = project["version"]
+    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert re.search(r"^## \[?([\d.]+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[1] == version  # type: ignore[index]
+    extras = set(project["optional-dependencies"])
+    texts = [path.read_text() for path in (*PAGES, ROOT / "Dockerfile")]
+    asked = {
+        name
+        for text in texts
+        for found in re.findall(r"(?:\.|/src|voodoo_jax)\[([\w,]+)\]", text)
+        for name in found.split(",")
+    }
+    assert {"all", "view", "mkv"} <= asked | extras and asked <= extras
+    everything = re.fullmatch(r"voodoo_jax\[(.*)\]", project["optional-dependencies"]["all"][0])
+    assert everything and set(everything[1].split(",")) == extras - {"all", "ray", "dev", "docs"}

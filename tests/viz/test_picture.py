@@ -51,6 +51,7 @@ def test_frames_without_pose_say_so():
         status=status, residual=tracks.residual * np.nan,
     )  # fmt: skip
     figure = show(none, recording, frames=2)
+    assert figure._repr_png_().startswith(b"\x89PNG")  # as a notebook asks for it
     texts = [t.get_text() for ax in figure.axes for t in ax.texts]
     assert texts == ["no pose"] * 4
     assert figure.axes[0].get_title() == "0.00 s, not started\nno residual"

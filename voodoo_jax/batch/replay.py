@@ -27,7 +27,7 @@ __all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
 SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being done
 
 
-# 14 parameters, the options of the command, each by name; half of the lines say what they are
+# 15 parameters, the options of the command, each by name; half of the lines say what they are
 def replay(
     logs: Iterable[str | os.PathLike[str]],
     out: str | os.PathLike[str],
@@ -38,6 +38,7 @@ def replay(
     *,
     picture: bool = False,
     html: bool = False,
+    report: bool = False,
     export: Iterable[str] = (),
     again: bool = False,
     workers: int = 1,
@@ -55,6 +56,7 @@ def replay(
 
     **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
     trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
+    `report` writes `report.html`, with a row for each log whose results are in `out`;
     `export` formats to which tracks are exported besides (exporters/formats.py), such as "bvh"; `again` does finished
     logs anew; `workers` processes, 1: in this one, 0: as many as are good for this machine; `engine` "batch": in this
     one, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight
@@ -64,6 +66,7 @@ def replay(
 
     Raises ValueError if two logs would write the same files, or an argument cannot be used.
     """
+    from voodoo_jax.batch.report import write_report
     from voodoo_jax.batch.resume import recipe_key
     from voodoo_jax.batch.summary_file import summary_name, write_summary
     from voodoo_jax.exporters.formats import check_formats
@@ -77,6 +80,7 @@ def replay(
     check_stages(settings or Settings())
     exports = check_formats(export)
     number, count = parse_shard(shard)
+    summary = summary_name(number, count)
     places = list(dict.fromkeys(_absolute(place) for log in logs for place in expanded(log)))
     within = folders_within(places)
     out, settings, body = _absolute(out), settings or Settings(), body or load_on_host("human")
@@ -98,7 +102,7 @@ def replay(
     )
     jobs = {log: replace(job, log=log, out=joined(out, within[log]), size=max(1, byte_size(log))) for log in places}
     done: dict[str, Outcome] = {}
-    save = partial(write_summary, folder=out, name=summary_name(number, count))
+    save = partial(write_summary, folder=out, name=summary)
     with ThreadPoolExecutor(8) as several:  # a store's answers take long
         for log, found in zip(places, several.map(partial(_finished, again=again), jobs.values())):
             if found is not None and found.picture == "due":
@@ -111,18 +115,18 @@ def replay(
     sizes = [job.size for job in ordered]
     shares = [0.0] * len(ordered)
 
-    def report(which: int, share: float) -> None:
+    def advance(which: int, share: float) -> None:
         bar.update(round(sizes[which] * share) - round(sizes[which] * shares[which]))
         shares[which] = share
 
     try:
-        results = _engine(ordered, report, engine, workers)  # before the bar, which has a thread of its own
+        results = _engine(ordered, advance, engine, workers)  # before the bar, which has a thread of its own
         with tqdm(total=sum(sizes), unit="B", unit_scale=True, disable=quiet or None, leave=False) as bar:
             bar.set_description(f"{len(done)}/{len(places)} logs")
             with closing(results):
                 for which, outcome in results:
                     done[outcome.path] = outcome = replace(outcome, folder=within[outcome.path])
-                    report(which, 1.0)
+                    advance(which, 1.0)
                     bar.set_description(f"{len(done)}/{len(places)} logs")
                     _say(outcome, quiet)
                     if time.monotonic() - saved > SUMMARY_SECONDS:
@@ -130,6 +134,8 @@ def replay(
                         saved = time.monotonic()
     finally:
         save(done.values())
+    if report:
+        write_report(out, summary)
     return [done[log] for log in places]
 
 

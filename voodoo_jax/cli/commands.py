@@ -4,10 +4,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg, subcommand
 
 from voodoo_jax.config.fit_options import FitSettings
-from voodoo_jax.config.options import ReadSettings, Settings
+from voodoo_jax.config.options import (
+    DetectSettings,
+    FeatureSettings,
+    FlexibleSettings,
+    ReadSettings,
+    Settings,
+    SolveSettings,
+    StartSettings,
+    TrackSettings,
+)
 
 BODY_HELP = (
     "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
@@ -24,28 +33,26 @@ EXPORT_HELP = f"Also write the tracks for other programs. {FORMATS_HELP}"
 
 
 @dataclass(frozen=True)
-class Replay:
-    """Track people (or other bodies) in recorded logs.
+class Results:
+    """What is written."""
 
-    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
-    log; where several people are in view, <log>.2.tracks.npz, ... for the others. Nothing about them need be
-    given: start, place and size are found.
-    """
-
-    logs: Positional[tuple[str, ...]] = ()
-    """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
     out: str = "voodoo-out"
     """Folder for the results, or a URL; made if it is missing."""
-    body: Annotated[str, arg(help=BODY_HELP)] = ""
-    preset: Annotated[Literal["default", "knoop2007", "flexible", "hecht2009"], arg(help=PRESET_HELP)] = "default"
-    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
-    smooth: float = 0.0
-    """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
     picture: bool = False
     """Also write <log>.png: cloud and tracked body side by side."""
     html: bool = False
     """Also write <log>.html: cloud, tracked bodies and quality over time, to play and turn in a browser, offline."""
+    report: bool = False
+    """Also write report.html: a row for each log in --out, with drawings, what was found, and what is in doubt."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
+    smooth: float = 0.0
+    """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
+
+
+@dataclass(frozen=True)
+class Running:
+    """How many logs are done, where, and at once."""
+
     again: bool = False
     """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""
     workers: int = 0
@@ -56,7 +63,39 @@ class Replay:
     """local: processes here; batch: many logs at once in one, for GPUs; ray: the cluster here, or RAY_ADDRESS."""
     compile_cache: str = ""
     """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Track people (or other bodies) in recorded logs.
+
+    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
+    log; where several people are in view, <log>.2.tracks.npz, ... for the others. Nothing about them need be
+    given: start, place and size are found. --help shows the usual options, --help-all all settings, such as
+    --start.scale or --detect.people.
+    """
+
+    logs: Positional[tuple[str, ...]] = ()
+    """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
+    body: Annotated[str, arg(help=BODY_HELP)] = ""
+    preset: Annotated[Literal["default", "knoop2007", "flexible", "hecht2009"], arg(help=PRESET_HELP)] = "default"
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    results: OmitArgPrefixes[Results] = field(default_factory=Results)
+    running: OmitArgPrefixes[Running] = field(default_factory=Running)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+
+
+@dataclass(frozen=True)
+class UsualSettings(Settings):
+    """Settings of which the short help shows only those of no section."""
+
+    read: Suppress[ReadSettings] = field(default_factory=ReadSettings)
+    detect: Suppress[DetectSettings] = field(default_factory=DetectSettings)
+    start: Suppress[StartSettings] = field(default_factory=StartSettings)
+    features: Suppress[FeatureSettings] = field(default_factory=FeatureSettings)
+    solve: Suppress[SolveSettings] = field(default_factory=SolveSettings)
+    track: Suppress[TrackSettings] = field(default_factory=TrackSettings)
+    flexible: Suppress[FlexibleSettings] = field(default_factory=FlexibleSettings)
 
 
 @dataclass(frozen=True)
@@ -77,9 +116,10 @@ class Export:
 class Convert:
     """Make an MCAP log of a recording of another format.
 
-    ROS 1 bags (.bag), SQLite bags of ROS 2 (.db3, or their folder), C3D and TRC, and folders of 16-bit depth images
-    (PNG), as the TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay converts
-    .bag, .db3, .c3d and .trc in passing.
+    ROS 1 bags (.bag), also RealSense's, SQLite bags of ROS 2 (.db3, or their folder), recordings of Azure Kinect and
+    Femto cameras (.mkv), skeletons of a Kinect (.json), C3D and TRC, and folders of 16-bit depth images (PNG), as the
+    TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay converts files in
+    passing.
     """
 
     sources: Positional[tuple[Path, ...]] = ()
@@ -87,7 +127,8 @@ class Convert:
     out: Path | None = None
     """The log (.mcap) of one recording, or a folder for the logs of several."""
     camera: Path | None = None
-    """Camera file of depth images (TOML): width, height, fx, fy, cx, cy, unit (metres of a count), rate (Hz)."""
+    """Camera file (TOML) of depth images, or of an .mkv without calibration: width, height, fx, fy, cx, cy, unit
+    (metres of a count), rate (Hz)."""
     rate: float = 0.0
     """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
 
@@ -98,6 +139,22 @@ class Info:
 
     logs: Positional[tuple[Path, ...]]
     """MCAP logs, or folders of them."""
+    read: ReadSettings = field(default_factory=ReadSettings)
+
+
+@dataclass(frozen=True)
+class View:
+    """Show a log and its tracks in a browser: cloud, bodies, markers, camera image with the bodies over it.
+
+    To send somebody a view, use replay --html instead: a file that needs no program.
+    """
+
+    what: Positional[tuple[Path, ...]] = ()
+    """The log, and <log>.tracks.npz, whose other people (<log>.2.tracks.npz, ...) are shown as well."""
+    port: int = 8080
+    """Of this machine's own address, on which the browser finds it; the next free one if it is taken."""
+    once: bool = False
+    """End at once when it is ready: a trial."""
     read: ReadSettings = field(default_factory=ReadSettings)
 
 
@@ -115,7 +172,7 @@ class FitCommand:
 
     Tracks the logs, changes the body until measurements that the poses were not solved on lie on it, and tracks them
     again. The body file is written only if the fitted body is better, beyond noise, in time held back from the fit; a
-    report (.md, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
+    report (.md, .html, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
     not tell stays as it was. Weights of measurements and options of the solve, if they were fitted, go into a settings
     file (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: the size is found anew, the
     proportions are kept. Ctrl-C stops it; the same command goes on from there.
@@ -137,6 +194,27 @@ class FitCommand:
 
 
 @dataclass(frozen=True)
+class BodyCommand:
+    """Make a body file of a robot description (URDF) or of a skinned mesh (glTF).
+
+    Links, or the parts of the mesh that follow a joint, become limbs: the nearest tapered elliptic cylinders. What fits
+    badly is said. Track with it by `voodoo-jax replay LOG --body FILE --start.scale N`, N as this command prints it.
+    """
+
+    source: Positional[Path | None] = None
+    """A .urdf, .glb or .gltf file."""
+    out: Path = Path("body.toml")
+    """Body file to write."""
+    rest: tuple[str, ...] = ()
+    """Values of a robot's joints in its rest pose, such as elbow=0.5, radians; 0 for others. It should not be stretched
+    out, nor at the joints' limits."""
+    least: float = 0.03
+    """Parts smaller than this are one with what they hang on, metres."""
+    overwrite: bool = False
+    """Replace a file that exists."""
+
+
+@dataclass(frozen=True)
 class Config:
     """Print the settings with their meanings, as a file for --config."""
 
@@ -148,8 +226,10 @@ Command = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Replay, subcommand("replay")]
     | Annotated[Info, subcommand("info")]
+    | Annotated[View, subcommand("view")]
     | Annotated[Export, subcommand("export")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[FitCommand, subcommand("fit")]
+    | Annotated[BodyCommand, subcommand("body")]
     | Annotated[Config, subcommand("config")]
 )

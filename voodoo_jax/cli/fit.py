@@ -35,7 +35,9 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
     bodies = outputs(command.out, 1 if command.fit.persons == "one" else len(logs))
     report, state = command.out.with_suffix(".md"), command.out.with_name(f".{command.out.name}.fit-state.npz")
     config = command.out.with_suffix(".config.toml")
-    there = [p for p in (*bodies, report, report.with_suffix(".png"), config) if p.exists()]
+    there = [
+        p for p in (*bodies, report, report.with_suffix(".png"), report.with_suffix(".html"), config) if p.exists()
+    ]
     if command.out.suffix != ".toml":
         print(f"voodoo-jax fit: --out '{command.out}': name a body file, with the ending .toml", file=sys.stderr)
         return 2

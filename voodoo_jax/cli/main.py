@@ -11,11 +11,26 @@ from typing import Annotated
 import tyro
 from tyro.conf import arg
 
-from voodoo_jax.cli.commands import PRESET_BODIES, Command, Config, Convert, Demo, Export, FitCommand, Info, Replay
+from voodoo_jax.cli.commands import (
+    PRESET_BODIES,
+    BodyCommand,
+    Command,
+    Config,
+    Convert,
+    Demo,
+    Export,
+    FitCommand,
+    Info,
+    Replay,
+    UsualSettings,
+    View,
+)
 from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.presets import PRESETS, preset
 from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
+
+ALL_HELP = "--help-all"
 
 
 def body_name(command: Replay) -> str:
@@ -28,7 +43,7 @@ def run_replay(command: Replay) -> int:
     if not command.logs:
         print("voodoo-jax replay: name at least one log", file=sys.stderr)
         return 2
-    if command.settings.online and command.smooth:
+    if command.settings.online and command.results.smooth:
         print("voodoo-jax replay: --smooth averages over later frames too; leave it out with --online", file=sys.stderr)
         return 2
     gc.disable()  # all that is imported stays, and need not be gone through again and again
@@ -43,7 +58,7 @@ def run_replay(command: Replay) -> int:
         print(f"voodoo-jax replay: {problem}; it goes on without", file=sys.stderr)
 
     try:
-        cache = safe_folder(command.compile_cache, without_cache)
+        cache = safe_folder(command.running.compile_cache, without_cache)
     except CacheError as problem:
         print(f"voodoo-jax replay: {problem}", file=sys.stderr)
         return 2
@@ -52,13 +67,14 @@ def run_replay(command: Replay) -> int:
     try:
         body = load_on_host(body_name(command))
         check_stages(command.settings)
+        wanted, how = command.results, command.running
         outcomes = replay(
-            command.logs, command.out, body, command.settings, smooth_seconds=command.smooth, picture=command.picture,
-            html=command.html, export=[command.export], again=command.again, workers=command.workers,
-            engine=command.engine, shard=command.shard, compile_cache=cache or "off",
+            command.logs, wanted.out, body, command.settings, smooth_seconds=wanted.smooth, picture=wanted.picture,
+            html=wanted.html, report=wanted.report, export=[wanted.export], again=how.again, workers=how.workers,
+            engine=how.engine, shard=how.shard, compile_cache=cache or "off",
         )  # fmt: skip
     except FileExistsError:
-        print(f"voodoo-jax replay: --out '{command.out}' is a file; name a folder", file=sys.stderr)
+        print(f"voodoo-jax replay: --out '{command.results.out}' is a file; name a folder", file=sys.stderr)
         return 2
     except (BodyFileError, ValueError, OSError) as problem:
         print(f"voodoo-jax replay: {problem}", file=sys.stderr)
@@ -68,7 +84,7 @@ def run_replay(command: Replay) -> int:
     before = f" ({skipped} of them finished before)" if skipped else ""
     print(
         f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked{before}, {frames} frames, "
-        f"results in {command.out}"
+        f"results in {command.results.out}"
     )
     if failed:
         print("not tracked: " + ", ".join(o.name for o in failed), file=sys.stderr)
@@ -115,6 +131,22 @@ def _flag(argv: list[str], name: str) -> str | None:
     return None
 
 
+def _parsed_replay(words: list[str], base: Settings) -> Replay:
+    """What the words after `replay` say, on top of the settings `base`; --help shows the usual ones, --help-all all."""
+    short = not {ALL_HELP} & set(words) and bool({"-h", "--help"} & set(words))
+    shown = UsualSettings(**vars(base)) if short else base
+
+    @dataclass(frozen=True)
+    class Configured(Replay):
+        __doc__ = Replay.__doc__
+        settings: Annotated[UsualSettings if short else Settings, arg(name="")] = field(  # type: ignore[valid-type]
+            default_factory=lambda: shown
+        )
+
+    words = ["--help" if word == ALL_HELP else word for word in words]
+    return tyro.cli(Configured, prog="voodoo-jax replay", args=words)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Entry point; the exit status."""
     argv = sys.argv[1:] if argv is None else argv
@@ -143,18 +175,14 @@ def main(argv: list[str] | None = None) -> int:
         # NumPy makes no threads then, and workers can be copies of this process; its matrices are small here
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-        @dataclass(frozen=True)
-        class Configured(Replay):
-            __doc__ = Replay.__doc__
-            settings: Annotated[Settings, arg(name="")] = field(default_factory=lambda: base)
-
-        command = tyro.cli(Configured, prog="voodoo-jax replay", args=argv[1:])
+        command = _parsed_replay(argv[1:], base)
         try:
             check_settings(command.settings)
         except SettingsError as problem:
             print(f"voodoo-jax replay: {problem}", file=sys.stderr)
             return 2
     else:
+        argv = ["--help" if word == ALL_HELP else word for word in argv]
         command = tyro.cli(Command, prog="voodoo-jax", args=argv or ["--help"])
     atexit.register(gc.freeze)  # else Python goes through all of it once more at its end: a third of a second
     try:
@@ -164,7 +192,9 @@ def main(argv: list[str] | None = None) -> int:
         return 130
 
 
-def _run(command: "Replay | Info | Demo | Config | FitCommand | Export | Convert", base: Settings) -> int:
+def _run(
+    command: "Replay | Info | Demo | Config | FitCommand | BodyCommand | View | Export | Convert", base: Settings
+) -> int:
     if isinstance(command, Export):
         from voodoo_jax.cli.export import run_export
 
@@ -173,6 +203,14 @@ def _run(command: "Replay | Info | Demo | Config | FitCommand | Export | Convert
         from voodoo_jax.cli.convert import run_convert
 
         return run_convert(command)
+    if isinstance(command, View):
+        from voodoo_jax.cli.view import run_view
+
+        return run_view(command)
+    if isinstance(command, BodyCommand):
+        from voodoo_jax.cli.body import run_body
+
+        return run_body(command)
     if isinstance(command, FitCommand):
         from voodoo_jax.cli.fit import run_fit
 

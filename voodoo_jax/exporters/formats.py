@@ -25,7 +25,7 @@ class Format(NamedTuple):
 HELD = "repeat the last pose"
 FORMATS = {
     "csv": Format(".csv", "table", "are marked as not tracked"),
-    "trc": Format(".trc", "trc", "have empty fields"),
+    "trc": Format(".trc", "trc", "have NaN"),
     "c3d": Format(".c3d", "c3d", "have points with the residual -1", package="ezc3d", extra="c3d"),
     "bvh": Format(".bvh", "bvh", HELD),
     "bvh-rigid": Format(".rigid.bvh", "bvh", HELD, function="write_rigid"),

@@ -18,7 +18,9 @@ from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
@@ -63,7 +65,8 @@ def write_tracks_mcap(
     person 2 have /2 in their names (/voodoo/2/tf, voodoo/2/torso, body.2.toml), and so on; `parameters` for the record.
 
     Topics: /voodoo/tf (FrameTransforms, limbs and joint centres), /voodoo/poses (PosesInFrame, limbs in the order of
-    the body), /voodoo/body (SceneUpdate), /voodoo/quality (JSON). Frames without poses have quality only. Metadata
+    the body), /voodoo/body (SceneUpdate), /voodoo/joints (PointCloud of the joint centres with their confidence, for
+    Rerun, which draws nothing of the others), /voodoo/quality (JSON). Frames without poses have quality only. Metadata
     record `voodoo_jax`: version, source, fixed_frame and `parameters`; attachment `body.toml`: the body file.
     The file appears under its name only when complete. Raises OSError.
     """
@@ -92,7 +95,8 @@ def _prefix(tracks: Tracks) -> str:
 
 def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, bytes, int]]]:
     """Channel, stamp, content and number of the messages of each frame."""
-    topics, prefix = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate}, _prefix(tracks)
+    prefix = _prefix(tracks)
+    topics = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate, "joints": PointCloud}
     channel = {
         name: writer.register_channel(f"/{prefix}{name}", "protobuf", register_schema(writer, message))
         for name, message in topics.items()
@@ -113,6 +117,7 @@ def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, b
             if len(poses) == tracks.body.limb_count:  # a list with gaps would name the wrong limbs
                 message = PosesInFrame(timestamp=time, frame_id=tracks.fixed_frame, poses=poses)
                 messages["poses"] = message.SerializeToString()
+            messages["joints"] = _joint_cloud(tracks, i, time).SerializeToString()
             there = frozenset(t.child_frame_id.removeprefix(prefix) for t in limbs)
             if next_scene is None or stamp >= next_scene or there != shown:
                 next_scene = stamp + SCENE_PERIOD_NS
@@ -123,6 +128,21 @@ def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, b
                     entity.timestamp.CopyFrom(time)
                 messages["body"], shown = update.SerializeToString(), there
         yield [(channel[name], stamp, data, i) for name, data in messages.items()]
+
+
+def _joint_cloud(tracks: Tracks, frame: int, time: Timestamp) -> PointCloud:
+    """Joint centres as points; those that are NaN are left out."""
+    sure = np.ones(len(tracks.joints[frame])) if tracks.joint_confidence is None else tracks.joint_confidence[frame]
+    table = np.concatenate([tracks.joints[frame], sure[:, None]], 1).astype("<f4")
+    table = table[np.isfinite(table[:, :3]).all(1)]
+    kind = PackedElementField.FLOAT32
+    names = ("x", "y", "z", "confidence")
+    fields = [PackedElementField(name=name, offset=4 * k, type=kind) for k, name in enumerate(names)]
+    cloud = PointCloud(
+        timestamp=time, frame_id=tracks.fixed_frame, point_stride=16, fields=fields, data=table.tobytes()
+    )
+    cloud.pose.orientation.w = 1
+    return cloud
 
 
 def _named(tracks: Tracks) -> list[FrameTransform]:

@@ -2,8 +2,9 @@
 
 Coordinates have the names and signs of the Rajagopal 2016 model where the body is a person: they move it. Its shoulder
 turns about Z, X, Y (arm_flex, arm_add, arm_rot), unlike the ISB's of tracks.angles(), which are in the CSV file. Frames
-that are not tracked are left out; a coordinate whose limb is hidden is nan. Other bodies have the angles of
-tracks.angles().
+that are not tracked are left out. OpenSim's older reader ends without a word at the first value that is no number:
+where a limb is hidden its coordinate is that of the predicted pose, near gimbal lock it is interpolated, and the header
+says how much of it. The CSV file has no value there. Other bodies have the angles of tracks.angles().
 """
 
 import os
@@ -30,24 +31,34 @@ ARM = Convention("arm", ("chest", "torso"), "upper_arm", ("flex", "add", "rot"))
 
 def write(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     """Writes the coordinates of the tracked frames. Raises OSError."""
-    names, columns = coordinates(tracks)
-    rows = np.stack([seconds(tracks), *columns], 1)[tracks.tracked]
+    time = seconds(tracks)[tracks.tracked]
+    seen, whole = coordinates(tracks), coordinates(tracks, hidden=True)
+    table, guessed = {"time": time}, []
+    for name, values in whole.items():
+        own = values[tracks.tracked]
+        known = np.isfinite(own)
+        if known.any() or not len(own):  # of a coordinate that is never known there is no column
+            table[name] = np.interp(time, time[known], own[known]) if len(own) else own
+            share = 1 - float(np.isfinite(seen[name][tracks.tracked]).mean()) if len(own) else 0.0
+            guessed += [f"{name} {100 * share:.0f} %"] if share > 0 else []
+    rows = np.stack(list(table.values()), 1)
     lines = ["Coordinates", "version=1", f"nRows={len(rows)}", f"nColumns={rows.shape[1]}", "inDegrees=yes", ""]
-    lines += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", "", "endheader"]
-    lines.append("\t".join(["time", *names]))
+    lines += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees."]
+    lines += [f"Guessed, because limbs were hidden, in so many of the rows: {', '.join(guessed)}"] if guessed else []
+    lines += ["", "endheader", "\t".join(table)]
     lines += ["\t".join(f"{value:.6f}" for value in row) for row in rows]
     with replacing(path) as partial:
         partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def coordinates(tracks: Tracks) -> tuple[list[str], list[np.ndarray]]:
-    """Names, and values over time: degrees, metres."""
-    body, angles = tracks.body, tracks.angles()
+def coordinates(tracks: Tracks, hidden: bool = False) -> dict[str, np.ndarray]:
+    """Values over time by name: degrees, metres; with `hidden` also of limbs that nothing was seen of."""
+    body, angles = tracks.body, tracks.angles(hidden)
     degrees = dict(zip(angles.columns, np.degrees(angles.table).T))
     if not any(name.endswith("hip_flexion") for name in degrees):
-        return list(degrees), list(degrees.values())
+        return degrees
     found = _pelvis(tracks, body)
-    seen = (tracks.limb_weight > 0) & tracks.tracked[:, None]
+    seen = ((tracks.limb_weight > 0) | hidden) & tracks.tracked[:, None]
     arms = joint_angles(body, tracks.rotation, seen, conventions=(ARM,))
     for name, value in zip(arms.columns, np.degrees(arms.table).T):
         found[f"{name[2:]}_{name[0]}"] = value
@@ -56,7 +67,7 @@ def coordinates(tracks: Tracks) -> tuple[list[str], list[np.ndarray]]:
         if plain in COORDINATES:
             own, sign = COORDINATES[plain]
             found[f"{own}_{side}" if side else own] = sign * value
-    return list(found), list(found.values())
+    return found
 
 
 def _pelvis(tracks: Tracks, body: Body) -> dict[str, np.ndarray]:

@@ -1,6 +1,7 @@
 """TRC, markers for OpenSim: joint centres and the body's landmarks; metres, x forwards, y up, z to the right.
 
-Axes are OpenSim's: x is that of the fixed frame turned upright. Fields of frames and points without pose are empty.
+Axes are OpenSim's: x is that of the fixed frame turned upright. Fields of frames and points without pose are NaN:
+OpenSim cuts empty ones at the end of a line and refuses the file.
 """
 
 import os
@@ -27,7 +28,7 @@ def write(tracks: Tracks, path: str | os.PathLike[str]) -> None:
         "",
     ]
     for number, (time, row) in enumerate(zip(seconds(tracks), points.reshape(count, 3 * len(names))), 1):
-        values = [f"{value:.6f}" if np.isfinite(value) else "" for value in row]
+        values = [f"{value:.6f}" if np.isfinite(value) else "NaN" for value in row]
         lines.append("\t".join([str(number), f"{time:.6f}", *values]))
     with replacing(path) as partial:
         partial.write_text("\n".join(lines) + "\n", encoding="utf-8")

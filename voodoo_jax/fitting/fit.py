@@ -53,7 +53,7 @@ TruthLike = Truth | str | os.PathLike[str] | None
 Log = str | os.PathLike[str] | Recording
 
 
-# 8 parameters: the options of the command, each by name
+# 9 parameters: the options of the command, each by name
 @users_cache()
 def fit(
     body: Body,
@@ -64,6 +64,8 @@ def fit(
     loss: UserLoss | None = None,
     state: str | os.PathLike[str] | None = None,
     say: Callable[[str, Progress | None], None] | None = None,
+    *,
+    free: Sequence[str] = (),
 ) -> Fit:
     """Tunes a body to recordings, or to their truth where one is given; the Fit's `body` is the better one of the body
     before and the fitted one (see fitting.judge), `better` says which.
@@ -71,11 +73,12 @@ def fit(
     **Arguments:** `logs` paths or recordings; `truths` one for each log: then joint centres are what is fitted to;
     `loss` a function (body, options, frames) to make small instead, with the priors added (see fitting.custom_loss);
     `state` a file that the search is saved in after every step, and resumed from; `say` hears what is being done, step
-    by step.
+    by step; `free` what may change, instead of what `options` say.
 
     Raises FitError, LogError, TruthError, ValueError (unknown parameters).
     """
     settings, options = settings or Settings(), options or FitSettings()
+    options = replace(options, free=tuple(free)) if free else options
     if settings.tracker != "icp":
         raise FitError(f"bodies are fitted with the ICP tracker: set tracker to icp, not {settings.tracker}")
     if not logs:

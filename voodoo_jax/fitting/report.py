@@ -1,4 +1,4 @@
-"""The report of a fit: Markdown with tables, and a figure of the loss."""
+"""The report of a fit: Markdown with tables, a figure of the loss, and a page that shows both and the bodies."""
 
 import os
 from pathlib import Path
@@ -8,8 +8,11 @@ import numpy as np
 
 from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.viz.fit_page import write_fit_page
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from voodoo_jax.fitting.result import Fit
 
 
@@ -69,11 +72,23 @@ def report_text(fit: "Fit") -> str:
     return "\n".join(out)
 
 
-def write_report(fit: "Fit", path: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Writes the report as `path` (.md) and a figure of loss and parameters beside it (.png); their paths."""
+def write_report(fit: "Fit", path: str | os.PathLike[str]) -> tuple[Path, Path, Path]:
+    """Writes the report as `path` (.md), a figure of loss and parameters beside it (.png), and a page that holds both
+    (.html); their paths."""
+    text, drawn, page = (Path(path).with_suffix(end) for end in (Path(path).suffix, ".png", ".html"))
+    report = report_text(fit)
+    with replacing(text) as partial:
+        partial.write_text(report + f"\n![loss and parameters]({drawn.name})\n", encoding="utf-8")
+    with replacing(drawn) as partial:
+        _figure(fit).savefig(partial, format="png", dpi=100)
+    write_fit_page(report, list(zip(fit.starts, fit.fitted)), drawn.read_bytes(), page)
+    return text, drawn, page
+
+
+def _figure(fit: "Fit") -> "Figure":
+    """Loss over steps, and parameters with their intervals."""
     from matplotlib.figure import Figure
 
-    text, drawn = Path(path), Path(path).with_suffix(".png")
     figure = Figure(figsize=(10, 0.16 * max(len(fit.names), 16) + 1), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.plot(fit.losses, "o-")
@@ -86,8 +101,4 @@ def write_report(fit: "Fit", path: str | os.PathLike[str]) -> tuple[Path, Path]:
     right.set(title="parameters (logarithms; shares of the scale)")
     right.invert_yaxis()
     right.legend(fontsize=7)
-    with replacing(text) as partial:
-        partial.write_text(report_text(fit) + f"\n![loss and parameters]({drawn.name})\n", encoding="utf-8")
-    with replacing(drawn) as partial:
-        figure.savefig(partial, format="png", dpi=100)
-    return text, drawn
+    return figure

@@ -78,7 +78,7 @@ def attach(
         sites=more(body.sites, thing.sites),
         scale=body.scale,
         limits=more(body.limits, jnp.full((1, 3, 2), jnp.inf) * jnp.array([-1.0, 1.0]), thing.limits),
-        present=more(body.present, thing.present),
+        presence=more(body.presence, thing.presence),
         topology=topology,
         name=body.name,
         scale_name=body.scale_name,
@@ -113,7 +113,7 @@ def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
         if present and c in chosen and p not in chosen and not body.present[p]:
             raise ValueError(f"'{t.limbs[c]}' hangs on '{t.limbs[p]}', which is not there: add that first")
     rows = jnp.array(sorted(chosen), int)
-    return eqx.tree_at(lambda b: b.present, body, body.present.at[rows].set(present))
+    return eqx.tree_at(lambda b: b.presence, body, body.presence.at[rows].set(float(present)))
 
 
 def hung_on(body: Body, poses: Poses, limbs: Sequence[int]) -> Poses:

@@ -50,7 +50,7 @@ class Body(eqx.Module):
     sites: Float[Leaf, "site 3"]  # feature points in the frame of their limb, metres
     scale: Float[Leaf, ""]  # the length that all others follow (a person's stature), metres
     limits: Float[Leaf, "joint 3 2"]  # least and greatest swing about x and y, and twist; radians, infinite: none
-    present: Bool[Leaf, " limb"]  # False: the limb is not there at the moment, nothing is matched to it
+    presence: Float[Leaf, " limb"]  # 1, or 0: the limb is not there; a number, so that jax.grad takes a body
     topology: Topology = eqx.field(static=True)
     name: str = eqx.field(static=True)
     scale_name: str = eqx.field(static=True)  # what `scale` is called, "stature" for people
@@ -58,6 +58,11 @@ class Body(eqx.Module):
     @property
     def limb_count(self) -> int:
         return len(self.topology.limbs)
+
+    @property
+    def present(self) -> Bool[Leaf, " limb"]:
+        """False: the limb is not there at the moment, nothing is matched to it."""
+        return self.presence > 0.5
 
     def __repr__(self) -> str:
         concrete = isinstance(self.scale, np.ndarray | np.generic | jax.Array) and not isinstance(

@@ -151,8 +151,8 @@ def _parsed(text: str, source: str) -> Body:
         segments=tuple((t.name, known[i], known[j]) for t, (i, j) in zip(tables["segment"], ends)),
     )  # fmt: skip
 
-    def array(x, *shape, dtype: type = np.float32) -> Any:  # pyright expects jax's
-        return np.array(x, dtype).reshape(shape)
+    def array(x, *shape) -> Any:  # pyright expects jax's
+        return np.array(x, np.float32).reshape(shape)
 
     return Body(
         sizes=array(np.array(sizes) * scale, -1, 5),
@@ -165,7 +165,7 @@ def _parsed(text: str, source: str) -> Body:
         sites=array(site_points, -1, 3),
         scale=array(scale),
         limits=array([_limits(t) for t in tables["joint"]], -1, 3, 2),
-        present=array([True] * len(limbs), -1, dtype=bool),
+        presence=array([1.0] * len(limbs), -1),
         topology=topology,
         name=root.name,
         scale_name=root.string("scale_name", "scale"),
@@ -177,34 +177,46 @@ def format_body(body: Body) -> str:
     scale = float(body.scale)
     sizes, axes, weights = (np.asarray(x, np.float64) for x in (body.sizes, body.axes, body.weights))
     rest = _from_poses(body.rest)
-    lines = [HEADER, f"name = {_string(body.name)}", f"scale = {_number(scale)}"]
-    lines += [f"scale_name = {_string(body.scale_name)}"]
+    lines = [HEADER, f"name = {string_text(body.name)}", f"scale = {number_text(scale)}"]
+    lines += [f"scale_name = {string_text(body.scale_name)}"]
     t = body.topology
     for i, name in enumerate(t.limbs):
         rotation, bottom = rest[0][i], rest[1][i] / scale
-        lines += ["", "[[limb]]", f"name = {_string(name)}", f"bottom = {_list(bottom)}"]
-        lines += [f"top = {_list(bottom + rotation[:, 2] * sizes[i, 4] / scale)}", f"x_axis = {_list(rotation[:, 0])}"]
-        lines += [f"bottom_axes = {_list(sizes[i, :2] / scale)}", f"top_axes = {_list(sizes[i, 2:4] / scale)}"]
+        lines += ["", "[[limb]]", f"name = {string_text(name)}", f"bottom = {numbers_text(bottom)}"]
+        lines += [
+            f"top = {numbers_text(bottom + rotation[:, 2] * sizes[i, 4] / scale)}",
+            f"x_axis = {numbers_text(rotation[:, 0])}",
+        ]
+        lines += [
+            f"bottom_axes = {numbers_text(sizes[i, :2] / scale)}",
+            f"top_axes = {numbers_text(sizes[i, 2:4] / scale)}",
+        ]
     anchors = [(t.parents, _from_poses(body.parent_anchor)), (t.children, _from_poses(body.child_anchor))]
     for j, name in enumerate(t.joints):
-        lines += ["", "[[joint]]", f"name = {_string(name)}", f"parent = {_string(t.limbs[t.parents[j]])}"]
-        lines += [f"child = {_string(t.limbs[t.children[j]])}"]
+        lines += ["", "[[joint]]", f"name = {string_text(name)}", f"parent = {string_text(t.limbs[t.parents[j]])}"]
+        lines += [f"child = {string_text(t.limbs[t.children[j]])}"]
         for prefix, (owner, (rotation, translation)) in zip(("", "child_"), anchors):
             limb = owner[j]
             frame, at = rest[0][limb] @ rotation[j], rest[0][limb] @ translation[j] + rest[1][limb]
-            lines += [f"{prefix}at = {_list(at / scale)}", f"{prefix}x_axis = {_list(frame[:, 0])}"]
-            lines += [f"{prefix}z_axis = {_list(frame[:, 2])}"]
-        lines += [f"axes = {_list(axes[j] / scale)}", f"weight = {_number(weights[j])}"]
+            lines += [f"{prefix}at = {numbers_text(at / scale)}", f"{prefix}x_axis = {numbers_text(frame[:, 0])}"]
+            lines += [f"{prefix}z_axis = {numbers_text(frame[:, 2])}"]
+        lines += [f"axes = {numbers_text(axes[j] / scale)}", f"weight = {number_text(weights[j])}"]
         limits = np.round(np.degrees(np.asarray(body.limits, np.float64)[j]), 4)
-        lines += [f"{key} = {_list(row)}" for key, row in zip(LIMITS, limits) if np.isfinite(row).all()]
+        lines += [f"{key} = {numbers_text(row)}" for key, row in zip(LIMITS, limits) if np.isfinite(row).all()]
     named = (("centre", t.centres, t.centre_limbs, body.centres), ("site", t.sites, t.site_limbs, body.sites))
     for kind, names, owner, points in named:
         for name, limb, point in zip(names, owner, np.asarray(points, np.float64)):
             at = rest[0][limb] @ point + rest[1][limb]
-            lines += ["", f"[[{kind}]]", f"name = {_string(name)}", f"limb = {_string(t.limbs[limb])}"]
-            lines += [f"at = {_list(at / scale)}"]
+            lines += ["", f"[[{kind}]]", f"name = {string_text(name)}", f"limb = {string_text(t.limbs[limb])}"]
+            lines += [f"at = {numbers_text(at / scale)}"]
     for name, start, end in t.segments:
-        lines += ["", "[[segment]]", f"name = {_string(name)}", f"from = {_string(start)}", f"to = {_string(end)}"]
+        lines += [
+            "",
+            "[[segment]]",
+            f"name = {string_text(name)}",
+            f"from = {string_text(start)}",
+            f"to = {string_text(end)}",
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -286,14 +298,17 @@ def _quaternion(m: np.ndarray) -> np.ndarray:
     return q * np.sign(q[np.argmax(np.abs(q) > 1e-4)])
 
 
-def _number(value: float) -> str:
+def number_text(value: float) -> str:
+    """A number as body files have it."""
     text = f"{float(value) + 0.0:.9g}"  # + 0.0: no minus zero
     return text if any(c in text for c in ".e") else text + ".0"
 
 
-def _list(values: np.ndarray) -> str:
-    return "[" + ", ".join(_number(v) for v in np.round(values, 9) + 0.0) + "]"
+def numbers_text(values: np.ndarray) -> str:
+    """Numbers as body files have them."""
+    return "[" + ", ".join(number_text(v) for v in np.round(values, 9) + 0.0) + "]"
 
 
-def _string(text: str) -> str:
+def string_text(text: str) -> str:
+    """A text as body files have it."""
     return json.dumps(text, ensure_ascii=False)

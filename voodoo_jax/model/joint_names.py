@@ -1,19 +1,26 @@
-"""Joint centres under the names of other conventions: left_wrist, LWrist, WRIST_LEFT, l_wrist, leftWrist, r.ankle."""
+"""Joint centres and limbs under the names of other conventions: left_wrist, LWrist, WRIST_LEFT, leftWrist, r.ankle."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from voodoo_jax.model.checked_toml import nearest
 
 LEFT, RIGHT = {"left", "l", "lft"}, {"right", "r", "rgt"}
 # words that name no place: of Kinect's and others' enumerations
-SILENT = {"joint", "center", "centre", "kinect", "k4abt", "k", "4", "abt", "jointtype", "type"}
+SILENT = {"joint", "center", "centre", "mixamorig", "kinect", "k4abt", "k", "4", "abt", "jointtype", "type"}
 # what is left of a name, in small letters: H-Anim v2
 WORDS = {
     "wrist": "radiocarpal", "ankle": "talocrural", "neck": "vc7", "c7": "vc7", "spineshoulder": "vc7",
     "shoulderspine": "vc7", "head": "skullbase", "skull": "skullbase", "skullbase": "skullbase",
     "arm": "shoulder", "upperarm": "shoulder", "forearm": "elbow", "lowerarm": "elbow", "upleg": "hip",
     "upperleg": "hip", "thigh": "hip", "leg": "knee", "lowerleg": "knee", "shank": "knee", "stifle": "stifle",
+}  # fmt: skip
+# the same for limbs: those of the body files of people
+LIMB_WORDS = {
+    "arm": "upper_arm", "upperarm": "upper_arm", "humerus": "upper_arm", "lowerarm": "forearm", "radius": "forearm",
+    "ulna": "forearm", "upperleg": "thigh", "upleg": "thigh", "femur": "thigh", "lowerleg": "shank", "leg": "shank",
+    "calf": "shank", "tibia": "shank", "hips": "pelvis", "hip": "pelvis", "trunk": "torso", "thorax": "chest",
+    "spine": "chest", "skull": "head",
 }  # fmt: skip
 PIECES = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 
@@ -23,21 +30,25 @@ def joint_row(centres: Sequence[str], name: str) -> int:
 
     Raises ValueError with near names.
     """
-    if name in centres:
-        return list(centres).index(name)
-    for wanted in _meanings(name):
-        if wanted in centres:
-            return list(centres).index(wanted)
+    if (row := row_of(centres, name)) is not None:
+        return row
     raise ValueError(f"no joint centre '{name}'{nearest(name, centres)}; there are {', '.join(centres)}")
 
 
-def _meanings(name: str) -> list[str]:
+def row_of(names: Sequence[str], name: str, words: Mapping[str, str] = WORDS) -> int | None:
+    """Which of a body's names another one means; None: none of them. `words` WORDS for joint centres, LIMB_WORDS for
+    limbs."""
+    wanted = next((own for own in (name, *_meanings(name, words)) if own in names), None)
+    return None if wanted is None else list(names).index(wanted)
+
+
+def _meanings(name: str, words: Mapping[str, str]) -> list[str]:
     """Names that this body may have for it, the likelier first."""
     pieces = [piece.lower() for piece in PIECES.findall(name)]
     stem = "".join(p for p in pieces if p not in LEFT | RIGHT | SILENT)
     side = "l_" if LEFT & set(pieces) else "r_" if RIGHT & set(pieces) else ""
-    found = [side + stem, side + WORDS.get(stem, stem)]
+    found = [side + stem, side + words.get(stem, stem)]
     if not side and stem[:1] in ("l", "r"):  # lwrist, rknee
-        found += [f"{stem[0]}_{stem[1:]}", f"{stem[0]}_{WORDS.get(stem[1:], stem[1:])}"]
+        found += [f"{stem[0]}_{stem[1:]}", f"{stem[0]}_{words.get(stem[1:], stem[1:])}"]
     digits = "".join(pieces)  # vc7, c7
-    return [*found, digits, WORDS.get(digits, digits)]
+    return [*found, digits, words.get(digits, digits)]

@@ -125,7 +125,7 @@ def simulate(
     poses = pose_body(body, motion.root, motion.rotations)
     images = []
     for i in range(len(motion)):
-        now = body if present is None else eqx.tree_at(lambda b: b.present, body, jnp.asarray(present[i]))
+        now = body if present is None else eqx.tree_at(lambda b: b.presence, body, jnp.asarray(present[i], jnp.float32))
         exact = render(now, poses[i], camera, room)
         images.append(add_noise(*exact, camera, noise, np.random.default_rng([seed, i])))
     return Simulation(

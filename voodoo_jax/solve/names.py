@@ -6,6 +6,7 @@ from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.kernels.correspondences import FREE, ON_BODY
 from voodoo_jax.model.body import Topology
+from voodoo_jax.model.joint_names import LIMB_WORDS, row_of
 from voodoo_jax.model.marker_sets import PLUG_IN_GAIT, V1_NAMES, plain_name
 from voodoo_jax.records.observation import BodyObservation
 
@@ -19,12 +20,22 @@ class FeatureNames:
         alias = PLUG_IN_GAIT | check_pairs("features.names", settings.names, numbers=False)
         self.rows: dict[str, tuple[int, ...]] = {name: (row,) for name, row in points.items()}
         for name, targets in alias.items():
-            known = tuple(points[target] for target in targets.split("|") if target in points)
+            known = tuple(
+                row for target in targets.split("|") if (row := self._row(points, topology, target)) is not None
+            )
             if known:
                 self.rows[name] = known
         weights = check_pairs("features.weights", settings.weights, numbers=True)
         self.weights = {self.plain(name): float(value) for name, value in weights.items()}
         self.weight = settings.weight
+
+    @staticmethod
+    def _row(points: dict[str, int], topology: Topology, target: str) -> int | None:
+        """Row of a named point, or of a joint centre under a name of another convention."""
+        if target in points:
+            return points[target]
+        row = row_of(topology.centres, target)
+        return None if row is None else len(topology.sites) + row
 
     def choices(self, names: set[str]) -> int:
         """How many points of the body the most ambiguous of the names may stand for."""
@@ -54,13 +65,14 @@ class PartNames:
     """Limb of each part that a segmentation of the log names."""
 
     def __init__(self, topology: Topology):
-        self.limbs = {name: i for i, name in enumerate(topology.limbs)}
+        self.names = topology.limbs
         self.unknown: set[str] = set()  # parts that the body does not have: their points count as on the body
 
     def rows(self, frame: BodyObservation) -> np.ndarray:
         """Limb, ON_BODY or FREE of each point [point], int32."""
         if frame.part is None:
             return np.full(len(frame.points), FREE, np.int32)
-        self.unknown |= {p for p in frame.parts if p != "body" and p not in self.limbs}
-        table = np.array([*(self.limbs.get(p, ON_BODY) for p in frame.parts), FREE], np.int32)
+        limbs = [None if p == "body" else row_of(self.names, p, LIMB_WORDS) for p in frame.parts]
+        self.unknown |= {p for p, limb in zip(frame.parts, limbs) if p != "body" and limb is None}
+        table = np.array([*(ON_BODY if limb is None else limb for limb in limbs), FREE], np.int32)
         return table[frame.part]  # -1, free, is the last entry

@@ -70,7 +70,7 @@ def show(
     in the fixed frame, drawn as crosses. Raises ValueError if there is no frame or the truth has another number of
     frames.
     """
-    from matplotlib.figure import Figure
+    from voodoo_jax.viz.shown import ShownFigure
 
     people = [tracks] if isinstance(tracks, Tracks) else list(tracks)
     tracks = people[0]
@@ -93,7 +93,7 @@ def show(
     spans = windows[0][1] - windows[0][0]
     width = 2.9
     height = 1.1 + len(rows) * width * min(spans[1] / max(spans[0], spans[2]), 1.6)
-    figure = Figure(figsize=(width * len(chosen) + 0.6, height))
+    figure = ShownFigure(figsize=(width * len(chosen) + 0.6, height))
     figure.set_layout_engine("constrained")
     grid = figure.subplots(len(rows), len(chosen), squeeze=False)
     colours = [limb_colours(one.body.topology.limbs, number) for number, one in enumerate(people)]
@@ -217,7 +217,7 @@ def _windows(people: list[Tracks], frames: list[Frame], chosen, middle, axes3) -
     """Drawn region of each frame [low or high, right/up/away] in metres, all of one size and height: around the bodies
     in that frame; where none has a pose, where they are in the nearest frame; around the clouds if there is none at
     all."""
-    every = [np.concatenate([_rings(tracks, int(i)).reshape(-1, 3) for tracks in people]) for i in chosen]
+    every = [np.concatenate([limb_rings(tracks, int(i)).reshape(-1, 3) for tracks in people]) for i in chosen]
     rings = [(ring - middle) @ axes3.T for ring in every]
     rings = [ring[np.isfinite(ring).all(1)] for ring in rings]
     bodies = [k for k, ring in enumerate(rings) if len(ring)]
@@ -240,24 +240,29 @@ def _windows(people: list[Tracks], frames: list[Frame], chosen, middle, axes3) -
     return out
 
 
-def _rings(tracks: Tracks, i: int) -> np.ndarray:
+def limb_rings(tracks: Tracks, i: int) -> np.ndarray:
     """Points on both end ellipses of all limbs [limb, 2 RING, 3] in the fixed frame, metres; NaN: not there."""
-    sizes = np.asarray(tracks.body.sizes, float)[:, :, None]
+    return rings(np.asarray(tracks.body.sizes, float), tracks.rotation[i], tracks.translation[i])
+
+
+def rings(sizes: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """The same of limbs of these sizes [limb, 5] and poses (quaternions wxyz, metres)."""
+    sizes = sizes[:, :, None]
     angle = np.linspace(0, 2 * np.pi, RING, endpoint=False)
     c, s, flat = np.cos(angle), np.sin(angle), np.zeros((len(sizes), RING))
     bottom = np.stack([sizes[:, 0] * c, sizes[:, 1] * s, flat], -1)
     top = np.stack([sizes[:, 2] * c, sizes[:, 3] * s, flat + sizes[:, 4]], -1)
     # a limb that is not there stays NaN by its place
-    turn = np.where(np.isfinite(tracks.rotation[i]), tracks.rotation[i], 1.0).astype(float)
+    turn = np.where(np.isfinite(rotation), rotation, 1.0).astype(float)
     turn = Rotation.from_quat(turn, scalar_first=True).as_matrix()
-    return np.concatenate([bottom, top], 1) @ turn.transpose(0, 2, 1) + tracks.translation[i][:, None]
+    return np.concatenate([bottom, top], 1) @ turn.transpose(0, 2, 1) + translation[:, None]
 
 
 # 7 parameters: what is drawn, where and how
 def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int, int, int], colours) -> None:
     """The limbs' outlines, farthest first, and joint centres in frame `i`; `view`: axes for right, up and away."""
     h, v, depth = view
-    rings = (_rings(tracks, i) - middle) @ axes3.T
+    rings = (limb_rings(tracks, i) - middle) @ axes3.T
     sign = -1 if depth == 2 else 1  # farthest first: away from the sensor, or the far side of the side view
     near = np.clip(400 + 50 * sign * rings[:, :, depth].mean(1), 10, 790)  # by metres, for several bodies
     for limb in np.argsort(near):

@@ -39,7 +39,7 @@ def body_of(work: Work) -> Body:
     body, count = load_body("human10"), len(work.t)
     joints = tuple(work.parent.tolist()), tuple(work.child.tolist())
     topology = body.topology._replace(limbs=tuple(map(str, range(count))), parents=joints[0], children=joints[1])
-    return replace(body, sizes=jnp.asarray(work.size), present=jnp.ones(count, bool), topology=topology)
+    return replace(body, sizes=jnp.asarray(work.size), presence=jnp.ones(count), topology=topology)
 
 
 def start_of(work: Work) -> Poses:

@@ -23,10 +23,10 @@ KEYS = ("width", "height", "fx", "fy", "cx", "cy", "unit")
 MILLIMETRE = 0.001
 
 
-def convert(source: Path, target: Path, camera_file: Path | None = None, rate: float = 0.0) -> list[str]:
+def convert(source: Path, target: Path, given: Path | None = None, rate: float = 0.0) -> list[str]:
     """Writes depth images in millimetres. Raises ConvertError, OSError."""
     listed = source / "depth.txt"
-    camera = _camera(camera_file or source / CAMERA_FILE, TUM if listed.is_file() else None, camera_file is not None)
+    camera = camera_file(given or source / CAMERA_FILE, TUM if listed.is_file() else None, given is not None)
     rate = rate or camera.get("rate", 0.0)
     images = _listed(listed) if listed.is_file() else named_times(source, (".png",), rate)
     if not images:
@@ -34,7 +34,7 @@ def convert(source: Path, target: Path, camera_file: Path | None = None, rate: f
     notes, rounded = [], 0
     with new_log(target) as writer:
         put = putter(writer)
-        put(INFO, images[0][0], _calibration(camera, images[0][0]))
+        put(INFO, images[0][0], pinhole(camera, images[0][0]))
         for stamp, path in images:
             depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
             if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
@@ -43,7 +43,7 @@ def convert(source: Path, target: Path, camera_file: Path | None = None, rate: f
             if depth.shape != (camera["height"], camera["width"]):
                 size = f"{depth.shape[1]} x {depth.shape[0]}"
                 raise ConvertError(f"'{path}' is {size}, the camera {camera['width']} x {camera['height']}")
-            put(IMAGE, stamp, _image(depth, camera["unit"], stamp))
+            put(IMAGE, stamp, depth_image(depth, camera["unit"], stamp))
             rounded += camera["unit"] != MILLIMETRE
         if len(notes) == len(images):
             raise ConvertError(f"'{source}': no image could be read; {notes[0]}")
@@ -52,7 +52,8 @@ def convert(source: Path, target: Path, camera_file: Path | None = None, rate: f
     return notes
 
 
-def _camera(path: Path, usual: dict | None, asked: bool) -> dict:
+def camera_file(path: Path, usual: dict | None = None, asked: bool = True) -> dict:
+    """What a camera file says; `usual` where it is missing and was not asked for. Raises ConvertError."""
     if not path.is_file():
         if usual is None or asked:
             raise ConvertError(
@@ -78,7 +79,8 @@ def _listed(path: Path) -> list[tuple[int, Path]]:
         raise ConvertError(f"'{path}': a line must be a time in seconds and a file") from problem
 
 
-def _calibration(camera: dict, stamp: int) -> CameraCalibration:
+def pinhole(camera: dict, stamp: int) -> CameraCalibration:
+    """The calibration that a camera file describes."""
     fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "cx", "cy"))
     message = CameraCalibration(
         frame_id=FRAME, width=int(camera["width"]), height=int(camera["height"]), distortion_model="plumb_bob",
@@ -89,8 +91,8 @@ def _calibration(camera: dict, stamp: int) -> CameraCalibration:
     return message
 
 
-def _image(depth: np.ndarray, unit: float, stamp: int) -> RawImage:
-    """As it is where counts are millimetres, else in metres."""
+def depth_image(depth: np.ndarray, unit: float, stamp: int) -> RawImage:
+    """The image as it is where counts are millimetres, else in metres."""
     whole = unit == MILLIMETRE
     data = depth.astype("<u2") if whole else (depth * np.float64(unit)).astype("<f4")
     message = RawImage(

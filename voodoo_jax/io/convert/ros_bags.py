@@ -13,6 +13,7 @@ from rosbags.rosbag2 import ReaderError as Bag2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
+from voodoo_jax.io.convert.realsense import depth_units, in_metres, plain_topic, unit_of
 from voodoo_jax.io.convert.target import ConvertError, new_log
 
 BROKEN = (AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError, AssertionError, KeyError, ValueError)
@@ -24,6 +25,8 @@ def convert(source: Path, target: Path) -> list[str]:
     with _opened(source) as reader, new_log(target) as writer:
         store = reader.typestore if reader.is2 else _ros2_types(reader)
         channels = {c.id: _channel(store, writer, c, notes) for c in reader.connections}
+        units = depth_units(reader)
+        notes += [f"{device}: depth counts of {1000 * unit:g} mm became metres" for device, unit in units.items()]
         cache: dict[str, object] = {}
         count = 0
         try:
@@ -35,6 +38,8 @@ def convert(source: Path, target: Path) -> list[str]:
                 if not reader.is2:  # headers and calibrations have other fields in ROS 2
                     kinds = (connection.msgtype, _renamed(connection.msgtype))
                     data = migrate_bytes(reader.typestore, store, *kinds, cache, raw, src_is2=False, dst_is2=True)
+                if unit := unit_of(connection.topic, connection.msgtype, units):
+                    data = in_metres(store, bytes(data), _renamed(connection.msgtype), unit)
                 writer.add_message(channel, stamp, bytes(data), stamp)
                 count += 1
         except BROKEN as problem:
@@ -82,4 +87,4 @@ def _channel(store: Any, writer: Writer, connection: Any, notes: list[str]) -> i
         notes.append(f"'{connection.topic}' was left out: {kind} is not known: {problem}")
         return None
     schema = writer.register_schema(kind, "ros2msg", text.encode())
-    return writer.register_channel(connection.topic, "cdr", schema)
+    return writer.register_channel(plain_topic(connection.topic), "cdr", schema)

@@ -5,7 +5,10 @@ from pathlib import Path
 
 from voodoo_jax.io.convert.target import ConvertError
 
-FILES = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag (SQLite)", ".c3d": "C3D", ".trc": "TRC"}
+FILES = {
+    ".bag": "ROS 1 bag", ".db3": "ROS 2 bag (SQLite)", ".mkv": "Azure Kinect or Femto", ".c3d": "C3D", ".trc": "TRC",
+    ".json": "skeletons of a Kinect",
+}  # fmt: skip
 
 
 def is_foreign(path: str | os.PathLike[str]) -> bool:
@@ -21,13 +24,14 @@ def convert(
 ) -> list[str]:
     """Writes a recording of another format as an MCAP log; nothing is left where that does not work.
 
-    **Arguments:** `source` a ROS 1 bag (.bag), an SQLite bag of ROS 2 (.db3, or its folder), C3D, TRC, or a folder of
-    depth images or point clouds (PCD, PLY); `camera` the images' camera file (see depth_images.py); `rate` files a
-    second where their names are not times.
+    **Arguments:** `source` a ROS 1 bag (.bag, also RealSense's), an SQLite bag of ROS 2 (.db3, or its folder), a
+    recording of an Azure Kinect or Femto (.mkv), C3D, TRC, skeletons of a Kinect (.json), or a folder of depth images
+    or point clouds (PCD, PLY); `camera` the images' camera file (see depth_images.py); `rate` files a second where
+    their names are not times.
 
     **Returns:** what was left out or changed, one sentence each. Raises ConvertError, OSError.
     """
-    from voodoo_jax.io.convert import clouds, depth_images, markers, ros_bags
+    from voodoo_jax.io.convert import clouds, depth_images, kinect_skeletons, kinect_video, markers, ros_bags
 
     source, target = Path(source), Path(target)
     if not source.exists():
@@ -43,6 +47,10 @@ def convert(
     kind = source.suffix.lower()
     if kind in (".bag", ".db3"):
         return ros_bags.convert(source, target)
+    if kind == ".mkv":
+        return kinect_video.convert(source, target, Path(camera) if camera else None)
+    if kind == ".json":
+        return kinect_skeletons.convert(source, target)
     if kind == ".c3d":
         return markers.convert_c3d(source, target)
     if kind == ".trc":

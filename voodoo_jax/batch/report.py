@@ -1,0 +1,82 @@
+"""report.html: what replay.jsonl and the tracks of a folder say, to look at in a browser."""
+
+import json
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from voodoo_jax.batch.extra_files import VIEW, exported_name
+from voodoo_jax.exporters.formats import FORMATS
+from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
+from voodoo_jax.storage.urls import NPZ, TRACKS, delivered, fetched, is_url, joined, opened
+from voodoo_jax.viz.report_page import Row, person_cells, write_report_page
+
+NAME = "report.html"
+
+
+def write_report(folder: str, summary: str) -> str:
+    """Writes the report of all logs whose results are in a folder (path or URL), and returns where it is.
+
+    `summary` names the replay.jsonl of this run; those of other parts of an array job are read besides, if the folder
+    is no URL. Raises OSError.
+    """
+    names = [summary]
+    if not is_url(folder):
+        names += sorted(p.name for p in Path(folder).glob("replay*.jsonl") if p.name != summary)
+    logs: dict[str, list[dict[str, Any]]] = {}
+    for name in names:
+        for log, rows in _rows(joined(folder, name)).items():
+            logs.setdefault(log, rows)
+    ordered = sorted(logs, key=lambda log: (os.path.basename(log), log))
+    title = f"Tracks in {Path(folder).name if not is_url(folder) else folder}"
+    with delivered(folder) as made:
+        write_report_page((_row(logs[log], folder) for log in ordered), Path(made) / NAME, title)
+    return joined(folder, NAME)
+
+
+def _rows(place: str) -> dict[str, list[dict[str, Any]]]:
+    """The rows of a summary by log; none of a file that is missing or somebody else's."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    with suppress(OSError, ValueError, KeyError, TypeError), opened(place) as stream:
+        for line in stream.read().decode().splitlines():
+            row = json.loads(line)
+            found.setdefault(row["log"], []).append(row)
+    return found
+
+
+def _row(rows: list[dict[str, Any]], folder: str) -> Row:
+    """One log, with the tracks of everybody in it."""
+    main = rows[0]
+    people, troubles = [], []
+    for row in rows:
+        if not row["tracks"]:
+            continue
+        try:
+            with fetched(row["tracks"]) as path:
+                tracks = read_tracks_npz(path)
+        except (TracksFileError, OSError) as problem:
+            troubles.append(f"The tracks cannot be read: {problem}")
+            continue
+        people.append(person_cells(tracks, row["person"] if len(rows) > 1 else 0))
+    error = " ".join([main["error"], *troubles]).strip()
+    return Row(
+        os.path.basename(main["log"]), main["status"], error, tuple(_links(main["tracks"], folder)), tuple(people)
+    )
+
+
+def _links(npz: str, folder: str) -> Iterable[tuple[str, str]]:
+    """What there is of a log besides its tracks, and the tracks."""
+    if not npz:
+        return
+    stem = npz.removesuffix(NPZ)
+    names = {"play and turn": stem + VIEW, "picture": f"{stem}.png", "Foxglove": stem + TRACKS, "tracks": npz}
+    names |= {name: joined(os.path.dirname(npz), exported_name(npz, name)) for name in FORMATS}
+    for word, place in names.items():
+        if is_url(place):
+            if word in ("Foxglove", "tracks"):  # what is there for certain
+                yield word, place
+        elif os.path.exists(place):
+            yield word, quote(os.path.relpath(place, folder))

@@ -1,0 +1,38 @@
+"""The command `body`: body files of robots and meshes."""
+
+import sys
+
+from voodoo_jax.cli.commands import BodyCommand
+
+
+def run_body(command: BodyCommand) -> int:
+    """0 if the body file was written, 1 if the source cannot be used, 2 if nothing could be begun."""
+    from voodoo_jax.model.body_file import BodyFileError, write_body
+    from voodoo_jax.model.foreign.sources import body_from
+
+    def say(problem: object) -> None:
+        print(f"voodoo-jax body: {problem}", file=sys.stderr)
+
+    if command.source is None:
+        say("name a robot description (.urdf) or a skinned mesh (.glb, .gltf)")
+        return 2
+    if command.out.exists() and not command.overwrite:
+        say(f"{command.out} exists: name another --out, or say --overwrite")
+        return 2
+    pairs = [word.partition("=") for word in command.rest]
+    try:
+        rest = {name: float(value) for name, _, value in pairs}
+    except ValueError:
+        say("--rest: joint values look like elbow=0.5 (radians)")
+        return 2
+    try:
+        body, notes = body_from(command.source, rest, command.least)
+        command.out.parent.mkdir(parents=True, exist_ok=True)
+        write_body(body, command.out)
+    except (BodyFileError, OSError) as problem:
+        say(problem)
+        return 1
+    print(f"{command.out}: {body.limb_count} limbs, {body.scale_name} {float(body.scale):.4f} m")
+    for note in notes:
+        print(f"    {note}")
+    return 0

@@ -1,0 +1,44 @@
+"""The command `view`: a log and its tracks in a browser."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from voodoo_jax.cli.commands import View
+
+
+def run_view(command: View) -> int:
+    """0 if it was shown until Ctrl-C, 1 if something cannot be read, 2 if nothing could be begun."""
+    from voodoo_jax.batch.converted import as_mcap
+    from voodoo_jax.batch.extra_files import people_of
+    from voodoo_jax.config.options import SettingsError
+    from voodoo_jax.detect.opening import read_log
+    from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
+    from voodoo_jax.io.log_reader import LogError
+
+    def say(problem: object) -> None:
+        print(f"voodoo-jax view: {problem}", file=sys.stderr)
+
+    if not 1 <= len(command.what) <= 2:
+        say("name a log, and its tracks if there are some: voodoo-jax view LOG [TRACKS]")
+        return 2
+    try:
+        from voodoo_jax.viz.viewer import Viewer
+
+        people = []
+        if len(command.what) == 2:
+            npz = Path(command.what[1])
+            people = [tracks for _, tracks in people_of(read_tracks_npz(npz), npz)]
+        with as_mcap(str(command.what[0])) as (log, _):
+            viewer = Viewer(read_log(log, replace(command.read, images=True)), people, command.port)
+    except ImportError:
+        say('it needs viser: pip install "voodoo_jax[view]"')
+        return 2
+    except (LogError, SettingsError, TracksFileError, OSError, ValueError) as problem:
+        say(problem)
+        return 1
+    print(f"Open http://localhost:{viewer.server.get_port()} in a browser; Ctrl-C ends it.", flush=True)
+    if not command.once:
+        viewer.play()
+    viewer.server.stop()
+    return 0

@@ -1,0 +1,53 @@
+"""Text of a body file, table by table, from lengths in metres."""
+
+import numpy as np
+from jaxtyping import Float
+
+from voodoo_jax.model.body_file import number_text, numbers_text, string_text
+
+Vector = Float[np.ndarray, "3"]
+
+
+class TextOfBody:
+    """Lines of a body file; places are given from `origin`, which is where the body frame's is."""
+
+    def __init__(self, scale: float, origin: Vector):
+        self._scale, self._origin, self._lines = scale, origin, list[str]()
+
+    def text(self) -> str:
+        """All of it."""
+        return "\n".join(self._lines) + "\n"
+
+    def head(self, name: str, scale_name: str) -> None:
+        """What stands before all tables."""
+        self._lines += [f"name = {string_text(name)}", f"scale = {number_text(self._scale)}"]
+        self._lines += [f"scale_name = {string_text(scale_name)}"]
+
+    # 6 parameters: those of a limb in the file
+    def limb(self, name: str, bottom: Vector, top: Vector, x_axis: Vector, bottom_axes, top_axes) -> None:
+        """A limb between two points, with the semi-axes of its ends."""
+        self._lines += ["", "[[limb]]", f"name = {string_text(name)}", f"bottom = {self._place(bottom)}"]
+        self._lines += [f"top = {self._place(top)}", f"x_axis = {numbers_text(x_axis)}"]
+        self._lines += [f"bottom_axes = {self._lengths(bottom_axes)}", f"top_axes = {self._lengths(top_axes)}"]
+
+    def joint(self, name: str, parent: str, child: str, at: Vector, axes, **more: np.ndarray) -> None:
+        """A joint; `more`: x_axis, z_axis (directions), swing_x, swing_y, twist (degrees)."""
+        self._lines += ["", "[[joint]]", f"name = {string_text(name)}", f"parent = {string_text(parent)}"]
+        self._lines += [f"child = {string_text(child)}", f"at = {self._place(at)}", f"axes = {self._lengths(axes)}"]
+        self._lines += [f"{key} = {numbers_text(value)}" for key, value in more.items()]
+
+    def centre(self, name: str, limb: str, at: Vector) -> None:
+        """A joint centre that tracks report."""
+        self._lines += ["", "[[centre]]", f"name = {string_text(name)}", f"limb = {string_text(limb)}"]
+        self._lines += [f"at = {self._place(at)}"]
+
+    def segment(self, name: str, start: str, end: str) -> None:
+        """A length to report."""
+        self._lines += ["", "[[segment]]", f"name = {string_text(name)}", f"from = {string_text(start)}"]
+        self._lines += [f"to = {string_text(end)}"]
+
+    def _place(self, at: np.ndarray) -> str:
+        return numbers_text((np.asarray(at, float) - self._origin) / self._scale)
+
+    def _lengths(self, values: np.ndarray) -> str:
+        return numbers_text(np.asarray(values, float) / self._scale)
