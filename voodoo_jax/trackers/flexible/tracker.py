@@ -71,8 +71,8 @@ def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
     plane = (0.0, 0.0, 1.0, -1e3) if floor is None or not uses_dense(s) else (*floor.normal.tolist(), floor.offset)
     f = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
     weighing = Weighing(
-        f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.hidden_edge),
-        f(s.hidden_surface), f(0.5), f(float(s.seen_length)), f(0.2),
+        f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.skin_weight),
+        f(s.hidden_edge), f(s.hidden_surface), f(0.5), f(float(s.seen_length)), f(0.2),
     )  # fmt: skip
     return Numbers(
         weighing, f(s.velocity), f(s.depth_share), f(s.depth_noise), f(s.base_noise), f(s.spread_noise),
@@ -185,11 +185,11 @@ def follow(
     key = jax.random.PRNGKey(s.seed)
     state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
     order = range(first, len(seen.features))
-    state, found = _run(model, state, seen, heads, order, key, s, floor_up, progress)
+    state, found = _run(model, state, seen, heads, order, key, s, floor_up, skin, progress)
     if s.backwards and not settings.online:
         again = jax.random.fold_in(key, 2**30 + 1)
         back = state._replace(before=state.x, previous=state.particles)
-        _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, progress)
+        _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, skin, progress)
         found = better(found, jax.tree.map(lambda a: a[::-1], second), numbers(s).weighing)
     tracks = _tracks(body, begin, seen, first, found, source, fixed_frame, notes)
     compiling = seconds_of_waiting() - waited
@@ -230,10 +230,14 @@ def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: Flexibl
     return out
 
 
-def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
+# 7 parameters: what a chunk of frames is made of
+def _inputs(
+    seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int, skin: SkinModel
+) -> Inputs:
     rows = []
     for k, i in enumerate(at):
         f, person = seen.features[i], seen.people[i]
+        bare = skin.on_person(f.colour)
         points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
         good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
         chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
@@ -241,16 +245,17 @@ def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up
         share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
-            View(*f), points, share, heads.place[i], _number(float(heads.seen[i])), up, _number(min(dt, 0.2)),
-            np.asarray(i, np.int32), _number(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
+            View(*f, bare), points, share, _at_points(bare, f, points) * share, heads.place[i],
+            _number(float(heads.seen[i])), up, _number(min(dt, 0.2)), np.asarray(i, np.int32),
+            _number(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
         ))  # fmt: skip
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
 
-# 9 parameters: a pass is run from two places
+# 10 parameters: a pass is run from two places
 def _run(
     model: FlexibleBody, state: State, seen: Observed, heads: Heads, order: range, key: jax.Array, s: FlexibleSettings,
-    up: np.ndarray, progress: Progress | None,
+    up: np.ndarray, skin: SkinModel, progress: Progress | None,
 ) -> tuple[State, Seen]:  # fmt: skip
     """Filters over frames in the order given."""
     out, n, shape = [], numbers(s, seen.scene.floor), shape_of(s)
@@ -259,7 +264,7 @@ def _run(
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
         state, found = track_chunk(
-            model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad)), key, n, shape
+            model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad, skin)), key, n, shape
         )
         out.append(jax.tree.map(partial(_first, len(at)), found))
         if progress is not None:
@@ -282,6 +287,16 @@ def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
         x[:, rows] = np.where(swap[:, limb, None, None], moved, x[:, rows])
         spread[:, limb] = np.where(swap[:, limb, None], other.spread[:, limb], spread[:, limb])
     return body._replace(x=x, spread=spread)
+
+
+def _at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point"]:
+    """What an image says at points, 0..1; 0 outside of it."""
+    q = points @ f.turn.T + f.shift
+    at = np.round(q[:, :2] / np.maximum(q[:, 2:], 0.1) * f.focal[:2] + f.focal[2:]).astype(int)
+    rows, columns = image.shape
+    inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows) & (q[:, 2] > 0.1)
+    value = image[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)].astype(np.float32) / 255
+    return np.where(inside, value, np.float32(0))
 
 
 def _number(value: float) -> np.ndarray:
