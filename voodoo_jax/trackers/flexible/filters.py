@@ -45,7 +45,9 @@ _HOLD = 4.0  # points' worth with which a body point stays where it is in the re
 _PULL = 1.2  # how far it goes where its points pull it, by hand: over one, as springs take some of it back
 _REACH = 0.25  # metres, by hand: points farther from the body than this pull nothing
 _NOT_CLOTHES = 0.3  # metres: more than what is told apart by distances, by hand
+_FACE = 0.11  # of the stature: skin so near the head point may be the face's, measured on rendered people
 _BARE_WEIGHT = 3.0  # points of skin weigh so much more for arms: a hand has few, by hand
+_ANKLE, _STANCE = 0.041, 0.1  # height of an ankle, share of stature (the study's rest pose); metres, by hand
 _UNEXPLAINED = 0.06  # metres, by hand: points nearer to the rest of the body than this are no other limb's
 _EXPLAINED = 0.06  # metres, on real people's surface by cylinders: by hand
 
@@ -150,7 +152,7 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     origin = state.particles
     ahead = _ahead(keys[0], state, view, n, shape)
     if shape.restarts:
-        new = _restarted(keys[1], body, x, context, given, shape)
+        new = restarted(keys[1], body, x, context, given, n.floor, shape)
         ahead = ahead.at[:, -shape.restarts :].set(
             jnp.where(new[1][:, :, None, None], new[0], ahead[:, -shape.restarts :])
         )
@@ -203,7 +205,7 @@ def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: I
     more = jnp.where(jnp.asarray(IS_ARM)[:, None], 1 + _BARE_WEIGHT * given.bare, 1.0)
     return LimbContext(
         hidden, state.colours, state.learnt, each(given.points), others, given.share * more, each(frames(x).lower[0]),
-        jnp.asarray(IS_ARM, x.dtype), body.radii, body.tips,
+        jnp.asarray(IS_ARM, x.dtype), body.radii, body.tips, each(jnp.append(x[HEAD], _FACE * body.stature)),
     )  # fmt: skip
 
 
@@ -228,12 +230,16 @@ def _ahead(key: Array, state: State, view: View, n: Numbers, shape: Shape) -> Fl
     return jnp.where((jnp.arange(p.shape[1]) % 2 == 0)[:, None, None], by_flow, by_velocity)
 
 
-def _restarted(
-    key: Array, body: FlexibleBody, x: Float[Array, "16 3"], context: LimbContext, given: Inputs, shape: Shape
-) -> tuple[Float[Array, "4 restart 3 3"], Bool[Array, "4 restart"]]:
+# 7 parameters: model, state and measurements, traced each
+def restarted(
+    key: Array, body: FlexibleBody, x: Float[Array, "16 3"], context: LimbContext, given: Inputs,
+    floor: Float[Array, "4"], shape: Shape,
+) -> tuple[Float[Array, "4 restart 3 3"], Bool[Array, "4 restart"]]:  # fmt: skip
     """Limbs anew: their ends where points are that the rest of the body does not explain, their middles anywhere around
-    the line to it. And whether there is such a point within reach."""
-    bones = bone_lengths(body)
+    the line to it; of legs, every second one stands on the floor, for the points of a leg may be near the other one.
+    And whether there is such a place within reach."""
+    bones, up = bone_lengths(body), floor[:3]
+    second = jnp.arange(shape.restarts) % 2 == 0
 
     def limb(key, root, bones, others, arm, tip):
         keys = jax.random.split(key, 4)
@@ -241,6 +247,10 @@ def _restarted(
         weight = given.share * jnp.clip(others - _UNEXPLAINED, 0, 0.2) * jnp.where(far < 1.15, far**2, 0.0)
         at = drawn(keys[0], weight + 1e-9, shape.restarts)
         end = given.points[at] + 0.03 * jax.random.normal(keys[1], (shape.restarts, 3))
+        high = root @ up - floor[3] - _ANKLE * body.stature
+        foot = root - high * up + _STANCE * jax.random.normal(keys[1], end.shape)
+        stands = second & (arm == 0) & (high < 1.5 * jnp.sum(bones))
+        end = jnp.where(stands[:, None], foot, end)
         # of an arm, the point may be anywhere on the hand
         lower = bones[1] + arm * tip * jax.random.uniform(keys[3], (shape.restarts, 1))
         line = end - root
@@ -255,7 +265,7 @@ def _restarted(
         middle = root + along * way + high * pole
         last = middle + (root + reach * way - middle) * bones[1] / lower
         p = jnp.stack([jnp.broadcast_to(root, line.shape), middle, last], 1)
-        return p, weight[at] > 0
+        return p, (weight[at] > 0) | stands
 
     arms = jnp.asarray(IS_ARM, x.dtype)
     return jax.vmap(limb)(jax.random.split(key, 4), x[LIMBS[:, 0]], bones, context.others, arms, body.tips)

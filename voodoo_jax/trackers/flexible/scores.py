@@ -141,6 +141,7 @@ class LimbContext(NamedTuple):
     is_arm: Float[Array, ""]
     radii: Float[Array, "3 2"]
     tip: Float[Array, ""]
+    head: Float[Array, "4"]  # the head point, and how near to it skin may be the face's, metres
 
 
 class Score(NamedTuple):
@@ -195,15 +196,17 @@ def limb_score(p: Float[Array, "3 3"], context: LimbContext, view: View, w: Weig
 
 
 def _hand_score(s: Segments, context: LimbContext, view: View) -> Float[Array, ""]:
-    """Share of skin on a hand as far as it is seen."""
+    """Share of skin on a hand as far as it is seen, and not before the face."""
     t = (jnp.arange(_HAND_SAMPLES) + 0.5)[:, None] / _HAND_SAMPLES
-    at, z = project(view, s.a[2] + t * (s.b[2] - s.a[2]))
+    hand = s.a[2] + t * (s.b[2] - s.a[2])
+    at, z = project(view, hand)
     z = z - s.radii[2, 1]
     nearest, _ = read(context.hidden, (at - (SHRINK - 1) / 2) / SHRINK)
     depth, inside = read(view.depth, at)
     seen = inside & (nearest >= z - 0.02) & ~((depth > 0) & (depth < z - _BEHIND))
     away = (depth > 0) & (depth > z + _BEHIND)  # of the room behind
     skin = jnp.where(away, 0.0, read(view.skin, at)[0].astype(jnp.float32) / 255)
+    seen &= length(hand - context.head[:3])[:, 0] > context.head[3]  # else the face draws hands that are not seen
     return jnp.where(seen, skin, _HIDDEN_SKIN).mean()
 
 

@@ -241,7 +241,7 @@ def _inputs(
     rows = []
     for k, i in enumerate(at):
         f, person = seen.features[i], seen.people[i]
-        bare = skin.on_person(f.colour)
+        bare = skin.on_person(f.colour) if s.skin_weight > 0 else np.zeros(f.depth.shape, np.uint8)
         points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
         good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
         chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
