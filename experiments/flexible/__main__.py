@@ -30,6 +30,7 @@ VARIANTS: dict[str, dict] = {
     "no optical flow": dict(flow=False),
     "no restarts": dict(restart=0.0),
     "no second pass": dict(backwards=False),
+    "no skin": dict(skin_weight=0.0),
     "no edges, no colours": dict(edge_weight=0.0, surface_weight=0.0),
     "no gravity": dict(gravity=0.0),
     "no velocity": dict(velocity=0.0),
@@ -40,7 +41,7 @@ VARIANTS: dict[str, dict] = {
     "200 particles": dict(particles=200),
     "400 particles": dict(particles=400),
 }
-PAPER: dict[str, dict] = {"hecht2009": {}, "hecht2009, by seen length": dict(seen_length=True)}
+PAPER: dict[str, dict] = {"hecht2009": {}, "hecht2009, by the seen length": dict(seen_length=True)}
 
 
 def errors(tracks: Tracks, truth: Truth) -> np.ndarray:
@@ -64,6 +65,7 @@ def row(name: str, found: dict[str, list[np.ndarray]]) -> str:
 def main(
     recordings: tyro.conf.Positional[Path],
     only: str = "*",
+    logs: str = "*",
     seeds: int = 5,
     paper: bool = False,
     out: Path = Path(__file__).parent,
@@ -73,14 +75,15 @@ def main(
     Args:
         recordings: folder with *.mcap and *.truth.npz.
         only: variants whose name matches this pattern.
+        logs: recordings whose name matches this pattern.
         seeds: how many seeds.
         paper: variants of the preset hecht2009 instead.
         out: folder for flexible.md.
     """
     settings, variants = preset("hecht2009" if paper else "flexible"), PAPER if paper else VARIANTS
-    body, logs = load_body("human"), sorted(recordings.glob("*.mcap"))
+    body, paths = load_body("human"), sorted(recordings.glob(f"{logs}.mcap"))
     tables: dict[str, dict[str, list[np.ndarray]]] = {name: {} for name in variants if fnmatch(name, only)}
-    for path in logs:
+    for path in paths:
         log, truth = open_log(path, settings.read), read_truth(path.with_name(f"{path.stem}.truth.npz"))
         seen: Observed = observe(log.frames(), log.up, body, settings, log.path)
         for name, results in tables.items():
@@ -90,7 +93,7 @@ def main(
                 results.setdefault(path.stem, []).append(errors(tracks, truth))
             print(path.stem, row(name, {path.stem: results[path.stem]}), flush=True)
         seen.features.close()
-    head = f"| {len(logs)} recordings, {seeds} seeds | mean error, cm | within 10 cm, % | each recording, cm |"
+    head = f"| {len(paths)} recordings, {seeds} seeds | mean error, cm | within 10 cm, % | each recording, cm |"
     lines = [head, "|---|---|---|---|", *(row(name, found) for name, found in tables.items() if found)]
     out.mkdir(parents=True, exist_ok=True)
     (out / "flexible.md").write_text("\n".join(["# The flexible tracker by ingredient", "", *lines, ""]))

@@ -238,6 +238,9 @@ class FlexibleSettings:
     """The same of the share of a limb's surface that is where depth is measured; 0: no dense depth is used."""
     points_weight: float = 60.0
     """The same of the mean squared distance of measured points to the body; 0: no points are used."""
+    skin_weight: float = 6.0
+    """The same of the share of skin on a hand as far as it is seen; skin is what has the face's colours and not those
+    of clothes. 0: colours of hands are not looked at."""
     hidden_edge: float = 0.35
     """Edge score of a sample that is hidden or outside of the image."""
     hidden_surface: float = 0.5

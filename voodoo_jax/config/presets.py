@@ -62,7 +62,7 @@ def _hecht2009() -> FlexibleSettings:
         depth_share=0.25, depth_noise=(0.15, 0.5, 1.0),  # sec. III-A
         base_noise=0.02, spread_noise=0.3, motion_noise=0.1,  # named there, without values
         edge_weight=12.0, surface_weight=12.0, depth_weight=0.0, points_weight=0.0,  # sec. III-B: two scores
-        seen_length=False, flow=False, restart=0.0, refine=0,
+        skin_weight=0.0, seen_length=False, flow=False, restart=0.0, refine=0,
         follow_level=0.8, follow_up=0.8,  # sec. III: 80 %
         legs_apart=0.02,  # sec. IV-B: a plane that keeps natural cross-overs out
         backwards=False,

@@ -44,6 +44,10 @@ _DAMPING = 0.6  # share of the dangling body's velocity lost in a frame: it is o
 _HOLD = 4.0  # points' worth with which a body point stays where it is in the refinement, by hand
 _PULL = 1.2  # how far it goes where its points pull it, by hand: over one, as springs take some of it back
 _REACH = 0.25  # metres, by hand: points farther from the body than this pull nothing
+_NOT_CLOTHES = 0.3  # metres: more than what is told apart by distances, by hand
+_FACE = 0.11  # of the stature: skin so near the head point may be the face's, measured on rendered people
+_BARE_WEIGHT = 3.0  # points of skin weigh so much more for arms: a hand has few, by hand
+_ANKLE, _STANCE = 0.041, 0.1  # height of an ankle, share of stature (the study's rest pose); metres, by hand
 _UNEXPLAINED = 0.06  # metres, by hand: points nearer to the rest of the body than this are no other limb's
 _EXPLAINED = 0.06  # metres, on real people's surface by cylinders: by hand
 
@@ -95,6 +99,7 @@ class Inputs(NamedTuple):
     view: View
     points: Float[Any, "point 3"]  # on the person, metres
     share: Float[Any, "point"]  # 0: none
+    bare: Float[Any, "point"]  # how likely each is skin, 0..1
     head: Float[Any, "3"]  # metres
     head_seen: Float[Any, ""]  # 0 or 1
     up: Float[Any, "3"]
@@ -142,12 +147,12 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     view, keys = given.view, jax.random.split(key, 3)
     x = _moved(body, state, given, n, shape)
     if shape.refine:  # torso and head first: else limbs are drawn to the points that a bow leaves unexplained
-        x = refined(body, x, given.points, given.share, shape.refine // 2, n.legs_apart, n.floor)
+        x = refined(body, x, given.points, given.share, shape.refine // 2, n.legs_apart, n.floor, given.bare)
     space, context = limb_spaces(body, x, n.legs_apart, n.floor), _context(body, state, x, given, shape)
     origin = state.particles
     ahead = _ahead(keys[0], state, view, n, shape)
     if shape.restarts:
-        new = _restarted(keys[1], body, x, context, given, shape)
+        new = restarted(keys[1], body, x, context, given, n.floor, shape)
         ahead = ahead.at[:, -shape.restarts :].set(
             jnp.where(new[1][:, :, None, None], new[0], ahead[:, -shape.restarts :])
         )
@@ -160,7 +165,7 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
         body, x.at[LIMBS.ravel()].set(mean.reshape(12, 3)), masses, shape.relaxations, n.legs_apart, True, n.floor
     )
     if shape.refine:
-        x = refined(body, x, given.points, given.share, shape.refine, n.legs_apart, n.floor)
+        x = refined(body, x, given.points, given.share, shape.refine, n.legs_apart, n.floor, given.bare)
     shift = (x[LIMBS] - mean)[:, None] if shape.refine else jnp.zeros((4, 1, 3, 3))
     sure = jnp.exp(-n.masses[2] * spread)
     rate = given.learn * jnp.stack([sure[:, :2].mean(1), sure[:, 1:].mean(1)], 1)
@@ -191,16 +196,24 @@ def _moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers, shape: S
 def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape) -> LimbContext:
     hidden = occlusion(body, x, given.view)
     if shape.points:
-        d = closest(body, x, given.points).distance
+        d = jnp.abs(closest(body, x, given.points).distance) + _clothed(given.bare)
         own = jnp.asarray(np.concatenate([np.repeat(np.eye(4, dtype=bool), 3, 1), np.zeros((4, 3), bool)], 1))
         others = jnp.min(jnp.where(own[:, None], 10.0, d), -1)
     else:
         others = jnp.full((4, len(given.points)), 10.0)
     each = lambda v: jnp.broadcast_to(v, (4, *v.shape))  # noqa: E731
+    more = jnp.where(jnp.asarray(IS_ARM)[:, None], 1 + _BARE_WEIGHT * given.bare, 1.0)
     return LimbContext(
-        hidden, state.colours, state.learnt, each(given.points), others, each(given.share), each(frames(x).lower[0]),
-        jnp.asarray(IS_ARM, x.dtype), body.radii, body.tips,
+        hidden, state.colours, state.learnt, each(given.points), others, given.share * more, each(frames(x).lower[0]),
+        jnp.asarray(IS_ARM, x.dtype), body.radii, body.tips, each(jnp.append(x[HEAD], _FACE * body.stature)),
     )  # fmt: skip
+
+
+def _clothed(bare: Float[Array, " point"]) -> Float[Array, "point part"]:
+    """By how much farther bare skin is from what is clothed than it seems to be: it is of a face, an arm or a hand."""
+    covered = np.ones(PARTS, np.float32)
+    covered[:6] = covered[12] = 0
+    return _NOT_CLOTHES * bare[:, None] * covered
 
 
 def _ahead(key: Array, state: State, view: View, n: Numbers, shape: Shape) -> Float[Array, "4 particle 3 3"]:
@@ -217,32 +230,45 @@ def _ahead(key: Array, state: State, view: View, n: Numbers, shape: Shape) -> Fl
     return jnp.where((jnp.arange(p.shape[1]) % 2 == 0)[:, None, None], by_flow, by_velocity)
 
 
-def _restarted(
-    key: Array, body: FlexibleBody, x: Float[Array, "16 3"], context: LimbContext, given: Inputs, shape: Shape
-) -> tuple[Float[Array, "4 restart 3 3"], Bool[Array, "4 restart"]]:
+# 7 parameters: model, state and measurements, traced each
+def restarted(
+    key: Array, body: FlexibleBody, x: Float[Array, "16 3"], context: LimbContext, given: Inputs,
+    floor: Float[Array, "4"], shape: Shape,
+) -> tuple[Float[Array, "4 restart 3 3"], Bool[Array, "4 restart"]]:  # fmt: skip
     """Limbs anew: their ends where points are that the rest of the body does not explain, their middles anywhere around
-    the line to it. And whether there is such a point within reach."""
-    bones = bone_lengths(body)
+    the line to it; of legs, every second one stands on the floor, for the points of a leg may be near the other one.
+    And whether there is such a place within reach."""
+    bones, up = bone_lengths(body), floor[:3]
+    second = jnp.arange(shape.restarts) % 2 == 0
 
-    def limb(key, root, bones, others, arm):
-        keys = jax.random.split(key, 3)
+    def limb(key, root, bones, others, arm, tip):
+        keys = jax.random.split(key, 4)
         far = length(given.points - root)[:, 0] / jnp.sum(bones)
         weight = given.share * jnp.clip(others - _UNEXPLAINED, 0, 0.2) * jnp.where(far < 1.15, far**2, 0.0)
         at = drawn(keys[0], weight + 1e-9, shape.restarts)
         end = given.points[at] + 0.03 * jax.random.normal(keys[1], (shape.restarts, 3))
+        high = root @ up - floor[3] - _ANKLE * body.stature
+        foot = root - high * up + _STANCE * jax.random.normal(keys[1], end.shape)
+        stands = second & (arm == 0) & (high < 1.5 * jnp.sum(bones))
+        end = jnp.where(stands[:, None], foot, end)
+        # of an arm, the point may be anywhere on the hand
+        lower = bones[1] + arm * tip * jax.random.uniform(keys[3], (shape.restarts, 1))
         line = end - root
-        reach = jnp.clip(length(line), 0.3 * jnp.sum(bones), 0.999 * jnp.sum(bones))
+        whole = bones[0] + lower
+        reach = jnp.clip(length(line), 0.3 * whole, 0.999 * whole)
         way = unit(line)
-        along = (bones[0] ** 2 - bones[1] ** 2 + reach**2) / (2 * reach)
+        along = (bones[0] ** 2 - lower**2 + reach**2) / (2 * reach)
         high = jnp.sqrt(jnp.maximum(bones[0] ** 2 - along**2, 0.0))
         pole = jax.random.normal(keys[2], line.shape)
         pole = jnp.where(arm > 0, pole, 0.3 * pole + 2 * context.forward[0])
         pole = unit(pole - way * jnp.sum(pole * way, -1, keepdims=True))
         middle = root + along * way + high * pole
-        p = jnp.stack([jnp.broadcast_to(root, line.shape), middle, root + reach * way], 1)
-        return p, weight[at] > 0
+        last = middle + (root + reach * way - middle) * bones[1] / lower
+        p = jnp.stack([jnp.broadcast_to(root, line.shape), middle, last], 1)
+        return p, (weight[at] > 0) | stands
 
-    return jax.vmap(limb)(jax.random.split(key, 4), x[LIMBS[:, 0]], bones, context.others, jnp.asarray(IS_ARM, x.dtype))
+    arms = jnp.asarray(IS_ARM, x.dtype)
+    return jax.vmap(limb)(jax.random.split(key, 4), x[LIMBS[:, 0]], bones, context.others, arms, body.tips)
 
 
 # 9 parameters: model, state and measurements of a limb, traced each
@@ -293,13 +319,16 @@ def _layers(
 def refined(
     body: FlexibleBody, x: Float[Array, "16 3"], points: Float[Array, "point 3"], share: Float[Array, "point"],
     rounds: int, legs_apart: Float[Array, ""] | float = 0.0, floor: Float[Array, "4"] | None = None,
+    bare: Float[Array, "point"] | None = None,
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """Points pull the nearest axes and patches until they lie on the surface, then springs and limits hold: in turn.
     Differentiable: which part is nearest is held fixed."""
 
+    farther = 0.0 if bare is None else _clothed(bare)
+
     def one(_, x):
         found = closest(body, x, points)
-        best = lax.stop_gradient(jnp.argmin(jnp.abs(found.distance), 1))
+        best = lax.stop_gradient(jnp.argmin(jnp.abs(found.distance) + farther, 1))
         pick = lambda a: jnp.take_along_axis(a, best.reshape(-1, *[1] * (a.ndim - 1)), 1)[:, 0]  # noqa: E731
         d, away, weights = pick(found.distance), pick(found.away), pick(found.weights)
         carriers = found.carriers[best]

@@ -24,6 +24,9 @@ LIMBS = np.array(
 )  # the paper's four filters: left and right arm, left and right leg
 SIDE = np.array([1.0, -1.0, 1.0, -1.0])  # +1: left, in the order of the paper's filters above
 IS_ARM = np.array([True, True, False, False])
+OTHER_SIDE = np.array(
+    [0, 1, 5, 6, 7, 2, 3, 4, 9, 8, 13, 14, 15, 10, 11, 12]
+)  # of each of the paper's points, that of the other side
 UPPER = (2, 5, 8, 9)  # corners of the paper's upper torso part: left and right shoulder, left and right waist
 LOWER = (8, 9, 10, 13)  # of the paper's lower torso part: left and right waist, left and right hip
 # which points a spring joins, and how stiff it is (share of its error that one relaxation takes away); the stiffnesses

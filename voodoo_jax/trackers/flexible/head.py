@@ -17,6 +17,7 @@ FACE = (0.045, 0.055)  # half width and height of the face, shares of stature, m
 BEHIND = 0.05  # the head point is so far behind the face's skin, share of stature: the study measured it
 HEAD_HEIGHT = 0.907  # of the head point, share of stature: measured on the built-in body
 _CROWN = 0.115  # what is so near the top, share of stature, is head: measured on rendered people
+_TRUNK, _LEGS = 0.08, 0.12  # what is so near the axis below the head, share of stature, is clothed: by hand
 _UNSEEN = 1.014  # stature over the height of the top that stereo shows: hair has no texture; measured on four people
 _SURE = 0.25  # share of skin within the box over that around it from which on it is a face, by hand
 _SHARPNESS = 14.0  # of the particles' weights, by hand
@@ -54,17 +55,7 @@ def find_start(
     toward -= (toward @ up) * up
     toward /= max(float(np.linalg.norm(toward)), 1e-6)
     head = centre + (floor.offset - centre @ up + HEAD_HEIGHT * stature) * up - BEHIND * stature * toward
-    # the skin's colours: what is in the middle of the head, below its top
-    found, at = depth_points(f)
-    mask = np.zeros(f.depth.size, bool)
-    below = top - floor.height(found)
-    near = np.linalg.norm(found - centre - ((found - centre) @ up)[:, None] * up, axis=1) < 0.045 * stature
-    mask[at[near & (below > 0.055 * stature) & (below < _CROWN * stature)]] = True
-    mask = mask.reshape(f.depth.shape)
-    seen = False
-    if mask.sum() >= 12:
-        skin.learn(f.colour, mask)
-        seen = bool(skin.map(f.colour)[mask].mean() > 0.5)
+    seen = _learn_skin(f, floor, skin, centre, top, stature)
     torso = points[(height > 0.60 * stature) & (height < 0.82 * stature)]
     flat = (torso - torso.mean(0)) - ((torso - torso.mean(0)) @ up)[:, None] * up if len(torso) > 10 else np.eye(3)
     axis = np.linalg.svd(flat, full_matrices=False)[2][0]
@@ -73,6 +64,29 @@ def find_start(
     if np.cross(left, up) @ toward < 0:  # a seen face means facing the camera, and so does none at the start
         left = -left
     return Start(float(stature), head.astype(np.float32), left.astype(np.float32), seen)
+
+
+def _learn_skin(f: Features, floor: Plane, skin: SkinModel, centre: np.ndarray, top: float, stature: float) -> bool:
+    """Skin is what is in the middle of the head below its top, clothes what is below it: trunk without arms, and legs.
+    Whether a face was seen.
+
+    **Arguments:** `centre` of the head, levelled; `top` its height; metres.
+    """
+    points, at = depth_points(f)
+    height, up = floor.height(points), floor.normal
+    off = points - centre
+    aside, below = np.linalg.norm(off - (off @ up)[:, None] * up, axis=1) / stature, (top - height) / stature
+    up_to = height / stature
+    trunk = (aside < _TRUNK) & (up_to > 0.55) & (up_to < 0.80)
+    legs = (aside < _LEGS) & (up_to > 0.10) & (up_to < 0.38)
+    face, clothes = (np.zeros(f.depth.size, bool) for _ in range(2))
+    face[at[(aside < 0.045) & (below > 0.055) & (below < _CROWN)]] = True
+    clothes[at[trunk | legs]] = True
+    face, clothes = face.reshape(f.depth.shape), clothes.reshape(f.depth.shape)
+    if face.sum() < 12:
+        return False
+    skin.learn(f.colour, face, clothes)
+    return bool(skin.map(f.colour)[face].mean() > 0.5)
 
 
 def first_pose(

@@ -17,6 +17,8 @@ WIDTH = 320  # columns of all features: a forearm at 3 m is six pixels wide, set
 COARSE = 4  # by hand: rows and columns of motion and flow are each so many of the features'
 _GRADIENT, _DIFFERENCE = 18.0, 9.0  # grey levels above which there is an edge or a motion: noise of JPEG, measured
 _BINS = 64  # cells of Cr and Cb each in the skin model, by hand
+_CLOTHES, _ROOM = 2.0, 2.0  # how much more often than the face a colour has to be seen there, by hand
+_RARE = 0.002  # share of the face that has a colour: such rare ones tell nothing, by hand
 NEAREST = 1.0  # metres, by hand: nearer people do not fit into a camera's image
 
 
@@ -35,23 +37,32 @@ class Features(NamedTuple):
 
 @dataclass
 class SkinModel:
-    """Colours of the face against all others, learnt in the first image (Cr and Cb only: light changes)."""
+    """Colours of the face against clothes and the room, learnt in the first image (Cr and Cb only: light changes)."""
 
     share: Float32[np.ndarray, "bin bin"] = field(default_factory=lambda: np.zeros((_BINS,) * 2, np.float32))
+    bare: Float32[np.ndarray, "bin bin"] = field(default_factory=lambda: np.zeros((_BINS,) * 2, np.float32))
 
-    def learn(self, image: UInt8[np.ndarray, "row column 3"], face: np.ndarray) -> None:
-        """Takes the pixels of the mask `face` for skin and all others for none."""
+    def learn(self, image: UInt8[np.ndarray, "row column 3"], face: np.ndarray, clothes: np.ndarray) -> None:
+        """Takes the pixels of the mask `face` for skin, and those of `clothes` and all others for none."""
         cells = _cells(image)
-        skin, other = np.zeros_like(self.share), np.zeros_like(self.share)
-        np.add.at(skin, cells[face].T.tolist(), 1.0)
-        np.add.at(other, cells[~face].T.tolist(), 1.0)
-        skin, other = (cv2.GaussianBlur(x / max(x.sum(), 1.0), (0, 0), 0.8) for x in (skin, other))
-        self.share = (skin / np.maximum(skin + 4 * other, 1e-6)).astype(np.float32)
+        counts = []
+        for mask in (face, clothes, ~face & ~clothes):
+            found = np.zeros_like(self.share)
+            np.add.at(found, tuple(cells[mask].T), 1.0)
+            counts.append(cv2.GaussianBlur(found / max(found.sum(), 1.0), (0, 0), 0.8))
+        skin, worn, room = counts
+        self.share = (skin / np.maximum(skin + _CLOTHES * worn + _ROOM * room, 1e-6)).astype(np.float32)
+        self.bare = (skin / (skin + _CLOTHES * worn + _RARE)).astype(np.float32)
 
     def map(self, image: UInt8[np.ndarray, "row column 3"]) -> Float32[np.ndarray, "row column"]:
         """How likely each pixel is skin, 0..1."""
         cells = _cells(image)
         return self.share[cells[..., 0], cells[..., 1]]
+
+    def on_person(self, image: UInt8[np.ndarray, "row column 3"]) -> UInt8[np.ndarray, "row column"]:
+        """How likely each pixel is skin if it is the person's, 0..255."""
+        cells = _cells(image)
+        return (255 * self.bare[cells[..., 0], cells[..., 1]]).astype(np.uint8)
 
 
 def _cells(image: np.ndarray) -> np.ndarray:

@@ -7,17 +7,18 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
 
-# from a point to the joint centre of its name in the torso's directions (forward, left for the left side, up), shares
-# of stature: measured on half of the rendered stereo recordings (experiments/flexible)
-OFFSETS: dict[str, tuple[float, float, float]] = {
-    "head": (0.008, 0.0, 0.017),
-    "neck": (-0.004, 0.0, 0.020),
-    "shoulder": (0.008, -0.008, 0.020),
-    "elbow": (0.006, -0.003, 0.013),
-    "wrist": (-0.002, 0.007, 0.007),
-    "hip": (-0.008, 0.0, 0.018),
-    "knee": (0.017, 0.001, 0.013),
-    "ankle": (0.020, -0.004, 0.017),
+# from a point to the joint centre of its name in the torso's directions (forward, left for the left side, up), and
+# towards the camera, for bodies are that much thicker or thinner than cylinders: shares of stature, measured on half of
+# the rendered stereo recordings (experiments/flexible)
+OFFSETS: dict[str, tuple[float, float, float, float]] = {
+    "head": (0.001, -0.001, 0.013, 0.009),
+    "neck": (-0.005, -0.001, 0.020, 0.008),
+    "shoulder": (0.008, -0.003, 0.018, 0.001),
+    "elbow": (-0.005, -0.002, 0.009, 0.007),
+    "wrist": (0.003, 0.005, 0.001, 0.003),
+    "hip": (-0.004, 0.001, 0.008, -0.007),
+    "knee": (0.002, 0.003, 0.002, 0.017),
+    "ankle": (0.009, -0.006, -0.003, 0.019),
 }
 
 
@@ -34,8 +35,10 @@ def directions(x: Float[np.ndarray, "frame 16 3"], upper: bool) -> Float[np.ndar
     return np.stack([np.cross(left, up), left, up], 1)
 
 
-def centres_of(body: Body, x: Float[np.ndarray, "frame 16 3"], stature: float) -> Float32[np.ndarray, "frame centre 3"]:
-    """Joint centres `body.topology.centres`, metres; NaN for those that no point stands for."""
+def centres_of(
+    body: Body, x: Float[np.ndarray, "frame 16 3"], stature: float, camera: Float[np.ndarray, "frame 3"]
+) -> Float32[np.ndarray, "frame centre 3"]:
+    """Joint centres `body.topology.centres`, metres; NaN for those that no point stands for. `camera`: its centre."""
     frame = {True: directions(x, True), False: directions(x, False)}
     named = {centre: name for name, centre in CENTRES.items()}
     out = np.full((len(x), len(body.topology.centres), 3), np.nan)
@@ -43,9 +46,12 @@ def centres_of(body: Body, x: Float[np.ndarray, "frame 16 3"], stature: float) -
         if centre in named:
             name = named[centre]
             upper = name in ("head", "neck") or name.split("_")[-1] in ("shoulder", "elbow", "wrist")
-            shift = np.array(OFFSETS.get(name.removeprefix("l_").removeprefix("r_"), (0.0, 0.0, 0.0))) * stature
-            shift = shift * [1, -1 if name.startswith("r_") else 1, 1]
-            out[:, n] = x[:, POINTS.index(name)] + shift @ frame[upper]
+            *shift, near = np.array(OFFSETS[name.removeprefix("l_").removeprefix("r_")]) * stature
+            shift = np.array(shift) * [1, -1 if name.startswith("r_") else 1, 1]
+            at = x[:, POINTS.index(name)]
+            toward = camera - at
+            toward = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
+            out[:, n] = at + shift @ frame[upper] + near * toward
     return out.astype(np.float32)
 
 

@@ -21,6 +21,8 @@ RINGS = 10  # reference colours along a cylinder, by the paper
 ALONG, ACROSS = 6, 3  # samples of a cylinder's surface: set by hand, the study's
 SHRINK = 4  # by hand: the occlusion map's pixels are each so many of the features'
 _BEHIND = 0.12  # metres: what is so much farther than a surface ought to be is not it; cylinders are no people, by hand
+_HAND_SAMPLES = 5  # along a hand, by hand
+_HIDDEN_SKIN = 0.3  # score of a sample of a hand that is not seen, by hand
 _NEVER = 1e6  # metres, by hand: nothing is so far
 
 
@@ -35,6 +37,7 @@ class View(NamedTuple):
     focal: Float[Any, "4"]
     turn: Float[Any, "3 3"]
     shift: Float[Any, "3"]
+    skin: UInt8[Any, "row column"]  # 255: surely, if it is the person's
 
 
 class Weighing(NamedTuple):
@@ -44,6 +47,7 @@ class Weighing(NamedTuple):
     surface: Float[Array, ""]
     depth: Float[Array, ""]
     points: Float[Array, ""]
+    skin: Float[Array, ""]  # of hands
     hidden_edge: Float[Array, ""]
     hidden_surface: Float[Array, ""]
     colour_scale: Float[Array, ""]  # share of full brightness, summed over channels
@@ -137,15 +141,18 @@ class LimbContext(NamedTuple):
     is_arm: Float[Array, ""]
     radii: Float[Array, "3 2"]
     tip: Float[Array, ""]
+    head: Float[Array, "4"]  # the head point, and how near to it skin may be the face's, metres
 
 
 class Score(NamedTuple):
-    """Parts of a particle's weight, 0..1 each; `points` mean squared distance over the cap squared, less is better."""
+    """Parts of a particle's weight, 0..1 each; `points` mean squared distance over the cap squared, less is better;
+    `skin` of hands, 0 for feet."""
 
     edge: Float[Array, "*n"]
     surface: Float[Array, "*n"]
     depth: Float[Array, "*n"]
     points: Float[Array, "*n"]
+    skin: Float[Array, "*n"]
 
 
 def expected(colours: Float[Array, "2 ring 3"]) -> Float[Array, "2 along 3"]:
@@ -179,15 +186,36 @@ def limb_score(p: Float[Array, "3 3"], context: LimbContext, view: View, w: Weig
     edge = jnp.where(shown, edge.astype(jnp.float32) / 255, w.hidden_edge).mean((1, 2))
     share = w.seen_length * at.seen + (1 - w.seen_length)
     weighed = lambda s, default: jnp.mean(share * s + (1 - share) * default)  # noqa: E731
-    d = jnp.minimum(jnp.min(segment_distance(segments, context.points), 1), context.others)
-    near = jnp.minimum(jnp.abs(d), w.cap) / w.cap
+    d = jnp.minimum(jnp.min(jnp.abs(segment_distance(segments, context.points)), 1), context.others)
+    near = jnp.minimum(d, w.cap) / w.cap
     points = jnp.sum(context.share * near**2) / jnp.maximum(jnp.sum(context.share), 1e-6)
-    return Score(weighed(edge, w.hidden_edge), weighed(surface, w.hidden_surface), weighed(solid, 0.6), points)
+    return Score(
+        weighed(edge, w.hidden_edge), weighed(surface, w.hidden_surface), weighed(solid, 0.6), points,
+        context.is_arm * _hand_score(segments, context, view),
+    )  # fmt: skip
+
+
+def _hand_score(s: Segments, context: LimbContext, view: View) -> Float[Array, ""]:
+    """Share of skin on a hand as far as it is seen, and not before the face."""
+    t = (jnp.arange(_HAND_SAMPLES) + 0.5)[:, None] / _HAND_SAMPLES
+    hand = s.a[2] + t * (s.b[2] - s.a[2])
+    at, z = project(view, hand)
+    z = z - s.radii[2, 1]
+    nearest, _ = read(context.hidden, (at - (SHRINK - 1) / 2) / SHRINK)
+    depth, inside = read(view.depth, at)
+    seen = inside & (nearest >= z - 0.02) & ~((depth > 0) & (depth < z - _BEHIND))
+    away = (depth > 0) & (depth > z + _BEHIND)  # of the room behind
+    skin = jnp.where(away, 0.0, read(view.skin, at)[0].astype(jnp.float32) / 255)
+    seen &= length(hand - context.head[:3])[:, 0] > context.head[3]  # else the face draws hands that are not seen
+    return jnp.where(seen, skin, _HIDDEN_SKIN).mean()
 
 
 def log_weight(score: Score, w: Weighing) -> Float[Array, "*n"]:
     """Logarithm of a particle's weight."""
-    return w.edge * score.edge + w.surface * score.surface + w.depth * score.depth - w.points * score.points
+    return (
+        w.edge * score.edge + w.surface * score.surface + w.depth * score.depth - w.points * score.points
+        + w.skin * score.skin
+    )  # fmt: skip
 
 
 # 7 parameters: model, state and measurements, traced each

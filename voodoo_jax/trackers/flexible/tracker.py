@@ -5,12 +5,12 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float, Float32
 from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.compile.executable import seconds_of_waiting
@@ -25,10 +25,19 @@ from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.base import Progress, Source, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rated
 from voodoo_jax.trackers.flexible.filters import Inputs, Numbers, Seen, Shape, State, start, track_chunk
-from voodoo_jax.trackers.flexible.flexible_body import LIMBS, FlexibleBody, flexible_body, rest_points
+from voodoo_jax.trackers.flexible.flexible_body import (
+    LIMBS,
+    LOWER,
+    NECK,
+    OTHER_SIDE,
+    UPPER,
+    FlexibleBody,
+    flexible_body,
+    rest_points,
+)
 from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
 from voodoo_jax.trackers.flexible.image_features import Extractor, Features, SkinModel, depth_points
-from voodoo_jax.trackers.flexible.poses import centres_of, limb_poses
+from voodoo_jax.trackers.flexible.poses import centres_of, directions, limb_poses
 from voodoo_jax.trackers.flexible.scores import View, Weighing, log_weight
 
 CHUNK = 16  # frames per run of the program: what fits into memory as images, by hand
@@ -37,7 +46,14 @@ _BELOW = 0.35  # share of the stature that a face is at most from the person's t
 # frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
 # a weight): by hand
 _STRETCH, _EXPLAINS_MORE, _SCORES_MORE = 2.0, 0.02, 2.0
+_AWAY = -0.3  # cosine of the angle from the body's front to the camera, from which on it looks away, by hand
+_AGREE = 0.15  # metres between passes up to which their mean is taken: on the study's half of stereo logs, measured
+_SMOOTH = 0.047  # seconds, standard deviation: measured on the same ones
 _OVER_FLOOR = 0.06  # metres: lower points are the floor's as often as the feet's by stereo, by hand
+_OTHER_LIMB = np.array([1, 0, 3, 2])  # of each of the paper's filters, that of the other side
+_OTHER_PART = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8, 12, 13, 14])  # of each of the paper's cylinders
+_TRUNK = np.unique([*UPPER, *LOWER])
+_LIMB_OF = np.array([next((n for n, rows in enumerate(LIMBS) if p in rows), -1) for p in range(16)])
 _FEWEST = 120  # points of a person from which on tracking starts, by hand
 
 
@@ -71,8 +87,8 @@ def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
     plane = (0.0, 0.0, 1.0, -1e3) if floor is None or not uses_dense(s) else (*floor.normal.tolist(), floor.offset)
     f = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
     weighing = Weighing(
-        f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.hidden_edge),
-        f(s.hidden_surface), f(0.5), f(float(s.seen_length)), f(0.2),
+        f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.skin_weight),
+        f(s.hidden_edge), f(s.hidden_surface), f(0.5), f(float(s.seen_length)), f(0.2),
     )  # fmt: skip
     return Numbers(
         weighing, f(s.velocity), f(s.depth_share), f(s.depth_noise), f(s.base_noise), f(s.spread_noise),
@@ -185,13 +201,17 @@ def follow(
     key = jax.random.PRNGKey(s.seed)
     state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
     order = range(first, len(seen.features))
-    state, found = _run(model, state, seen, heads, order, key, s, floor_up, progress)
+    state, found = _run(model, state, seen, heads, order, key, s, floor_up, skin, progress)
+    camera = _camera(seen, order)
+    found = with_the_face(found, heads.seen[first:], camera, floor_up)
     if s.backwards and not settings.online:
         again = jax.random.fold_in(key, 2**30 + 1)
         back = state._replace(before=state.x, previous=state.particles)
-        _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, progress)
-        found = better(found, jax.tree.map(lambda a: a[::-1], second), numbers(s).weighing)
-    tracks = _tracks(body, begin, seen, first, found, source, fixed_frame, notes)
+        _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, skin, progress)
+        second = with_the_face(jax.tree.map(lambda a: a[::-1], second), heads.seen[first:], camera, floor_up)
+        found = better(found, second, numbers(s).weighing)
+        found = found._replace(x=smoothed(np.asarray(found.x), seen.time_ns[seen.row[first:]]))
+    tracks = _tracks(body, begin, seen, first, found, camera, source, fixed_frame, notes)
     compiling = seconds_of_waiting() - waited
     if not begin.face_seen:
         tracks = replace(
@@ -230,10 +250,14 @@ def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: Flexibl
     return out
 
 
-def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
+# 7 parameters: what a chunk of frames is made of
+def _inputs(
+    seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int, skin: SkinModel
+) -> Inputs:
     rows = []
     for k, i in enumerate(at):
         f, person = seen.features[i], seen.people[i]
+        bare = skin.on_person(f.colour) if s.skin_weight > 0 else np.zeros(f.depth.shape, np.uint8)
         points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
         good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
         chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
@@ -241,16 +265,17 @@ def _inputs(seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up
         share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
-            View(*f), points, share, heads.place[i], _number(float(heads.seen[i])), up, _number(min(dt, 0.2)),
-            np.asarray(i, np.int32), _number(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
+            View(*f, bare), points, share, _at_points(bare, f, points) * share, heads.place[i],
+            _number(float(heads.seen[i])), up, _number(min(dt, 0.2)), np.asarray(i, np.int32),
+            _number(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
         ))  # fmt: skip
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
 
-# 9 parameters: a pass is run from two places
+# 10 parameters: a pass is run from two places
 def _run(
     model: FlexibleBody, state: State, seen: Observed, heads: Heads, order: range, key: jax.Array, s: FlexibleSettings,
-    up: np.ndarray, progress: Progress | None,
+    up: np.ndarray, skin: SkinModel, progress: Progress | None,
 ) -> tuple[State, Seen]:  # fmt: skip
     """Filters over frames in the order given."""
     out, n, shape = [], numbers(s, seen.scene.floor), shape_of(s)
@@ -258,13 +283,63 @@ def _run(
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
+        if heads.seen[at[0]] and _cosine(np.asarray(state.x)[None], _camera(seen, at[:1]), up)[0] < _AWAY:
+            state = _turned(state)
         state, found = track_chunk(
-            model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad)), key, n, shape
+            model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad, skin)), key, n, shape
         )
         out.append(jax.tree.map(partial(_first, len(at)), found))
         if progress is not None:
             progress(len(at))
     return state, jax.tree.map(lambda *each: np.concatenate(each), *out)
+
+
+def with_the_face(
+    found: Seen, face_seen: Bool[np.ndarray, " frame"], camera: Float[np.ndarray, "frame 3"],
+    up: Float32[np.ndarray, "3"],
+) -> Seen:  # fmt: skip
+    """What a pass found, with left and right exchanged for as long as the body looks away from the camera though its
+    face is seen: a body that turned past its side fits the points as well."""
+    cosine = _cosine(np.asarray(found.x, float), camera, up)
+    wrong = np.zeros(len(cosine), bool)
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], cosine < 0, [0]])))
+    for a, b in zip(ends[::2], ends[1::2]):
+        wrong[a:b] = cosine[a:b].min() < _AWAY and face_seen[a:b].mean() > 0.5
+
+    def exchanged(a: Any, order: np.ndarray) -> np.ndarray:
+        a = np.array(a)
+        a[wrong] = a[wrong][:, order]
+        return a
+
+    return found._replace(
+        x=exchanged(found.x, OTHER_SIDE), masses=exchanged(found.masses, OTHER_SIDE),
+        spread=exchanged(found.spread, _OTHER_LIMB),
+        score=jax.tree.map(lambda a: exchanged(a, _OTHER_LIMB), found.score),
+        support=exchanged(found.support, _OTHER_PART), off=exchanged(found.off, _OTHER_PART),
+    )  # fmt: skip
+
+
+def _turned(state: State) -> State:
+    """With left and right exchanged."""
+    limbs = {
+        name: getattr(state, name)[_OTHER_LIMB] for name in ("particles", "previous", "spread", "colours", "learnt")
+    }
+    return state._replace(x=state.x[OTHER_SIDE], before=state.before[OTHER_SIDE], **limbs)
+
+
+def _camera(seen: Observed, at: Iterable[int]) -> Float[np.ndarray, "frame 3"]:
+    """The camera's centres in some images, metres."""
+    return np.array([seen.pictures[i].T_fixed_camera[:3, 3] for i in at], float)
+
+
+def _cosine(
+    x: Float[np.ndarray, "frame 16 3"], camera: Float[np.ndarray, "frame 3"], up: Float32[np.ndarray, "3"]
+) -> Float[np.ndarray, " frame"]:
+    """Of the level angle from the body's front to the camera."""
+    front, toward = directions(x, True)[:, 0], camera - x[:, NECK]
+    front, toward = (v - (v @ up)[:, None] * up for v in (front, toward))
+    size = np.linalg.norm(front, axis=1) * np.linalg.norm(toward, axis=1)
+    return (front * toward).sum(1) / np.maximum(size, 1e-6)
 
 
 def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
@@ -281,7 +356,31 @@ def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
         moved = other.x[:, rows] + (body.x[:, rows[:1]] - other.x[:, rows[:1]])
         x[:, rows] = np.where(swap[:, limb, None, None], moved, x[:, rows])
         spread[:, limb] = np.where(swap[:, limb, None], other.spread[:, limb], spread[:, limb])
-    return body._replace(x=x, spread=spread)
+    # where both agree, the trunk among it, their mean: each trails what it comes from
+    swapped = (swap[:, _LIMB_OF] & (_LIMB_OF >= 0))[..., None]
+    off = np.where(swapped, body.x, other.x) - x
+    apart = np.linalg.norm(off, axis=-1)
+    apart = np.maximum(apart, apart[:, _TRUNK].max(1, keepdims=True))
+    share = 0.5 * np.clip(2 - apart / _AGREE, 0, 1)[..., None]
+    return body._replace(x=(x + share * off).astype(np.float32), spread=spread)
+
+
+def smoothed(x: Float32[np.ndarray, "frame 16 3"], time_ns: np.ndarray) -> Float32[np.ndarray, "frame 16 3"]:
+    """Without the particles' noise: zero-phase over so little time that fast hands keep their way."""
+    if len(x) < 2:
+        return x
+    sigma = _SMOOTH / max(float(np.median(np.diff(time_ns))) / 1e9, 1e-3)
+    return gaussian_filter1d(x, sigma, axis=0, mode="nearest")
+
+
+def _at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point"]:
+    """What an image says at points, 0..1; 0 outside of it."""
+    q = points @ f.turn.T + f.shift
+    at = np.round(q[:, :2] / np.maximum(q[:, 2:], 0.1) * f.focal[:2] + f.focal[2:]).astype(int)
+    rows, columns = image.shape
+    inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows) & (q[:, 2] > 0.1)
+    value = image[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)].astype(np.float32) / 255
+    return np.where(inside, value, np.float32(0))
 
 
 def _number(value: float) -> np.ndarray:
@@ -292,9 +391,9 @@ def _first(count: int, a: jax.Array) -> np.ndarray:
     return np.asarray(a)[:count]
 
 
-# 8 parameters: what a log says of itself, and what was found
+# 9 parameters: what a log says of itself, and what was found
 def _tracks(
-    body: Body, begin: Start, seen: Observed, first: int, found: Seen, source: str,
+    body: Body, begin: Start, seen: Observed, first: int, found: Seen, camera: np.ndarray, source: str,
     fixed_frame: str, notes: tuple[str, ...],
 ) -> Tracks:  # fmt: skip
     body = scaled(body, begin.stature)
@@ -304,7 +403,7 @@ def _tracks(
     blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
     rotation, translation, joints = blank(limbs, 4), blank(limbs, 3), blank(len(body.topology.centres), 3)
     rotation[rows], translation[rows] = limb_poses(body, x)
-    joints[rows] = centres_of(body, x, begin.stature)
+    joints[rows] = centres_of(body, x, begin.stature, camera)
     status = np.full(count, Status.NOT_STARTED, np.int8)
     status[rows] = Status.TRACKED
     residual, explained = blank(), np.zeros(count, np.float32)

@@ -1,0 +1,69 @@
+"""Two passes, there and back in time, become one: their mean where they agree, one of them where they do not."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import voodoo_jax as vj
+from voodoo_jax.config.options import FlexibleSettings
+from voodoo_jax.trackers.flexible.filters import Seen
+from voodoo_jax.trackers.flexible.flexible_body import OTHER_SIDE, flexible_body
+from voodoo_jax.trackers.flexible.scores import Score
+from voodoo_jax.trackers.flexible.tracker import better, numbers, smoothed, with_the_face
+
+FRAMES = 12
+WEIGHING = numbers(FlexibleSettings()).weighing
+
+
+def seen(x: np.ndarray, surface: float = 0.5, explained: float = 0.9) -> Seen:
+    part, limb = np.zeros((FRAMES, 15)), np.full((FRAMES, 4), 0.5)
+    score = Score(limb, np.full((FRAMES, 4), surface), limb, 0.1 * limb, limb)
+    return Seen(
+        *(np.asarray(a, np.float32) for a in (x, np.full((FRAMES, 4, 3), 0.02), np.ones((FRAMES, 16)))),
+        jax.tree.map(jnp.asarray, score), np.full(FRAMES, explained), np.full(FRAMES, 0.02), part, part,
+    )  # fmt: skip
+
+
+def test_where_passes_agree_it_is_their_mean_and_where_not_the_better_ones():
+    x = np.random.default_rng(0).normal(0, 0.5, (16, 3))[None].repeat(FRAMES, 0)
+    back = x.copy()
+    back[..., 0] += 0.04
+    back[:, 4] += 0.6  # a wrist elsewhere
+    np.testing.assert_allclose(better(seen(x), seen(back), WEIGHING).x[:, 5], x[:, 5] + [0.02, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(better(seen(x), seen(back), WEIGHING).x[:, 4], x[:, 4], atol=1e-5)
+    chosen = better(seen(x, surface=0.0), seen(back, surface=1.0), WEIGHING).x[:, 4]
+    np.testing.assert_allclose(chosen - x[:, 4], back[:, 4] - back[:, 2] - x[:, 4] + x[:, 2], atol=0.03)
+    whole = better(seen(x, explained=0.5), seen(back), WEIGHING).x[:, 4]
+    np.testing.assert_allclose(whole, back[:, 4], atol=1e-5)
+
+
+def test_passes_whose_trunks_are_elsewhere_are_not_mixed():
+    x = np.random.default_rng(0).normal(0, 0.5, (16, 3))[None].repeat(FRAMES, 0)
+    back = x.copy()
+    back[:, [2, 5]] += 0.4  # shoulders
+    np.testing.assert_allclose(better(seen(x), seen(back), WEIGHING).x[:, 10:], x[:, 10:], atol=1e-5)
+
+
+def test_a_seen_face_says_where_the_front_is():
+    rest = np.asarray(flexible_body(vj.human(), 1.75).rest)
+    x = rest[None].repeat(FRAMES, 0)
+    x[4:9] = rest[OTHER_SIDE]  # turned about for a while
+    spread = np.ones((FRAMES, 4, 3), np.float32) * np.arange(4)[:, None]
+    pass_ = seen(x)._replace(spread=spread)
+    camera, up = np.array([[3.0, 0.0, 1.2]]).repeat(FRAMES, 0), np.array([0, 0, 1], np.float32)
+    found = with_the_face(pass_, np.ones(FRAMES, bool), camera, up)
+    np.testing.assert_allclose(found.x, rest[None].repeat(FRAMES, 0), atol=1e-6)
+    assert found.spread[5, :, 0].tolist() == [1, 0, 3, 2] and found.spread[0, :, 0].tolist() == [0, 1, 2, 3]
+    np.testing.assert_array_equal(with_the_face(pass_, np.zeros(FRAMES, bool), camera, up).x, pass_.x)
+    np.testing.assert_array_equal(OTHER_SIDE[OTHER_SIDE], np.arange(16))
+
+
+def test_smoothing_takes_noise_and_leaves_the_way():
+    t = np.arange(60) / 15
+    way = np.zeros((60, 16, 3), np.float32)
+    way[..., 0] = 0.5 * np.sin(2 * np.pi * 0.5 * t)[:, None]
+    noise = np.random.default_rng(0).normal(0, 0.02, way.shape).astype(np.float32)
+    found = smoothed(way + noise, (t * 1e9).astype(np.int64))
+    assert np.std(found - way) < 0.75 * 0.02
+    assert np.abs(smoothed(way, (t * 1e9).astype(np.int64)) - way)[3:-3].max() < 0.01
+    np.testing.assert_array_equal(smoothed(way[:1], np.zeros(1, np.int64)), way[:1])
