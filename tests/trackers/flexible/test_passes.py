@@ -1,6 +1,5 @@
 """Two passes, there and back in time, become one: their mean where they agree, one of them where they do not."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,10 +16,11 @@ WEIGHING = numbers(FlexibleSettings()).weighing
 
 def seen(x: np.ndarray, surface: float = 0.5, explained: float = 0.9) -> Seen:
     part, limb = np.zeros((FRAMES, 15)), np.full((FRAMES, 4), 0.5)
-    score = Score(limb, np.full((FRAMES, 4), surface), limb, 0.1 * limb, limb)
+    of = lambda a: jnp.asarray(a, jnp.float32)  # noqa: E731
+    score = Score(of(limb), of(np.full((FRAMES, 4), surface)), of(limb), of(0.1 * limb), of(limb))
     return Seen(
-        *(np.asarray(a, np.float32) for a in (x, np.full((FRAMES, 4, 3), 0.02), np.ones((FRAMES, 16)))),
-        jax.tree.map(jnp.asarray, score), np.full(FRAMES, explained), np.full(FRAMES, 0.02), part, part,
+        of(x), of(np.full((FRAMES, 4, 3), 0.02)), of(np.ones((FRAMES, 16))), score, of(np.full(FRAMES, explained)),
+        of(np.full(FRAMES, 0.02)), of(part), of(part),
     )  # fmt: skip
 
 
@@ -49,7 +49,7 @@ def test_a_seen_face_says_where_the_front_is():
     x = rest[None].repeat(FRAMES, 0)
     x[4:9] = rest[OTHER_SIDE]  # turned about for a while
     spread = np.ones((FRAMES, 4, 3), np.float32) * np.arange(4)[:, None]
-    pass_ = seen(x)._replace(spread=spread)
+    pass_ = seen(x)._replace(spread=jnp.asarray(spread))
     camera, up = np.array([[3.0, 0.0, 1.2]]).repeat(FRAMES, 0), np.array([0, 0, 1], np.float32)
     found = with_the_face(pass_, np.ones(FRAMES, bool), camera, up)
     np.testing.assert_allclose(found.x, rest[None].repeat(FRAMES, 0), atol=1e-6)

@@ -62,9 +62,10 @@ def test_of_a_leg_whose_points_the_other_may_explain_some_particles_stand_on_the
     points = np.asarray(x[12] + np.random.default_rng(0).normal(0, 0.02, (50, 3)), np.float32)
     one = context((0.0, 0.0, 1.6), points, others=0.0)
     each = jax.tree.map(lambda a: jnp.broadcast_to(a, (4, *a.shape)), one)
+    nothing, no = np.zeros(50, np.float32), np.float32(0)
     given = Inputs(
-        view(3.0), points, np.ones(50, np.float32), np.zeros(50, np.float32), *(np.float32(0) for _ in range(2)),
-        np.array([0, 0, 1], np.float32), *(np.float32(0) for _ in range(4)),
+        view(3.0), points, 1 - nothing, nothing, np.zeros(3, np.float32), no, np.array([0, 0, 1], np.float32), no,
+        np.int32(0), no, np.bool_(True),
     )  # fmt: skip
     given = jax.tree.map(jnp.asarray, given)
     floor, shape = jnp.array([0.0, 0.0, 1.0, 0.0]), shape_of(SETTINGS)
