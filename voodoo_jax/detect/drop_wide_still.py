@@ -61,11 +61,15 @@ class DropWideStill:
         moving = moves(found, self.often)
         if not len(moving) or moving.mean() < self.moving:
             return frames
-        things = self._wide(found, floor)
-        if not things:
+        still = np.flatnonzero((found.often >= self.often) & (found.ratio >= NOISE))
+        tops = self._tops(found.place[still], floor)
+        drop = np.zeros(len(found.ratio), bool)
+        drop[still[self._wide(found.place[still], floor)]] = True
+        for top in tops:
+            drop[still[self._on(found.place[still].astype(np.float32), top, floor)]] = True
+        if not drop.any():
             return frames
-        drop = self._and_beside(found, np.concatenate(things))
-        tops = [top for thing in things if (top := self._top(found.place[thing], floor)) is not None]
+        drop = self._and_beside(found, np.flatnonzero(drop))
         out = []
         for f, which in zip(frames, found.which):
             keep = ~drop[which]
@@ -74,20 +78,17 @@ class DropWideStill:
             out.append(f.only(keep))
         return out
 
-    def _wide(self, found: Directions, floor: Plane) -> list[Int[np.ndarray, " some"]]:
-        """The directions of each thing that does not move and is wide."""
-        still = np.flatnonzero((found.often >= self.often) & (found.ratio >= NOISE))
-        if len(still) < 2:
-            return []
-        place = found.place[still].astype(np.float32)
-        level, label = floor.level(place), components(place, self.link)
-        things = []
+    def _wide(self, place: Float[np.ndarray, "some 3"], floor: Plane) -> Bool[np.ndarray, " some"]:
+        """Which of some places are of a thing that is wide."""
+        wide = np.zeros(len(place), bool)
+        if len(place) < 2:
+            return wide
+        level, label = floor.level(place.astype(np.float32)), components(place.astype(np.float32), self.link)
         for k in np.unique(label):
             mine = level[label == k] - level[label == k].mean(0)
             along = mine @ np.linalg.svd(mine, full_matrices=False)[2][0]
-            if np.ptp(along) >= self.wide:
-                things.append(still[label == k])
-        return things
+            wide[label == k] = np.ptp(along) >= self.wide
+        return wide
 
     def _and_beside(self, found: Directions, things: Int[np.ndarray, " some"]) -> Bool[np.ndarray, " direction"]:
         """Which directions are of these things, or right beside them, and nothing is known to move there."""
@@ -96,18 +97,22 @@ class DropWideStill:
         drop[things] = True
         return drop
 
-    def _top(self, place: Float[np.ndarray, "some 3"], floor: Plane) -> Top | None:
-        """The level top of a thing, if it has one."""
+    def _tops(self, place: Float[np.ndarray, "some 3"], floor: Plane) -> list[Top]:
+        """Level tops among some places: somebody before it may hide the middle of one."""
         height, level = floor.height(place.astype(np.float32)), floor.level(place.astype(np.float32))
-        # where most of its directions are at one height
-        best = height[np.argmax(np.sum(np.abs(height[:, None] - height) < self.thick, 1))]
-        level = level[np.abs(height - best) < self.thick]
-        middle = level.mean(0)
-        axes = np.linalg.svd(level - middle, full_matrices=False)[2][:2]
-        along = (level - middle) @ axes.T
-        if len(level) < 2 or np.any(np.ptp(along, axis=0) < (self.wide, self.deep)):
-            return None
-        return Top(float(best), middle, axes, along.min(0) - self.margin, along.max(0) + self.margin)
+        slab = np.abs(height[:, None] - height) < self.thick
+        found: list[Top] = []
+        for k in np.argsort(-slab.sum(1), kind="stable"):
+            mine = level[slab[k]]
+            if len(mine) < 3 or any(abs(height[k] - top.height) < 2 * self.thick for top in found):
+                continue
+            middle = mine.mean(0)
+            axes = np.linalg.svd(mine - middle, full_matrices=False)[2][:2]
+            along = (mine - middle) @ axes.T
+            if np.all(np.ptp(along, axis=0) >= (self.wide, self.deep)):
+                low, high = along.min(0) - self.margin, along.max(0) + self.margin
+                found.append(Top(float(height[k]), middle, axes, low, high))
+        return found
 
     def _on(self, points: Float32[np.ndarray, "point 3"], top: Top, floor: Plane) -> Bool[np.ndarray, " point"]:
         """Which points lie on a level top, also where something moves behind it."""
