@@ -33,7 +33,12 @@ from voodoo_jax.trackers.icp.confidence import (
     probability,
 )
 
-HOME = {"recordings": 10.0, "every fifth frame": 4.0}  # times that kinds count for which calibration is promised
+HOME = {
+    "recordings": 5.0,
+    "every fifth frame": 3.0,
+    "controls": 3.0,
+}  # times that these count
+SUREST = 9.0  # SURELY at most: all some fifty decisions were right, and would ask for more
 FAR = 9.0  # odds beyond which nothing changes
 WEAK = 3e-4  # weight of the squared slopes
 
@@ -107,7 +112,7 @@ def fitted(told: list[Told]) -> tuple[Trust, float]:
         value = -np.sum(weight * (y * np.log(p) + (1 - y) * np.log1p(-p))) + WEAK * v[1:-1] @ v[1:-1]
         return float(value), np.r_[slope, np.sum(pull * expit(-surely * odds) * odds * surely)]
 
-    bounds = [(None, None), *[(None, 0.0)] * x.shape[1], (np.log(3.0), np.log(12.0))]
+    bounds = [(None, None), *[(None, 0.0)] * x.shape[1], (np.log(3.0), np.log(SUREST))]
     begin = np.r_[3.0, -np.ones(x.shape[1]), np.log(6.0)]
     v = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=bounds).x
     slopes = v[1:-1] / spread

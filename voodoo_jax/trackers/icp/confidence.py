@@ -30,7 +30,7 @@ LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: les
 # metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
 # nothing, and so many beyond count at most
 STATURE, STATURES, USUAL, UNUSUAL = 1.70, 0.095, 2.7, 2.0
-SURELY = 8.8  # how much the odds of facing tell, see facing_right; from experiments/trust/elsewhere.py
+SURELY = 9.0  # how much the odds of facing tell, see facing_right; bound of experiments/trust/elsewhere.py
 
 
 class Trust(NamedTuple):
@@ -45,7 +45,7 @@ THERE_AND_BACK = Trust(-13.527, (-2.262, -1.144, -0.308, -0.269, 0.013, -1.162))
 ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
 
 # of MISFITS; from experiments/trust/elsewhere.py
-FITS = Trust(-16.366, (-1.026, -5.835, -3.846, -1.675))
+FITS = Trust(-16.664, (-0.763, -5.922, -4.102, -1.568))
 
 
 def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
