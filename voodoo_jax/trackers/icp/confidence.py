@@ -26,7 +26,7 @@ CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
 UNMARKED = 0.1
 MISFITS = ("beside", "bare", "all distance", "size")
 AROUND = 31  # frames over which a limb's misfit is averaged, about a second; by hand
-LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: less is how people differ from cylinders
+LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: less tells nothing; by hand
 # metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
 # nothing, and so many beyond count at most
 STATURE, STATURES, USUAL, UNUSUAL = 1.70, 0.095, 2.7, 2.0

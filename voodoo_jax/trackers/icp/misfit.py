@@ -13,15 +13,15 @@ from jaxtyping import Float, Float32
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.records.observation import BodyObservation
 
-POINTS = 250  # of a frame, evenly taken: twice as many change no share by more than 0.03 on the 18 recordings
-FEWEST = 20  # points of a frame, as trackers.icp.runner has it: fewer tell nothing
+POINTS = 250  # of a frame, evenly taken; by hand
+FEWEST = 20  # points of a frame, as trackers.icp.runner has it: fewer tell nothing; by hand
 OFF, AROUND = 0.05, 0.25  # metres from a limb's surface: a point is not explained, and is another limb's; by hand
-NOISE, USUAL = 2.5, 0.8  # times a sensor's noise: not explained, too; and the mean distance that comes of it (normal)
-ALONG = 4  # places along a limb's axis that are looked at
+NOISE, USUAL = 2.5, 0.8  # by hand: times a sensor's noise: not explained, too; and the mean distance that it makes
+ALONG = 4  # places along a limb's axis that are looked at; by hand
 WIDER = 0.025  # metres that a line of sight may pass a limb's surface by, half the distance of so few points; by hand
 NEARER = 0.1  # metres by which a point is nearer than a limb's surface, and hides it; by hand
 FARTHER = 0.12  # metres by which it is behind the limb's axis: the sensor sees through the limb; by hand
-BATCH = 100  # frames that are looked at at once
+BATCH = 100  # frames that are looked at at once; by hand
 
 
 class Misfit(NamedTuple):
