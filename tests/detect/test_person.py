@@ -211,9 +211,19 @@ def test_the_person_and_not_the_pole_before_them(rng):
 
 def test_low_high_or_hanging_things_are_not_taken(rng):
     scene = Scene(FLOOR, (), True)
-    lamp = figure(2.5, 0.0, 0.7) + [0, 0, 1.0]  # from 1.0 to 1.7 m: nothing below
+    lamp = figure(2.5, 0.0, 0.4) + [0, 0, 1.3]  # from 1.3 to 1.7 m: nothing below
     for thing in (box(2.5, 0, 0.5, 0.8), box(2.5, 0, 0.5, 2.4), lamp):
         assert len(BodySegmenter(scene, build_of(1.7), DetectSettings())(frame(thing)).points) == 0
+
+
+def test_head_and_trunk_behind_a_counter_are_taken_and_not_the_counter():
+    scene = Scene(FLOOR, (), True)
+    half = figure(2.5, 0.0, 0.7) + [0, 0, 1.0]  # from 1.0 to 1.7 m
+    counter = np.concatenate([np.full((len(at := grid((-1.0, 1.0), (0, 1.15))), 1), 1.9), at], 1)
+    for others in (np.zeros((0, 3)), counter):
+        both = frame(np.concatenate([half, others]))
+        got = BodySegmenter(scene, build_of(1.7), DetectSettings())(both).points
+        assert len(got) > 100 and got[:, 2].min() > 0.9 and got[:, 0].min() > 2.0
 
 
 def test_followed_while_sitting_down_and_found_anew_after_leaving():

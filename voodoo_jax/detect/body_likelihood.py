@@ -10,6 +10,10 @@ SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to b
 FEWEST = 50  # points of a thing that may be it
 HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
 NEAR = 4.0  # metres from the sensor: who is farther away is less likely to be meant
+# how likely it is what hangs in the air: as head and trunk of who stands behind something or is cut off do; the highest
+# that its lower end may be, of its top, and how long it is at least, metres; by hand
+PART, UPPER, LEAST = 0.3, 0.75, 0.45
+SPREAD, SQUAT = 0.8, 0.75  # of its height: what is wider and lower is a counter or a sofa; by hand
 BROAD = 1.5  # times that area: what is even broader at the top is less likely to be the body
 
 
@@ -61,6 +65,10 @@ def candidate(
         likely /= 1 + max(head / BROAD - 1, 0) ** 2
         likely /= 1 + (np.median(distance[mine]) / NEAR) ** 2
         fits = np.linalg.norm(extent) < max(1.5 * high, np.hypot(wide, high))  # animals are longer than they are high
-        if tall and low < 0.5 * top and fits and likely > size:
+        if low >= 0.5 * top:
+            likely *= PART if low < UPPER * top and top - low > LEAST and not body.loose else 0
+        if top < SQUAT * high and np.hypot(*np.ptp(places[1:, mine], axis=1)) > SPREAD * high and not body.loose:
+            continue
+        if tall and fits and likely > size:
             best, size, highest = int(k), float(likely), float(top)
     return best, highest, size

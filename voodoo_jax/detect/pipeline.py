@@ -13,8 +13,10 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.body_likelihood import LOOSE, Build
 from voodoo_jax.detect.camera_motion import steady_scene
 from voodoo_jax.detect.disk_buffer import spilled
+from voodoo_jax.detect.drop_motionless import DropMotionless
 from voodoo_jax.detect.drop_planar_furniture import DropPlanarFurniture
 from voodoo_jax.detect.drop_seen_apart import DropSeenApart
+from voodoo_jax.detect.drop_wide_still import DropWideStill
 from voodoo_jax.detect.find_gravity import FindGravity
 from voodoo_jax.detect.people import People
 from voodoo_jax.detect.raise_floor import RaiseFloor
@@ -32,7 +34,9 @@ from voodoo_jax.records.subject import Subject
 # once floor and walls are found
 SCENE: tuple[SceneStage, ...] = (FindGravity(), RaiseFloor(), SteadySensors())
 # once the body is followed through the frames
-POINTS: tuple[PointStage, ...] = (WeighByNoise(), DropSeenApart(), DropPlanarFurniture())
+POINTS: tuple[PointStage, ...] = (
+    WeighByNoise(), DropMotionless(), DropSeenApart(), DropWideStill(), DropPlanarFurniture(),
+)  # fmt: skip
 
 
 def stages() -> tuple[Named, ...]:

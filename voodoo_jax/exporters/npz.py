@@ -19,8 +19,7 @@ FRAME_ARRAYS = (
 # where they were found
 MORE_ARRAYS = (
     "passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance", "joint_confidence",
-    "up",
-    "marker_residual",
+    "up", "marker_residual", "limb_beside", "limb_distance", "limb_bare", "facing_odds",
 )  # fmt: skip
 
 
@@ -36,9 +35,10 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
     limb frame), joint_covariance (square metres, fixed frame; see solve/covariance.py), joint_confidence (0 to 1; see
     trackers/icp/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
-    fixed frame), fixed_frame, source, seconds, notes, body_toml; marker_names and marker_residual (metres) where
-    markers alone were tracked; person and people (which of how many) where there are several; run_key if one is given
-    (see batch/resume.py).
+    fixed frame), limb_beside, limb_distance (metres) and limb_bare (see trackers/icp/misfit.py), facing_odds
+    (logarithm; see trackers/icp/refine/choose_facing.py), fixed_frame, source, seconds, notes, body_toml; marker_names
+    and marker_residual (metres) where markers alone were tracked; person and people (which of how many) where there are
+    several; run_key if one is given (see batch/resume.py).
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body

@@ -30,6 +30,8 @@ class Segment:
     steps: Int32[np.ndarray, " frame"]  # ICP steps taken
     limb_weight: Float[np.ndarray, "frame limb"]  # measured weight per limb
     limb_covariance: Float[np.ndarray, "frame limb 6 6"]  # turn (rad), shift (m) in the limb's frame
+    # logarithm of the odds that the body does not face the other way; NaN: nobody has asked
+    facing_odds: Float[np.ndarray, " frame"]
 
     @classmethod
     def blank(cls: type[Kind], count: int, limbs: int) -> Kind:
@@ -40,6 +42,7 @@ class Segment:
             translation=nothing(limbs, 3), cost=np.zeros(count), passes_apart=nothing(limbs), residual=nothing(),
             explained=np.zeros(count, np.float32), steps=np.zeros(count, np.int32),
             limb_weight=np.zeros((count, limbs), np.float32), limb_covariance=nothing(limbs, 6, 6),
+            facing_odds=nothing(),
         )  # fmt: skip
 
     def __len__(self) -> int:

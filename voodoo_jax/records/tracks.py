@@ -55,6 +55,13 @@ class Tracks:
     limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None  # turn (rad), shift (m) in the limb's frame
     # of `joints`, square metres; solve/covariance.py
     joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None
+    # see trackers/icp/misfit.py: share of the points nearest to a limb that are not explained, their mean distance from
+    # it beyond noise, metres, and the share of its length that is bare though nothing hides it
+    limb_beside: Float32[np.ndarray, "frame limb"] | None = None
+    limb_distance: Float32[np.ndarray, "frame limb"] | None = None
+    limb_bare: Float32[np.ndarray, "frame limb"] | None = None
+    # logarithm of the odds that the body does not face the other way; see trackers/icp/refine/choose_facing.py
+    facing_odds: Float32[np.ndarray, " frame"] | None = None
     # of `joints`: within 10 cm? 0..1; see trackers/icp/confidence.py
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
     up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from tests.support.segments import blank_tracks
+from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
 from voodoo_jax.trackers.icp.confidence import (
     ONE_PASS,
     THERE_AND_BACK,
     UNMARKED,
+    averaged,
     clues,
     doubted,
+    facing_right,
     joint_confidence,
     marker_confidence,
     probability,
@@ -84,6 +87,54 @@ def test_little_is_said_of_joints_on_limbs_without_a_marker():
     np.testing.assert_array_equal(said[3:][:, ~on], plain[3:][:, ~on])
     np.testing.assert_array_equal(said[:3], plain[:3])
     assert np.isnan(said[5]).all()
+
+
+def fitting(frames: int = 6, scale: float = 1.0) -> Tracks:
+    """A good track of which it is known how well limbs fit; larger `scale`: so much worse."""
+    shape = (frames, LIMBS)
+    known = {"limb_beside": 0.02, "limb_distance": 0.008, "limb_bare": 0.03}
+    return replace(good_tracks(frames), **{n: np.full(shape, scale * v, np.float32) for n, v in known.items()})
+
+
+@pytest.mark.parametrize("worse", ["limb_beside", "limb_distance", "limb_bare", "size"])
+def test_what_does_not_fit_is_not_trusted(worse):
+    fine, bad = fitting(), fitting(scale=15.0)
+    plain, said = joint_confidence(good_tracks()), joint_confidence(fine)
+    assert (said > plain - 0.02).all() and (said <= plain).all()  # at home it makes no difference
+    if worse == "size":
+        changed = replace(fine, body=scaled(BODY, 1.25))
+    else:
+        changed = replace(fine, **{worse: getattr(bad, worse)})
+    assert (joint_confidence(changed) < said - 0.02).all()
+    assert joint_confidence(bad).max() < 0.1
+
+
+def test_a_limb_alone_that_is_bare_is_doubted_alone():
+    found = fitting()
+    found.limb_bare[:, TOPOLOGY.limbs.index("l_shank")] = 1.0
+    said, fine = joint_confidence(found)[3], joint_confidence(fitting())[3]
+    lower = dict(zip(TOPOLOGY.centres, said < fine - 0.1))
+    assert lower["l_talocrural"] and not lower["r_talocrural"] and not lower["l_elbow"] and not lower["skullbase"]
+
+
+def test_misfit_is_averaged_over_a_second_and_online_over_what_was_before():
+    late = np.zeros((60, LIMBS), np.float32)
+    late[40:] = 0.5
+    late[50] = np.nan
+    both, before = averaged(late, True)[:, 0], averaged(late, False)[:, 0]
+    assert both[30] > 0 and before[39] == 0 < before[41] and np.isnan([both[50], before[50]]).all()
+    assert both[-1] == pytest.approx(0.5) and (np.diff(before[39:50]) > 0).all()
+
+
+def test_who_may_face_the_other_way_is_not_trusted_but_for_joints_in_the_middle():
+    odds = np.array([np.nan, 0.0, np.nan, 2.0, np.nan, np.nan], np.float32)
+    right = facing_right(replace(good_tracks(), facing_odds=odds))
+    sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
+    np.testing.assert_allclose(right[:3][:, sides], 0.5)  # the next answer, and the last one
+    assert (right[3:][:, sides] > 0.99).all() and (right[:, ~sides] == 1).all() and (~sides).sum() == 2
+    assert (facing_right(good_tracks()) == 1).all()
+    doubtful = joint_confidence(replace(fitting(), facing_odds=odds))
+    assert (doubtful[1, sides] < 0.51).all() and (doubtful[1, ~sides] > 0.9).all()
 
 
 @pytest.mark.parametrize("frames", [0, 1])

@@ -2,7 +2,11 @@
 
 A logistic function of what a frame says of itself, fitted to recordings with known truth, as they are and made harder
 (fewer frames, noise, coarse distances, begun midway), by experiments/trust. There, with the numbers of one half of the
-people, the other half's joints are right as often as is said; what it does not see is a body that faces the wrong way.
+people, the other half's joints are right as often as is said.
+
+These are all recordings of people with nothing before or around them. A body that was fitted to a table or a coat, or
+that faces the wrong way, is as smooth and as near to its points: two more factors say whether it fits at all
+(misfits), and whether it faces the right way.
 """
 
 from dataclasses import replace
@@ -10,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Int8
+from scipy.ndimage import uniform_filter1d
 from scipy.special import expit
 
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
@@ -19,6 +24,13 @@ CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
 # of a joint whose limb no marker tells of: nothing of a frame shows how far it hangs off. Of knees and ankles in a walk
 # on a treadmill 12 % were within 10 cm, of joints of a recording without its legs', arms' or shanks' markers 39 %
 UNMARKED = 0.1
+MISFITS = ("beside", "bare", "all distance", "size")
+AROUND = 31  # frames over which a limb's misfit is averaged, about a second; by hand
+LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: less tells nothing; by hand
+# metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
+# nothing, and so many beyond count at most
+STATURE, STATURES, USUAL, UNUSUAL = 1.70, 0.095, 2.7, 2.0
+SURELY = 9.0  # how much the odds of facing tell, see facing_right; bound of experiments/trust/elsewhere.py
 
 
 class Trust(NamedTuple):
@@ -31,6 +43,9 @@ class Trust(NamedTuple):
 # from experiments/trust
 THERE_AND_BACK = Trust(-13.527, (-2.262, -1.144, -0.308, -0.269, 0.013, -1.162))
 ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
+
+# of MISFITS; from experiments/trust/elsewhere.py
+FITS = Trust(-16.664, (-0.763, -5.922, -4.102, -1.568))
 
 
 def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
@@ -62,6 +77,62 @@ def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint 
     return np.stack(found, -1)
 
 
+def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint misfit"]:
+    """What tells that a body is on something else, of each joint centre, averaged over a second: the logarithm of the
+    share of unexplained points beside its limb or the next one towards the trunk, the share of these limbs' length that
+    is bare, the logarithm of how far points are from all limbs, metres, (see misfit.py); and how unusual the size is.
+
+    **Arguments:** `ahead` as for `clues`.
+
+    NaN where it is not known.
+    """
+    t, count = tracks.body.topology, len(tracks.status)
+    limbs = np.array(t.centre_limbs, int)
+    if tracks.limb_beside is None or tracks.limb_distance is None or tracks.limb_bare is None:
+        return np.full((count, len(limbs), len(MISFITS)), np.nan)
+    parent = np.arange(len(t.limbs))
+    parent[np.array(t.children, int)] = np.array(t.parents, int)
+    beside, distance, bare = (
+        averaged(found, ahead) for found in (tracks.limb_beside, tracks.limb_distance, tracks.limb_bare)
+    )
+    worse = lambda found: np.fmax(found[:, limbs], found[:, parent[limbs]])  # noqa: E731
+    every = np.broadcast_to(distance.mean(1, keepdims=True), (count, len(limbs)))
+    size = np.broadcast_to(_unusual(tracks), every.shape)
+    log = lambda found, least: np.log(np.clip(found, least, 1.0))  # noqa: E731
+    return np.stack([log(worse(beside), LEAST_SHARE), worse(bare), log(every, LEAST_DISTANCE), size], -1)
+
+
+def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float[np.ndarray, "frame limb"]:
+    """Mean over the AROUND frames around each that tell something, or over those before if not `ahead`."""
+    known = np.isfinite(found)
+    origin = 0 if ahead else AROUND // 2  # the window ends with the frame
+    mean = lambda x: uniform_filter1d(x.astype(float), AROUND, axis=0, mode="constant", origin=origin)  # noqa: E731
+    total, count = mean(np.where(known, found, 0.0)), mean(known)
+    return np.where(known, total / np.maximum(count, 1e-9), np.nan)
+
+
+def _unusual(tracks: Tracks) -> float:
+    """How unusual the body's size is: the square of standard deviations beyond USUAL of them."""
+    if tracks.body.scale_name != "stature":
+        return 0.0
+    return min(max(abs(float(tracks.body.scale) - STATURE) / STATURES - USUAL, 0.0), UNUSUAL) ** 2
+
+
+def facing_right(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
+    """Probability that a joint is not off because the body faces the other way: 1 of joints in its middle.
+
+    Of frames of which nobody has asked the last answer before holds, or the next one.
+    """
+    sides = np.array([name.startswith(("l_", "r_")) for name in tracks.body.topology.centres])
+    out = np.ones((len(tracks.status), len(sides)))
+    if tracks.facing_odds is None or not np.isfinite(tracks.facing_odds).any():
+        return out
+    known = np.flatnonzero(np.isfinite(tracks.facing_odds))
+    at = known[np.maximum(np.searchsorted(known, np.arange(len(out)), "right") - 1, 0)]
+    out[:, sides] = expit(SURELY * tracks.facing_odds[at].astype(float))[:, None]
+    return out
+
+
 def probability(trust: Trust, found: Float[np.ndarray, "... clue"]) -> Float[np.ndarray, "..."]:
     """The logistic function of some clues."""
     return expit(trust.constant + found[..., : len(trust.slopes)] @ np.array(trust.slopes))
@@ -74,8 +145,10 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
     """
     found = clues(tracks, ahead)
     twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
+    fits = probability(FITS, misfits(tracks, ahead))
+    sure = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0) * facing_right(tracks)
     told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
-    return np.where(told[:, None], np.where(np.isfinite(twice), twice, once), np.nan).astype(np.float32)
+    return np.where(told[:, None], sure, np.nan).astype(np.float32)
 
 
 def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, "frame joint"]:

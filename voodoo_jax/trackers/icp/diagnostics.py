@@ -1,6 +1,7 @@
 """What a user should know about a tracked recording: what was left out, not known or not plausible; in sentences."""
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import Poses
@@ -13,6 +14,9 @@ from voodoo_jax.trackers.icp.runner import Runner
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
 NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
+# degrees and metres by which sensors seem to move at most where that is no more than noise and drift of distances make
+# of walls; by hand
+TURNED, SHIFTED = 1.0, 0.12
 SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named
 
 
@@ -31,6 +35,16 @@ def _implausible(tracks: Tracks) -> list[str]:
         if often:
             notes.append(f"Not plausible, {what} (share of the frames): {', '.join(often)}.")
     return notes
+
+
+def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
+    """A sentence on sensors that seem to move: so little may as well be their distances, or what they see."""
+    turn = float(np.degrees(Rotation.from_matrix(T[:, :3, :3]).magnitude().max()))
+    shift = float(np.linalg.norm(T[:, :3, 3], axis=1).max())
+    out = f"this was taken out while tracking in {len(T)} frames (stage steady_sensors)."
+    if turn < TURNED and shift < SHIFTED:
+        return f"Floor and walls seem to be up to {100 * shift:.0f} cm off, no more than noise may do: {out}"
+    return f"The sensors move, by up to {turn:.0f} degrees, and no transform says so: {out}"
 
 
 def _doubtful(tracks: Tracks) -> list[str]:
@@ -57,11 +71,7 @@ def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Name
         notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")
     moved = [T for frame in run.people if (T := frame.T_fixed_steady) is not None]
     if moved:
-        turns = [Rotation.from_matrix(T[:3, :3]).magnitude() for T in moved]
-        notes.append(
-            f"The sensors move, by up to {np.degrees(max(turns)):.0f} degrees, and no transform says so: this was taken"
-            f" out while tracking in {len(moved)} frames (stage steady_sensors)."
-        )
+        notes.append(_moved(np.stack(moved)))
     noise = [frame.noise for frame in run.people if frame.noise > 0]
     if noise and np.median(noise) > NOISY:
         notes.append(

@@ -50,6 +50,7 @@ def segment_of(run: Runner, step: Step, first: int, count: int) -> Followed:
         steps=np.asarray(step.steps)[:count],
         limb_weight=weight,
         limb_covariance=np.asarray(step.covariance)[:count],
+        facing_odds=np.full(count, np.nan, np.float32),
     )
 
 

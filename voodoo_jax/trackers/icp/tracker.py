@@ -40,6 +40,7 @@ from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
 from voodoo_jax.trackers.icp.confidence import rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
+from voodoo_jax.trackers.icp.misfit import Misfit, misfit
 from voodoo_jax.trackers.icp.pipeline import FINISH, REFINE
 from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner, by_markers, spans
@@ -175,6 +176,7 @@ def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> T
 
     **Arguments:** `segment` all frames of the recording; `source` its path.
     """
+    fit = _misfit(run, segment)
     to_fixed(run.people, segment.rotation, segment.translation)
     segment.residual[segment.status == Status.NO_DATA] = np.nan
     found, chunk = [], run.settings.track.chunk
@@ -192,8 +194,21 @@ def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> T
         points=np.array([len(f.points) for f in run.people], np.int32),
         limb_weight=segment.limb_weight, passes_apart=segment.passes_apart, beyond_limits=derived.beyond_limits,
         depth_inside=derived.depth_inside, limb_covariance=derived.limb_covariance,
-        joint_covariance=derived.joint_covariance, up=_up(run),
+        joint_covariance=derived.joint_covariance, up=_up(run), limb_beside=fit and fit.beside,
+        limb_distance=fit and fit.distance, limb_bare=fit and fit.bare, facing_odds=segment.facing_odds,
     )  # fmt: skip
+
+
+def _misfit(run: Runner, segment: Segment) -> Misfit | None:
+    """How badly limbs fit the points, which are where the poses are; None of markers alone."""
+    if run.by_markers or not len(segment):
+        return None
+    found = [
+        misfit(np.asarray(body.sizes), segment.rotation[first:end], segment.translation[first:end], people)
+        for first, end, body in spans(run.bodies, len(segment))
+        if (people := run.people[first:end])
+    ]
+    return Misfit(*map(np.concatenate, zip(*found)))
 
 
 def _up(run: Runner) -> Float32[np.ndarray, "3"]:

@@ -51,9 +51,20 @@ def way(run, first, second, cost: float = 1.0):
 def test_the_right_way_is_kept_whichever_is_first(seen):
     sim, run, truth, turned = seen
     found, end = way(run, truth, turned)
-    assert end is None and error(sim, found).mean() < 0.03
+    assert end is None and error(sim, found).mean() < 0.03 and (found.facing_odds > 0.1).all()
     found, end = way(run, turned, truth)
-    assert end is not None and error(sim, found).mean() < 0.03
+    assert end is not None and error(sim, found).mean() < 0.03 and (found.facing_odds > 0.1).all()
+
+
+def test_odds_are_known_of_a_start_without_a_rival_and_of_one_that_costs_far_more(seen):
+    _, run, truth, turned = seen
+    clear, _ = way(run, truth, turned, 2.0)
+    np.testing.assert_allclose(clear.facing_odds, 2 * np.log(2.0), rtol=1e-6)
+    start = StartHypothesis(0, BODY, truth, 1.0)
+    alone = ChooseFacing(SETTLE)(run, replace(forwards(run, truth, 0, COUNT), start=start))
+    assert (alone.facing_odds > clear.facing_odds).all()
+    on = ChooseFacing(SETTLE)(run, replace(forwards(run, truth, 0, COUNT), start=start._replace(cost=0.0)))
+    assert np.isnan(on.facing_odds).all()  # it goes on from frames that were asked
 
 
 @pytest.mark.parametrize("nearer", [0.0, 1.2])

@@ -1,4 +1,8 @@
-"""Which way somebody faces: where a start might as well face the other way, both are tracked. Host side."""
+"""Which way somebody faces: where a start might as well face the other way, both are tracked. Host side.
+
+Joints that are bent the wrong way tell little where the body fits badly: knees in a skirt, or behind a desk, are bent
+by what is not a leg.
+"""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -12,16 +16,17 @@ from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.refine.stage import Stage, refined
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import WRONG_WAY, Followed, bent, segment_of
-from voodoo_jax.trackers.icp.start.hypothesis import RIVAL, StartHypothesis
+from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, RIVAL, StartHypothesis
 from voodoo_jax.trackers.icp.trials import facing
 
+ALONE = 2 * float(np.log(FAR_RIVAL))  # logarithm of the odds of a start without a rival: none costs less than that
 WHILE, STRAIGHT = 0.3, 0.95  # seconds in which who goes ahead turns by no more than the angle of that cosine
 
 
 @dataclass(frozen=True)
 class ChooseFacing:
     """Where the start has a rival that costs hardly more, or the body goes backwards or bends its joints the wrong way,
-    the rival is tracked too, and what is in less doubt is kept. Numbers were chosen by hand."""
+    the rival is tracked too, and taken if the odds are clearly for it. Numbers were chosen by hand."""
 
     name: ClassVar = "choose_facing"
     looks_ahead: ClassVar = True
@@ -30,37 +35,49 @@ class ChooseFacing:
     among: tuple[Stage, ...]  # stages that the rival goes through before it is compared
     step: float = 0.5  # metres ahead or backwards that tell nothing; who goes farther backwards is looked at
     stride: float = 0.5  # metres beyond which say all that going tells
-    ahead: float = 0.25  # logarithm of what costs are divided by where somebody goes ahead, and times where backwards
+    ahead: float = 0.5  # logarithm of the odds that somebody goes ahead, and of those that they do not go backwards
+    fits: float = 4.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
+    clearly: float = 0.1  # logarithm of the odds for the rival, at least, if it is taken
 
     def __call__(self, run: Runner, segment: Followed) -> Followed:
         start = segment.start
         if start is None or start.rival is None:
-            return segment
+            goes_on = start is None or start.cost == 0  # from a span that was asked
+            return segment if goes_on else _with_odds(segment, ALONE)
         if start.close_rival is None and not self._speaks_for(run, start, segment):
-            return segment
+            return _with_odds(segment, 2 * float(np.log(start.rival.cost / start.cost)))
         state, step = run.forwards(start.rival.poses, segment.first, segment.end)
         other = refined(run, segment_of(run, step, segment.first, len(segment)), self.among)
-        # a few frames hardly tell front from back: all of them do
-        doubt = [self._doubt(run, start.cost, segment), self._doubt(run, start.rival.cost, other)]
-        return segment if doubt[0] <= doubt[1] else replace(other, start=start.rival, state=state)
+        odds = self._odds(run, start, segment, other)
+        if odds > -self.clearly:
+            return _with_odds(segment, odds)
+        return replace(_with_odds(other, -odds), start=start.rival, state=state)
 
     def _speaks_for(self, run: Runner, start: StartHypothesis, segment: Followed) -> bool:
         """Whether how a segment goes speaks for the start's rival, though that costs clearly more."""
         assert start.rival is not None
-        bends = start.rival.cost < RIVAL * start.cost * _odds_of_bends(run, segment)
-        return bends or _gone(run, segment) < -self.step
+        bends = start.rival.cost < RIVAL * start.cost * np.exp(np.mean(bent(run, segment)) / WRONG_WAY)
+        return bool(bends) or _gone(run, segment) < -self.step
 
-    def _doubt(self, run: Runner, trial: float, segment: Followed) -> float:
-        """How unlikely a segment is, to compare: by the cost of its trial and its own, joints bent the wrong way, and
-        where the body goes: people walk backwards, but seldom."""
-        gone = _gone(run, segment)
-        likely = self.ahead * np.sign(gone) * np.clip((abs(gone) - self.step) / self.stride, 0, 1)
-        return trial * float(np.mean(segment.cost)) * _odds_of_bends(run, segment) * float(np.exp(-likely))
+    def _odds(self, run: Runner, start: StartHypothesis, segment: Followed, other: Followed) -> float:
+        """Logarithm of the odds that a segment faces the right way and not another one, of the start's rival: by the
+        costs of their trials and their own, joints bent the wrong way as far as the body fits, and where the body
+        goes: people walk backwards, but seldom."""
+        assert start.rival is not None
+        # a few frames hardly tell front from back: all of them do
+        costs = float(np.mean(segment.cost)), float(np.mean(other.cost))
+        unexplained = max(min(costs) - start.noise**2, 1e-9)
+        fit = min(1.0, self.fits * run.settings.start.sure / unexplained)
+        bends = float(np.mean(bent(run, other)) - np.mean(bent(run, segment))) / WRONG_WAY
+        ahead = self._ahead(_gone(run, segment)) - self._ahead(_gone(run, other))
+        return float(np.log(start.rival.cost / start.cost) + np.log(costs[1] / costs[0])) + fit * bends + ahead
+
+    def _ahead(self, gone: float) -> float:
+        return self.ahead * float(np.sign(gone) * np.clip((abs(gone) - self.step) / self.stride, 0, 1))
 
 
-def _odds_of_bends(run: Runner, segment: Segment) -> float:
-    """How much likelier it is, by the joints that are bent the wrong way, that the body faces the other way."""
-    return float(np.exp(np.mean(bent(run, segment)) / WRONG_WAY))
+def _with_odds(segment: Followed, odds: float) -> Followed:
+    return replace(segment, facing_odds=np.full(len(segment), odds, np.float32))
 
 
 def _gone(run: Runner, segment: Segment) -> float:

@@ -1,0 +1,47 @@
+"""What never moves is nobody; who stands still and sways by millimetres is somebody."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.support.rooms import FLOOR
+from tests.support.still_things import block, sway, watched
+from voodoo_jax.detect.drop_motionless import NOTE, DropMotionless
+from voodoo_jax.detect.stillness import directions
+from voodoo_jax.records.scene import Scene
+
+STAGE = DropMotionless()
+
+
+def dropped(frames) -> tuple[bool, tuple[str, ...]]:
+    """Whether nothing is left, and what is said."""
+    target = SimpleNamespace(finder=SimpleNamespace(scene=Scene(FLOOR, (), True)), settings=None)
+    left = list(STAGE(iter(frames), target))
+    assert len(left) == len(frames) and [f.time_ns for f in left] == [f.time_ns for f in frames]
+    return not any(len(f.points) for f in left), target.finder.scene.notes
+
+
+@pytest.mark.parametrize("moving, gone", [(0.0, True), (0.006, False), (0.3, False)])
+def test_what_never_moves_goes_and_who_sways_stays(rng, moving, gone):
+    frames = watched(rng, [(block(0.45, 0.1, 1.75), sway(moving))])
+    assert dropped(frames) == (gone, (NOTE,) if gone else ())
+
+
+def test_noise_alone_is_seldom_taken_for_motion(rng):
+    ratios = [directions(watched(rng, [(block(0.45, 0.1, 1.75), sway(0.0))])).ratio for _ in range(5)]
+    assert all(np.mean(ratio < 0.6) < 0.05 and abs(np.median(ratio) - 1) < 0.1 for ratio in ratios)
+
+
+def test_an_arm_that_moves_tells_that_somebody_is_there(rng):
+    still, arm = block(0.45, 0.1, 1.75), block(0.4, 1.2, 1.5, middle=0.5)
+    assert not dropped(watched(rng, [(still, sway(0.0)), (arm, sway(0.1))]))[0]
+
+
+def test_nothing_is_decided_in_a_moment_or_by_a_sensor_that_moves(rng):
+    frames = watched(rng, [(block(0.45, 0.1, 1.75), sway(0.0))])
+    assert not dropped(frames[:19])[0]
+    assert not dropped([replace(f, T_fixed_steady=np.eye(4)) for f in frames])[0]
+    assert not dropped([replace(f, part=np.zeros(len(f.points), np.int32), parts=("body",)) for f in frames])[0]
+    assert dropped(frames)[0]

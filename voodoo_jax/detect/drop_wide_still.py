@@ -1,0 +1,121 @@
+"""Tables, desks and counters that somebody stands or sits behind all the time: what never moves and is wider than a
+person. Host side, NumPy; looks ahead.
+
+Their tops are seen at a flat angle, in rows too far apart for a face to be told from them (drop_planar_furniture), and
+the body would be fitted to them, so that nothing is left unexplained (drop_unexplained).
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+from scipy.spatial import KDTree
+
+from voodoo_jax.detect.stage import Target, windows
+from voodoo_jax.detect.stillness import NOISE, Directions, directions, moves, seen_long
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.voxels import components
+from voodoo_jax.records.observation import BodyObservation
+
+
+class Top(NamedTuple):
+    """A level top, as a rectangle."""
+
+    height: float  # metres above the floor
+    middle: Float[np.ndarray, "3"]  # on the floor
+    axes: Float[np.ndarray, "2 3"]  # unit vectors along its sides
+    low: Float[np.ndarray, "2"]  # metres from the middle along them
+    high: Float[np.ndarray, "2"]
+
+
+@dataclass(frozen=True)
+class DropWideStill:
+    """What never moves while somebody does, and hangs together over more than a person's breadth. Numbers were chosen
+    by hand."""
+
+    name: ClassVar = "drop_wide_still"
+    looks_ahead: ClassVar = True
+    needs: ClassVar = frozenset({"person"})
+
+    frames: int = 15  # with points, at least, if anything is decided
+    seconds: float = 1.0  # and so long
+    often: float = 0.4  # of these frames: a direction in which something is seen so often is asked
+    moving: float = 0.1  # of the directions in which something moves, at least: somebody is there
+    wide: float = 0.9  # metres, level: shoulders are half as wide, and who spreads their arms moves them
+    link: float = 0.35  # metres between directions that hang together: rows of a table's top are so far apart
+    deep: float = 0.2  # metres, level, of a table's top, at least
+    thick: float = 0.03  # metres from its height: what lies there, too, is on it
+    margin: float = 0.15  # metres beyond its outline: its edges are seen in part, and together with others
+
+    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
+        for window in windows(frames):
+            yield from self.without(window, target.finder.scene.floor)
+
+    def without(self, frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
+        """The frames without such things; the same frames if there are none."""
+        if not seen_long(frames, self.frames, self.seconds):
+            return frames
+        found = directions(frames)
+        moving = moves(found, self.often)
+        if not len(moving) or moving.mean() < self.moving:
+            return frames
+        still = np.flatnonzero((found.often >= self.often) & (found.ratio >= NOISE))
+        tops = self._tops(found.place[still], floor)
+        drop = np.zeros(len(found.ratio), bool)
+        drop[still[self._wide(found.place[still], floor)]] = True
+        for top in tops:
+            drop[still[self._on(found.place[still].astype(np.float32), top, floor)]] = True
+        if not drop.any():
+            return frames
+        drop = self._and_beside(found, np.flatnonzero(drop))
+        out = []
+        for f, which in zip(frames, found.which):
+            keep = ~drop[which]
+            for top in tops:
+                keep &= ~self._on(f.points, top, floor)
+            out.append(f.only(keep))
+        return out
+
+    def _wide(self, place: Float[np.ndarray, "some 3"], floor: Plane) -> Bool[np.ndarray, " some"]:
+        """Which of some places are of a thing that is wide."""
+        wide = np.zeros(len(place), bool)
+        if len(place) < 2:
+            return wide
+        level, label = floor.level(place.astype(np.float32)), components(place.astype(np.float32), self.link)
+        for k in np.unique(label):
+            mine = level[label == k] - level[label == k].mean(0)
+            along = mine @ np.linalg.svd(mine, full_matrices=False)[2][0]
+            wide[label == k] = np.ptp(along) >= self.wide
+        return wide
+
+    def _and_beside(self, found: Directions, things: Int[np.ndarray, " some"]) -> Bool[np.ndarray, " direction"]:
+        """Which directions are of these things, or right beside them, and nothing is known to move there."""
+        near = KDTree(found.place[things]).query(found.place, distance_upper_bound=self.margin)[0] < np.inf
+        drop = near & ((found.ratio >= NOISE) | (found.often < self.often))
+        drop[things] = True
+        return drop
+
+    def _tops(self, place: Float[np.ndarray, "some 3"], floor: Plane) -> list[Top]:
+        """Level tops among some places: somebody before it may hide the middle of one."""
+        height, level = floor.height(place.astype(np.float32)), floor.level(place.astype(np.float32))
+        slab = np.abs(height[:, None] - height) < self.thick
+        found: list[Top] = []
+        for k in np.argsort(-slab.sum(1), kind="stable"):
+            mine = level[slab[k]]
+            if len(mine) < 3 or any(abs(height[k] - top.height) < 2 * self.thick for top in found):
+                continue
+            middle = mine.mean(0)
+            axes = np.linalg.svd(mine - middle, full_matrices=False)[2][:2]
+            along = (mine - middle) @ axes.T
+            if np.all(np.ptp(along, axis=0) >= (self.wide, self.deep)):
+                low, high = along.min(0) - self.margin, along.max(0) + self.margin
+                found.append(Top(float(height[k]), middle, axes, low, high))
+        return found
+
+    def _on(self, points: Float32[np.ndarray, "point 3"], top: Top, floor: Plane) -> Bool[np.ndarray, " point"]:
+        """Which points lie on a level top, also where something moves behind it."""
+        along = (floor.level(points) - top.middle) @ top.axes.T
+        inside = np.all((along > top.low) & (along < top.high), 1)
+        return inside & (np.abs(floor.height(points) - top.height) < self.thick)

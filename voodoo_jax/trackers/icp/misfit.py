@@ -1,0 +1,144 @@
+"""How badly tracked limbs fit what was seen: points beside them that no limb explains, and limbs where nothing is seen
+though nothing hides them. Host side, NumPy.
+
+Covariances and residuals are of points that are near a limb already, and do not see that it is on something else.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from voodoo_jax.geometry.rotations import rotations
+from voodoo_jax.records.observation import BodyObservation
+
+POINTS = 250  # of a frame, evenly taken; by hand
+FEWEST = 20  # points of a frame, as trackers.icp.runner has it: fewer tell nothing; by hand
+OFF, AROUND = 0.05, 0.25  # metres from a limb's surface: a point is not explained, and is another limb's; by hand
+NOISE, USUAL = 2.5, 0.8  # by hand: times a sensor's noise: not explained, too; and the mean distance that it makes
+ALONG = 4  # places along a limb's axis that are looked at; by hand
+WIDER = 0.025  # metres that a line of sight may pass a limb's surface by, half the distance of so few points; by hand
+NEARER = 0.1  # metres by which a point is nearer than a limb's surface, and hides it; by hand
+FARTHER = 0.12  # metres by which it is behind the limb's axis: the sensor sees through the limb; by hand
+BATCH = 100  # frames that are looked at at once; by hand
+
+
+class Misfit(NamedTuple):
+    """Of each limb in each frame; NaN in frames with few points. Shares are 0 to 1."""
+
+    beside: Float32[np.ndarray, "frame limb"]  # of the points nearest to it, that are not explained
+    # metres from its surface, mean of the points nearest to it, beyond what noise makes of it
+    distance: Float32[np.ndarray, "frame limb"]
+    seen: Float32[np.ndarray, "frame limb"]  # of its length, on which there are points
+    bare: Float32[np.ndarray, "frame limb"]  # of its length, on which there are none, and no other limb hides it
+
+
+def misfit(
+    sizes: Float[np.ndarray, "limb 5"],
+    rotation: Float[np.ndarray, "frame limb 4"],
+    translation: Float[np.ndarray, "frame limb 3"],
+    people: Sequence[BodyObservation],
+) -> Misfit:
+    """How badly limbs fit the points of each frame.
+
+    **Arguments:** `sizes` of the limbs as in Body; poses T_fixed_limb in the frame of the points, unit quaternions
+    wxyz and metres.
+    """
+    frames, limbs = translation.shape[:2]
+    out = np.full((4, frames, limbs), np.nan, np.float32)
+    there = np.all(np.isfinite(translation[:, 0]), axis=1)
+    use = np.array([k for k, f in enumerate(people) if there[k] and len(f.points) >= FEWEST], int)
+    for at in range(0, len(use), BATCH):
+        some = use[at : at + BATCH]
+        clouds = [people[k] for k in some]
+        out[:2, some] = _beside(sizes, rotation[some], translation[some], clouds)
+        out[2:, some] = _covered(sizes, rotation[some], translation[some], clouds)
+    return Misfit(*out)
+
+
+def _few(cloud: BodyObservation) -> slice:
+    return slice(None, None, len(cloud.points) // POINTS + 1)
+
+
+def _beside(
+    sizes: np.ndarray, rotation: np.ndarray, translation: np.ndarray, clouds: list[BodyObservation]
+) -> Float[np.ndarray, "2 frame limb"]:
+    """Share of the points nearest to each limb that are not explained, and their mean distance, metres."""
+    points = np.concatenate([f.points[_few(f)] for f in clouds]).astype(float)
+    frame = np.repeat(np.arange(len(clouds)), [len(f.points[_few(f)]) for f in clouds])
+    nearest, limb = np.full(len(points), np.inf), np.zeros(len(points), int)
+    for k, size in enumerate(np.asarray(sizes, float)):
+        local = rotations(rotation[frame, k]).inv().apply(points - translation[frame, k])
+        off = off_surface(size, local)
+        closer = off < nearest
+        nearest[closer], limb[closer] = off[closer], k
+    key = frame * len(sizes) + limb
+    shape = (len(clouds), len(sizes))
+    near = nearest < AROUND
+    noise = np.array([f.noise for f in clouds])
+    off = np.maximum(OFF, NOISE * noise)[frame]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        count = np.bincount(key[near], minlength=shape[0] * shape[1])
+        total = np.bincount(key[near], values[near], shape[0] * shape[1])
+        return (total / np.maximum(count, 1)).reshape(shape)
+
+    distance = mean(nearest) ** 2 - (USUAL * noise[:, None]) ** 2
+    return np.stack([mean(nearest > off), np.sqrt(np.maximum(distance, 0))])
+
+
+def off_surface(size: Float[np.ndarray, "5"], points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
+    """Distances of points in a limb's frame from its surface, metres; across by the ratio of its ellipse."""
+    a, b, c, d, length = size
+    x, y, z = points.T
+    along = np.clip(z / max(length, 1e-6), 0, 1)
+    wide, deep = a + (c - a) * along, b + (d - b) * along
+    ratio = np.hypot(x / wide, y / deep)
+    across = np.hypot(x, y) * (1 - 1 / np.maximum(ratio, 1e-6))
+    beyond = np.maximum(np.maximum(-z, z - length), 0)
+    return np.where(beyond > 0, np.hypot(np.maximum(across, 0), beyond), np.abs(across))
+
+
+def _covered(
+    sizes: np.ndarray, rotation: np.ndarray, translation: np.ndarray, clouds: list[BodyObservation]
+) -> Float[np.ndarray, "2 frame limb"]:
+    """Shares of each limb's length that are seen, and that are bare; of several sensors by the one that sees most."""
+    size = np.asarray(sizes, float)
+    share = (np.arange(ALONG) + 0.5) / ALONG
+    axis = rotations(rotation).apply([0.0, 0.0, 1.0]).reshape(translation.shape)
+    spots = translation[:, :, None] + axis[:, :, None] * (share * size[:, 4:])[None, :, :, None]
+    radius = np.minimum(size[:, :1], size[:, 1:2]) * (1 - share) + np.minimum(size[:, 2:3], size[:, 3:4]) * share
+    seen, bare = np.zeros(translation.shape[:2]), np.zeros(translation.shape[:2])
+    for k, cloud in enumerate(clouds):
+        found = [
+            _by_sensor(spots[k], radius, cloud.points[mine][:: len(mine) // POINTS + 1], cloud.origins[sensor])
+            for sensor in range(len(cloud.origins))
+            if len(mine := np.flatnonzero(cloud.sensor == sensor)) >= FEWEST
+        ]
+        if found:
+            seen[k], bare[k] = np.max([f[0] for f in found], 0), np.min([f[1] for f in found], 0)
+        else:
+            seen[k], bare[k] = np.nan, np.nan
+    return np.stack([seen, bare])
+
+
+def _by_sensor(
+    spots: Float[np.ndarray, "limb place 3"],
+    radius: Float[np.ndarray, "limb place"],
+    points: Float32[np.ndarray, "point 3"],
+    origin: Float32[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, " limb"], Float[np.ndarray, " limb"]]:
+    """Shares of the limbs' places that a sensor sees points on, and that are bare."""
+    to = spots.reshape(-1, 3) - origin
+    away = np.linalg.norm(to, axis=1)
+    ray, reach = to / away[:, None], radius.reshape(-1, 1)
+    p = points.astype(float) - origin
+    along = ray @ p.T
+    aside = np.sqrt(np.maximum(np.sum(p * p, 1)[None] - along**2, 0))
+    passes = aside < reach + WIDER
+    depth = along - away[:, None]
+    on = np.any(passes & (depth > -reach - NEARER) & (depth < FARTHER), 1)
+    hidden = np.any(passes & (depth <= -reach - NEARER), 1)
+    shape = radius.shape
+    return on.reshape(shape).mean(1), (~on & ~hidden).reshape(shape).mean(1)
