@@ -171,8 +171,9 @@ class SolveSettings:
     """Weight of the pull that holds a limb where it stands still, over the limb's measured weight; 0: none."""
     steady_distance: float = 0.004
     """Distance from the predicted place at which that pull is down to a quarter: who moves is not held, metres."""
-    limits: float = 0.0
-    """Weight of pairs that turn joints back into their limits, relative to a joint's bands; 0: only reported."""
+    limits: float = 0.1
+    """Weight of pairs that turn joints back into their limits from frame to frame, relative to a joint's bands; 0: only
+    reported."""
     collisions: float = 0.0
     """Weight of pairs that push limbs out of each other, relative to a joint's bands; 0: only reported."""
     collision_margin: float = 0.02

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from voodoo_jax.geometry.rigid import Poses, apply, quat_conjugate, quat_exp, quat_log, quat_multiply, rotate
 from voodoo_jax.kernels.self_collision import contact_links, contacts, passing_through
-from voodoo_jax.model.body import Body, Links
+from voodoo_jax.model.body import Body, Links, bands
 
 
 class PlausibleOptions(eqx.Module):
@@ -74,14 +74,22 @@ def limit_links(body: Body, poses: Poses, weight: Float[Array, ""]) -> Links:
     return Links(parents, children, first, second, jnp.broadcast_to(weights[:, None], (weights.shape[0], 3)))
 
 
+def joint_links(body: Body, poses: Poses, options: PlausibleOptions) -> Links:
+    """The bands of all joints, with the pairs that turn them back into their limits from these poses, where they are
+    switched on: one link per joint, so that these cost a step nothing."""
+    links = bands(body)
+    if options.limits is None:
+        return links
+    back = limit_links(body, poses, options.limits)
+    both = (jnp.concatenate([x, y], 1) for x, y in zip(links[2:5], back[2:5]))
+    return Links(links.first, links.second, *both)
+
+
 def corrections(body: Body, poses: Poses, options: PlausibleOptions) -> tuple[Links, ...]:
-    """The artificial pairs of this pose that are switched on."""
-    links = ()
-    if options.limits is not None:
-        links += (limit_links(body, poses, options.limits),)
-    if options.collisions is not None:
-        links += (contact_links(body, poses, options.collisions, options.margin),)
-    return links
+    """The pairs that push limbs out of each other in this pose, where they are switched on."""
+    if options.collisions is None:
+        return ()
+    return (contact_links(body, poses, options.collisions, options.margin),)
 
 
 class Plausibility(NamedTuple):

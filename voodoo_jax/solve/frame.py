@@ -24,9 +24,9 @@ from voodoo_jax.kernels.gauss_newton import (
     pair_normals,
     stretched,
 )
-from voodoo_jax.kernels.joint_limits import PlausibleOptions, corrections
+from voodoo_jax.kernels.joint_limits import PlausibleOptions, corrections, joint_links
 from voodoo_jax.kernels.landmarks import FeatureOptions, Features, FeatureSums, feature_sums
-from voodoo_jax.model.body import Body, Links, Topology, bands
+from voodoo_jax.model.body import Body, Links, Topology
 
 MOVED = 0.003  # metres: a step that moves no limb farther may be the last where it gains nothing
 NEAR = 10.0  # times epsilon by which the quality measure may still change where the start was near
@@ -68,7 +68,8 @@ class Problem(eqx.Module):
     def build(
         cls, body: Body, points: Points, predicted: Poses, options: IcpOptions, features: Features | None = None
     ) -> "Problem":
-        links = bands(body)
+        # of the predicted pose: a joint beyond its limits is turned back from one frame to the next
+        links = joint_links(body, predicted, options.plausible)
         if options.solver == "coupled":  # before the loop, out of which no compiler takes what gradients repeat
             links = links._replace(tables=link_tables(links))
         return cls(body, links, points, features, predicted, options)
@@ -261,8 +262,7 @@ class Loop(NamedTuple):
         """Whether the poses, of this `quality`, are those to stay in: see solve_frame."""
         fallen = self.quality - quality
         # pairs that nobody measured may make the measure rise
-        extra = options.plausible.limits is not None or options.plausible.collisions is not None
-        if extra or options.solver != "coupled":
+        if options.plausible.collisions is not None or options.solver != "coupled":
             return jnp.abs(fallen) < options.epsilon
         still = jnp.abs(fallen) < options.epsilon * jnp.where(patient, 1.0, NEAR)
         aimless = (fallen < 0) & (options.epsilon > 0) & (self.moved < MOVED**2) & jnp.logical_not(patient)
