@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 from voodoo_jax.cli.commands import View
 
@@ -10,10 +9,9 @@ from voodoo_jax.cli.commands import View
 def run_view(command: View) -> int:
     """0 if it was shown until Ctrl-C, 1 if something cannot be read, 2 if nothing could be begun."""
     from voodoo_jax.batch.converted import as_mcap
-    from voodoo_jax.batch.extra_files import people_of
     from voodoo_jax.config.options import SettingsError
     from voodoo_jax.detect.opening import read_log
-    from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
+    from voodoo_jax.exporters.npz import TracksFileError, read_everybody
     from voodoo_jax.io.log_reader import LogError
 
     def say(problem: object) -> None:
@@ -27,8 +25,7 @@ def run_view(command: View) -> int:
 
         people = []
         if len(command.what) == 2:
-            npz = Path(command.what[1])
-            people = [tracks for _, tracks in people_of(read_tracks_npz(npz), npz)]
+            people = read_everybody(command.what[1])
         with as_mcap(str(command.what[0])) as (log, _):
             viewer = Viewer(read_log(log, replace(command.read, images=True)), people, command.port)
     except ImportError:

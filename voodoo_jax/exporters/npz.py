@@ -12,6 +12,7 @@ from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.model.body_file import format_body, parse_body
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.urls import person_place
 
 FRAME_ARRAYS = (
     "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",
@@ -101,3 +102,10 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
         person=int(data.get("person", 1)),
         people=int(data.get("people", 1)),
     )
+
+
+def read_everybody(path: str | os.PathLike) -> list[Tracks]:
+    """Tracks of the main person of a log, and those of its other people, whose files lie beside theirs. Raises what
+    read_tracks_npz raises."""
+    main = read_tracks_npz(path)
+    return [main, *(read_tracks_npz(person_place(os.fspath(path), k)) for k in range(2, main.people + 1))]
