@@ -26,7 +26,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "prior the same over any interval": {"track.prior_interval": 10.0},
     "hidden limbs left alone (hidden_rest 0)": {"track.hidden_rest": 0.0},
     "no features": {"read.features": False},
-    "joint limits 0.1": {"solve.limits": 0.1},
+    "joints beyond their limits left (limits 0)": {"solve.limits": 0.0},
     "collisions 0.3": {"solve.collisions": 0.3},
     "ten limbs (human10)": {"body": "human10"},
     "one heading at the start": {"start.headings": 1},

@@ -81,8 +81,8 @@ def joint_links(body: Body, poses: Poses, options: PlausibleOptions) -> Links:
     if options.limits is None:
         return links
     back = limit_links(body, poses, options.limits)
-    both = (jnp.concatenate([x, y], 1) for x, y in zip(links[2:5], back[2:5]))
-    return Links(links.first, links.second, *both)
+    first, second, weights = (jnp.concatenate(pair, 1) for pair in zip(links[2:5], back[2:5]))
+    return Links(links.first, links.second, first, second, weights)
 
 
 def corrections(body: Body, poses: Poses, options: PlausibleOptions) -> tuple[Links, ...]:
