@@ -14,15 +14,17 @@ from io import BytesIO
 from itertools import chain
 from typing import BinaryIO
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, DataEnd, Message, Schema, Statistics
-from mcap.stream_reader import CRCValidationError, breakup_chunk
+from mcap.stream_reader import CRCValidationError
 from mcap.summary import Summary
 
+from voodoo_jax.io.limits import CHUNK_BYTES, CHUNK_RECORDS, LOG_BYTES, LOG_TIMES, TIME, of_size
 from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -84,7 +86,7 @@ class LogFile:
                 source = self._indexed(stream, self._summary, wanted)
             else:
                 source = self._linear(stream)
-            lost = 0
+            lost = absurd = 0
             for records in source:
                 held = []
                 for record in records:
@@ -100,12 +102,17 @@ class LogFile:
                     if channel is None:
                         lost += 1
                         continue
+                    if message.log_time >= TIME:
+                        absurd += 1
+                        continue
                     self.counts[channel.id] += 1
                     schema = self.schemas.get(channel.schema_id)
                     if wanted(schema, channel):
                         yield schema, channel, _whole(channel, message)
             if lost:
                 self.damage.append(f"Messages of no known channel, left out: {lost}.")
+            if absurd:
+                self.damage.append(f"Messages with an impossible log time, left out: {absurd}.")
 
     def _unpacked(self) -> str:
         """The file itself, or an unpacked copy of one that was compressed as a whole, for as long as this lives."""
@@ -116,8 +123,12 @@ class LogFile:
                 packed.seek(0)
                 handle, copy = tempfile.mkstemp(prefix="voodoo-", suffix=".mcap")
                 weakref.finalize(self, os.unlink, copy)
+                size, most = 0, _most(os.fstat(packed.fileno()).st_size)
                 with os.fdopen(handle, "wb") as out:
-                    zstandard.ZstdDecompressor().copy_stream(packed, out)
+                    for part in zstandard.ZstdDecompressor().read_to_iter(packed):
+                        size += out.write(part)
+                        if size > most:
+                            raise zstandard.ZstdError(of_size("it unpacks to", size, most))
                 return copy
         except zstandard.ZstdError as error:
             raise LogError(f"'{self.path}' is compressed, and cannot be unpacked: {error}. Copy it again.") from error
@@ -155,13 +166,14 @@ class LogFile:
 
     def _note_statistics(self, statistics: Statistics) -> None:
         self.declared = dict(statistics.channel_message_counts)
-        if statistics.message_count:
+        if statistics.message_count and statistics.message_end_time < TIME:
             self.time_range = (statistics.message_start_time, statistics.message_end_time)
 
     def _indexed(self, stream: BinaryIO, summary: Summary, wanted: Callable) -> Iterator[list]:
         ids = {i for i, c in self.channels.items() if wanted(self.schemas.get(c.schema_id), c)}
         bad: list[str] = []
         keep, room = not self._kept, KEPT  # what one pass keeps the next one takes
+        left = _most(self.size)
         for index in sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
             offsets = index.message_index_offsets
             if offsets and ids.isdisjoint(offsets):
@@ -171,6 +183,7 @@ class LogFile:
                 stream.seek(index.chunk_start_offset + 9)
                 try:
                     records = _chunk_records(stream.read(max(min(index.chunk_length - 9, self.size), 0)))
+                    left = _less(left, records, self.size)
                 except READ_ERRORS as error:
                     bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
                     continue
@@ -186,6 +199,7 @@ class LogFile:
         """All records from the start. Each is bounded by its own length, so that one bad chunk costs only itself."""
         stream.seek(len(MAGIC))
         crc, chunks, bad, ended, stop = zlib.crc32(MAGIC), 0, [], False, ""
+        left = _most(self.size)
         position = len(MAGIC)
         while True:
             head = stream.read(9)
@@ -202,7 +216,9 @@ class LogFile:
             try:
                 if opcode == Opcode.CHUNK:
                     chunks += 1
-                    yield _chunk_records(body)
+                    records = _chunk_records(body)
+                    left = _less(left, records, self.size)
+                    yield records
                 elif opcode == Opcode.DATA_END:
                     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
                     if expected and expected != crc and not bad:
@@ -338,14 +354,78 @@ def _chunk_records(body: bytes) -> list:
         raise McapError(f"compression '{chunk.compression}' is not known")
     if not chunk.uncompressed_crc and not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
         raise McapError("its length is not the one stated")
-    return breakup_chunk(chunk, validate_crc=True)
+    data = _unpacked(chunk)
+    if chunk.uncompressed_crc and (crc := zlib.crc32(data)) != chunk.uncompressed_crc:
+        raise CRCValidationError(expected=chunk.uncompressed_crc, actual=crc, record=chunk)
+    return _records(data)
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """What is packed in a chunk, if it is not too large: looked up in its head, before any memory is asked for."""
+    size = len(chunk.data)
+    if chunk.compression == "zstd":
+        # -1 where the packed data do not say it; where they do, the chunk's own word does not count
+        size = zstandard.frame_content_size(chunk.data)
+        size = chunk.uncompressed_size if size < 0 else size
+    elif chunk.compression == "lz4":
+        size = lz4.frame.get_frame_info(chunk.data)["content_size"]
+    if size > CHUNK_BYTES:
+        raise McapError(of_size("it unpacks to", size, CHUNK_BYTES))
+    if chunk.compression == "zstd":
+        return zstandard.decompress(chunk.data, chunk.uncompressed_size)
+    if chunk.compression == "lz4":
+        decoder = lz4.frame.LZ4FrameDecompressor()
+        data = decoder.decompress(chunk.data, max_length=CHUNK_BYTES)
+        if not decoder.eof:
+            raise McapError(f"it is cut off, or unpacks to more than {CHUNK_BYTES} bytes")
+        return data
+    return chunk.data
+
+
+def _records(data: bytes) -> list:
+    """Schemas, channels and messages in the bytes of a chunk."""
+    stream, records = ReadDataStream(BytesIO(data)), []
+    while stream.count < len(data):
+        opcode, length = stream.read1(), stream.read8()
+        if opcode == Opcode.MESSAGE:
+            records.append(Message.read(stream, length))
+        elif opcode == Opcode.CHANNEL:
+            records.append(Channel.read(stream))
+        elif opcode == Opcode.SCHEMA:
+            records.append(Schema.read(stream))
+        elif opcode == 0:  # MCAP has no such record: a chunk of zeros would be millions of them
+            raise McapError("it holds bytes that are no records")
+        else:
+            stream.read(length)
+        if len(records) > CHUNK_RECORDS:
+            raise McapError(f"it holds more than {CHUNK_RECORDS} messages")
+    return records
+
+
+def _most(size: int) -> int:
+    """Bytes to which a file of a size may unpack."""
+    return LOG_BYTES + LOG_TIMES * size
+
+
+def _less(left: int, records: list, size: int) -> int:
+    """How many of the bytes that a log may have are left after some more. Raises LogError if none are: unlike a bad
+    chunk this ends the reading."""
+    left -= sum(len(record.data) for record in records if isinstance(record, Message))
+    if left < 0:
+        raise LogError(
+            f"The log unpacks to more than {_most(size)} bytes, {LOG_TIMES} times its size: it is damaged, or made to "
+            "take long. Nothing of it is used."
+        )
+    return left
 
 
 def _whole(channel: Channel, message: Message) -> Message:
     """The message, unpacked if a bag was recorded with compression of each message."""
     if channel.message_encoding in ("cdr", "ros1") and message.data[:4] == ZSTD:
         with suppress(zstandard.ZstdError):  # what cannot be unpacked cannot be decoded, and is said to be so there
-            return replace(message, data=zstandard.ZstdDecompressor().decompressobj().decompress(message.data))
+            with zstandard.ZstdDecompressor().stream_reader(message.data) as stream:
+                data = stream.read(CHUNK_BYTES + 1)
+            return replace(message, data=data) if len(data) <= CHUNK_BYTES else message
     return message
 
 
