@@ -25,6 +25,7 @@ from voodoo_jax.io.decode.registry import (
 )
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
+from voodoo_jax.io.limits import TIME
 from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
@@ -149,7 +150,9 @@ class Scan:
         elif depth:
             if content is not None:
                 stamp = content.stamp_ns
-            topic.stamps.append(message.log_time if stamp is None else stamp)
+            # an impossible stamp is none: 0, for which the log time stands
+            stamp = message.log_time if stamp is None else stamp
+            topic.stamps.append(stamp if abs(stamp) < TIME else 0)
             topic.log_times.append(message.log_time)
 
     def _settle_unit(self, name: str, found: Gathered, settings: ReadSettings) -> None:

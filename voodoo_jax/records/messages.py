@@ -117,6 +117,8 @@ def features(stamp_ns: int, items: Sequence[Named], dim: int) -> Features:
     """The features of a message, those without usable numbers left out. Raises OverflowError for absurd stamps."""
     values = np.array([i.value for i in items], float).reshape(-1, dim)
     stamps = np.array([i.stamp_ns for i in items], np.int64)
+    if (np.abs(stamps) >= 1 << 62).any() or abs(stamp_ns) >= 1 << 62:  # after 2116: differences would not fit
+        raise OverflowError("a stamp is impossible")
     # NaN fails every comparison; larger numbers are none of metres or pixels, and overflow later.
     kept: list[int] = np.flatnonzero((np.abs(values) < 1e9).all(axis=1)).tolist()
     return Features(
