@@ -25,6 +25,7 @@ from mcap.stream_reader import CRCValidationError
 from mcap.summary import Summary
 
 from voodoo_jax.io.limits import CHUNK_BYTES, CHUNK_RECORDS, LOG_BYTES, LOG_TIMES, TIME, of_size
+from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -51,7 +52,10 @@ Place = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]  # of a log: a
 
 
 class LogError(Exception):
-    """A log cannot be used. The text says what is wrong, where, and what to try."""
+    """A log cannot be used. The text says what is wrong, where, and what to try; names in it are spelt out."""
+
+    def __init__(self, text: str):
+        super().__init__(plain(text, 2 * SENTENCE))
 
 
 class LogFile:
@@ -91,9 +95,9 @@ class LogFile:
                 held = []
                 for record in records:
                     if isinstance(record, Schema):
-                        self.schemas[record.id] = record
+                        self.schemas[record.id] = _named(record)
                     elif isinstance(record, Channel):
-                        self.channels[record.id] = record
+                        self.channels[record.id] = _channel(record)
                     elif isinstance(record, Message):
                         held.append(record)
                 held.sort(key=lambda message: message.log_time)
@@ -131,7 +135,7 @@ class LogFile:
                             raise zstandard.ZstdError(of_size("it unpacks to", size, most))
                 return copy
         except zstandard.ZstdError as error:
-            raise LogError(f"'{self.path}' is compressed, and cannot be unpacked: {error}. Copy it again.") from error
+            raise LogError(f"'{self.path}' is compressed, and is damaged, it cannot be unpacked: {error}. Copy it again.") from error
         except OSError:
             return self.path  # what is wrong with it is said when it is looked at
 
@@ -159,7 +163,8 @@ class LogFile:
         except READ_ERRORS as error:
             self._trouble = _words(error)
             return None
-        self.channels, self.schemas = dict(summary.channels), dict(summary.schemas)
+        self.channels = {i: _channel(channel) for i, channel in summary.channels.items()}
+        self.schemas = {i: _named(schema) for i, schema in summary.schemas.items()}
         if summary.statistics is not None:
             self._note_statistics(summary.statistics)
         return summary
@@ -341,7 +346,7 @@ def _check(path: str, file: str) -> int:
         elif head.startswith(b"RRF"):
             hint = " It is a recording of Rerun: give the log that it was made of."
         raise LogError(
-            f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint or ' Give a .mcap file.'}"
+            f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint or ' Give a .mcap file; if it is one, it is damaged: copy it again.'}"
         )
     return size
 
@@ -419,6 +424,16 @@ def _less(left: int, records: list, size: int) -> int:
     return left
 
 
+def _channel(channel: Channel) -> Channel:
+    """A channel by whose names no terminal is harmed."""
+    return replace(channel, topic=plain(channel.topic), message_encoding=plain(channel.message_encoding))
+
+
+def _named(schema: Schema) -> Schema:
+    """The same of a schema."""
+    return replace(schema, name=plain(schema.name), encoding=plain(schema.encoding))
+
+
 def _whole(channel: Channel, message: Message) -> Message:
     """The message, unpacked if a bag was recorded with compression of each message."""
     if channel.message_encoding in ("cdr", "ros1") and message.data[:4] == ZSTD:
@@ -440,4 +455,4 @@ def guarded(log: LogFile, wanted: Callable[[Schema | None, Channel], bool]) -> I
     try:
         yield from log.messages(wanted)
     except READ_ERRORS as error:
-        raise LogError(f"'{log.path}' cannot be read: {error}. Check the disk, and copy the file again.") from error
+        raise LogError(f"'{log.path}' cannot be read, or is damaged: {error}. Check the disk, and copy the file again.") from error

@@ -2,6 +2,7 @@
 
 import os
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -32,7 +33,11 @@ from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Transform, TransformTree
 from voodoo_jax.records.messages import Calibration, Features, Image, many, moved
+from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
+
+
+LONG = 300  # characters of an error that are kept
 
 
 class Scan:
@@ -80,7 +85,8 @@ class Scan:
         self._count()
         if not self.topics:
             damage = " ".join(self.log.damage)
-            raise LogError(f"'{self.log.path}' holds no messages. {damage or 'Nothing was recorded.'}")
+            what = "is damaged, no message can be read" if damage else "holds no messages"
+            raise LogError(f"'{self.log.path}' {what}. {damage or 'Nothing was recorded.'}")
         for name, topic in self.topics.items():
             if topic.kind in FEATURE_KINDS:
                 topic.gathered = gather(name, topic.features, topic.log_times, self.notes)
@@ -99,6 +105,20 @@ class Scan:
         self.notes += notes
         self.uses |= {name: SKIN_USE for name in self.skin if self.uses[name].startswith("not used")}
         self.stereo = [pair for pair in pairs if self.uses[pair.left] == STEREO_USE]
+
+    @property
+    def damage(self) -> list[str]:
+        """What of the log is damaged, as far as it is known before depth is decoded: a sentence each."""
+        broken = [
+            f"'{name}': {many(topic.broken)} cannot be decoded ({topic.error})."
+            for name, topic in self.topics.items()
+            if topic.broken
+        ]
+        return [*self.log.damage, *broken]
+
+    def lost(self, used: Iterable[str]) -> int:
+        """How many messages of some topics are known to be missing in the file."""
+        return sum(max(0, self.topics[name].stated - self.topics[name].count) for name in used if name in self.topics)
 
     def kind(self, schema: Schema | None, channel: Channel) -> str:
         """What a channel may be used for; "" also for what is switched off."""
@@ -123,7 +143,7 @@ class Scan:
                 content = self._decoder.message(schema, channel, message.data)
             except DECODE_ERRORS as error:
                 topic.broken += 1
-                topic.error = topic.error or f"{type(error).__name__}: {error}"
+                topic.error = topic.error or plain(f"{type(error).__name__}: {error}", LONG)
         if content is not None and topic.sample is None:
             topic.sample = content
             if isinstance(content, Image) and topic.kind == COLOUR_KIND:

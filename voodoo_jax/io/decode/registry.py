@@ -190,7 +190,8 @@ def _fields(store: Typestore, name: str, above: tuple[str, ...], known: dict[str
         raise ValueError(f"its schema is damaged: {name} holds itself")
     if name not in known:
         count = 0
-        for _, (kind, content) in store.fielddefs.get(name, ((), ()))[1]:
+        fields: Any = store.fielddefs.get(name, ((), ()))[1]
+        for _, (kind, content) in fields:
             if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
                 kind, content = content[0]
             count += 1 + (_fields(store, content, (*above, name), known) if kind == Nodetype.NAME else 0)
