@@ -25,7 +25,7 @@ from mcap.stream_reader import CRCValidationError
 from mcap.summary import Summary
 
 from voodoo_jax.io.limits import CHUNK_BYTES, CHUNK_RECORDS, LOG_BYTES, LOG_TIMES, TIME, of_size
-from voodoo_jax.records.notes import SENTENCE, plain
+from voodoo_jax.records.notes import INCOMPLETE, SENTENCE, plain
 from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -135,7 +135,9 @@ class LogFile:
                             raise zstandard.ZstdError(of_size("it unpacks to", size, most))
                 return copy
         except zstandard.ZstdError as error:
-            raise LogError(f"'{self.path}' is compressed, and is damaged, it cannot be unpacked: {error}. Copy it again.") from error
+            raise LogError(
+                f"'{self.path}' is damaged: it is compressed and cannot be unpacked ({error}). Copy it again."
+            ) from error
         except OSError:
             return self.path  # what is wrong with it is said when it is looked at
 
@@ -252,7 +254,7 @@ class LogFile:
             self.damage.append(f"The index at the end is damaged ({why}); the data before it were read in file order.")
         elif stop or not ended:
             self.damage.append(
-                f"The log is incomplete: {stop or 'it ends early'} (byte {position} of {self.size}); "
+                f"{INCOMPLETE}{stop or 'it ends early'} (byte {position} of {self.size}); "
                 f"kept the {kept} messages before that, how many are missing is not known. "
                 "Was the recorder stopped hard, or the copy broken off?"
             )
@@ -345,9 +347,8 @@ def _check(path: str, file: str) -> int:
             hint = " It seems to be a C3D file: `voodoo-jax convert` makes an MCAP file of it."
         elif head.startswith(b"RRF"):
             hint = " It is a recording of Rerun: give the log that it was made of."
-        raise LogError(
-            f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint or ' Give a .mcap file; if it is one, it is damaged: copy it again.'}"
-        )
+        hint = hint or " Give a .mcap file; if this was one, it is damaged: copy it again."
+        raise LogError(f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint}")
     return size
 
 
@@ -455,4 +456,6 @@ def guarded(log: LogFile, wanted: Callable[[Schema | None, Channel], bool]) -> I
     try:
         yield from log.messages(wanted)
     except READ_ERRORS as error:
-        raise LogError(f"'{log.path}' cannot be read, or is damaged: {error}. Check the disk, and copy the file again.") from error
+        raise LogError(
+            f"'{log.path}' cannot be read, or is damaged: {error}. Check the disk, and copy the file again."
+        ) from error

@@ -36,7 +36,6 @@ from voodoo_jax.records.messages import Calibration, Features, Image, many, move
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
 
-
 LONG = 300  # characters of an error that are kept
 
 
@@ -85,7 +84,7 @@ class Scan:
         self._count()
         if not self.topics:
             damage = " ".join(self.log.damage)
-            what = "is damaged, no message can be read" if damage else "holds no messages"
+            what = "holds no messages and is damaged" if damage else "holds no messages"
             raise LogError(f"'{self.log.path}' {what}. {damage or 'Nothing was recorded.'}")
         for name, topic in self.topics.items():
             if topic.kind in FEATURE_KINDS:

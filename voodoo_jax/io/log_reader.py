@@ -207,7 +207,7 @@ class LogReader:
             return [f"{DAMAGED}{many(lost)} that frames were to be made of {'is' if lost == 1 else 'are'} lost."]
         # without statistics nobody knows how many there were
         unsure = self._scan.log.declared is None and any("cannot be read" in text for text in self._scan.log.damage)
-        if unsure or any("incomplete" in text for text in self._scan.log.damage):
+        if unsure:
             return [f"{DAMAGED}how many frames are lost is not known."]
         return []
 

@@ -10,7 +10,7 @@ from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.skin_rays import SKIN_USE
 from voodoo_jax.model.marker_names import told_names
-from voodoo_jax.records.notes import NAME, SENTENCE, as_few, plain
+from voodoo_jax.records.notes import NAME, as_few, plain
 
 TOPICS = 1000  # that are listed
 
@@ -45,7 +45,9 @@ class LogSurvey:
             for t in self.topics[:TOPICS]
         ]
         width = [max(len(row[i]) for row in rows) for i in range(5)]
-        lines = [f"{plain(self.path, SENTENCE)}: {self.duration:.2f} s from {start}, {sum(t.count for t in self.topics)} messages"]
+        lines = [
+            f"{plain(self.path)}: {self.duration:.2f} s from {start}, {sum(t.count for t in self.topics)} messages"
+        ]
         for row in rows:
             cells = [c.rjust(w) if i == 1 else c.ljust(w) for i, (c, w) in enumerate(zip(row, width))]
             lines.append(("  " + "  ".join(cells)).rstrip())

@@ -5,12 +5,13 @@ from collections.abc import Iterable
 
 FEW, NAMED = 3, 8  # notes of one kind that stand alone, but not more; names that are told then
 NAME, SENTENCE = 200, 2000  # characters of a name and of a note: what is longer is cut
-DAMAGED = "The log is damaged: "  # how the note begins that frames were lost to damage
+# how notes begin that say that frames were lost to damage
+DAMAGED, INCOMPLETE = "The log is damaged: ", "The log is incomplete: "
 
 
 def plain(text: str, most: int = NAME) -> str:
-    """Text from a log as it may be printed and stored: what is not to be seen (escape sequences, ends of lines, marks of
-    direction, broken Unicode) is spelt out, and what is too long loses its middle."""
+    """Text from a log as it may be printed and stored: what is not to be seen (escape sequences, ends of lines, marks
+    of direction, broken Unicode) is spelt out, and what is too long loses its middle."""
     if len(text) > most:
         text = f"{text[: most * 3 // 4]}...{text[len(text) - most // 8 :]}"
     if text.isprintable():
