@@ -67,7 +67,7 @@ def stored(data: np.ndarray | bytes, what: str, how: int = cv2.IMREAD_UNCHANGED)
 
 def _png_size(data: UInt8[np.ndarray, " byte"]) -> int:
     """Pixels of a PNG. Raises ValueError where its parts are longer than the file: the decoder would believe them."""
-    raw, at, size = memoryview(data), 8, 0
+    raw, at, size = data.tobytes(), 8, 0
     while at + 12 <= len(raw):
         length, kind = struct.unpack_from(">I4s", raw, at)
         if at + 12 + length > len(raw):
@@ -83,7 +83,7 @@ def _png_size(data: UInt8[np.ndarray, " byte"]) -> int:
 
 def _jpeg_size(data: UInt8[np.ndarray, " byte"]) -> int:
     """Pixels of a JPEG, 0 if it does not say: ITU-T T.81 annex B, a frame header before the first scan."""
-    raw, at, size = memoryview(data), 2, 0
+    raw, at, size = data.tobytes(), 2, 0
     while at + 9 <= len(raw):
         if raw[at] != 0xFF:  # the decoder looks for the next marker, too
             at += 1
