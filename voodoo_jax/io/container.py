@@ -121,6 +121,8 @@ class LogFile:
     def _unpacked(self) -> str:
         """The file itself, or an unpacked copy of one that was compressed as a whole, for as long as this lives."""
         try:
+            if not os.path.isfile(self.path):  # a pipe would be waited for
+                return self.path
             with open(self.path, "rb") as packed:
                 if packed.read(len(ZSTD)) != ZSTD:
                     return self.path
@@ -326,6 +328,8 @@ def _check(path: str, file: str) -> int:
     if os.path.isdir(path):
         raise LogError(f"'{path}' is a directory. Give the .mcap file itself (ROS 2 keeps it inside the bag's folder).")
     try:
+        if os.path.exists(file) and not os.path.isfile(file):
+            raise LogError(f"'{path}' is a pipe or a device, which can be read once only. Give a file.")
         with open(file, "rb") as stream:
             head = stream.read(len(MAGIC))
         size = os.path.getsize(file)
