@@ -12,7 +12,7 @@ LOG_BYTES, LOG_TIMES = 4 << 30, 1000
 # The largest depth cameras and stereo cameras have 4096 x 4096 pixels; rays of so many take about 1 GB.
 PIXELS = 1 << 24
 # Definitions of ROS with all they include have at most 30 kB, those of Foxglove 10 kB.
-SCHEMA_BYTES = 256 << 10
+SCHEMA_BYTES = 128 << 10
 # Fields with those of the fields: the largest of common_interfaces (InteractiveMarkerUpdate) has 800.
 SCHEMA_FIELDS = 10_000
 # Nanoseconds, the year 2116: differences of two such times fit into 64 bits.
