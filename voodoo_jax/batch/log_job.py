@@ -16,6 +16,7 @@ from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compil
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
+from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.records.tracks import Tracks, given_from
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined, log_name, opened, person_place, removed
 
@@ -121,7 +122,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
     except MemoryError:
         outcome = Outcome(job.log, error="out of memory: use fewer --workers, or cut the log in pieces")
     except Exception as problem:  # one log's trouble is not the others'
-        outcome = Outcome(job.log, error=f"unexpected {type(problem).__name__}: {problem}")
+        outcome = Outcome(job.log, error=plain(f"unexpected {type(problem).__name__}: {problem}", SENTENCE))
     keep_compiled()
     if outcome.error and os.path.exists(output_places(job.log, job.out)[0]):
         outcome = replace(outcome, error=f"{outcome.error} (What is there of this log is from an earlier run.)")

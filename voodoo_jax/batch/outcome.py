@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from voodoo_jax.records.notes import DAMAGED, INCOMPLETE, plain
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.urls import fetched, joined
 
@@ -46,6 +47,11 @@ class Outcome:
         return bool(self.npz) and self.tracked > 0
 
     @property
+    def damaged(self) -> bool:
+        """Whether the log lost frames to damage, as its notes say."""
+        return any(note.startswith((DAMAGED, INCOMPLETE)) for note in self.notes)
+
+    @property
     def status(self) -> str:
         """In a word or two."""
         return "failed" if not self.npz else "tracked" if self.ok else "nothing tracked"
@@ -69,7 +75,7 @@ class Outcome:
         return "\n".join(one._lines(bool(self.others)) for one in self.people)
 
     def _lines(self, numbered: bool) -> str:
-        name = f"{self.name}, person {self.person}" if numbered else self.name
+        name = f"{plain(self.name)}, person {self.person}" if numbered else plain(self.name)
         if not self.npz:
             return f"{name}: FAILED: {self.error}"
         line = f"{name}: {self.frames} frames, {100 * self.tracked:.1f} % tracked, "
@@ -84,9 +90,7 @@ class Outcome:
             line += f", picture {self.picture}"
         if not self.ok:
             line += "; NOTHING TRACKED"
-        # what an earlier run has said it need not say again
-        notes = () if self.skipped else self.notes
-        return "\n".join([line, *(f"    {note}" for note in (*notes, *self.told))])
+        return "\n".join([line, *(f"    {note}" for note in (*self.notes, *self.told))])
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for replay.jsonl of each person."""

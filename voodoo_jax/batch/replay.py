@@ -24,6 +24,7 @@ from voodoo_jax.storage.urls import NPZ, byte_size, expanded, file_system, is_ur
 
 __all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
 
+SMOOTHEST = 1000.0  # seconds over which tracks may be averaged
 SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being done
 
 
@@ -73,8 +74,8 @@ def replay(
     from voodoo_jax.model.body_file import load_on_host
     from voodoo_jax.trackers.stages import check_stages
 
-    if not smooth_seconds >= 0:
-        raise ValueError(f"--smooth {smooth_seconds}: must not be negative")
+    if not 0 <= smooth_seconds <= SMOOTHEST:
+        raise ValueError(f"--smooth {smooth_seconds}: must not be negative, and at most {SMOOTHEST:g} seconds")
     if workers < 0:
         raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
     check_stages(settings or Settings())

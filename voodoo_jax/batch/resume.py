@@ -16,7 +16,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.io.container import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
-from voodoo_jax.storage.urls import Readable, log_parts, opened, person_place
+from voodoo_jax.storage.urls import Readable, is_url, log_parts, opened, person_place
 
 KEPT = ("body_json", "residual", "tracked", "seconds", "notes", "person")  # of a tracks file
 BLOCK = 1 << 16  # bytes of each sample of a log
@@ -24,14 +24,18 @@ BLOCK = 1 << 16  # bytes of each sample of a log
 BROKEN = (OSError, ValueError, KeyError, EOFError, StopIteration, zipfile.BadZipFile, zlib.error, *READ_ERRORS)
 
 
-def log_fingerprint(stream: Readable) -> str:
-    """A fingerprint of a log: its length, and its bytes at the start, the end and two places between.
-
-    The end holds the index and checksums, so that two logs that differ agree in practice never. A copy elsewhere has
-    the same one. Raises OSError.
+def log_fingerprint(stream: Readable, whole: bool = True) -> str:
+    """A fingerprint of a log: its length and all its bytes, so that a repaired copy is another log and a copy elsewhere
+    is the same. Not `whole`, for stores that are far: its bytes at the start, the end and two places between; the end
+    holds the index and checksums. Raises OSError.
     """
     length = stream.seek(0, os.SEEK_END)
     digest = hashlib.sha256(str(length).encode())
+    if whole:
+        stream.seek(0)
+        while block := stream.read(16 * BLOCK):
+            digest.update(block)
+        return digest.hexdigest()
     for part in range(4):
         stream.seek(max(0, (length - BLOCK) * part // 3))
         digest.update(stream.read(BLOCK))
@@ -42,8 +46,10 @@ def fingerprint_of(log: str) -> str:
     """That of a log at a place, of all its files if it has several. Raises OSError."""
     found = []
     for part in log_parts(log):
+        if not is_url(part) and not os.path.isfile(part):  # a pipe would be waited for
+            raise FileNotFoundError(part)
         with opened(part) as stream:
-            found.append(log_fingerprint(stream))
+            found.append(log_fingerprint(stream, whole=not is_url(part)))
     return found[0] if len(found) == 1 else hashlib.sha256(" ".join(found).encode()).hexdigest()
 
 

@@ -5,8 +5,9 @@ import gc
 import os
 import sys
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import tyro
 from tyro.conf import arg
@@ -31,6 +32,7 @@ from voodoo_jax.config.presets import PRESETS, preset
 from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
 
 ALL_HELP = "--help-all"
+_T = TypeVar("_T")
 
 
 def body_name(command: Replay) -> str:
@@ -39,7 +41,8 @@ def body_name(command: Replay) -> str:
 
 
 def run_replay(command: Replay) -> int:
-    """0 if every log was tracked, 1 if one failed, 2 if nothing could be begun."""
+    """0 if every log was tracked, 1 if one failed, 2 if nothing could be begun, 3 if all were but one lost frames to
+    damage."""
     if not command.logs:
         print("voodoo-jax replay: name at least one log", file=sys.stderr)
         return 2
@@ -50,6 +53,7 @@ def run_replay(command: Replay) -> int:
     from voodoo_jax.batch.replay import replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
+    from voodoo_jax.records.notes import plain
     from voodoo_jax.trackers.stages import check_stages
 
     gc.enable()
@@ -87,8 +91,11 @@ def run_replay(command: Replay) -> int:
         f"results in {command.results.out}"
     )
     if failed:
-        print("not tracked: " + ", ".join(o.name for o in failed), file=sys.stderr)
-    return 1 if failed else 0
+        print("not tracked: " + ", ".join(plain(o.name) for o in failed), file=sys.stderr)
+    damaged = [o for o in outcomes if o.ok and o.damaged]
+    if damaged:
+        print("damaged, frames are missing: " + ", ".join(plain(o.name) for o in damaged), file=sys.stderr)
+    return 1 if failed else 3 if damaged else 0
 
 
 def run_info(command: Info) -> int:
@@ -97,6 +104,7 @@ def run_info(command: Info) -> int:
         print("voodoo-jax info: name at least one log", file=sys.stderr)
         return 2
     from voodoo_jax.io.log_reader import LogError, survey
+    from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.storage.urls import expanded
 
     status = 0
@@ -107,9 +115,16 @@ def run_info(command: Info) -> int:
         return 2
     for path in paths:
         try:
-            print(survey(path, command.read))
+            found = survey(path, command.read)
+            print(found)
         except (LogError, SettingsError) as problem:
             print(f"voodoo-jax info: {problem}", file=sys.stderr)
+            status = 1
+        except BrokenPipeError:
+            raise
+        except Exception as problem:  # one log's trouble is not the others'
+            text = plain(f"'{path}': unexpected {type(problem).__name__}: {problem}", SENTENCE)
+            print(f"voodoo-jax info: {text}", file=sys.stderr)
             status = 1
     return status
 
@@ -175,7 +190,7 @@ def main(argv: list[str] | None = None) -> int:
         # NumPy makes no threads then, and workers can be copies of this process; its matrices are small here
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-        command = _parsed_replay(argv[1:], base)
+        command = _quietly(lambda: _parsed_replay(argv[1:], base))
         try:
             check_settings(command.settings)
         except SettingsError as problem:
@@ -183,13 +198,25 @@ def main(argv: list[str] | None = None) -> int:
             return 2
     else:
         argv = ["--help" if word == ALL_HELP else word for word in argv]
-        command = tyro.cli(Command, prog="voodoo-jax", args=argv or ["--help"])
+        command = _quietly(lambda: tyro.cli(Command, prog="voodoo-jax", args=argv or ["--help"]))
     atexit.register(gc.freeze)  # else Python goes through all of it once more at its end: a third of a second
     try:
-        return _run(command, base)
+        return _quietly(lambda: _run(command, base))
     except KeyboardInterrupt:
         print("voodoo-jax: interrupted; finished logs are complete", file=sys.stderr)
         return 130
+
+
+def _quietly(do: Callable[[], _T]) -> _T:
+    """What `do` returns; ends this process where nobody reads any more what is printed, as of `| head -1`."""
+    try:
+        try:
+            return do()
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more at its end
+        raise SystemExit(141) from None  # 128 + SIGPIPE, as of other commands
 
 
 def _run(

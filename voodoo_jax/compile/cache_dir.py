@@ -176,7 +176,7 @@ if hasattr(os, "register_at_fork"):
 
 def keep_compiled() -> None:
     """Hands what was compiled since the last call to other processes."""
-    for shared, own in _own.values():
+    for shared, own in list(_own.values()):
         link_all(own, shared)
 
 
@@ -206,7 +206,7 @@ def jax_cache_aside() -> Iterator[None]:
 
 def kept(name: str) -> bytes | None:
     """What some process has kept under a name (see executable.py); None if nothing, or not whole."""
-    for shared, own in _own.values():
+    for shared, own in list(_own.values()):
         for folder in (own, shared):
             with suppress(OSError):
                 data = _read(_entry(folder, name))
@@ -218,7 +218,7 @@ def kept(name: str) -> bytes | None:
 
 def keep(name: str, data: bytes) -> None:
     """Keeps something for other processes, at once: what takes long to make, two should not make."""
-    for shared, own in _own.values():
+    for shared, own in list(_own.values()):
         with suppress(OSError):  # as in link_all
             entry = _entry(own, name)
             partial = entry.with_name(f".{name}.tmp")
@@ -230,7 +230,7 @@ def keep(name: str, data: bytes) -> None:
 
 def spoiled(name: str) -> None:
     """Takes away what was kept under a name."""
-    for folder in (folder for both in _own.values() for folder in both):
+    for folder in (folder for both in list(_own.values()) for folder in both):
         with suppress(OSError):
             _entry(folder, name).unlink()
 
@@ -239,7 +239,7 @@ def spoiled(name: str) -> None:
 def alone(name: str) -> Iterator[None]:
     """Waits until no other process is busy with this name, or for so long that it is not worth it."""
     with ExitStack() as stack:
-        for shared, _ in _own.values():
+        for shared, _ in list(_own.values()):
             with suppress(OSError, ImportError):
                 import fcntl  # not on Windows
 

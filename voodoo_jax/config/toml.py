@@ -189,11 +189,14 @@ def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) ->
     return Change(**values)
 
 
+LARGEST = 1e6  # seconds, metres and weights of a change: what float32 still computes with
+
+
 def _numbers(value: Any, count: int, above: float = -float("inf")) -> bool:
     return (
         isinstance(value, list)
         and len(value) == count
-        and all(isinstance(v, (int, float)) and not isinstance(v, bool) and above < v < float("inf") for v in value)
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) and above < v < LARGEST for v in value)
     )
 
 

@@ -14,15 +14,18 @@ from io import BytesIO
 from itertools import chain
 from typing import BinaryIO
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, DataEnd, Message, Schema, Statistics
-from mcap.stream_reader import CRCValidationError, breakup_chunk
+from mcap.stream_reader import CRCValidationError
 from mcap.summary import Summary
 
+from voodoo_jax.io.limits import CHUNK_BYTES, CHUNK_RECORDS, LOG_BYTES, LOG_TIMES, TIME, of_size
+from voodoo_jax.records.notes import INCOMPLETE, SENTENCE, plain
 from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -49,7 +52,10 @@ Place = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]  # of a log: a
 
 
 class LogError(Exception):
-    """A log cannot be used. The text says what is wrong, where, and what to try."""
+    """A log cannot be used. The text says what is wrong, where, and what to try; names in it are spelt out."""
+
+    def __init__(self, text: str):
+        super().__init__(plain(text, 2 * SENTENCE))
 
 
 class LogFile:
@@ -84,14 +90,14 @@ class LogFile:
                 source = self._indexed(stream, self._summary, wanted)
             else:
                 source = self._linear(stream)
-            lost = 0
+            lost = absurd = 0
             for records in source:
                 held = []
                 for record in records:
                     if isinstance(record, Schema):
-                        self.schemas[record.id] = record
+                        self.schemas[record.id] = _named(record)
                     elif isinstance(record, Channel):
-                        self.channels[record.id] = record
+                        self.channels[record.id] = _channel(record)
                     elif isinstance(record, Message):
                         held.append(record)
                 held.sort(key=lambda message: message.log_time)
@@ -100,27 +106,40 @@ class LogFile:
                     if channel is None:
                         lost += 1
                         continue
+                    if message.log_time >= TIME:
+                        absurd += 1
+                        continue
                     self.counts[channel.id] += 1
                     schema = self.schemas.get(channel.schema_id)
                     if wanted(schema, channel):
                         yield schema, channel, _whole(channel, message)
             if lost:
                 self.damage.append(f"Messages of no known channel, left out: {lost}.")
+            if absurd:
+                self.damage.append(f"Messages with an impossible log time, left out: {absurd}.")
 
     def _unpacked(self) -> str:
         """The file itself, or an unpacked copy of one that was compressed as a whole, for as long as this lives."""
         try:
+            if not os.path.isfile(self.path):  # a pipe would be waited for
+                return self.path
             with open(self.path, "rb") as packed:
                 if packed.read(len(ZSTD)) != ZSTD:
                     return self.path
                 packed.seek(0)
                 handle, copy = tempfile.mkstemp(prefix="voodoo-", suffix=".mcap")
                 weakref.finalize(self, os.unlink, copy)
+                size, most = 0, _most(os.fstat(packed.fileno()).st_size)
                 with os.fdopen(handle, "wb") as out:
-                    zstandard.ZstdDecompressor().copy_stream(packed, out)
+                    for part in zstandard.ZstdDecompressor().read_to_iter(packed):
+                        size += out.write(part)
+                        if size > most:
+                            raise zstandard.ZstdError(of_size("it unpacks to", size, most))
                 return copy
         except zstandard.ZstdError as error:
-            raise LogError(f"'{self.path}' is compressed, and cannot be unpacked: {error}. Copy it again.") from error
+            raise LogError(
+                f"'{self.path}' is damaged: it is compressed and cannot be unpacked ({error}). Copy it again."
+            ) from error
         except OSError:
             return self.path  # what is wrong with it is said when it is looked at
 
@@ -148,20 +167,22 @@ class LogFile:
         except READ_ERRORS as error:
             self._trouble = _words(error)
             return None
-        self.channels, self.schemas = dict(summary.channels), dict(summary.schemas)
+        self.channels = {i: _channel(channel) for i, channel in summary.channels.items()}
+        self.schemas = {i: _named(schema) for i, schema in summary.schemas.items()}
         if summary.statistics is not None:
             self._note_statistics(summary.statistics)
         return summary
 
     def _note_statistics(self, statistics: Statistics) -> None:
         self.declared = dict(statistics.channel_message_counts)
-        if statistics.message_count:
+        if statistics.message_count and statistics.message_end_time < TIME:
             self.time_range = (statistics.message_start_time, statistics.message_end_time)
 
     def _indexed(self, stream: BinaryIO, summary: Summary, wanted: Callable) -> Iterator[list]:
         ids = {i for i, c in self.channels.items() if wanted(self.schemas.get(c.schema_id), c)}
         bad: list[str] = []
         keep, room = not self._kept, KEPT  # what one pass keeps the next one takes
+        left = _most(self.size)
         for index in sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
             offsets = index.message_index_offsets
             if offsets and ids.isdisjoint(offsets):
@@ -171,6 +192,7 @@ class LogFile:
                 stream.seek(index.chunk_start_offset + 9)
                 try:
                     records = _chunk_records(stream.read(max(min(index.chunk_length - 9, self.size), 0)))
+                    left = _less(left, records, self.size)
                 except READ_ERRORS as error:
                     bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
                     continue
@@ -186,6 +208,7 @@ class LogFile:
         """All records from the start. Each is bounded by its own length, so that one bad chunk costs only itself."""
         stream.seek(len(MAGIC))
         crc, chunks, bad, ended, stop = zlib.crc32(MAGIC), 0, [], False, ""
+        left = _most(self.size)
         position = len(MAGIC)
         while True:
             head = stream.read(9)
@@ -202,7 +225,9 @@ class LogFile:
             try:
                 if opcode == Opcode.CHUNK:
                     chunks += 1
-                    yield _chunk_records(body)
+                    records = _chunk_records(body)
+                    left = _less(left, records, self.size)
+                    yield records
                 elif opcode == Opcode.DATA_END:
                     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
                     if expected and expected != crc and not bad:
@@ -231,7 +256,7 @@ class LogFile:
             self.damage.append(f"The index at the end is damaged ({why}); the data before it were read in file order.")
         elif stop or not ended:
             self.damage.append(
-                f"The log is incomplete: {stop or 'it ends early'} (byte {position} of {self.size}); "
+                f"{INCOMPLETE}{stop or 'it ends early'} (byte {position} of {self.size}); "
                 f"kept the {kept} messages before that, how many are missing is not known. "
                 "Was the recorder stopped hard, or the copy broken off?"
             )
@@ -303,6 +328,8 @@ def _check(path: str, file: str) -> int:
     if os.path.isdir(path):
         raise LogError(f"'{path}' is a directory. Give the .mcap file itself (ROS 2 keeps it inside the bag's folder).")
     try:
+        if os.path.exists(file) and not os.path.isfile(file):
+            raise LogError(f"'{path}' is a pipe or a device, which can be read once only. Give a file.")
         with open(file, "rb") as stream:
             head = stream.read(len(MAGIC))
         size = os.path.getsize(file)
@@ -324,9 +351,8 @@ def _check(path: str, file: str) -> int:
             hint = " It seems to be a C3D file: `voodoo-jax convert` makes an MCAP file of it."
         elif head.startswith(b"RRF"):
             hint = " It is a recording of Rerun: give the log that it was made of."
-        raise LogError(
-            f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint or ' Give a .mcap file.'}"
-        )
+        hint = hint or " Give a .mcap file; if this was one, it is damaged: copy it again."
+        raise LogError(f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint}")
     return size
 
 
@@ -338,14 +364,88 @@ def _chunk_records(body: bytes) -> list:
         raise McapError(f"compression '{chunk.compression}' is not known")
     if not chunk.uncompressed_crc and not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
         raise McapError("its length is not the one stated")
-    return breakup_chunk(chunk, validate_crc=True)
+    data = _unpacked(chunk)
+    if chunk.uncompressed_crc and (crc := zlib.crc32(data)) != chunk.uncompressed_crc:
+        raise CRCValidationError(expected=chunk.uncompressed_crc, actual=crc, record=chunk)
+    return _records(data)
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """What is packed in a chunk, if it is not too large: looked up in its head, before any memory is asked for."""
+    size = len(chunk.data)
+    if chunk.compression == "zstd":
+        # -1 where the packed data do not say it; where they do, the chunk's own word does not count
+        size = zstandard.frame_content_size(chunk.data)
+        size = chunk.uncompressed_size if size < 0 else size
+    elif chunk.compression == "lz4":
+        size = lz4.frame.get_frame_info(chunk.data)["content_size"]
+    if size > CHUNK_BYTES:
+        raise McapError(of_size("it unpacks to", size, CHUNK_BYTES))
+    if chunk.compression == "zstd":
+        return zstandard.decompress(chunk.data, chunk.uncompressed_size)
+    if chunk.compression == "lz4":
+        decoder = lz4.frame.LZ4FrameDecompressor()
+        data = decoder.decompress(chunk.data, max_length=CHUNK_BYTES)
+        if not decoder.eof:
+            raise McapError(f"it is cut off, or unpacks to more than {CHUNK_BYTES} bytes")
+        return data
+    return chunk.data
+
+
+def _records(data: bytes) -> list:
+    """Schemas, channels and messages in the bytes of a chunk."""
+    stream, records = ReadDataStream(BytesIO(data)), []
+    while stream.count < len(data):
+        opcode, length = stream.read1(), stream.read8()
+        if opcode == Opcode.MESSAGE:
+            records.append(Message.read(stream, length))
+        elif opcode == Opcode.CHANNEL:
+            records.append(Channel.read(stream))
+        elif opcode == Opcode.SCHEMA:
+            records.append(Schema.read(stream))
+        elif opcode == 0:  # MCAP has no such record: a chunk of zeros would be millions of them
+            raise McapError("it holds bytes that are no records")
+        else:
+            stream.read(length)
+        if len(records) > CHUNK_RECORDS:
+            raise McapError(f"it holds more than {CHUNK_RECORDS} messages")
+    return records
+
+
+def _most(size: int) -> int:
+    """Bytes to which a file of a size may unpack."""
+    return LOG_BYTES + LOG_TIMES * size
+
+
+def _less(left: int, records: list, size: int) -> int:
+    """How many of the bytes that a log may have are left after some more. Raises LogError if none are: unlike a bad
+    chunk this ends the reading."""
+    left -= sum(len(record.data) for record in records if isinstance(record, Message))
+    if left < 0:
+        raise LogError(
+            f"The log unpacks to more than {_most(size)} bytes, {LOG_TIMES} times its size: it is damaged, or made to "
+            "take long. Nothing of it is used."
+        )
+    return left
+
+
+def _channel(channel: Channel) -> Channel:
+    """A channel by whose names no terminal is harmed."""
+    return replace(channel, topic=plain(channel.topic), message_encoding=plain(channel.message_encoding))
+
+
+def _named(schema: Schema) -> Schema:
+    """The same of a schema."""
+    return replace(schema, name=plain(schema.name), encoding=plain(schema.encoding))
 
 
 def _whole(channel: Channel, message: Message) -> Message:
     """The message, unpacked if a bag was recorded with compression of each message."""
     if channel.message_encoding in ("cdr", "ros1") and message.data[:4] == ZSTD:
         with suppress(zstandard.ZstdError):  # what cannot be unpacked cannot be decoded, and is said to be so there
-            return replace(message, data=zstandard.ZstdDecompressor().decompressobj().decompress(message.data))
+            with zstandard.ZstdDecompressor().stream_reader(message.data) as stream:
+                data = stream.read(CHUNK_BYTES + 1)
+            return replace(message, data=data) if len(data) <= CHUNK_BYTES else message
     return message
 
 
@@ -360,4 +460,6 @@ def guarded(log: LogFile, wanted: Callable[[Schema | None, Channel], bool]) -> I
     try:
         yield from log.messages(wanted)
     except READ_ERRORS as error:
-        raise LogError(f"'{log.path}' cannot be read: {error}. Check the disk, and copy the file again.") from error
+        raise LogError(
+            f"'{log.path}' cannot be read, or is damaged: {error}. Check the disk, and copy the file again."
+        ) from error

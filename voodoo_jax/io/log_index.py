@@ -2,6 +2,7 @@
 
 import os
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -25,13 +26,17 @@ from voodoo_jax.io.decode.registry import (
 )
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
+from voodoo_jax.io.limits import TIME
 from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Transform, TransformTree
 from voodoo_jax.records.messages import Calibration, Features, Image, many, moved
+from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
+
+LONG = 300  # characters of an error that are kept
 
 
 class Scan:
@@ -79,7 +84,8 @@ class Scan:
         self._count()
         if not self.topics:
             damage = " ".join(self.log.damage)
-            raise LogError(f"'{self.log.path}' holds no messages. {damage or 'Nothing was recorded.'}")
+            what = "holds no messages and is damaged" if damage else "holds no messages"
+            raise LogError(f"'{self.log.path}' {what}. {damage or 'Nothing was recorded.'}")
         for name, topic in self.topics.items():
             if topic.kind in FEATURE_KINDS:
                 topic.gathered = gather(name, topic.features, topic.log_times, self.notes)
@@ -98,6 +104,20 @@ class Scan:
         self.notes += notes
         self.uses |= {name: SKIN_USE for name in self.skin if self.uses[name].startswith("not used")}
         self.stereo = [pair for pair in pairs if self.uses[pair.left] == STEREO_USE]
+
+    @property
+    def damage(self) -> list[str]:
+        """What of the log is damaged, as far as it is known before depth is decoded: a sentence each."""
+        broken = [
+            f"'{name}': {many(topic.broken)} cannot be decoded ({topic.error})."
+            for name, topic in self.topics.items()
+            if topic.broken
+        ]
+        return [*self.log.damage, *broken]
+
+    def lost(self, used: Iterable[str]) -> int:
+        """How many messages of some topics are known to be missing in the file."""
+        return sum(max(0, self.topics[name].stated - self.topics[name].count) for name in used if name in self.topics)
 
     def kind(self, schema: Schema | None, channel: Channel) -> str:
         """What a channel may be used for; "" also for what is switched off."""
@@ -122,7 +142,7 @@ class Scan:
                 content = self._decoder.message(schema, channel, message.data)
             except DECODE_ERRORS as error:
                 topic.broken += 1
-                topic.error = topic.error or f"{type(error).__name__}: {error}"
+                topic.error = topic.error or plain(f"{type(error).__name__}: {error}", LONG)
         if content is not None and topic.sample is None:
             topic.sample = content
             if isinstance(content, Image) and topic.kind == COLOUR_KIND:
@@ -149,7 +169,9 @@ class Scan:
         elif depth:
             if content is not None:
                 stamp = content.stamp_ns
-            topic.stamps.append(message.log_time if stamp is None else stamp)
+            # an impossible stamp is none: 0, for which the log time stands
+            stamp = message.log_time if stamp is None else stamp
+            topic.stamps.append(stamp if abs(stamp) < TIME else 0)
             topic.log_times.append(message.log_time)
 
     def _settle_unit(self, name: str, found: Gathered, settings: ReadSettings) -> None:

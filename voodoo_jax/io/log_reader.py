@@ -24,18 +24,19 @@ from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.log_index import Scan
-from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, survey
+from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.records.messages import Cloud, Image, many, stride
-from voodoo_jax.records.notes import as_few
+from voodoo_jax.records.notes import DAMAGED, as_few
 from voodoo_jax.records.recording import Frame, Pairs, Picture, Rays, Recording
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
 Progress = Callable[[int, int], None]
+UNREADABLE = "cannot be decoded, left out"
 TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
 
 
@@ -56,7 +57,7 @@ def open_log(path: Place, settings: ReadSettings | None = None) -> "LogReader":
     try:
         return LogReader(scan, make_plan(scan, settings), settings)
     except LogError as problem:
-        raise LogError(f"{problem} {scan.part_of}".strip()) from problem
+        raise LogError(f"{damaged(scan, problem)} {scan.part_of}".strip()) from problem
 
 
 def read_log(path: Place, settings: ReadSettings | None = None, progress: Progress | None = None) -> Recording:
@@ -195,7 +196,20 @@ class LogReader:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out, missing or damaged, one sentence each."""
-        return as_few(self._notes + self._losses())
+        return as_few(self._notes + self._losses() + self._damage())
+
+    def _damage(self) -> list[str]:
+        """A sentence if frames were lost to damage."""
+        lost = self._scan.lost({*self.sensors, *self.features})
+        lost += sum(n for (_, what), n in self._counted.items() if what == UNREADABLE)
+        lost += sum(self._scan.topics[name].broken for name in self.features)
+        if lost:
+            return [f"{DAMAGED}{many(lost)} that frames were to be made of {'is' if lost == 1 else 'are'} lost."]
+        # without statistics nobody knows how many there were
+        unsure = self._scan.log.declared is None and any("cannot be read" in text for text in self._scan.log.damage)
+        if unsure:
+            return [f"{DAMAGED}how many frames are lost is not known."]
+        return []
 
     def _losses(self) -> list[str]:
         counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
@@ -261,7 +275,7 @@ class LogReader:
                     parts.setdefault(i, []).append((member[0], part))
             except DECODE_ERRORS as problem:
                 error = error or f"{type(problem).__name__}: {problem}"
-                self._counted[topic, "cannot be decoded, left out"] += 1
+                self._counted[topic, UNREADABLE] += 1
             while following < len(self._plan) and missing[following] == 0:
                 if following in parts or not self._whole.led_by_points:
                     yield self._frame(following, parts.pop(following, []), origins)
@@ -275,9 +289,10 @@ class LogReader:
                 yield self._frame(i, parts.get(i, []), origins)
                 made += 1
         if not made:
-            raise LogError(
-                " ".join([f"'{self.path}': not one depth message can be used.", *self._losses(), error]).strip()
-            )
+            text = " ".join([f"'{self.path}': not one depth message can be used.", *self._losses(), error]).strip()
+            if any(what == UNREADABLE for _, what in self._counted):
+                text = f"{text}. It is damaged, or was written by another version: copy it again."
+            raise LogError(damaged(scan, LogError(text)))
 
     def _frame(self, i: int, parts: list[tuple[int, "_Measured"]], origins: np.ndarray) -> Frame:
         time_ns = self._plan[i][0]

@@ -10,7 +10,9 @@ from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.skin_rays import SKIN_USE
 from voodoo_jax.model.marker_names import told_names
-from voodoo_jax.records.notes import as_few
+from voodoo_jax.records.notes import NAME, as_few, plain
+
+TOPICS = 1000  # that are listed
 
 
 @dataclass(frozen=True)
@@ -38,13 +40,28 @@ class LogSurvey:
     def __str__(self) -> str:
         start = datetime.fromtimestamp(self.start_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
         rows = [("topic", "messages", "type", "encoding", "used as")]
-        rows += [(t.topic, str(t.count), t.type, t.encoding, t.use) for t in self.topics]
+        rows += [
+            (plain(t.topic), str(t.count), plain(t.type), plain(t.encoding), plain(t.use, 2 * NAME))
+            for t in self.topics[:TOPICS]
+        ]
         width = [max(len(row[i]) for row in rows) for i in range(5)]
-        lines = [f"{self.path}: {self.duration:.2f} s from {start}, {sum(t.count for t in self.topics)} messages"]
+        lines = [
+            f"{plain(self.path)}: {self.duration:.2f} s from {start}, {sum(t.count for t in self.topics)} messages"
+        ]
         for row in rows:
             cells = [c.rjust(w) if i == 1 else c.ljust(w) for i, (c, w) in enumerate(zip(row, width))]
             lines.append(("  " + "  ".join(cells)).rstrip())
+        if len(self.topics) > TOPICS:
+            lines.append(f"  and {len(self.topics) - TOPICS} topics more")
         return "\n".join(lines + [f"  note: {w}" for w in self.warnings])
+
+
+def damaged(scan: Scan, problem: LogError) -> str:
+    """Why a log is refused: that it is damaged goes before what it lacks, which may be a consequence."""
+    damage = as_few(scan.damage)
+    if not damage or "is damaged" in str(problem):
+        return str(problem)
+    return f"'{scan.log.path}' is damaged, copy it again. {' '.join(damage)} What is left of it: {problem}"
 
 
 def _named(scan: Scan, topics: Iterable[str]) -> list[str]:
@@ -66,7 +83,7 @@ def survey(path: Place, settings: ReadSettings | None = None) -> LogSurvey:
         warnings += told_names(_named(scan, plan.features), FeatureSettings())
         said |= {name: said[name] + plan.parts.say(name) for name in {*plan.sensors, *plan.features}}
     except LogError as error:
-        warnings = [*scan.notes, str(error)]
+        warnings = [*scan.notes, damaged(scan, error)]
     start, end = scan.log.time_range or scan.log_times or (0, 0)
     topics = [
         TopicSurvey(n, t.type, t.encoding, t.count, scan.uses[n] + said[n]) for n, t in sorted(scan.topics.items())

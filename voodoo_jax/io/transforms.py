@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation, Slerp
 
+from voodoo_jax.io.limits import PLACE, QUATERNION, TIME
+
 HOLD_NS = 500_000_000  # a moving transform is believed for this long before its first and after its last sample
 
 
@@ -57,9 +59,11 @@ class TransformTree:
 
     def add(self, transform: Transform, static: bool) -> None:
         """Keep one sample. A static transform holds for the whole log, the last one given wins."""
-        finite = np.isfinite(transform.translation).all() and np.isfinite(transform.rotation).all()
-        if not finite or not transform.child or transform.child == transform.parent:
-            self._odd["transforms without a child frame or finite numbers were left out"] += 1
+        if not plausible(transform.translation, transform.rotation) or abs(transform.stamp_ns) >= TIME:
+            self._odd["transforms without finite and possible numbers were left out"] += 1
+            return
+        if not transform.child or transform.child == transform.parent:
+            self._odd["transforms without a child frame were left out"] += 1
             return
         if not np.any(transform.rotation):
             self._odd["transforms have a rotation of all zeros, taken as no rotation"] += 1
@@ -146,6 +150,15 @@ class TransformTree:
         if all(len(self._edges[frame].stamps) == 0 for frame in chains[0] + chains[1]):
             self._cache[target, source] = result
         return result
+
+
+def plausible(translation: Float[np.ndarray, "3"], rotation: Float[np.ndarray, "4"]) -> bool:
+    """Whether a pose can be meant: a place on earth, metres, and a quaternion of a length near 1, or of zeros, which
+    nobody filled in. Its square neither overflows nor vanishes."""
+    largest = float(np.abs(rotation).max())
+    low, high = QUATERNION
+    # NaN fails every comparison
+    return bool(np.abs(translation).max() < PLACE) and (low < largest < high or largest == 0)
 
 
 def _same(a: Transform, b: Transform) -> bool:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int64
 
+from voodoo_jax.records.notes import plain
+
 DEPTH_ENCODINGS = {"16UC1": ("u2", 0.001), "MONO16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # pixels, metres per unit
 
 
@@ -117,14 +119,16 @@ def features(stamp_ns: int, items: Sequence[Named], dim: int) -> Features:
     """The features of a message, those without usable numbers left out. Raises OverflowError for absurd stamps."""
     values = np.array([i.value for i in items], float).reshape(-1, dim)
     stamps = np.array([i.stamp_ns for i in items], np.int64)
+    if (np.abs(stamps) >= 1 << 62).any() or abs(stamp_ns) >= 1 << 62:  # after 2116: differences would not fit
+        raise OverflowError("a stamp is impossible")
     # NaN fails every comparison; larger numbers are none of metres or pixels, and overflow later.
     kept: list[int] = np.flatnonzero((np.abs(values) < 1e9).all(axis=1)).tolist()
     return Features(
         int(np.int64(stamp_ns)) or int(min(stamps[stamps != 0], default=0)),
         # The same few texts come with every message: keep one copy of each.
-        tuple(intern(items[i].name) for i in kept),
-        tuple(intern(items[i].suffix) for i in kept),
-        tuple(intern(items[i].frame) for i in kept),
+        tuple(intern(plain(items[i].name)) for i in kept),
+        tuple(intern(plain(items[i].suffix)) for i in kept),
+        tuple(intern(plain(items[i].frame)) for i in kept),
         stamps[kept],
         values[kept],
         np.nan_to_num(np.array([items[i].score for i in kept], float)),
@@ -163,7 +167,7 @@ def pb_stamp(m: Any) -> int:
 
 def frame_name(name: str) -> str:
     """Name of a coordinate frame without the leading slash of tf1, which old drivers still write."""
-    return name.lstrip("/")
+    return plain(name.lstrip("/"))
 
 
 def xyz(v: Any) -> np.ndarray:

@@ -1,16 +1,29 @@
-"""Sentences on a log: many of one kind become one line."""
+"""Sentences on a log: many of one kind become one line, and what a log says of itself harms no terminal."""
 
 import re
 from collections.abc import Iterable
 
 FEW, NAMED = 3, 8  # notes of one kind that stand alone, but not more; names that are told then
+NAME, SENTENCE = 200, 2000  # characters of a name and of a note: what is longer is cut
+# how notes begin that say that frames were lost to damage
+DAMAGED, INCOMPLETE = "The log is damaged: ", "The log is incomplete: "
+
+
+def plain(text: str, most: int = NAME) -> str:
+    """Text from a log as it may be printed and stored: what is not to be seen (escape sequences, ends of lines, marks
+    of direction, broken Unicode) is spelt out, and what is too long loses its middle."""
+    if len(text) > most:
+        text = f"{text[: most * 3 // 4]}...{text[len(text) - most // 8 :]}"
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
 
 
 def as_few(notes: Iterable[str]) -> tuple[str, ...]:
     """The notes, each once, in their order; those that differ in a name or a number only, if there are many, as the
     first of them with the names of the others."""
     kinds: dict[str, list[str]] = {}
-    for note in dict.fromkeys(notes):
+    for note in dict.fromkeys(plain(note, SENTENCE) for note in notes):
         kinds.setdefault(re.sub(r"'[^']*'|\d+(\.\d+)?", "#", note), []).append(note)
     out = []
     for same in kinds.values():

@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.io.decode.colour import colour_image
 from voodoo_jax.io.decode.image_codec import PIXELS
-from voodoo_jax.io.transforms import Transform
+from voodoo_jax.io.limits import PIXELS as LARGEST
+from voodoo_jax.io.limits import of_size
+from voodoo_jax.io.transforms import Transform, plausible
 from voodoo_jax.records.messages import (
     DEPTH_ENCODINGS,
     Calibration,
@@ -114,8 +116,11 @@ def _pose(m: Any) -> tuple[np.ndarray, np.ndarray] | None:
     if not m.HasField("pose"):
         return None
     q = xyzw(m.pose.orientation)
+    position = xyz(m.pose.position)
+    if not plausible(position, q):
+        raise ValueError("its pose has no finite and possible numbers")
     # Protobuf leaves an unset quaternion all zeros.
-    return Rotation.from_quat(q).as_matrix() if np.any(q) else np.eye(3), xyz(m.pose.position)
+    return Rotation.from_quat(q).as_matrix() if np.any(q) else np.eye(3), position
 
 
 def _foxglove_laser(m: Any) -> Cloud:
@@ -166,6 +171,8 @@ def _image(
 ) -> Image:
     kind, unit = DEPTH_ENCODINGS.get(encoding.strip().upper(), ("", 1.0))
     raw = colour = None
+    if rows * columns > LARGEST:
+        raise ValueError(of_size("the image has", rows * columns, LARGEST, "pixels"))
     if encoding.strip().lower() in PIXELS:
         colour = colour_image(stamp_ns, frame, encoding, rows, columns, step, data)
     if kind:

@@ -5,11 +5,11 @@ import struct
 import numpy as np
 from jaxtyping import Float32, Int, UInt16
 
+from voodoo_jax.io.limits import PIXELS, of_size
 from voodoo_jax.records.messages import DEPTH_ENCODINGS, Image
 
 PNG = b"\x89PNG\r\n\x1a\n"
 HEADER = 12  # bytes before the packed image: int32 format, float32 parameters A and B
-LARGEST = 1 << 14  # pixels in a row or column
 
 
 def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | bytes) -> Image | None:
@@ -32,8 +32,10 @@ def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | byte
         raise ValueError(f"{len(data)} bytes are too few for a compressed depth image")
     # a PNG begins with width and height, big-endian; RVL as the computer has them
     columns, rows = struct.unpack(">ii", head[16:24]) if is_png else struct.unpack("<ii", head[:8])
-    if not (is_png or "rvl" in how.lower()) or not (0 < rows <= LARGEST and 0 < columns <= LARGEST):
+    if not (is_png or "rvl" in how.lower()) or not (0 < rows and 0 < columns):
         raise ValueError("the depth image is neither PNG nor RVL")
+    if rows * columns > PIXELS:
+        raise ValueError(of_size("the depth image has", rows * columns, PIXELS, "pixels"))
     kind, unit = DEPTH_ENCODINGS.get(encoding.upper(), ("", 1.0))
     packed = bytes(data) if kind else None
     return Image(stamp_ns, frame, encoding, (rows, columns), None, unit, packed=packed, start=start)

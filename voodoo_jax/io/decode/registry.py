@@ -10,6 +10,7 @@ from google.protobuf.message import DecodeError as ProtobufError
 from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
+from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -17,6 +18,7 @@ from rosbags.typesys.store import Typestore
 from voodoo_jax.io.decode import colour, depth, landmarks
 from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
 from voodoo_jax.io.decode.colour import COLOUR_KIND
+from voodoo_jax.io.limits import SCHEMA_BYTES, SCHEMA_FIELDS, of_size
 
 KINDS = {
     "sensor_msgs/msg/PointCloud2": "point cloud",
@@ -68,6 +70,7 @@ DECODE_ERRORS = (
     AssertionError,
     OverflowError,
     MemoryError,
+    RecursionError,
 )
 
 
@@ -107,15 +110,27 @@ class Decoder:
     `Transform`; one decoder per schema."""
 
     def __init__(self):
-        self._made: dict[tuple[str, bytes], Callable[[bytes], Any]] = {}
+        self._made: dict[tuple[str, bytes], Callable[[bytes], Any] | str] = {}
 
     def message(self, schema: Schema, channel: Channel, data: bytes) -> Any:
         """The decoded content. Raises one of DECODE_ERRORS if the message or its schema is broken."""
         key = (schema.name, schema.data)
         if key not in self._made:
-            made = {"protobuf": _protobuf, "json": _json}.get(channel.message_encoding)
-            self._made[key] = made(schema) if made else _ros(schema.name, schema.encoding, schema.data)
-        return self._made[key](data)
+            self._made[key] = self._make(schema, channel)
+        made = self._made[key]
+        if isinstance(made, str):
+            raise ValueError(made)
+        return made(data)
+
+    def _make(self, schema: Schema, channel: Channel) -> Callable[[bytes], Any] | str:
+        """What decodes messages of a schema, or why nothing can: looked for once, not with each message."""
+        make = {"protobuf": _protobuf, "json": _json}.get(channel.message_encoding)
+        try:
+            if len(schema.data) > SCHEMA_BYTES:
+                raise ValueError(of_size("its schema has", len(schema.data), SCHEMA_BYTES))
+            return make(schema) if make else _ros(schema.name, schema.encoding, schema.data)
+        except DECODE_ERRORS as problem:
+            return str(problem) or type(problem).__name__
 
 
 @lru_cache(256)
@@ -146,6 +161,8 @@ def _full(name: str) -> str:
 @lru_cache(64)  # logs of one robot have the same few, and each takes 10 ms
 def _types(schema_name: str, encoding: str, definition: bytes) -> tuple[Typestore, str]:
     """The types of a ROS schema, and the name of its own."""
+    if len(definition) > SCHEMA_BYTES:
+        raise ValueError(of_size("its schema has", len(definition), SCHEMA_BYTES))
     store, name, text = get_typestore(Stores.EMPTY), _full(schema_name), definition.decode()
     if encoding == "ros1msg":
         builtin = get_typestore(Stores.ROS1_NOETIC).fielddefs  # `time` and `duration` are no messages there
@@ -161,7 +178,25 @@ def _types(schema_name: str, encoding: str, definition: bytes) -> tuple[Typestor
             if body.strip():
                 types.update(get_types_from_idl(body))
         store.register(types)
+    if (count := _fields(store, name, (), {})) > SCHEMA_FIELDS:
+        raise ValueError(of_size("its schema has", count, SCHEMA_FIELDS, "fields"))
     return store, name
+
+
+def _fields(store: Typestore, name: str, above: tuple[str, ...], known: dict[str, int]) -> int:
+    """Fields of a type with those of its fields: rosbags writes code for each. Raises ValueError for a type that holds
+    itself."""
+    if name in above:
+        raise ValueError(f"its schema is damaged: {name} holds itself")
+    if name not in known:
+        count = 0
+        fields: Any = store.fielddefs.get(name, ((), ()))[1]
+        for _, (kind, content) in fields:
+            if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                kind, content = content[0]
+            count += 1 + (_fields(store, content, (*above, name), known) if kind == Nodetype.NAME else 0)
+        known[name] = count
+    return known[name]
 
 
 @lru_cache(64)

@@ -1,0 +1,147 @@
+"""Logs that ask for too much, or hold what nobody can mean: refused by their heads, with a sentence, and quickly."""
+
+import random
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+from mcap.records import Channel, Schema
+
+from tests.support.logs import depth_log
+from voodoo_jax.io.decode.depth_codec import packed_depth
+from voodoo_jax.io.decode.image_codec import stored
+from voodoo_jax.io.decode.registry import Decoder
+from voodoo_jax.io.limits import PIXELS
+from voodoo_jax.io.log_reader import LogError, read_log, survey
+from voodoo_jax.io.transforms import Transform, TransformTree
+from voodoo_jax.records.notes import plain
+
+# ten fields of the next type in each, five deep
+NESTED = "".join(
+    (f"{'=' * 80}\nMSG: a/T{depth}\n" if depth else "")
+    + "".join(f"{f'a/T{depth + 1}' if depth < 5 else 'float64'} f{i}\n" for i in range(10))
+    for depth in range(6)
+)
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def chunk(packed: bytes, size: int) -> bytes:
+    return record(6, struct.pack("<QQQII4sQ", 0, 0, size, 0, 4, b"zstd", len(packed)) + packed)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_bomb_costs_itself(tmp_path, told):
+    maker = zstandard.ZstdCompressor(write_content_size=told).compressobj(**({"size": 1 << 30} if told else {}))
+    packed = b"".join([*(maker.compress(bytes(1 << 24)) for _ in range(64)), maker.flush()])
+    path = tmp_path / "bomb.mcap"
+    data = depth_log(3).write(path).read_bytes()
+    path.write_bytes(data[:8] + chunk(packed, 1 << 30) + data[8:])
+    recording = read_log(path)
+    assert len(recording) == 3 and "unpacks to 1073741824 bytes, more than" in " ".join(recording.notes)
+
+
+def test_a_chunk_of_zeros_is_no_messages(tmp_path):
+    path = tmp_path / "zeros.mcap"
+    data = depth_log(3).write(path).read_bytes()
+    path.write_bytes(data[:8] + chunk(zstandard.compress(bytes(1 << 26)), 1 << 26) + data[8:])
+    assert "bytes that are no records" in " ".join(read_log(path).notes)
+
+
+def png(rows: int, columns: int) -> bytes:
+    made = bytearray(cv2.imencode(".png", np.zeros((8, 8), np.uint16))[1].tobytes())
+    made[16:24] = struct.pack(">II", columns, rows)
+    made[29:33] = struct.pack(">I", zlib.crc32(made[12:29]))
+    return bytes(made)
+
+
+def jpeg(rows: int, columns: int) -> bytes:
+    made = bytearray(cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes())
+    at = made.index(b"\xff\xc0")
+    made[at + 5 : at + 9] = struct.pack(">HH", rows, columns)
+    return bytes(made)
+
+
+@pytest.mark.parametrize("data", [png(30_000, 30_000), jpeg(30_000, 30_000)])
+def test_pixels_are_counted_in_the_header(data):
+    with pytest.raises(ValueError, match=f"900000000 pixels, more than the {PIXELS}"):
+        stored(data, "test")
+    assert stored(png(8, 8), "test").shape == (8, 8) and stored(jpeg(8, 8), "test").shape == (8, 8, 3)
+
+
+def test_rvl_and_png_of_impossible_sizes():
+    with pytest.raises(ValueError, match="268435456 pixels"):
+        packed_depth(0, "f", "16UC1; compressedDepth rvl", bytes(12) + struct.pack("<ii", 16384, 16384) + bytes(64))
+    broken = bytearray(png(8, 8))
+    broken[33:37] = b"\x70\0\0\0"  # the length of the pixels
+    with pytest.raises(ValueError, match="damaged"):
+        stored(bytes(broken), "test")
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("a/B b\n" + "=" * 80 + "\nMSG: a/B\na/B[] b", "holds itself"),
+        ("".join(f"float64 f{i}\n" for i in range(100_000)), "bytes, more than"),
+        (NESTED, "fields, more than"),
+    ],
+)
+def test_schemas(text, words):
+    """Looked at once, however many messages there are."""
+    schema = Schema(data=text.encode(), encoding="ros2msg", id=1, name="tf2_msgs/msg/TFMessage")
+    channel, decoder = Channel(topic="/tf", message_encoding="cdr", metadata={}, schema_id=1, id=1), Decoder()
+    for _ in range(1000):
+        with pytest.raises(ValueError, match=words):
+            decoder.message(schema, channel, bytes(64))
+
+
+@pytest.mark.parametrize(
+    "translation, rotation",
+    [
+        ([1e38, 0, 0], [0, 0, 0, 1]),
+        ([0, np.nan, 0], [0, 0, 0, 1]),
+        ([0, 0, 0], [0, 0, 0, 1e-200]),
+        ([0, 0, 0], [1e200, 0, 0, 0]),
+        ([0, 0, 0], [0, np.inf, 0, 1]),
+    ],
+)
+def test_transforms_that_nobody_can_mean(translation, rotation):
+    tree = TransformTree()
+    tree.add(Transform(0, "base", "camera", np.array(translation, float), np.array(rotation, float)), True)
+    tree.add(Transform(0, "map", "base", np.array([5e5, 5e6, 1e2]), np.array([0, 0, 0, 2.0])), True)
+    tree.close()
+    assert tree.frames == ("base", "map") and "possible numbers" in tree.notes[0]
+
+
+def test_names_are_spelt_out():
+    assert plain("a\x1b[2J\nb\u202e") == "a\\x1b[2J\\nb\\u202e" and plain("/tiefe/ä") == "/tiefe/ä"
+    assert len(plain("x" * 1_000_000)) < 200 and plain("caf\udce9") == "caf\\udce9"
+
+
+def test_fuzz(tmp_path):
+    """Bytes changed, cut out and doubled anywhere: frames, or a LogError that names the file."""
+    path, chance = tmp_path / "fuzz.mcap", random.Random(40)
+    whole = depth_log(3).write(path).read_bytes()
+    for _ in range(60):
+        data, at = bytearray(whole), chance.randrange(8, len(whole))
+        how = chance.randrange(3)
+        if how == 0:
+            data[at : at + 8] = chance.choice([bytes(8), b"\xff" * 8, struct.pack("<d", 1e300), chance.randbytes(8)])
+        elif how == 1:
+            del data[at : at + chance.randrange(1, 200)]
+        else:
+            data[at:at] = data[at : at + chance.randrange(1, 2000)]
+        path.write_bytes(data)
+        try:
+            table = str(survey(path))
+            recording = read_log(path)
+        except LogError as problem:
+            assert "fuzz.mcap" in str(problem)
+            continue
+        assert table.isascii() and all(np.isfinite(frame.points).all() for frame in recording.frames)
+        assert len(recording) == 3 or recording.notes  # never fewer without a word
