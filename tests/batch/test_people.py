@@ -58,7 +58,7 @@ def test_both_are_told_of(replayed):
         reader = make_reader(stream)
         topics = {c.topic for c in reader.get_summary().channels.values()}  # pyright: ignore
         attached = {a.name for a in reader.iter_attachments()}
-    names = ("tf", "poses", "body", "quality")
+    names = ("tf", "poses", "body", "quality", "joints")
     assert topics == {f"/voodoo/{name}" for name in names} | {f"/voodoo/2/{name}" for name in names}
     assert attached == {"body.toml", "body.2.toml"}
 
@@ -69,7 +69,10 @@ def test_a_second_run_tracks_nothing_and_one_person_alone_leaves_no_other(pair, 
     assert again.skipped and [o.size for o in again.people] == [o.size for o in outcome.people]
     # what is made of tracks that are there is made of everybody's
     assert {path.name for path in out.glob("*.csv")} == {"pair.csv", "pair.2.csv"}
-    (out / BOTH[1]).write_bytes(b"half")
+    damaged = bytearray((out / BOTH[1]).read_bytes())
+    with np.load(out / BOTH[1]) as tracks:
+        damaged[tracks.zip.getinfo("rotation.npy").header_offset + 500] ^= 1  # of what no outcome shows
+    (out / BOTH[1]).write_bytes(damaged)
     assert not replay_logs([pair[0]], out, quiet=True)[0].skipped
     alone = Settings(detect=DetectSettings(people=1))
     assert not replay_logs([pair[0]], out, settings=alone, quiet=True)[0].others

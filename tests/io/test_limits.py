@@ -17,7 +17,7 @@ from voodoo_jax.io.decode.registry import Decoder
 from voodoo_jax.io.limits import PIXELS
 from voodoo_jax.io.log_reader import LogError, read_log, survey
 from voodoo_jax.io.transforms import Transform, TransformTree
-from voodoo_jax.records.notes import plain
+from voodoo_jax.records.notes import plain, plain_name
 
 # ten fields of the next type in each, five deep
 NESTED = "".join(
@@ -74,6 +74,13 @@ def test_pixels_are_counted_in_the_header(data):
     assert stored(png(8, 8), "test").shape == (8, 8) and stored(jpeg(8, 8), "test").shape == (8, 8, 3)
 
 
+def test_a_jpeg_without_an_end_of_its_head():
+    """Whatever its length, it costs no more than some thousand steps."""
+    for filling in (b"\xff", b"\xff\x01"):
+        with pytest.raises(ValueError, match="head does not end"):
+            stored(b"\xff\xd8" + 5_000_000 * filling + b"\xff\xd9", "test")
+
+
 def test_rvl_and_png_of_impossible_sizes():
     with pytest.raises(ValueError, match="268435456 pixels"):
         packed_depth(0, "f", "16UC1; compressedDepth rvl", bytes(12) + struct.pack("<ii", 16384, 16384) + bytes(64))
@@ -116,6 +123,12 @@ def test_transforms_that_nobody_can_mean(translation, rotation):
     tree.add(Transform(0, "map", "base", np.array([5e5, 5e6, 1e2]), np.array([0, 0, 0, 2.0])), True)
     tree.close()
     assert tree.frames == ("base", "map") and "possible numbers" in tree.notes[0]
+
+
+def test_names_that_differ_stay_different():
+    long = ["x" * 150 + middle + "y" * 150 for middle in "ab"]
+    shown = {plain_name(name) for name in (*long, "a\x1b", "a\\x1b", "/tiefe/ä")}
+    assert len(shown) == 5 and "/tiefe/ä" in shown and all(name.isprintable() and len(name) < 220 for name in shown)
 
 
 def test_names_are_spelt_out():

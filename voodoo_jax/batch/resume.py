@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 from mcap.reader import SeekingReader
+from mcap.stream_reader import StreamReader
 
 from voodoo_jax.compile.executable import code_fingerprint
 from voodoo_jax.config.options import Settings
@@ -95,9 +96,14 @@ def finished_arrays(log: str, npz: str, mcap: str, recipe: str) -> list[dict[str
             with opened(person_place(npz, person)) as stream, np.load(stream, allow_pickle=False) as data:
                 if str(data["run_key"]) != key or int(data.get("person", 1)) != person:
                     return None
+                if data.zip.testzip() is not None:
+                    return None
                 arrays.append({name: data[name] for name in KEPT if name in data.files})
         with opened(mcap) as stream:
             metadata = [m.metadata for m in SeekingReader(stream).iter_metadata() if m.name == "voodoo_jax"]
+            stream.seek(0)
+            for _ in StreamReader(stream, validate_crcs=True).records:  # each chunk has a checksum
+                pass
         return arrays if [m.get("run_key") for m in metadata] == [key] else None
     except BROKEN:
         return None

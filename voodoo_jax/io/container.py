@@ -25,7 +25,7 @@ from mcap.stream_reader import CRCValidationError
 from mcap.summary import Summary
 
 from voodoo_jax.io.limits import CHUNK_BYTES, CHUNK_RECORDS, LOG_BYTES, LOG_TIMES, TIME, of_size
-from voodoo_jax.records.notes import INCOMPLETE, SENTENCE, plain
+from voodoo_jax.records.notes import INCOMPLETE, SENTENCE, plain, plain_name
 from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -129,7 +129,7 @@ class LogFile:
                 packed.seek(0)
                 handle, copy = tempfile.mkstemp(prefix="voodoo-", suffix=".mcap")
                 weakref.finalize(self, os.unlink, copy)
-                size, most = 0, _most(os.fstat(packed.fileno()).st_size)
+                size, most = 0, Budget(os.fstat(packed.fileno()).st_size).most
                 with os.fdopen(handle, "wb") as out:
                     for part in zstandard.ZstdDecompressor().read_to_iter(packed):
                         size += out.write(part)
@@ -182,7 +182,7 @@ class LogFile:
         ids = {i for i, c in self.channels.items() if wanted(self.schemas.get(c.schema_id), c)}
         bad: list[str] = []
         keep, room = not self._kept, KEPT  # what one pass keeps the next one takes
-        left = _most(self.size)
+        budget = Budget(self.size)
         for index in sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
             offsets = index.message_index_offsets
             if offsets and ids.isdisjoint(offsets):
@@ -191,8 +191,7 @@ class LogFile:
             if records is None:
                 stream.seek(index.chunk_start_offset + 9)
                 try:
-                    records = _chunk_records(stream.read(max(min(index.chunk_length - 9, self.size), 0)))
-                    left = _less(left, records, self.size)
+                    records = _chunk_records(stream.read(max(min(index.chunk_length - 9, self.size), 0)), budget)
                 except READ_ERRORS as error:
                     bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
                     continue
@@ -208,7 +207,7 @@ class LogFile:
         """All records from the start. Each is bounded by its own length, so that one bad chunk costs only itself."""
         stream.seek(len(MAGIC))
         crc, chunks, bad, ended, stop = zlib.crc32(MAGIC), 0, [], False, ""
-        left = _most(self.size)
+        budget = Budget(self.size)
         position = len(MAGIC)
         while True:
             head = stream.read(9)
@@ -225,9 +224,7 @@ class LogFile:
             try:
                 if opcode == Opcode.CHUNK:
                     chunks += 1
-                    records = _chunk_records(body)
-                    left = _less(left, records, self.size)
-                    yield records
+                    yield _chunk_records(body, budget)
                 elif opcode == Opcode.DATA_END:
                     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
                     if expected and expected != crc and not bad:
@@ -356,7 +353,23 @@ def _check(path: str, file: str) -> int:
     return size
 
 
-def _chunk_records(body: bytes) -> list:
+class Budget:
+    """How much a log may still unpack to."""
+
+    def __init__(self, size: int):
+        self.most = self.left = LOG_BYTES + LOG_TIMES * size
+
+    def take(self, count: int) -> None:
+        """Takes note of so many bytes. Raises LogError if they are too many: other than a bad chunk this ends all."""
+        self.left -= count
+        if self.left < 0:
+            raise LogError(
+                f"The log unpacks to more than {self.most} bytes, {LOG_TIMES} times its size: it is damaged, or made "
+                "to take long. Nothing of it is used."
+            )
+
+
+def _chunk_records(body: bytes, budget: Budget) -> list:
     """Schemas, channels and messages of one chunk record; raises one of READ_ERRORS if its bytes are not as written."""
     chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     if chunk.compression not in COMPRESSIONS:
@@ -365,6 +378,7 @@ def _chunk_records(body: bytes) -> list:
     if not chunk.uncompressed_crc and not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
         raise McapError("its length is not the one stated")
     data = _unpacked(chunk)
+    budget.take(len(data))
     if chunk.uncompressed_crc and (crc := zlib.crc32(data)) != chunk.uncompressed_crc:
         raise CRCValidationError(expected=chunk.uncompressed_crc, actual=crc, record=chunk)
     return _records(data)
@@ -412,31 +426,14 @@ def _records(data: bytes) -> list:
     return records
 
 
-def _most(size: int) -> int:
-    """Bytes to which a file of a size may unpack."""
-    return LOG_BYTES + LOG_TIMES * size
-
-
-def _less(left: int, records: list, size: int) -> int:
-    """How many of the bytes that a log may have are left after some more. Raises LogError if none are: unlike a bad
-    chunk this ends the reading."""
-    left -= sum(len(record.data) for record in records if isinstance(record, Message))
-    if left < 0:
-        raise LogError(
-            f"The log unpacks to more than {_most(size)} bytes, {LOG_TIMES} times its size: it is damaged, or made to "
-            "take long. Nothing of it is used."
-        )
-    return left
-
-
 def _channel(channel: Channel) -> Channel:
     """A channel by whose names no terminal is harmed."""
-    return replace(channel, topic=plain(channel.topic), message_encoding=plain(channel.message_encoding))
+    return replace(channel, topic=plain_name(channel.topic), message_encoding=plain(channel.message_encoding))
 
 
 def _named(schema: Schema) -> Schema:
     """The same of a schema."""
-    return replace(schema, name=plain(schema.name), encoding=plain(schema.encoding))
+    return replace(schema, name=plain_name(schema.name), encoding=plain(schema.encoding))
 
 
 def _whole(channel: Channel, message: Message) -> Message:

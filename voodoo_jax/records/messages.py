@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int64
 
-from voodoo_jax.records.notes import plain
+from voodoo_jax.records.notes import plain_name
 
 DEPTH_ENCODINGS = {"16UC1": ("u2", 0.001), "MONO16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # pixels, metres per unit
 
@@ -126,9 +126,9 @@ def features(stamp_ns: int, items: Sequence[Named], dim: int) -> Features:
     return Features(
         int(np.int64(stamp_ns)) or int(min(stamps[stamps != 0], default=0)),
         # The same few texts come with every message: keep one copy of each.
-        tuple(intern(plain(items[i].name)) for i in kept),
-        tuple(intern(plain(items[i].suffix)) for i in kept),
-        tuple(intern(plain(items[i].frame)) for i in kept),
+        tuple(intern(plain_name(items[i].name)) for i in kept),
+        tuple(intern(plain_name(items[i].suffix)) for i in kept),
+        tuple(intern(plain_name(items[i].frame)) for i in kept),
         stamps[kept],
         values[kept],
         np.nan_to_num(np.array([items[i].score for i in kept], float)),
@@ -167,7 +167,7 @@ def pb_stamp(m: Any) -> int:
 
 def frame_name(name: str) -> str:
     """Name of a coordinate frame without the leading slash of tf1, which old drivers still write."""
-    return plain(name.lstrip("/"))
+    return plain_name(name.lstrip("/"))
 
 
 def xyz(v: Any) -> np.ndarray:

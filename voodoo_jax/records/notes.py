@@ -1,5 +1,6 @@
 """Sentences on a log: many of one kind become one line, and what a log says of itself harms no terminal."""
 
+import hashlib
 import re
 from collections.abc import Iterable
 
@@ -17,6 +18,15 @@ def plain(text: str, most: int = NAME) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
+
+
+def plain_name(text: str) -> str:
+    """The same of a name by which things are told apart: what is changed gets a sign of its own, so that names which
+    differ stay different."""
+    shown = plain(text)
+    if shown == text:
+        return text
+    return f"{shown}~{hashlib.sha1(text.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
 
 
 def as_few(notes: Iterable[str]) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ _TO_BGR = {
     "mono8": cv2.COLOR_GRAY2BGR, "8uc1": cv2.COLOR_GRAY2BGR, "yuv422": cv2.COLOR_YUV2BGR_UYVY,
     "uyvy": cv2.COLOR_YUV2BGR_UYVY, "yuyv": cv2.COLOR_YUV2BGR_YUY2, "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
 }  # fmt: skip
+SEGMENTS = 4096  # of a JPEG before its pixels: cameras write about 20, and 255 at most of one kind
 _ENDS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}  # how a complete JPEG or PNG ends, by how it begins
 
 
@@ -84,13 +85,13 @@ def _png_size(data: UInt8[np.ndarray, " byte"]) -> int:
 def _jpeg_size(data: UInt8[np.ndarray, " byte"]) -> int:
     """Pixels of a JPEG, 0 if it does not say: ITU-T T.81 annex B, a frame header before the first scan."""
     raw, at, size = data.tobytes(), 2, 0
-    while at + 9 <= len(raw):
-        if raw[at] != 0xFF:  # the decoder looks for the next marker, too
-            at += 1
-            continue
+    for _ in range(SEGMENTS):
+        at = raw.find(b"\xff", at)  # the decoder looks for the next marker, too
+        if at < 0 or at + 9 > len(raw):
+            return size
         kind = raw[at + 1]
         if kind == 0xDA:  # the pixels follow
-            break
+            return size
         if kind in (0x00, 0x01, 0xFF) or 0xD0 <= kind <= 0xD9:  # markers without content
             at += 1 if kind == 0xFF else 2
             continue
@@ -98,4 +99,4 @@ def _jpeg_size(data: UInt8[np.ndarray, " byte"]) -> int:
         if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
             size = max(size, rows * columns)
         at += 2 + length
-    return size
+    raise ValueError("the JPEG image is damaged: its head does not end")
