@@ -119,6 +119,8 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
         outcome = _done(job, progress, visit)
     except (LogError, SettingsError, Unsuitable) as problem:
         outcome = Outcome(job.log, error=str(problem))
+    except UnicodeEncodeError as problem:  # bytes of a name that are no text
+        outcome = Outcome(job.log, error=f"a name in it or of it is not UTF-8 ({problem.reason}): rename the file")
     except MemoryError:
         outcome = Outcome(job.log, error="out of memory: use fewer --workers, or cut the log in pieces")
     except Exception as problem:  # one log's trouble is not the others'
