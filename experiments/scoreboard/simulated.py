@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import voodoo_jax as vj
-from voodoo_jax.config.options import StartSettings
+from voodoo_jax.config.options import DetectSettings, StartSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import scaled, site_points
 from voodoo_jax.simulate.mcap import depth_image, foxglove_log, put_camera, write_simulation
@@ -19,6 +19,8 @@ from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import Camera, tof_camera
 
 TOGETHER = 17_000_000  # nanoseconds: half a frame at 30 Hz
+# simulated people may stand as still as nobody does
+FROZEN = DetectSettings(skip=("drop_motionless",))
 MISSING = 1.0  # metres that count where there is no answer, as for recordings
 
 
@@ -111,7 +113,7 @@ class PickedUp:
         sim = simulate(body, motion, present=present)
         pick = vj.Change(self.UP, add="stick", to="r_hand", at=at, grip=grip, axis=axis if self.known else ())
         start = StartSettings(scale=self.stature)
-        settings = vj.Settings(changes=(pick, vj.Change(self.DOWN, remove=("stick",))), start=start)
+        settings = vj.Settings(changes=(pick, vj.Change(self.DOWN, remove=("stick",))), start=start, detect=FROZEN)
         with tempfile.TemporaryDirectory() as folder:
             tracks = vj.track(vj.human(), vj.read_log(write_simulation(sim, Path(folder) / "stick.mcap")), settings)
         count = len(vj.human().topology.centres)
@@ -150,6 +152,7 @@ class StandingStill:
         still = placed(make_motion(body, "stand", 2.0), self.away, 0.0, np.pi)
         sim = simulate(body, still, tof_camera())
         with tempfile.TemporaryDirectory() as folder:
-            tracks = vj.track(vj.human(), vj.read_log(write_simulation(sim, Path(folder) / "still.mcap")))
+            recording = vj.read_log(write_simulation(sim, Path(folder) / "still.mcap"))
+            tracks = vj.track(vj.human(), recording, vj.Settings(detect=FROZEN))
         joints = tracks.joints[8:-4].astype(float)  # but for the first and last, in which the smoothing begins
         return 1000 * float(np.sqrt(np.mean(np.sum((joints - joints.mean(0)) ** 2, -1))))

@@ -180,6 +180,12 @@ def test_exports_of_a_finished_log(some_logs, reference, tmp_path):
         replay([some_logs[1]], tmp_path, small_body(), SETTINGS, quiet=True, export=["fbx"])
 
 
+def endless_log(path: Path) -> None:
+    """A log that takes hours to read: a run cannot end by itself before it is stopped."""
+    with open(path, "wb") as stream:
+        stream.truncate(1 << 42)  # takes no room on the disk
+
+
 def start(logs: list[Path], out: Path, *words: str) -> "subprocess.Popen[str]":
     command = [
         sys.executable,
@@ -239,7 +245,7 @@ def test_a_worker_whose_answer_nobody_takes_ends_without_a_word():
 def test_a_run_that_ends_in_the_middle_is_resumed(how, some_logs, reference, tmp_path):
     """Nothing is lost, nothing is done twice, no worker goes on, and the results are those of an undisturbed run."""
     out, endless = tmp_path / "out", tmp_path / "endless.mcap"
-    os.mkfifo(endless)  # a log that never comes: the run cannot end by itself before it is stopped
+    endless_log(endless)
     running = start([*some_logs, endless], out, "--workers", "2")
     wait_for(lambda: len(list(out.glob("*.tracks.npz"))) >= 1 or running.poll() is not None)
     workers = children(running.pid)
@@ -270,7 +276,7 @@ def test_workers_of_the_command_are_copies_of_it_and_are_replaced_where_they_die
     """Each worker that is killed takes one log with it."""
     out, endless = tmp_path / "out", [tmp_path / f"endless{k}.mcap" for k in range(3)]
     for log in endless:
-        os.mkfifo(log)
+        endless_log(log)
     with ended(start([*some_logs, *endless], out, "--workers", "2")) as running:
         wait_for(lambda: len(children(running.pid)) == 2 or running.poll() is not None)
         assert {command_of(pid) for pid in children(running.pid)} == {command_of(running.pid)}

@@ -151,7 +151,7 @@ def test_flags_override_the_file_and_the_file_the_defaults(tmp_path, given):
         solve = replace(SolveSettings(), max_steps=9, ratio=0.4, near_side=False)
         read = replace(Settings().read, topics=("/a", "/b"))
         assert command.settings == replace(Settings(), solve=solve, read=read, start=StartSettings(scale=1.8))
-    assert [str(p) for p in command.logs] == ["a.mcap", "b.mcap"] and str(command.out) == "o"
+    assert [str(p) for p in command.logs] == ["a.mcap", "b.mcap"] and str(command.results.out) == "o"
 
 
 def test_without_flags_the_defaults(given):

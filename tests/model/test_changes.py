@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from voodoo_jax.config.options import Change, Settings, SettingsError, StartSettings
+from voodoo_jax.config.options import Change, DetectSettings, Settings, SettingsError, StartSettings
 from voodoo_jax.config.toml import read_settings, settings_text
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.io.log_reader import read_log
@@ -17,6 +17,8 @@ from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.solve.scan import track_visits
 from voodoo_jax.trackers.front import track
+
+STILL = DetectSettings(skip=("drop_motionless",))  # simulated people may stand as still as nobody does
 
 
 def with_stick():
@@ -162,7 +164,7 @@ def stick_error(sim, tracks, frames):
 def test_a_stick_is_picked_up_tracked_and_put_down(stick_log, known):
     sim, present, path = stick_log
     pick = Change(1.0, add="stick", to="r_hand", at=(0, 0, 0.06), grip=(0, 0, 0.4), axis=(1, 0, 0.3) if known else ())
-    settings = Settings(changes=(pick, Change(2.4, remove=("stick",))), start=StartSettings(scale=1.7))
+    settings = Settings(changes=(pick, Change(2.4, remove=("stick",))), start=StartSettings(scale=1.7), detect=STILL)
     programs = len(track_visits.ready)
     tracks = track(human(), read_log(path), settings)
     assert len(track_visits.ready) - programs <= 1  # one program for with and without the stick
@@ -179,7 +181,7 @@ def test_without_the_stick_being_added_its_points_are_left_over(stick_log):
     sim, present, path = stick_log
     # joints that all weigh one: a shoulder that gives way lets the arm take some of the stick's points
     body = eqx.tree_at(lambda b: b.weights, human(), replace_fn=jnp.ones_like)
-    tracks = track(body, read_log(path), Settings(start=StartSettings(scale=1.7)))
+    tracks = track(body, read_log(path), Settings(start=StartSettings(scale=1.7), detect=STILL))
     with_it, without = present[:, -1], ~present[:, -1]
     assert tracks.explained[with_it].mean() < tracks.explained[without].mean() - 0.02
 
@@ -188,8 +190,8 @@ def test_a_change_keeps_the_pose_of_the_rest(stick_log):
     _, _, path = stick_log
     recording = read_log(path)
     start = StartSettings(scale=1.7)
-    plain = track(human(), recording, Settings(start=start))
-    changed = track(human(), recording, Settings(start=start, changes=(Change(0.5, remove=("r_hand",)),)))
+    plain = track(human(), recording, Settings(detect=STILL, start=start))
+    changed = track(human(), recording, Settings(detect=STILL, start=start, changes=(Change(0.5, remove=("r_hand",)),)))
     hand = plain.body.topology.limbs.index("r_hand")
     assert np.isnan(changed.translation[15:, hand]).all() and np.isfinite(changed.translation[:15]).all()
     others = np.delete(np.arange(15), [hand - 2, hand - 1, hand])  # the hand's points now pull at the rest of its arm
@@ -210,7 +212,7 @@ def test_a_thing_that_changes_hands_is_told():
 def test_an_absent_limb_does_not_spoil_the_pass_backwards(stick_log):
     _, _, path = stick_log
     body = with_limbs(human(), ["l_hand"], False)
-    tracks = track(body, read_log(path), Settings(start=StartSettings(scale=1.7)))
+    tracks = track(body, read_log(path), Settings(start=StartSettings(scale=1.7), detect=STILL))
     hand = body.topology.limbs.index("l_hand")
     others = np.delete(np.arange(15), hand)
     assert np.isnan(tracks.translation[:, hand]).all() and np.isfinite(tracks.translation[:, others]).all()

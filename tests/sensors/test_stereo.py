@@ -178,6 +178,7 @@ def test_broken_and_missing_images_are_said(tmp_path):
         f"'{NAMES[0]}': 1 message cannot be decoded, left out.",
         f"'{NAMES[0]}': 1 message left out, without an image of the other camera at the same time.",
         "The log has no transforms: everything is given in the frame 'left_optical' of the sensor.",
+        "The log is damaged: 1 message that frames were to be made of is lost.",
     ]
 
 

@@ -18,7 +18,7 @@ from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.records.tracks import Tracks, given_from
-from voodoo_jax.storage.urls import TRACKS, delivered, fetched, joined, log_name, opened, person_place, removed
+from voodoo_jax.storage.urls import TRACKS, delivered, fetched, is_url, joined, log_name, opened, person_place, removed
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
 Visit = Callable[..., Any]  # solve.scan.Visit, which takes long to import
@@ -160,7 +160,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             people += [read_tracks_npz(stack.enter_context(fetched(person_place(place, k)))) for k in numbers]
         else:
             with suppress(OSError):  # before reading: it may be changed meanwhile
-                key = run_key(job.recipe, fingerprint_of(original))
+                key = run_key(job.recipe, fingerprint_of(original, far=is_url(job.log)))
             try:
                 people = track_log(log, on_device(job.body), job.settings, progress, visit)
             except (LogError, Unsuitable) as problem:

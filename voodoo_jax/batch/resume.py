@@ -43,14 +43,15 @@ def log_fingerprint(stream: Readable, whole: bool = True) -> str:
     return digest.hexdigest()
 
 
-def fingerprint_of(log: str) -> str:
-    """That of a log at a place, of all its files if it has several. Raises OSError."""
+def fingerprint_of(log: str, far: bool = False) -> str:
+    """That of a log at a place, of all its files if it has several; `far`: of a copy of one in a store. Raises
+    OSError."""
     found = []
     for part in log_parts(log):
         if not is_url(part) and not os.path.isfile(part):  # a pipe would be waited for
             raise FileNotFoundError(part)
         with opened(part) as stream:
-            found.append(log_fingerprint(stream, whole=not is_url(part)))
+            found.append(log_fingerprint(stream, whole=not (far or is_url(part))))
     return found[0] if len(found) == 1 else hashlib.sha256(" ".join(found).encode()).hexdigest()
 
 
