@@ -62,11 +62,12 @@ class DropWideStill:
         if not len(moving) or moving.mean() < self.moving:
             return frames
         still = np.flatnonzero((found.often >= self.often) & (found.ratio >= NOISE))
-        tops = self._tops(found.place[still], floor)
+        place = found.place[still].astype(np.float32)
+        tops = self._tops(place, floor)
         drop = np.zeros(len(found.ratio), bool)
-        drop[still[self._wide(found.place[still], floor)]] = True
+        drop[still[self._wide(place, floor)]] = True
         for top in tops:
-            drop[still[self._on(found.place[still].astype(np.float32), top, floor)]] = True
+            drop[still[self._on(place, top, floor)]] = True
         if not drop.any():
             return frames
         drop = self._and_beside(found, np.flatnonzero(drop))
@@ -78,12 +79,12 @@ class DropWideStill:
             out.append(f.only(keep))
         return out
 
-    def _wide(self, place: Float[np.ndarray, "some 3"], floor: Plane) -> Bool[np.ndarray, " some"]:
+    def _wide(self, place: Float32[np.ndarray, "some 3"], floor: Plane) -> Bool[np.ndarray, " some"]:
         """Which of some places are of a thing that is wide."""
         wide = np.zeros(len(place), bool)
         if len(place) < 2:
             return wide
-        level, label = floor.level(place.astype(np.float32)), components(place.astype(np.float32), self.link)
+        level, label = floor.level(place), components(place, self.link)
         for k in np.unique(label):
             mine = level[label == k] - level[label == k].mean(0)
             along = mine @ np.linalg.svd(mine, full_matrices=False)[2][0]
@@ -97,9 +98,9 @@ class DropWideStill:
         drop[things] = True
         return drop
 
-    def _tops(self, place: Float[np.ndarray, "some 3"], floor: Plane) -> list[Top]:
+    def _tops(self, place: Float32[np.ndarray, "some 3"], floor: Plane) -> list[Top]:
         """Level tops among some places: somebody before it may hide the middle of one."""
-        height, level = floor.height(place.astype(np.float32)), floor.level(place.astype(np.float32))
+        height, level = floor.height(place), floor.level(place)
         slab = np.abs(height[:, None] - height) < self.thick
         found: list[Top] = []
         for k in np.argsort(-slab.sum(1), kind="stable"):

@@ -35,7 +35,7 @@ def write_fit_page(
         f"{drawings}<h2>Loss and parameters</h2>{picture}"
     )
     with replacing(path) as partial:
-        partial.write_text(page("fit", title.lstrip("# "), BODY=body), encoding="utf-8")
+        partial.write_text(page("fit", title.lstrip("# "), body), encoding="utf-8")
     return Path(path)
 
 

@@ -50,20 +50,24 @@ def write_report_page(rows: Iterable[Row], path: str | os.PathLike[str], title: 
     counts = {word: sum(row.status == word for row in rows) for word in ("tracked", "nothing tracked", "failed")}
     about = ", ".join(f"{count} {word}" for word, count in counts.items() if count) or "no log"
     about = f"{len(rows)} logs: {about}; voodoo_jax {__version__}"
-    text = page("report", title, ABOUT=about, ROWS="".join(map(_row, rows)))
+    text = page("report", title, _file("report.html"), ABOUT=about, ROWS="".join(map(_row, rows)))
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return Path(path)
 
 
-def page(name: str, title: str, **parts: str) -> str:
-    """The page viz/NAME.html with its style and these parts (HTML) in place of @WORDS@."""
-    folder = resources.files("voodoo_jax.viz")
-    text = folder.joinpath(f"{name}.html").read_text(encoding="utf-8")
-    style = folder.joinpath("page.css").read_text(encoding="utf-8")
-    for word, part in ({"STYLE": style, "TITLE": escape(title)} | parts).items():
+def page(name: str, title: str, body: str, **parts: str) -> str:
+    """A page of its own, with the style of all pages and that of viz/NAME.css; `parts` (HTML) stand in the body in
+    place of @WORDS@."""
+    styles = _file("page.css") + _file(f"{name}.css")
+    text = _file("page.html")
+    for word, part in ({"STYLE": styles, "BODY": body.rstrip("\n"), "TITLE": escape(title)} | parts).items():
         text = text.replace(f"@{word}@", part)
     return text
+
+
+def _file(name: str) -> str:
+    return resources.files("voodoo_jax.viz").joinpath(name).read_text(encoding="utf-8")
 
 
 def _row(row: Row) -> str:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.exporters.frames import seconds, upright
 from voodoo_jax.exporters.limb_meshes import side_of
 from voodoo_jax.model.body import Body
+from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.viz.figures import limb_rings, rings, spread
 
@@ -83,9 +84,8 @@ def time_line(tracks: Tracks) -> str:
 
 def untracked(tracks: Tracks) -> list[tuple[float, float]]:
     """Stretches of time in which nothing is tracked: first and last stamp, seconds after the first frame."""
-    time, missing = seconds(tracks), ~tracks.tracked
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
-    return [(float(time[a]), float(time[b - 1])) for a, b in edges.reshape(-1, 2)]
+    time = seconds(tracks)
+    return [(float(time[a]), float(time[b - 1])) for a, b in stretches(~tracks.tracked)]
 
 
 def _level(tracks: Tracks, frames: np.ndarray) -> int:

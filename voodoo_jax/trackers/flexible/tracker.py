@@ -21,6 +21,7 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame, Picture, Rays
 from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.base import Progress, Source, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rated
@@ -302,8 +303,7 @@ def with_the_face(
     face is seen: a body that turned past its side fits the points as well."""
     cosine = _cosine(np.asarray(found.x, float), camera, up)
     wrong = np.zeros(len(cosine), bool)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], cosine < 0, [0]])))
-    for a, b in zip(ends[::2], ends[1::2]):
+    for a, b in stretches(cosine < 0):
         wrong[a:b] = cosine[a:b].min() < _AWAY and face_seen[a:b].mean() > 0.5
 
     def exchanged(a: Any, order: np.ndarray) -> np.ndarray:

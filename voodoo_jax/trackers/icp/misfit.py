@@ -12,6 +12,7 @@ from jaxtyping import Float, Float32
 
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.trackers.icp.limb_distance import signed_distance
 
 POINTS = 250  # of a frame, evenly taken; by hand
 FEWEST = 20  # points of a frame, as trackers.icp.runner has it: fewer tell nothing; by hand
@@ -70,7 +71,7 @@ def _beside(
     nearest, limb = np.full(len(points), np.inf), np.zeros(len(points), int)
     for k, size in enumerate(np.asarray(sizes, float)):
         local = rotations(rotation[frame, k]).inv().apply(points - translation[frame, k])
-        off = off_surface(size, local)
+        off = np.abs(signed_distance(size, local))
         closer = off < nearest
         nearest[closer], limb[closer] = off[closer], k
     key = frame * len(sizes) + limb
@@ -86,18 +87,6 @@ def _beside(
 
     distance = mean(nearest) ** 2 - (USUAL * noise[:, None]) ** 2
     return np.stack([mean(nearest > off), np.sqrt(np.maximum(distance, 0))])
-
-
-def off_surface(size: Float[np.ndarray, "5"], points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
-    """Distances of points in a limb's frame from its surface, metres; across by the ratio of its ellipse."""
-    a, b, c, d, length = size
-    x, y, z = points.T
-    along = np.clip(z / max(length, 1e-6), 0, 1)
-    wide, deep = a + (c - a) * along, b + (d - b) * along
-    ratio = np.hypot(x / wide, y / deep)
-    across = np.hypot(x, y) * (1 - 1 / np.maximum(ratio, 1e-6))
-    beyond = np.maximum(np.maximum(-z, z - length), 0)
-    return np.where(beyond > 0, np.hypot(np.maximum(across, 0), beyond), np.abs(across))
 
 
 def _covered(
