@@ -71,8 +71,8 @@ class Replay:
 
     Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
     log; where several people are in view, <log>.2.tracks.npz, ... for the others. Nothing about them need be
-    given: start, place and size are found. --help shows the usual options, --help-all all settings, such as
-    --start.scale or --detect.people.
+    given: start, place and size are found. Usual options: --help; all settings,
+    such as --start.scale and --detect.people: --help-all.
     """
 
     logs: Positional[tuple[str, ...]] = ()
