@@ -1,8 +1,9 @@
 """The step on all of JAX's devices, thousands of streams at once: python -m experiments.bench.devices [WORK.npz]
 
 The work of same_work.py, for GPUs: every stream has its own copy of the points, elsewhere in the room, so that nothing
-is shared; limbs of all streams are compared with C's after the last frame. Beside the speed: XLA's count of operations
-and of bytes between memory and kernels, and what share of `--tflops` and `--tbs` they make.
+is shared; limbs of all streams are compared after the last frame with the same program's on the processor and with C's,
+and two runs with each other, bit by bit. Beside the speed: XLA's count of operations and of bytes between memory and
+kernels, and what share of `--tflops` and `--tbs` they make.
 """
 
 import json
@@ -23,10 +24,14 @@ from experiments.bench.peers.library import Solver
 from experiments.bench.replay_speed import machine
 from experiments.bench.work import STEPS, Work, from_demo, load
 from experiments.common import table, write
+from voodoo_jax.compile.xla_options import quick
 from voodoo_jax.geometry.rigid import Poses
 
-HEAD = ("solver", "points", "streams", "best, frames/s", "median", "limbs from C's, mm", "Mflop a frame", "MB a frame",
-        "of the devices' flop/s", "of their bytes/s", "compile, s")  # fmt: skip
+HEAD = (
+    "solver", "points", "streams", "best, frames/s", "median", "limbs from the processor's, mm", "from C's, mm",
+    "reruns",
+    "Mflop a frame", "MB a frame", "of the devices' flop/s", "of their bytes/s", "compile, s",
+)  # fmt: skip
 
 
 def measure(work: Work, points: int, solver: Solver, streams: int, rounds: int, tflops: float, tbs: float) -> list[str]:
@@ -52,25 +57,36 @@ def measure(work: Work, points: int, solver: Solver, streams: int, rounds: int, 
     args = jax.block_until_ready((common, *own))
     began = time.perf_counter()
     sharded = jax.shard_map(here, mesh=mesh, in_specs=(PartitionSpec(), spec, spec), out_specs=spec, check_vma=False)
-    program = jax.jit(sharded).lower(*args).compile()
+    program = jax.jit(sharded, compiler_options=quick()).lower(*args).compile()
     compiling = time.perf_counter() - began
-    seconds = []
-    for _ in range(rounds + 1):  # the first one does not count
+    first = jax.tree.map(np.asarray, program(*args))  # does not count
+    seconds, same, found = [], True, first
+    for _ in range(rounds):
         began = time.perf_counter()
-        found = jax.block_until_ready(program(*args))
+        again = jax.block_until_ready(program(*args))
         seconds.append(time.perf_counter() - began)
-    best, median = min(seconds[1:]), float(np.median(seconds[1:]))
-    total, usual, apart = streams * len(frames), _c(work, points), ""
-    if usual is not None and solver == "per_limb":
-        apart = f"{1e3 * np.abs(found.translation - offset[:, None] - usual).max():.2f}"
+        found = jax.tree.map(np.asarray, again)
+        same &= all(np.array_equal(a, b) for a, b in zip(found, first))
+    best, median = min(seconds), float(np.median(seconds))
+    total, usual = streams * len(frames), _c(work, points) if solver == "per_limb" else None
+    apart = lambda other: f"{1e3 * np.abs(found.translation - offset[:, None] - other).max():.2f}"  # noqa: E731
     cost = program.cost_analysis() or {}
     # XLA counts the loops' body once, and one device's part: one step of its streams
     share = STEPS * len(devices) / streams
     flop, size = (share * cost.get(name, float("nan")) for name in ("flops", "bytes accessed"))
     of = [f"{100 * each * total / best / most / 1e12:.0f} %" if most > 0 else ""
           for each, most in ((flop, tflops), (size, tbs))]  # fmt: skip
-    return [solver, f"{points}", f"{streams}", f"{total / best:.0f}", f"{total / median:.0f}", apart,
-            f"{flop / 1e6:.1f}", f"{size / 1e6:.2f}", *of, f"{compiling:.1f}"]  # fmt: skip
+    return [solver, f"{points}", f"{streams}", f"{total / best:.0f}", f"{total / median:.0f}",
+            apart(_processor(work, points, solver)), "" if usual is None else apart(usual),
+            "same bits" if same else "differ", f"{flop / 1e6:.1f}", f"{size / 1e6:.2f}", *of,
+            f"{compiling:.1f}"]  # fmt: skip
+
+
+def _processor(work: Work, points: int, solver: Solver) -> np.ndarray:
+    """Where the same program on the processor has the limbs of a stream after the last frame, [limb, 3] metres."""
+    with jax.default_device(jax.devices("cpu")[0]):
+        given = library.body_of(work), library.links_of(work), library.options(solver, points)
+        return np.asarray(jax.jit(library.track)(*given, library.start_of(work), work.frames(points)).translation)
 
 
 def _c(work: Work, points: int) -> np.ndarray | None:
@@ -84,7 +100,7 @@ def _c(work: Work, points: int) -> np.ndarray | None:
 def main(
     work: tyro.conf.Positional[Path | None] = None,
     points: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N...")] = (1000, 2000),
-    streams: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N...")] = (1, 16, 256, 4096),
+    streams: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N...")] = (1, 64, 1024, 4096),
     solvers: Annotated[tuple[Solver, ...], tyro.conf.arg(metavar="NAME...")] = ("per_limb", "coupled"),
     rounds: int = 5,
     tflops: float = 0.0,
@@ -100,7 +116,7 @@ def main(
         solvers: per_limb (the work as C does it), coupled.
         rounds: runs of each program after the first.
         tflops: what all devices together can do at most, 10^12 float32 operations a second; an H200: 67.
-        tbs: what their memory can, 10^12 bytes a second; an H200: 4.8.
+        tbs: what their memory can, 10^12 bytes a second; an H200: 4.8; an H100: 3.35.
         out: folder for results.
     """
     info = machine() | {"devices": [device.device_kind for device in jax.devices()]}
