@@ -34,7 +34,8 @@ from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.icp import pipeline as icp
 
 CHANGED_LOGS = 9  # every so manieth recording is changed in all ways of experiments/stress
-ALWAYS = ("weigh_by_noise", "forward_backward", "fit_forearms")  # act in every log: judged on the recordings only
+# act in every log: judged on the recordings only
+ALWAYS = ("weigh_by_noise", "forward_backward", "fit_forearms", "place_joints")
 SAME = 0.0005  # metres of mean joint distance: tracks are the same
 
 

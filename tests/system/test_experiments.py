@@ -23,6 +23,7 @@ RUNS = {
     "stress": (dict(frames=40, only="as they are", processes=1), ("stress.md", "stress.png")),
     "ablation": (dict(frames=40, only="prior*", processes=1), ("ablation.md", "ablation.png")),
     "forearms": (dict(frames=40), ("forearms.md", "forearms.png")),
+    "offsets": (dict(frames=40, oracles=False), ("offsets.md",)),
     "trust": (dict(frames=40, changes=("as they are",), processes=1), ("trust.md", "trust.png")),
 }
 

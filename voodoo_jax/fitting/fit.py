@@ -189,7 +189,7 @@ def _again(seen: Seen, body: Body, settings: Settings) -> Seen:
     from voodoo_jax.trackers.icp.tracker import track_person
 
     start = replace(settings.start, scale=float(body.scale))
-    track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms"))
+    track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms", "place_joints"))
     known = replace(settings, start=start, track=track)
     found = track_person(body, seen.scene, seen.people, known, seen.tracks.source, seen.tracks.fixed_frame)
     return seen._replace(tracks=found)
@@ -203,6 +203,8 @@ def tracked(
     from voodoo_jax.detect.pipeline import build_of, find_body
     from voodoo_jax.trackers.icp.tracker import track_person
 
+    # joints as the body has them: what is learned of the usual body would not be a change that a fit can make
+    settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
     seen = []
     for log in logs:
         if isinstance(log, Recording):

@@ -11,6 +11,7 @@ from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained
 from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
+from voodoo_jax.trackers.icp.refine.place_joints import PlaceJoints
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
 from voodoo_jax.trackers.icp.refine.stage import Named, Stage
 from voodoo_jax.trackers.icp.sequence import RecordingStage
@@ -24,8 +25,10 @@ SETTLE: tuple[Stage, ...] = (ForwardBackward(end=END),)
 REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities())
 # of the recording
 FINISH: tuple[RecordingStage, ...] = (DropUnexplained(among=REFINE), FitForearms())
+# of the tracks, once their poses stand
+PLACE = (PlaceJoints(),)
 
 
 def stages() -> tuple[Named, ...]:
     """All stages of tracking."""
-    return (*START, END, *REFINE, *FINISH)
+    return (*START, END, *REFINE, *FINISH, *PLACE)

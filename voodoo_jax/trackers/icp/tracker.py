@@ -41,7 +41,7 @@ from voodoo_jax.solve.scan import Visit, options_from
 from voodoo_jax.trackers.icp.confidence import rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.misfit import Misfit, misfit
-from voodoo_jax.trackers.icp.pipeline import FINISH, REFINE
+from voodoo_jax.trackers.icp.pipeline import FINISH, PLACE, REFINE
 from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner, by_markers, spans
 from voodoo_jax.trackers.icp.sequence import Progress, track_whole
@@ -141,6 +141,9 @@ def track_person(
             whole = stage(whole)
     run = whole.run
     tracks = tracks_of(run, whole.segment, source, fixed_frame)
+    for stage in PLACE:
+        if is_active(run, stage):
+            tracks = stage(run, tracks)
     if from_markers:
         tracks = _with_residuals(tracks, run)
     tracks = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), from_markers)

@@ -1,0 +1,127 @@
+"""Joint centres by bend, view and bands."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.support.segments import blank_tracks
+from voodoo_jax.geometry.rigid import Poses, on_host
+from voodoo_jax.model.body import joint_centres, scaled, with_proportions
+from voodoo_jax.model.body_file import human, load_body
+from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.trackers.icp.refine.place_joints import (
+    LEGS,
+    LIMBS,
+    UPPER,
+    PlaceJoints,
+    band_gaps,
+    learned,
+    looked_at,
+    sensor_places,
+    usual_body,
+)
+
+BODY = on_host(scaled(human(), 1.8))
+COUNT = 60
+EYES = np.tile([3.0, 0.0, 1.0], (COUNT, 1))
+STAGE = PlaceJoints()
+
+
+def standing(lower_shanks: float = 0.0, body=BODY) -> Tracks:
+    """The rest pose; shanks and feet lower by so many metres."""
+    place = np.array(body.rest.translation)
+    for name in ("l_shank", "r_shank", "l_foot", "r_foot"):
+        if name in body.topology.limbs:
+            place[body.topology.limbs.index(name), 2] -= lower_shanks
+    poses = Poses(body.rest.rotation, place)
+    tile = lambda x: np.tile(np.asarray(x, np.float32), (COUNT, 1, 1))  # noqa: E731
+    return blank_tracks(
+        body, COUNT, rotation=tile(body.rest.rotation), translation=tile(place),
+        joints=tile(joint_centres(body, poses)), status=np.full(COUNT, Status.TRACKED, np.int8),
+        limb_weight=np.ones((COUNT, body.limb_count), np.float32),
+    )  # fmt: skip
+
+
+def turned(tracks: Tracks, turn: Rotation) -> Tracks:
+    q = (turn * Rotation.from_quat(tracks.rotation.reshape(-1, 4), scalar_first=True)).as_quat(scalar_first=True)
+    place, joints = (turn.apply(x.reshape(-1, 3)).reshape(x.shape) for x in (tracks.translation, tracks.joints))
+    turns = q.reshape(tracks.rotation.shape).astype(np.float32)
+    return replace(tracks, rotation=turns, translation=place, joints=joints)
+
+
+def test_what_is_learned_fits_the_features():
+    for name in LIMBS:
+        told, gaps = learned()[name], 3 * len(LEGS if looked_at(name) is LEGS else UPPER)
+        assert told.weights.shape == (10 + gaps, 3) and told.usual.shape == told.spread.shape == (gaps,)
+        assert np.isfinite(told.weights).all() and (told.spread >= 0).all()
+
+
+def test_left_and_right_are_mirror_images():
+    tracks = standing(0.01)
+    found = STAGE.placed(BODY, tracks, EYES)
+    names, shift = BODY.topology.centres, (found.joints - tracks.joints)[0]
+    for name in (n[2:] for n in names if n.startswith("l_")):
+        left, right = (shift[names.index(f"{side}_{name}")] for side in "lr")
+        np.testing.assert_allclose(left, right * [1, -1, 1], atol=1e-6)
+        assert 1e-5 < np.linalg.norm(left) <= 1.8 * STAGE.farthest + 1e-6
+    np.testing.assert_array_equal(found.rotation, tracks.rotation)
+    assert found.body is tracks.body
+
+
+def test_shifts_turn_with_the_scene():
+    tracks, turn = standing(0.01), Rotation.from_euler("zyx", [70, 20, -10], degrees=True)
+    there = STAGE.placed(BODY, turned(tracks, turn), turn.apply(EYES))
+    here = STAGE.placed(BODY, tracks, EYES)
+    np.testing.assert_allclose(
+        there.joints, turn.apply(here.joints.reshape(-1, 3)).reshape(here.joints.shape), atol=1e-5
+    )
+    other_side = STAGE.placed(BODY, tracks, EYES * [-1, 1, 1])
+    assert np.abs(other_side.joints - here.joints).max() > 1e-3  # the side that is seen matters
+
+
+def test_bands_say_where_knees_are():
+    usual, low = (band_gaps(BODY, standing(off))["legs"] for off in (0.0, 0.009))
+    # a thigh's own axis points down: hundredths of the stature
+    np.testing.assert_allclose((low.gap - usual.gap)[LEGS.index("knee")], [0, 0, 0.5], atol=0.02)
+    np.testing.assert_allclose((low.gap - usual.gap)[LEGS.index("hip")], 0, atol=1e-4)
+    knee = BODY.topology.centres.index("l_knee")
+    moved = [STAGE.placed(BODY, t, EYES).joints[0, knee] - t.joints[0, knee] for t in map(standing, (0.0, 0.002))]
+    assert np.abs(moved[1] - moved[0]).max() > 3e-4
+
+
+def test_what_nobody_saw_says_nothing():
+    tracks, told = standing(0.01), learned()["knee"]
+    tracks.limb_weight[
+        :, [BODY.topology.limbs.index(f"{side}_{limb}") for side in "lr" for limb in ("thigh", "foot")]
+    ] = 0
+    gaps = band_gaps(BODY, tracks)["legs"]
+    assert not gaps.count.any() and not STAGE.gap_features(gaps, told).any()
+    lost = replace(tracks, rotation=tracks.rotation.copy())
+    lost.rotation[5:8] = np.nan
+    found = STAGE.placed(BODY, lost, EYES)
+    np.testing.assert_array_equal(found.joints[5:8], lost.joints[5:8])
+    assert np.isfinite(found.joints).all()
+
+
+def test_nothing_is_moved_far():
+    wild = standing(0.3)
+    assert np.linalg.norm(STAGE.placed(BODY, wild, EYES).joints - wild.joints, axis=-1).max() <= 1.8 * 0.025 + 1e-5
+
+
+@pytest.mark.parametrize("other", [with_proportions(BODY, {"l_thigh": 1.05}), load_body("human10"), load_body("dog")],
+                         ids=["fitted", "human10", "dog"])  # fmt: skip
+def test_other_bodies_are_unknown(other):
+    assert usual_body(other) is None
+    longer = with_proportions(BODY, {"l_forearm": 1.05, "r_forearm": 1.05})  # as fit_forearms leaves them
+    np.testing.assert_allclose(usual_body(longer).sizes, BODY.sizes, rtol=1e-5)  # pyright: ignore
+
+
+def test_one_sensor_wherever_it_goes():
+    none, T = np.zeros((0, 3), np.float32), np.eye(4)
+    T[:3, 3] = [1, 2, 3]
+    frame = BodyObservation(0, none, np.zeros(0, np.int32), np.ones((1, 3), np.float32), T_fixed_steady=T)
+    np.testing.assert_allclose(sensor_places([frame]), [[2, 3, 4]])  # pyright: ignore
+    assert sensor_places([frame, replace(frame, origins=np.zeros((2, 3), np.float32))]) is None

@@ -1,0 +1,206 @@
+"""Joint centres where people have them: by the bend of joints, the side that is seen, the recording's bands.
+
+A joint centre does not stay in its place on a cylinder: shoulders rise and come forward with the arm, the side of a
+limb that the sensor sees is nearer or farther than a cylinder's, and who has longer thighs than the stature tells
+stretches the bands of knee and hip. How far a centre is off for all that was learned on people of known joints
+(experiments/offsets, `learn.py`): ridge regression, weak where a recording tells little.
+"""
+
+import tomllib
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float64, Int
+
+from voodoo_jax.geometry.rigid import Poses, apply, on_host, rotate, unrotate
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.body_file import load_on_host
+from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.trackers.icp.runner import Runner
+
+# joint centre -> the limb in whose axes it is moved, and the limb whose direction tells how the joint is bent
+LIMBS = {
+    "skullbase": ("head", "chest"), "vc7": ("chest", "head"), "shoulder": ("chest", "upper_arm"),
+    "elbow": ("forearm", "upper_arm"), "radiocarpal": ("forearm", "hand"), "hip": ("pelvis", "thigh"),
+    "knee": ("shank", "thigh"), "talocrural": ("shank", "foot"),
+}  # fmt: skip
+UPPER, LEGS = ("waist", "neck", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")  # whose bands are looked at
+SIDES = ("l_", "r_")
+
+
+class Gaps(NamedTuple):
+    """How far the bands of joints are stretched over a recording; left and right averaged, right mirrored."""
+
+    gap: Float64[np.ndarray, "joint 3"]  # in the parent limb's frame, hundredths of the stature; NaN: never seen
+    count: Float64[np.ndarray, " joint"]  # frames of one side in which both limbs are seen
+
+
+class Learned(NamedTuple):
+    """What was learned for one joint centre."""
+
+    weights: Float64[np.ndarray, "feature 3"]  # shift in the limb's axes at rest (forward, left, up), of the stature
+    usual: Float64[np.ndarray, " gap"]  # gaps of people, mean
+    spread: Float64[np.ndarray, " gap"]  # and standard deviation
+
+
+@cache
+def learned() -> dict[str, Learned]:
+    """What the package brings along, by joint centre without its side."""
+    text = files("voodoo_jax.trackers.icp.refine").joinpath("place_joints.toml").read_text()
+    found = tomllib.loads(text)
+    return {name: Learned(*(np.array(found[name][key]) for key in Learned._fields)) for name in LIMBS}
+
+
+def plain(name: str) -> tuple[str, str]:
+    """Side ("l_", "r_" or nothing) and name without it."""
+    return (name[:2], name[2:]) if name[:2] in SIDES else ("", name)
+
+
+def looked_at(centre: str) -> tuple[str, ...]:
+    """The joints whose bands tell of a joint centre."""
+    return LEGS if centre in ("hip", "knee", "talocrural") else UPPER
+
+
+def band_gaps(body: Body, tracks: Tracks) -> dict[str, Gaps]:
+    """Gaps of the joints in UPPER and in LEGS in the tracked frames. **Arguments:** `body` in its usual proportions."""
+    t, seen = body.topology, np.flatnonzero(tracks.tracked)
+    found: dict[str, tuple[np.ndarray, int]] = {}
+    for j, joint in enumerate(t.joints):
+        pair = [t.parents[j], t.children[j]]
+        frames = seen[(tracks.limb_weight[seen][:, pair] > 0).all(1)]
+        ends = [
+            apply(Poses(tracks.rotation[frames, limb], tracks.translation[frames, limb]), anchor.translation[j])
+            for limb, anchor in zip(pair, (body.parent_anchor, body.child_anchor))
+        ]
+        gap = unrotate(tracks.rotation[frames, pair[0]], ends[1] - ends[0])
+        middle = np.median(gap, 0) if len(frames) else np.full(3, np.nan)
+        found[joint] = 100 * middle.astype(float) / float(body.scale), len(frames)
+    return {"upper": _averaged(found, UPPER), "legs": _averaged(found, LEGS)}
+
+
+def _averaged(found: dict[str, tuple[np.ndarray, int]], joints: tuple[str, ...]) -> Gaps:
+    gaps, counts = [], []
+    for joint in joints:
+        both = [(found[n], m) for n, m in ((joint, 1), (f"l_{joint}", 1), (f"r_{joint}", -1)) if n in found]
+        weight = np.array([count for (_, count), _ in both], float)
+        side = np.array([gap * [1, mirror, 1] for (gap, _), mirror in both])
+        some = weight > 0
+        gaps.append(side[some].mean(0) if some.any() else np.full(3, np.nan))
+        if joint in ("waist", "neck"):
+            gaps[-1][1] = 0.0  # nobody leans to one side on average
+        counts.append(weight.mean())
+    return Gaps(np.array(gaps), np.array(counts))
+
+
+def pose_features(
+    body: Body, centre: str, tracks: Tracks, frames: Int[np.ndarray, " seen"], eyes: Float[np.ndarray, "seen 3"]
+) -> Float64[np.ndarray, "seen 10"]:
+    """What a joint's bend and the side that is seen say of it: 1, direction to the sensor (forward, left, up of the
+    limb at rest), how far the other limb's upward axis is turned from there, and squares of the direction.
+    Right mirrored.
+
+    **Arguments:** `eyes` where the sensor is, metres.
+    """
+    side, name = plain(centre)
+    axes = lambda v: to_rest(body, tracks, frames, limb_of(body, side, LIMBS[name][0]), v)  # noqa: E731
+    toward = eyes - tracks.joints[frames, body.topology.centres.index(centre)]
+    v = axes(toward / np.linalg.norm(toward, axis=1, keepdims=True))
+    other = limb_of(body, side, LIMBS[name][1])
+    up = unrotate(body.rest.rotation[other], np.array([0.0, 0.0, 1.0]))
+    bend = axes(rotate(tracks.rotation[frames, other], up)) - np.array([0.0, 0.0, 1.0])
+    if side == "r_":
+        v, bend = v * [1, -1, 1], bend * [1, -1, 1]
+    squares = np.stack([v[:, 0] ** 2, v[:, 1] ** 2, v[:, 0] * v[:, 1]], 1)
+    return np.concatenate([np.ones((len(v), 1)), v, bend, squares], 1)
+
+
+def limb_of(body: Body, side: str, limb: str) -> int:
+    """Number of a limb of LIMBS, of that side if it has one."""
+    names = body.topology.limbs
+    return names.index(limb if limb in names else side + limb)
+
+
+def to_rest(body: Body, tracks: Tracks, frames: np.ndarray, limb: int, v: np.ndarray) -> np.ndarray:
+    """Vectors of the fixed frame in a limb's axes at rest."""
+    return rotate(body.rest.rotation[limb], unrotate(tracks.rotation[frames, limb], v)).astype(float)
+
+
+def _from_rest(body: Body, tracks: Tracks, frames: np.ndarray, limb: int, v: np.ndarray) -> np.ndarray:
+    return rotate(tracks.rotation[frames, limb], unrotate(body.rest.rotation[limb], v))
+
+
+def sensor_places(people: list[BodyObservation]) -> Float64[np.ndarray, "frame 3"] | None:
+    """Where the sensor is in the fixed frame, metres; None where there is not one sensor alone."""
+    if any(len(f.origins) != 1 for f in people):
+        return None
+    places = np.array([f.origins[0] for f in people], float).reshape(-1, 3)
+    for k, frame in enumerate(people):
+        if (T := frame.T_fixed_steady) is not None:
+            places[k] = T[:3, :3] @ places[k] + T[:3, 3]
+    return places
+
+
+@dataclass(frozen=True)
+class PlaceJoints:
+    """Joint centres moved to where people of known joints had them under what the recording shows. Poses and the body
+    stay as they are. Of the body that comes with the package, by one sensor: for these alone it was learned."""
+
+    name: ClassVar = "place_joints"
+    looks_ahead: ClassVar = True
+    needs: ClassVar = frozenset({"points", "one body"})
+
+    few: int = 30  # frames of a joint with which its bands count half, as in fit_forearms
+    widest: float = 2.0  # standard deviations that people's bands differ by: farther, something else stretches them
+    farthest: float = 0.025  # of the stature: no centre of the people learned from was moved farther
+
+    def __call__(self, run: Runner, tracks: Tracks) -> Tracks:
+        body = usual_body(tracks.body)
+        eyes = sensor_places(run.people)
+        return tracks if body is None or eyes is None else self.placed(body, tracks, eyes)
+
+    def placed(self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"]) -> Tracks:
+        """Tracks with their joints moved. **Arguments:** `body` in its usual proportions; `eyes` of sensor_places."""
+        there = np.isfinite(tracks.rotation).all((1, 2)) & np.isfinite(tracks.translation).all((1, 2))
+        frames, gaps = np.flatnonzero(there), band_gaps(body, tracks)
+        joints = tracks.joints.copy()
+        for k, centre in enumerate(body.topology.centres):
+            side, name = plain(centre)
+            told = learned()[name]
+            seen = self.gap_features(gaps["legs" if looked_at(name) is LEGS else "upper"], told)
+            features = pose_features(body, centre, tracks, frames, eyes[frames])
+            wide = np.broadcast_to(seen, (len(frames), len(seen)))
+            shift = np.concatenate([features, wide], 1) @ told.weights
+            length = np.linalg.norm(shift, axis=1, keepdims=True)
+            shift *= np.minimum(1.0, self.farthest / np.maximum(length, 1e-9)) * float(body.scale)
+            if side == "r_":
+                shift[:, 1] *= -1
+            limb = limb_of(body, side, LIMBS[name][0])
+            joints[frames, k] += _from_rest(body, tracks, frames, limb, shift).astype(joints.dtype)
+        return replace(tracks, joints=joints)
+
+    def gap_features(self, gaps: Gaps, told: Learned) -> Float64[np.ndarray, " gap"]:
+        """Gaps in standard deviations from people's mean, less where little was seen of a joint."""
+        share = np.repeat(gaps.count / (gaps.count + self.few), 3)
+        away = np.where(told.spread > 0, (gaps.gap.ravel() - told.usual) / np.maximum(told.spread, 1e-9), 0.0)
+        return np.clip(np.where(np.isfinite(away), away, 0.0), -self.widest, self.widest) * share
+
+
+def usual_body(body: Body) -> Body | None:
+    """The default body in the scale of a body that is the same but for its forearms (fit_forearms); else None."""
+    usual = _default()
+    if body.topology != usual.topology:
+        return None
+    usual = on_host(scaled(usual, float(body.scale)))
+    same = np.isclose(np.asarray(body.sizes), usual.sizes, rtol=1e-4, atol=0)
+    for limb in ("l_forearm", "r_forearm"):
+        same[body.topology.limbs.index(limb), 4] = True
+    return usual if same.all() else None
+
+
+@cache
+def _default() -> Body:
+    return load_on_host("human")
