@@ -66,7 +66,7 @@ class BodySegmenter:
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
 
     def __call__(
-        self, frame: Frame | BodyObservation, taken: Sequence[Float32[np.ndarray, "some 3"]] = ()
+        self, frame: Frame | BodyObservation, taken: Sequence[Float32[np.ndarray, "_ 3"]] = ()
     ) -> BodyObservation:
         """What is seen of the body in a frame, but for what is near points that are `taken` by others."""
         s, frame = self.settings, whole(frame)

@@ -305,7 +305,8 @@ class LogReader:
         parts = sorted(parts, key=lambda part: part[0])
         sizes = [len(m.points) for _, m in parts]
         sensor = np.repeat(np.array([s for s, _ in parts], np.int32), sizes)
-        points = parts[0][1].points if len(parts) == 1 else np.concatenate([np.zeros((0, 3), np.float32), *(m.points for _, m in parts)])
+        clouds = [m.points for _, m in parts] or [np.zeros((0, 3), np.float32)]
+        points = clouds[0] if len(clouds) == 1 else np.concatenate(clouds)
         said = self._plan_parts
         part = np.concatenate([np.zeros(0, np.int32), *(m.part for _, m in parts)]) if said.names else None
         weights = np.array([said.weight(name) for name in self.sensors], np.float32)
