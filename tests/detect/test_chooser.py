@@ -92,7 +92,7 @@ def test_a_passer_by_is_not_taken_for_somebody_who_moves_too():
 def test_what_is_known_is_no_longer_compared(monkeypatch):
     """Once the body has moved, each frame is looked at once."""
     calls, one = [], BodySegmenter.__call__
-    monkeypatch.setattr(BodySegmenter, "__call__", lambda self, seen: calls.append(self) or one(self, seen))
+    monkeypatch.setattr(BodySegmenter, "__call__", lambda self, *seen: calls.append(self) or one(self, *seen))
     clouds = [np.concatenate([COATS[::3], figure(2.0, 0.4 + 0.03 * i)]) for i in range(100)]
     assert len(chosen(clouds)[0]) == 100
     assert 100 + ENOUGH < len(calls) < 100 + 3 * ENOUGH and len(set(calls[-20:])) == 1

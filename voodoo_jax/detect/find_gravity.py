@@ -97,9 +97,9 @@ def likely_body(
     scene: Scene, frames: Sequence[Frame], body: Build, settings: DetectSettings, enough: float = np.inf
 ) -> float:
     """How like a body something in the frames is, 0..1, or more than `enough`."""
-    likely = 0.0
+    likely, finder = 0.0, BodySegmenter(scene, body, settings)
     for frame in frames:
-        finder = BodySegmenter(scene, body, settings)
+        finder = finder.another(settings)
         finder(frame)
         likely = max(likely, finder.likely)
         if likely > enough:

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
-from voodoo_jax.detect.target_selection import BESIDE, LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
+from voodoo_jax.detect.target_selection import LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import BodyObservation, whole
@@ -199,9 +199,8 @@ class People:
     def _look(self, frame: Frame, taken: list[np.ndarray]) -> None:
         """Begins to follow somebody else, if there is anybody of a body's shape."""
         for _ in range(MOST):
-            rest = _without(whole(frame), taken + self._things)
             finder = self.chooser.finder.another(self.settings)
-            seen = finder(rest)
+            seen = finder(frame, taken + self._things)
             if len(seen.points) < TELLING or finder.likely < LIKELY * self.chooser.finder.likely:
                 return
             if not self._followed:
@@ -225,7 +224,7 @@ class People:
             back = finder.another(self.settings)
             back.last, back.last_ns = seen.points, frame.time_ns
             for old, taken in list(self._recent)[-2::-1]:
-                earlier.append((back(_without(whole(old), taken)), old))
+                earlier.append((back(old, taken), old))
                 if len(earlier[-1][0].points) < TELLING:
                     earlier.pop()
                     break
@@ -283,13 +282,6 @@ def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) ->
     """Whether some points are near those of others."""
     cells = cells_of(points, CLOSE)
     return any(touching(cells, cells_of(other, CLOSE)).any() for other in others)
-
-
-def _without(frame: BodyObservation, taken: list[np.ndarray]) -> BodyObservation:
-    """A frame without the points that are near what is taken."""
-    if not taken:
-        return frame
-    return frame.only(~touching(cells_of(frame.points, BESIDE), cells_of(np.concatenate(taken), BESIDE)))
 
 
 def linked(found: list[Sighting], frames: list[BodyObservation]) -> list[list[Sighting]]:

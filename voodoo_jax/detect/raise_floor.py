@@ -45,7 +45,8 @@ def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: D
     for top in _tops(frames[0], scene) if frames else ():
         floor = replace(scene.floor, offset=scene.floor.offset + top)
         raised = replace(scene, floor=floor, floor_seen=True, floor_open=False)
-        stands = [_stands(frame, raised, body, settings) for frame in frames]
+        finder = BodySegmenter(raised, body, settings)
+        stands = [_stands(frame, raised, finder := finder.another(settings)) for frame in frames]
         if True in stands and False not in stands:
             return raised
     return scene
@@ -67,9 +68,9 @@ def _tops(frame: Frame, scene: Scene) -> list[float]:
     return [top for _, top in sorted(found, reverse=True)]
 
 
-def _stands(frame: Frame, raised: Scene, body: Build, settings: DetectSettings) -> bool | None:
+def _stands(frame: Frame, raised: Scene, finder: BodySegmenter) -> bool | None:
     """Whether somebody stands on the raised floor; None: there is nobody."""
-    seen = BodySegmenter(raised, body, settings)(frame).points
+    seen = finder(frame).points
     if len(seen) < 30:
         return None
     floor = raised.floor

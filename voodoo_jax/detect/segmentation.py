@@ -3,7 +3,7 @@
 Nothing here knows what the body looks like but its height and width at rest.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build, candidate
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.point_cloud import fair_share, point_gap, point_spacing, without_strays
+from voodoo_jax.geometry.point_cloud import along, fair_share, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
@@ -35,6 +35,7 @@ LONG = 10  # frames: what was seen apart from the body so often is a thing of it
 SPEED = 3.0  # metres per second: so fast the body may be where it was not seen for a moment ...
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
+BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
@@ -64,8 +65,13 @@ class BodySegmenter:
         self._learns = False  # in this frame, from what is beside the body: in every other one
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
 
-    def __call__(self, frame: Frame | BodyObservation) -> BodyObservation:
+    def __call__(
+        self, frame: Frame | BodyObservation, taken: Sequence[Float32[np.ndarray, "_ 3"]] = ()
+    ) -> BodyObservation:
+        """What is seen of the body in a frame, but for what is near points that are `taken` by others."""
         s, frame = self.settings, whole(frame)
+        if len(taken) and frame.part is not None:
+            frame, taken = frame.only(~_near(frame.points, taken)), ()
         points = frame.points
         known = assigned(frame)
         sure = points[known]
@@ -73,6 +79,8 @@ class BodySegmenter:
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
         index, distant = self._free(frame, known)
+        if len(taken):  # here, where fewer are left to ask
+            index, distant = index[~_near(points[index], taken)], distant[~_near(distant, taken)]
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
         # not where something else than the body was seen before
         index = index[self._background.at(points[index]) < 3]
@@ -110,7 +118,7 @@ class BodySegmenter:
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here; of its points a share tells the middle
             level = self._axes[1:3]
-            x, y = level @ points.T - (level @ np.median(self.last[::4], 0))[:, None]
+            x, y = along(level, points, level @ np.median(self.last[::4], 0))
             near = x * x + y * y < (s.reach * self.body.reach / 1.75 + self._gone_by(frame)) ** 2
             self._surveyed_ns = frame.time_ns if self._surveyed_ns is None else self._surveyed_ns
             survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
@@ -134,7 +142,7 @@ class BodySegmenter:
     def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "axis point"]:
         """Height above the floor, level coordinates, and distances from the walls; metres."""
         offsets = [self.scene.floor.offset, 0, 0, *(wall.offset for wall in self.scene.walls)]
-        return self._axes @ points.T - np.array(offsets, np.float32)[:, None]
+        return along(self._axes, points, np.array(offsets, np.float32))
 
     def _without_strays(self, frame: BodyObservation, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
@@ -301,6 +309,11 @@ class BodySegmenter:
                 return
             far, times = ~within(others, mine, 0.25), 2.0
         self._background.add(cells_of(others[far], CELL), times)
+
+
+def _near(points: Float32[np.ndarray, "point 3"], taken: Sequence[np.ndarray]) -> Bool[np.ndarray, " point"]:
+    """Which points are near some that are taken."""
+    return touching(cells_of(points, BESIDE), cells_of(np.concatenate(taken), BESIDE))
 
 
 def stands_aside(thing: Float32[np.ndarray, "thing 3"], body: Float32[np.ndarray, "body 3"], floor: Plane) -> bool:

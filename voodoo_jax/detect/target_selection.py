@@ -14,7 +14,7 @@ from jaxtyping import Float32, Int
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
-from voodoo_jax.detect.segmentation import BodySegmenter
+from voodoo_jax.detect.segmentation import BESIDE, BodySegmenter
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.geometry.voxels import Cells, cells_of, touching
@@ -40,7 +40,6 @@ PATIENCE = 60  # frames: who may not wait does not take another thing for the bo
 LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
 WENT = 0.05  # metres from where it was: a sensor that sees other sides of things
 MANY = 20_000  # points of a frame by which it is asked what hides what
-BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 NONE = np.zeros(0, int)
 
 
@@ -220,14 +219,19 @@ class Chooser:
 
     def _look(self, frame: Frame) -> None:
         """Begins to follow another thing, if there is one: a small one only where there is no other."""
-        s, rest = self.settings, whole(frame)
+        s = self.settings
         taken = [f.finder.last for f in (self._main, *self._others) if f.finder.last is not None]
-        if taken:
-            rest = rest.only(~touching(cells_of(rest.points, BESIDE), cells_of(np.concatenate(taken), BESIDE)))
         if self.finder.last is None:
             s = replace(s, min_height=min(s.min_height, LOW))
-        other = Follower(self.finder.another(s), self._main.frames[:-1])
-        if len(other(rest).points) >= 30 and other.finder.likely >= LIKELY * self.finder.likely:
+        finder = self.finder.another(s)
+        seen = finder(frame, taken)
+        if len(seen.points) >= 30 and finder.likely >= LIKELY * self.finder.likely:
+            other = Follower(finder, self._main.frames[:-1])
+            rest = whole(frame)
+            if taken:
+                rest = rest.only(~touching(cells_of(rest.points, BESIDE), cells_of(np.concatenate(taken), BESIDE)))
+            other.note(seen, rest, anew=True)
+            other.frames.append(seen)
             self._others.append(other)
 
     def _decide(self, assigned: bool = False, full: bool = False) -> None:

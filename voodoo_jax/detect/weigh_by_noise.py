@@ -69,8 +69,9 @@ def weighed(frames: Iterable[BodyObservation], usual: float) -> Iterator[BodyObs
     growth: dict[int, float] = {}  # of each sensor: noise over the square of the distance, 1/metres
     for number, frame in enumerate(frames):
         noise = np.zeros(len(frame.points), np.float32)
-        for sensor in np.flatnonzero(np.bincount(frame.sensor)).tolist():
-            mine = frame.sensor == sensor
+        sensors = np.flatnonzero(np.bincount(frame.sensor)).tolist()
+        for sensor in sensors:
+            mine = frame.sensor == sensor if len(sensors) > 1 else slice(None)
             points, origin = frame.points[mine], frame.origins[sensor]
             # of all together: by its own distance, a point that errs towards the sensor would weigh more
             square = float(np.median(np.sum((points[:: len(points) // ASKED + 1] - origin) ** 2, 1)))
@@ -82,7 +83,7 @@ def weighed(frames: Iterable[BodyObservation], usual: float) -> Iterator[BodyObs
         if not len(noise):
             yield frame
             continue
-        typical = float(np.median(noise))
+        typical = float(np.median(noise)) if len(sensors) > 1 else float(noise[0])
         if usual <= 0 or not (noise > usual).any():
             yield replace(frame, noise=typical)
             continue

@@ -3,9 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt32
 
 MANY, SUBSET = 30_000, 2000  # points among which a floor is looked for, and by which planes are compared
+# preemptive RANSAC (Nister 2003, doi:10.1109/ICCV.2003.1238341): points by which most planes are left out, and how many
+# planes remain; by hand
+FIRST, FINAL = 400, 40
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,18 @@ class Plane:
     def level(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point 3"]:
         """The places on the plane under some points."""
         return points - self.height(points)[:, None] * self.normal
+
+
+def _counts(
+    normals: Float32[np.ndarray, "plane 3"],
+    offsets: Float32[np.ndarray, " plane"],
+    points: Float32[np.ndarray, "point 3"],
+    tolerance: float,
+) -> UInt32[np.ndarray, " plane"]:
+    """How many points are on each plane."""
+    off = normals @ points.T
+    off -= offsets[:, None]
+    return (np.abs(off, out=off) < tolerance).view(np.uint8).sum(1, dtype=np.uint32)
 
 
 def fit_plane(
@@ -52,8 +67,12 @@ def fit_plane(
     if not len(normals):
         return None
     subset = points[rng.integers(0, len(points), SUBSET)] if len(points) > SUBSET else points
-    near = np.abs(normals @ subset.T - np.sum(normals * at, 1)[:, None]) < tolerance
-    best = int(np.argmax(near.view(np.uint8).sum(1, dtype=np.uint32)))
+    offsets = np.sum(normals * at, 1)
+    if len(normals) > FINAL and len(subset) > FIRST:  # most planes are out of the question by a part of the points
+        counts = _counts(normals, offsets, subset[:: len(subset) // FIRST], tolerance)
+        chosen = np.sort(np.argsort(-counts.astype(int), kind="stable")[:FINAL])
+        normals, at, offsets = normals[chosen], at[chosen], offsets[chosen]
+    best = int(np.argmax(_counts(normals, offsets, subset, tolerance)))
     normal, offset = normals[best], float(normals[best] @ at[best])
     for _ in range(3):
         inside = points[np.abs(points @ normal - offset) < tolerance]

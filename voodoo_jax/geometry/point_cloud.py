@@ -66,6 +66,21 @@ def _length(v: Float32[np.ndarray, "3 point"]) -> Float32[np.ndarray, " point"]:
     return np.sqrt(x * x + y * y + z * z)
 
 
+def along(
+    axes: Float32[np.ndarray, "axis 3"], points: Float32[np.ndarray, "point 3"], start: Float32[np.ndarray, " axis"]
+) -> Float32[np.ndarray, "axis point"]:
+    """How far points are along some axes from where these start, metres.
+
+    A coordinate after the other, which are best so in memory: as a product of matrices, so slim a one is slower, keeps
+    several cores busy, and has other last digits with each number of them.
+    """
+    x, y, z = points.T
+    found = np.empty((len(axes), len(points)), np.float32)
+    for (a, b, c), at, out in zip(axes, start, found):
+        np.subtract(a * x + b * y + c * z, at, out=out)
+    return found
+
+
 def fair_share(sensor: Int[np.ndarray, " point"], most: int) -> Int[np.ndarray, " kept"]:
     """Indices of about `most` points at most: of each sensor every first, second, ... point, of the densest the fewest.
 

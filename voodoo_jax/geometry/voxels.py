@@ -63,6 +63,21 @@ def cells_of(points: Float32[np.ndarray, "point 3"], size: float) -> Int[np.ndar
     return np.floor(place, out=place).astype(np.int32).T
 
 
+def numbered(
+    keys: Int[np.ndarray, " entry"], size: int | None = None
+) -> tuple[Int[np.ndarray, " unique"], Int[np.ndarray, " entry"]]:
+    """The keys that occur, in order, and which of them each entry is. Keys are 0 or more, and less than `size`."""
+    size = int(keys.max(initial=-1)) + 1 if size is None else size
+    if size > max(MODERATE, 4 * len(keys)):
+        return np.unique(keys, return_inverse=True)
+    taken = np.zeros(size, bool)
+    taken[keys] = True
+    found = np.flatnonzero(taken)
+    place = np.empty(size, np.int64)  # of each key among those found
+    place[found] = np.arange(len(found))
+    return found, place[keys]
+
+
 def unique_cells(cells: Cells) -> tuple[Int[np.ndarray, "unique 3"], Int[np.ndarray, " cell"]]:
     """The cells that occur, in order, and which of them each entry is."""
     if not len(cells):
@@ -72,15 +87,7 @@ def unique_cells(cells: Cells) -> tuple[Int[np.ndarray, "unique 3"], Int[np.ndar
         unique, inverse = np.unique(cells, axis=0, return_inverse=True)
         return unique, inverse.ravel()
     number = box.numbers(cells)
-    if box.size > MODERATE:
-        found, inverse = np.unique(number, return_inverse=True)
-    else:
-        taken = np.zeros(box.size, bool)
-        taken[number] = True
-        found = np.flatnonzero(taken)
-        place = np.empty(len(taken), np.int64)  # of each cell among those found
-        place[found] = np.arange(len(found))
-        inverse = place[number]
+    found, inverse = numbered(number, box.size)
     return (np.stack(np.unravel_index(found, box.span)) + box.low).T, inverse
 
 

@@ -303,13 +303,16 @@ class LogReader:
             found = self._scan.tree.lookup(self.fixed_frame, frame, time_ns, hold_ns=None)
             origins[sensor] = found[1] if found else 0.0
         parts = sorted(parts, key=lambda part: part[0])
-        sensor = np.repeat([s for s, _ in parts], [len(m.points) for _, m in parts]).astype(np.int32)
+        sizes = [len(m.points) for _, m in parts]
+        sensor = np.repeat(np.array([s for s, _ in parts], np.int32), sizes)
+        clouds = [m.points for _, m in parts] or [np.zeros((0, 3), np.float32)]
+        points = clouds[0] if len(clouds) == 1 else np.concatenate(clouds)
         said = self._plan_parts
         part = np.concatenate([np.zeros(0, np.int32), *(m.part for _, m in parts)]) if said.names else None
         weights = np.array([said.weight(name) for name in self.sensors], np.float32)
         return Frame(
             time_ns=time_ns,
-            points=np.concatenate([np.zeros((0, 3), np.float32), *(m.points for _, m in parts)], dtype=np.float32),
+            points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see _measure
             sensor=sensor,
             origins=origins.astype(np.float32),
             rays=self._whole.rays.get(i, Rays()),
@@ -357,10 +360,11 @@ class LogReader:
             rays, square = self._directions(topic, content, k, rotation)
             with np.errstate(invalid="ignore", over="ignore"):
                 keep = np.flatnonzero(self._in_range(square * (z * z)) & (z > 0))
-            depth, points = z[keep], np.empty((len(keep), 3), np.float32)
+            depth, xyz = z[keep], np.empty((3, len(keep)), np.float32)
             for axis, place in enumerate(translation.astype(np.float32)):
                 # one by one: all three at once take three times as long
-                np.add(np.take(rays[axis], keep) * depth, place, out=points[:, axis])
+                np.add(np.multiply(np.take(rays[axis], keep), depth, out=xyz[axis]), place, out=xyz[axis])
+            points = xyz.T  # by coordinate in memory: all that looks at many points is several times as fast
         else:
             points = content.points(s.max_points)
             if topic in self.scales:
