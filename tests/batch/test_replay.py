@@ -214,6 +214,13 @@ def test_folders_of_logs_of_one_name():
     assert folders_within(logs) == dict(zip(logs, ["mon", "tue", "", "", "s3/x", ""]))
 
 
+def test_a_log_that_was_given_itself_stays_where_it_is():
+    logs = ["/y/a.mcap", "/y/below/a.mcap", "/x/a.mcap"]
+    assert folders_within(logs, {"/y/a.mcap"})["/y/a.mcap"] == "" != folders_within(logs)["/y/a.mcap"]
+    assert folders_within(logs, {"/y/a.mcap"})["/y/below/a.mcap"] == "y/below"
+    assert folders_within(logs, {"/y/a.mcap", "/x/a.mcap"}) == folders_within(logs)
+
+
 def test_output_names():
     assert [p.name for p in output_paths("/x/a.b.mcap", "o")] == ["a.b.tracks.npz", "a.b.voodoo.mcap"]
 

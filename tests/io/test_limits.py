@@ -3,6 +3,7 @@
 import random
 import struct
 import zlib
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,10 +12,11 @@ import zstandard
 from mcap.records import Channel, Schema
 
 from tests.support.logs import depth_log
+from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.io.decode.depth_codec import packed_depth
 from voodoo_jax.io.decode.image_codec import stored
 from voodoo_jax.io.decode.registry import Decoder
-from voodoo_jax.io.limits import PIXELS
+from voodoo_jax.io.limits import limited
 from voodoo_jax.io.log_reader import LogError, read_log, survey
 from voodoo_jax.io.transforms import Transform, TransformTree
 from voodoo_jax.records.notes import plain, plain_name
@@ -69,9 +71,64 @@ def jpeg(rows: int, columns: int) -> bytes:
 
 @pytest.mark.parametrize("data", [png(30_000, 30_000), jpeg(30_000, 30_000)])
 def test_pixels_are_counted_in_the_header(data):
-    with pytest.raises(ValueError, match=f"900000000 pixels, more than the {PIXELS}"):
+    with pytest.raises(ValueError, match=f"900000000 pixels, more than the {LimitSettings().pixels}"):
         stored(data, "test")
     assert stored(png(8, 8), "test").shape == (8, 8) and stored(jpeg(8, 8), "test").shape == (8, 8, 3)
+
+
+def packed(rows: int, columns: int, ending: str) -> bytes:
+    """A small image whose header says that it is large."""
+    made = bytearray(cv2.imencode(ending, np.full((8, 8, 3), 90, np.uint8))[1].tobytes())
+    if ending == ".bmp":
+        made[18:26] = struct.pack("<ii", columns, -rows)
+    elif ending == ".webp":
+        at = made.index(b"VP8 ") + 14 if b"VP8 " in made else made.index(b"VP8L") + 9
+        made[at : at + 4] = (
+            struct.pack("<HH", columns, rows)
+            if b"VP8 " in made
+            else struct.pack("<I", (columns - 1) | (rows - 1) << 14)
+        )
+    else:
+        at = struct.unpack_from("<I", made, 4)[0] + 2
+        for place in range(at, at + 12 * struct.unpack_from("<H", made, at - 2)[0], 12):
+            if (tag := struct.unpack_from("<H", made, place)[0]) in (256, 257):
+                struct.pack_into("<HHII", made, place, tag, 4, 1, columns if tag == 256 else rows)
+    return bytes(made)
+
+
+@pytest.mark.parametrize("ending", [".bmp", ".webp", ".tiff"])
+def test_pixels_of_other_formats_are_counted_in_the_header(ending):
+    whole = cv2.imencode(ending, np.full((8, 8, 3), 90, np.uint8))[1].tobytes()
+    assert stored(whole, "test").shape[:2] == (8, 8)
+    with pytest.raises(ValueError, match=f"{16_000 * 16_000} pixels, more than .*--limits.pixels"):
+        stored(packed(16_000, 16_000, ending), "test")
+    for cut in range(2, 26):
+        with pytest.raises(ValueError):
+            stored(whole[:cut], "test")
+
+
+def test_formats_that_are_not_read_are_named():
+    with pytest.raises(ValueError, match="not read"):
+        stored(b"P5 30000 30000 255 " + bytes(64), "test")
+
+
+def test_limits_are_settings(tmp_path):
+    """Each of them changes what is read of a sound log, and what is left out says which option it was."""
+    path = depth_log(3).write(tmp_path / "sound.mcap")
+    whole = read_log(path)
+    assert len(whole) == 3 and not any("--limits" in note for note in whole.notes)
+    for name, value in [
+        ("chunk_bytes", 100), ("chunk_messages", 1), ("pixels", 10), ("schema_bytes", 50),
+        ("schema_lines", 2), ("schema_fields", 3), ("schemas_bytes", 10), ("topics", 1),
+        ("log_bytes", 10), ("seconds", 1e-9),
+    ]:  # fmt: skip
+        with limited(replace(LimitSettings(), log_times=1, **{name: value})):
+            try:
+                said = " ".join(read_log(path).notes)
+            except LogError as problem:
+                said = str(problem)
+        assert f"--limits.{name}" in said, (name, said)
+    assert len(read_log(path)) == 3  # what was refused before is not remembered
 
 
 def test_a_jpeg_without_an_end_of_its_head():
@@ -82,7 +139,7 @@ def test_a_jpeg_without_an_end_of_its_head():
 
 
 def test_rvl_and_png_of_impossible_sizes():
-    with pytest.raises(ValueError, match="268435456 pixels"):
+    with pytest.raises(ValueError, match="1073741824 pixels"):
         packed_depth(0, "f", "16UC1; compressedDepth rvl", bytes(12) + struct.pack("<ii", 16384, 16384) + bytes(64))
     broken = bytearray(png(8, 8))
     broken[33:37] = b"\x70\0\0\0"  # the length of the pixels
@@ -94,7 +151,7 @@ def test_rvl_and_png_of_impossible_sizes():
     "text, words",
     [
         ("a/B b\n" + "=" * 80 + "\nMSG: a/B\na/B[] b", "holds itself"),
-        ("".join(f"float64 f{i}\n" for i in range(100_000)), "bytes, more than"),
+        ("".join(f"float64 f{i}\n" for i in range(100_000)), "more than the"),
         (NESTED, "fields, more than"),
     ],
 )

@@ -1,5 +1,6 @@
 """One log from file to result files: the same function for this process, worker processes and other machines."""
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterable
@@ -41,6 +42,7 @@ class Job:
     html: bool = False
     compile_cache: str = ""  # folder; empty: none
     size: int = 1  # bytes of the log
+    timeout: float = 0.0  # seconds after which it is given up; 0: never
 
 
 def output_paths(log: str | os.PathLike[str], out: str | os.PathLike[str]) -> tuple[Path, Path]:
@@ -61,11 +63,16 @@ def track_log(
     settings: Settings,
     progress: Progress | None = None,
     visit: Visit | None = None,
+    timeout: float = 0.0,
 ) -> list[Tracks]:
-    """Reads a log frame by frame and tracks everybody in it; `visit` see do_job. Raises LogError, Unsuitable."""
+    """Reads a log frame by frame and tracks everybody in it; `visit` see do_job. Raises LogError, also after `timeout`
+    seconds if that is not 0; Unsuitable."""
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of
+    from voodoo_jax.io.container import LogError
     from voodoo_jax.trackers.base import source_of_log, tracker_of
+
+    until = time.monotonic() + timeout if timeout else math.inf
 
     tracker = tracker_of(settings)
     log = open_checked(path, tracker.reads(settings.read), build_of(body, settings.start.scale), settings.detect)
@@ -77,6 +84,8 @@ def track_log(
     def more(count: float) -> None:
         nonlocal done
         done += count
+        if time.monotonic() > until:
+            raise LogError(out_of_time(timeout))
         if progress is not None:
             progress(min(1.0, done / total))
 
@@ -87,6 +96,11 @@ def track_log(
 
     found = tracker.track(body, counted(), source, settings, more, visit)
     return [given_from(tracks, log.origin) for tracks in found]
+
+
+def out_of_time(seconds: float) -> str:
+    """Why a log was given up."""
+    return f"it was not done after {seconds:g} s, and given up; allow more, or cut it in pieces (--log-timeout)"
 
 
 def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
@@ -111,12 +125,14 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
     """Tracks one log and writes its results; `visit` runs the program, None: here and now. Whatever goes wrong with it
     is told in the outcome."""
     from voodoo_jax.io.container import LogError
+    from voodoo_jax.io.limits import limited
     from voodoo_jax.trackers.base import Unsuitable
 
     began = time.perf_counter()
     use_compile_cache(job.compile_cache)
     try:
-        outcome = _done(job, progress, visit)
+        with limited(job.settings.limits):
+            outcome = _done(job, progress, visit)
     except (LogError, SettingsError, Unsuitable) as problem:
         outcome = Outcome(job.log, error=str(problem))
     except UnicodeEncodeError as problem:  # bytes of a name that are no text
@@ -162,7 +178,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             with suppress(OSError):  # before reading: it may be changed meanwhile
                 key = run_key(job.recipe, fingerprint_of(original, far=is_url(job.log)))
             try:
-                people = track_log(log, on_device(job.body), job.settings, progress, visit)
+                people = track_log(log, on_device(job.body), job.settings, progress, visit, job.timeout)
             except (LogError, Unsuitable) as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
             people = [replace(one, source=job.log, notes=(*converted, *one.notes)) for one in people]

@@ -18,12 +18,13 @@ from typing import Any
 
 import jax
 
-from voodoo_jax.batch.log_job import Job, do_job, output_places, remove_partials
+from voodoo_jax.batch.log_job import Job, do_job, out_of_time, output_places, remove_partials
 from voodoo_jax.batch.outcome import Outcome
 from voodoo_jax.batch.worker_start import Process, all_started, started
 
 Report = Callable[[int, float], None]  # number of the job, share that is done
 Results = Generator[tuple[int, Outcome], None, None]  # number of the job and what became of it
+GRACE = 5.0  # seconds beyond its time in which a worker may give a log up by itself, which keeps the process
 WORKER_BYTES = 3 << 29  # what a worker may need: 1.5 GiB
 
 
@@ -38,14 +39,14 @@ def usable_cores() -> int:
 
 def default_workers(logs: int) -> int:
     """As many workers as there are logs, cores, and memory for; one where jax computes on a GPU."""
-    if _may_have_gpu() and jax.default_backend() != "cpu":
+    if may_have_gpu() and jax.default_backend() != "cpu":
         return 1
     lines = (_text("/proc/meminfo") or "").splitlines()
     free = next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), 1 << 60)
     return max(1, min(logs, usable_cores(), free // WORKER_BYTES))
 
 
-def _may_have_gpu() -> bool:
+def may_have_gpu() -> bool:
     """Whether jax's device is worth asking for: that opens it, and a process with an open one cannot be copied."""
     return bool(find_spec("jax_plugins") or find_spec("libtpu") or entry_points(group="jax_plugins"))
 
@@ -127,6 +128,16 @@ class _Worker:
 
     def _ask(self, number: int, job: Job) -> Outcome:
         """The worker's answer, or what became of it."""
+        expired = threading.Event()
+
+        def end() -> None:
+            expired.set()
+            self.process.kill()
+
+        timer = threading.Timer(job.timeout + GRACE, end)
+        timer.daemon = True
+        if job.timeout:
+            timer.start()
         try:
             _send(self.process, job)
             while True:
@@ -138,9 +149,11 @@ class _Worker:
                     self.events.put((number, value))
         except (EOFError, OSError, pickle.UnpicklingError):
             status = self._close()
+        finally:
+            timer.cancel()
         for place in output_places(job.log, job.out):
             remove_partials(Path(place))
-        return Outcome(job.log, error=_death(status, self.ready))
+        return Outcome(job.log, error=out_of_time(job.timeout) if expired.is_set() else _death(status, self.ready))
 
     def stop(self, at_once: bool) -> None:
         """Ends the process: whatever it does, or after its last job."""
@@ -177,9 +190,9 @@ def _death(status: int, ready: bool) -> str:
     """Why a worker that ended so has no answer, and what to try."""
     if status < 0:
         name = signal.Signals(-status).name if -status in list(signal.Signals) else f"signal {-status}"
-        killed = "if nobody did that, the machine ran out of memory: use fewer --workers"
-        why = killed if name == "SIGKILL" else "a library crashed: try the log alone with --workers 1"
+        killed = "if nobody did that, the machine ran out of memory: use fewer --workers, or cut the log in pieces"
+        why = killed if name == "SIGKILL" else "a library crashed on it: voodoo-jax info may say what is odd in it"
         return f"its worker process was ended by {name}; {why}. The other logs went on."
     if not ready:
         return f"its worker process did not start (exit status {status}): see above; --workers 1 does without"
-    return f"its worker process ended with exit status {status}: see above, and try the log alone with --workers 1"
+    return f"its worker process ended with exit status {status}: see above"

@@ -15,8 +15,10 @@ from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 from voodoo_jax.batch.log_job import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.batch.outcome import Outcome, outcome_of_arrays
 from voodoo_jax.batch.output_paths import folders_within
-from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers
+from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers, may_have_gpu
+from voodoo_jax.batch.results_elsewhere import brought, keys_elsewhere
 from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
+from voodoo_jax.batch.worker_start import can_copy
 from voodoo_jax.compile.cache_dir import safe_folder
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
@@ -25,10 +27,11 @@ from voodoo_jax.storage.urls import NPZ, byte_size, expanded, file_system, is_ur
 __all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
 
 SMOOTHEST = 1000.0  # seconds over which tracks may be averaged
+LONGEST = 1e6  # seconds, eleven days: timers take no more than some hundred years
 SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being done
 
 
-# 15 parameters, the options of the command, each by name; half of the lines say what they are
+# 16 parameters, the options of the command, each by name; half of the lines say what they are
 def replay(
     logs: Iterable[str | os.PathLike[str]],
     out: str | os.PathLike[str],
@@ -46,6 +49,7 @@ def replay(
     engine: Literal["local", "batch", "ray"] = "local",
     shard: str = "",
     compile_cache: str = "",
+    log_timeout: float = 0.0,
 ) -> list[Outcome]:
     """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, of logs of one
     name into folders of their own in it (see output_paths.py).
@@ -59,9 +63,11 @@ def replay(
     trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
     `report` writes `report.html`, with a row for each log whose results are in `out`;
     `export` formats to which tracks are exported besides (exporters/formats.py), such as "bvh"; `again` does finished
-    logs anew; `workers` processes, 1: in this one, 0: as many as are good for this machine; `engine` "batch": in this
-    one, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight
-    parts of the logs only; `compile_cache` folder for compiled programs, "": the user's, "off": none.
+    logs anew; `workers` processes, 1: one beside this one where it can be a
+    copy of this one (see worker_start.py), else this one, 0: as many as are good for this machine; `engine` "batch": in
+    this one, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of
+    eight parts of the logs only; `compile_cache` folder for compiled programs, "": the user's, "off": none;
+    `log_timeout` seconds after which a log is given up, 0: never.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
@@ -78,12 +84,15 @@ def replay(
         raise ValueError(f"--smooth {smooth_seconds}: must not be negative, and at most {SMOOTHEST:g} seconds")
     if workers < 0:
         raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
+    if not 0 <= log_timeout <= LONGEST:
+        raise ValueError(f"--log-timeout {log_timeout}: must not be negative, and at most {LONGEST:g} seconds")
     check_stages(settings or Settings())
     exports = check_formats(export)
     number, count = parse_shard(shard)
     summary = summary_name(number, count)
-    places = list(dict.fromkeys(_absolute(place) for log in logs for place in expanded(log)))
-    within = folders_within(places)
+    named = [(_absolute(log), _absolute(place)) for log in logs for place in expanded(log)]
+    places = list(dict.fromkeys(place for _, place in named))
+    within = folders_within(places, {place for log, place in named if log in (place, os.path.dirname(place))})
     out, settings, body = _absolute(out), settings or Settings(), body or load_on_host("human")
     if not is_url(out):
         Path(out).mkdir(parents=True, exist_ok=True)
@@ -100,12 +109,15 @@ def replay(
         exports=exports,
         html=html,
         compile_cache=safe_folder(compile_cache),
+        timeout=log_timeout,
     )
     jobs = {log: replace(job, log=log, out=joined(out, within[log]), size=max(1, byte_size(log))) for log in places}
+    expected = {output_places(log, joined(out, folder))[0] for log, folder in within.items()}
+    elsewhere = {} if again else keys_elsewhere(out, expected)
     done: dict[str, Outcome] = {}
     save = partial(write_summary, folder=out, name=summary)
     with ThreadPoolExecutor(8) as several:  # a store's answers take long
-        for log, found in zip(places, several.map(partial(_finished, again=again), jobs.values())):
+        for log, found in zip(places, several.map(partial(_finished, again=again, elsewhere=elsewhere), jobs.values())):
             if found is not None and found.picture == "due":
                 jobs[log] = replace(jobs[log], only_picture=True)
             elif found is not None:
@@ -153,16 +165,21 @@ def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "
     count = min(workers or default_workers(len(jobs)), len(jobs))
     # what is in this process's memory no other can read
     within = any(place.startswith("memory://") for job in jobs for place in (job.log, job.out))
-    return in_process(jobs, report) if count <= 1 or within else in_workers(jobs, report, count)
+    # one worker too where it starts at once, as a copy: a log that ends it ends no more than that
+    alone = count <= 1 and not (jobs and can_copy() and not may_have_gpu())
+    return in_process(jobs, report) if alone or within else in_workers(jobs, report, count)
 
 
-def _finished(job: Job, again: bool) -> Outcome | None:
-    """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run."""
+def _finished(job: Job, again: bool, elsewhere: dict[str, str]) -> Outcome | None:
+    """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run.
+    `elsewhere`: see keys_elsewhere."""
     from voodoo_jax.batch.extra_files import VIEW, exported_name
     from voodoo_jax.batch.resume import finished_arrays
 
     npz, mcap, png = output_places(job.log, job.out)
     arrays = None if again else finished_arrays(job.log, npz, mcap, job.recipe)
+    if arrays is None and elsewhere and brought(job, elsewhere):
+        arrays = finished_arrays(job.log, npz, mcap, job.recipe)
     if arrays is None:
         return None
     wanted = [png] if job.picture else []

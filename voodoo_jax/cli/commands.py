@@ -11,6 +11,7 @@ from voodoo_jax.config.options import (
     DetectSettings,
     FeatureSettings,
     FlexibleSettings,
+    LimitSettings,
     ReadSettings,
     Settings,
     SolveSettings,
@@ -56,13 +57,15 @@ class Running:
     again: bool = False
     """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""
     workers: int = 0
-    """Processes that track one log each; 1: in this one, 0: as many as there are cores, memory and logs for."""
+    """Processes that track one log each; 0: as many as there are cores, memory and logs for."""
     shard: str = ""
     """Only a part of the logs, for array jobs: 2/8 is the second of eight. The same logs make the same parts."""
     engine: Literal["local", "batch", "ray"] = "local"
     """local: processes here; batch: many logs at once in one, for GPUs; ray: the cluster here, or RAY_ADDRESS."""
     compile_cache: str = ""
     """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
+    log_timeout: float = 0.0
+    """Seconds after which a log is given up and the next one begun; 0: never."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,7 @@ class UsualSettings(Settings):
     solve: Suppress[SolveSettings] = field(default_factory=SolveSettings)
     track: Suppress[TrackSettings] = field(default_factory=TrackSettings)
     flexible: Suppress[FlexibleSettings] = field(default_factory=FlexibleSettings)
+    limits: Suppress[LimitSettings] = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
@@ -140,6 +144,7 @@ class Info:
     logs: Positional[tuple[Path, ...]]
     """MCAP logs, or folders of them."""
     read: ReadSettings = field(default_factory=ReadSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
@@ -156,6 +161,7 @@ class View:
     once: bool = False
     """End at once when it is ready: a trial."""
     read: ReadSettings = field(default_factory=ReadSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from voodoo_jax.fitting.fit import fit
 from voodoo_jax.fitting.frames import TruthError
 from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.fitting.report import write_report
+from voodoo_jax.io.limits import limited
 from voodoo_jax.io.log_reader import LogError
 from voodoo_jax.model.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.storage.atomic import replacing
@@ -56,7 +57,8 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         try:
             command.out.parent.mkdir(parents=True, exist_ok=True)
             body = load_body(command.body or "human")
-            found = fit(body, logs, settings, command.fit, command.truth, state=state, say=say)
+            with limited(settings.limits):
+                found = fit(body, logs, settings, command.fit, command.truth, state=state, say=say)
         except KeyboardInterrupt:
             print("voodoo-jax fit: interrupted; the same command goes on from the last step", file=sys.stderr)
             return 130

@@ -75,11 +75,13 @@ def run_replay(command: Replay) -> int:
         outcomes = replay(
             command.logs, wanted.out, body, command.settings, smooth_seconds=wanted.smooth, picture=wanted.picture,
             html=wanted.html, report=wanted.report, export=[wanted.export], again=how.again, workers=how.workers,
-            engine=how.engine, shard=how.shard, compile_cache=cache or "off",
+            engine=how.engine, shard=how.shard, compile_cache=cache or "off", log_timeout=how.log_timeout,
         )  # fmt: skip
     except FileExistsError:
         print(f"voodoo-jax replay: --out '{command.results.out}' is a file; name a folder", file=sys.stderr)
         return 2
+    except BrokenPipeError:
+        raise
     except (BodyFileError, ValueError, OSError) as problem:
         print(f"voodoo-jax replay: {problem}", file=sys.stderr)
         return 2
@@ -103,6 +105,7 @@ def run_info(command: Info) -> int:
     if not command.logs:
         print("voodoo-jax info: name at least one log", file=sys.stderr)
         return 2
+    from voodoo_jax.io.limits import limited
     from voodoo_jax.io.log_reader import LogError, survey
     from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.storage.urls import expanded
@@ -115,7 +118,8 @@ def run_info(command: Info) -> int:
         return 2
     for path in paths:
         try:
-            found = survey(path, command.read)
+            with limited(command.limits):
+                found = survey(path, command.read)
             print(found)
         except (LogError, SettingsError) as problem:
             print(f"voodoo-jax info: {problem}", file=sys.stderr)

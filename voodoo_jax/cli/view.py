@@ -12,6 +12,7 @@ def run_view(command: View) -> int:
     from voodoo_jax.config.options import SettingsError
     from voodoo_jax.detect.opening import read_log
     from voodoo_jax.exporters.npz import TracksFileError, read_everybody
+    from voodoo_jax.io.limits import limited
     from voodoo_jax.io.log_reader import LogError
 
     def say(problem: object) -> None:
@@ -26,7 +27,7 @@ def run_view(command: View) -> int:
         people = []
         if len(command.what) == 2:
             people = read_everybody(command.what[1])
-        with as_mcap(str(command.what[0])) as (log, _):
+        with limited(command.limits), as_mcap(str(command.what[0])) as (log, _):
             viewer = Viewer(read_log(log, replace(command.read, images=True)), people, command.port)
     except ImportError:
         say('it needs viser: pip install "voodoo_jax[view]"')

@@ -282,6 +282,50 @@ class FlexibleSettings:
 
 
 @dataclass(frozen=True)
+class LimitSettings:
+    """What one log may ask for: what asks for more is refused with a sentence, and costs itself only."""
+
+    # the largest message of sensors in use is a raw image of 32 Mpixel (128 MB); recorders close chunks at some MB
+    chunk_bytes: int = 256 << 20
+    """Bytes of a chunk, or of a message that is packed by itself, unpacked."""
+    # a record of one takes 500 bytes of memory beside its content (measured), so this is half a GB
+    chunk_messages: int = 1 << 20
+    """Messages of a chunk."""
+    # a log of dark images packs 500 : 1 (measured), zeros alone 10,000 : 1; the 4 GiB are for small logs
+    log_bytes: int = 4 << 30
+    """Bytes of a whole log, unpacked, beyond limits.log_times its size."""
+    log_times: int = 1000
+    """So many times its size a log may have besides, unpacked."""
+    # the largest depth cameras and stereo cameras have 4096 x 4096 pixels
+    pixels: int = 1 << 24
+    """Pixels of an image, as its header says."""
+    # lidars have 0.3 million in a turn; terrestrial scanners some millions
+    points: int = 1 << 24
+    """Points of a cloud or of a turn of a laser scanner."""
+    # definitions of ROS with all they include have at most 30 kB, those of Foxglove 10 kB
+    schema_bytes: int = 128 << 10
+    """Bytes of a schema."""
+    # the longest of common_interfaces (InteractiveMarkerUpdate) has 700; 4000 take a second (measured)
+    schema_lines: int = 4000
+    """Lines of a schema, fields or comments, with what it includes."""
+    # fields with those of the fields: the largest of common_interfaces (InteractiveMarkerUpdate) has 800
+    schema_fields: int = 10_000
+    """Fields of a schema with those of the fields."""
+    # robots record some hundred types of 100 lines
+    schemas_bytes: int = 32 << 20
+    """Bytes of all schemas of a log."""
+    # robots record some hundred; MCAP has numbers for 65,536
+    topics: int = 10_000
+    """Topics of a log."""
+    # whole-body marker sets have a hundred, pose nets 133 with hands and face
+    names: int = 10_000
+    """Different names of features, markers or coordinate frames of a log."""
+    # the slowest recordings at hand yield their first frame after 4 s for each GiB (measured, one slow core)
+    seconds: float = 60.0
+    """Seconds of a processor in which a log must yield its next frame, for each GiB begun of its size; 0: no limit."""
+
+
+@dataclass(frozen=True)
 class Change:
     """A change of the body while it is tracked (Knoop 2006, sec. IV); a table [[change]] in a settings file."""
 
@@ -320,6 +364,7 @@ class Settings:
     solve: SolveSettings = field(default_factory=SolveSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     flexible: FlexibleSettings = field(default_factory=FlexibleSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
     tracker: Literal["icp", "flexible"] = "icp"
     """icp: limbs as cylinders, fitted to 3D points (Knoop et al. 2006, 2007); flexible: masses and springs, particle
     filters on the images of a stereo or colour and depth camera (Hecht et al. 2009)."""

@@ -18,6 +18,7 @@ from voodoo_jax.config.options import (
     DetectSettings,
     FeatureSettings,
     FlexibleSettings,
+    LimitSettings,
     ReadSettings,
     Settings,
     SettingsError,
@@ -258,6 +259,7 @@ _STAGES: dict[str, type] = {
     "solve": SolveSettings,
     "track": TrackSettings,
     "flexible": FlexibleSettings,
+    "limits": LimitSettings,
 }
 # texts like "face=10", and whether a number stands behind the equals sign
 _PAIRS = {
@@ -280,6 +282,7 @@ _EXAMPLES = {
     "read.delays": "topic=seconds, such as /lidar/points=0.25",
 }
 _BOUNDS: dict[str, tuple[float, float]] = {
+    **{f"limits.{f.name}": (1, 1 << 60) for f in fields(LimitSettings) if f.name != "seconds"},
     "read.max_points": (1, float("inf")),
     "detect.points": (1, 8192),
     "start.headings": (1, 360),

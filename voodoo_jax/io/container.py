@@ -4,6 +4,7 @@ import heapq
 import os
 import struct
 import tempfile
+import time
 import weakref
 import zlib
 from collections import Counter
@@ -12,6 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
 from itertools import chain
+from operator import attrgetter
 from typing import BinaryIO
 
 import lz4.frame
@@ -24,12 +26,13 @@ from mcap.records import Channel, Chunk, DataEnd, Message, Schema, Statistics
 from mcap.stream_reader import CRCValidationError
 from mcap.summary import Summary
 
-from voodoo_jax.io.limits import CHUNK_BYTES, CHUNK_RECORDS, LOG_BYTES, LOG_TIMES, TIME, of_size
+from voodoo_jax.io.limits import TIME, limits, too_large
 from voodoo_jax.records.notes import INCOMPLETE, SENTENCE, plain, plain_name
 from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
 ZSTD = b"\x28\xb5\x2f\xfd"  # how data packed with zstd begin
+METADATA = ("latching", "offered_qos_profiles")  # of a channel
 COMPRESSIONS = ("", "lz4", "zstd")
 KEPT = 256 << 20  # bytes of unpacked chunks that stay in memory until the next pass
 # What mcap 1.6 and its decompressors raise on bad bytes (lz4: RuntimeError; lengths over 2^63: OverflowError).
@@ -46,6 +49,9 @@ READ_ERRORS = (
     EOFError,
     MemoryError,
 )
+
+_RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")  # heads: of a record, and of a message behind it
+_BY_TIME = attrgetter("log_time")
 
 Item = tuple[Schema | None, Channel, Message]
 Place = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]  # of a log: a file, a folder, or several files
@@ -70,6 +76,9 @@ class LogFile:
         self.path = os.fspath(path)
         self._file = self._unpacked()
         self.size = _check(self.path, self._file)
+        self.clock = Clock(self.size)
+        self._schema_room = limits().schemas_bytes
+        self._left_out: set[tuple[int, str]] = set()  # numbers and names of schemas for which there was no room
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.declared: dict[int, int] | None = None
@@ -92,15 +101,17 @@ class LogFile:
                 source = self._linear(stream)
             lost = absurd = 0
             for records in source:
+                self.clock.check()
                 held = []
                 for record in records:
-                    if isinstance(record, Schema):
-                        self.schemas[record.id] = _named(record)
-                    elif isinstance(record, Channel):
-                        self.channels[record.id] = _channel(record)
-                    elif isinstance(record, Message):
+                    kind = type(record)
+                    if kind is Message:
                         held.append(record)
-                held.sort(key=lambda message: message.log_time)
+                    elif kind is Schema:
+                        self._learn(record)
+                    elif kind is Channel:
+                        self.channels[record.id] = _channel(record)
+                held.sort(key=_BY_TIME)
                 for message in held:
                     channel = self.channels.get(message.channel_id)
                     if channel is None:
@@ -117,6 +128,23 @@ class LogFile:
                 self.damage.append(f"Messages of no known channel, left out: {lost}.")
             if absurd:
                 self.damage.append(f"Messages with an impossible log time, left out: {absurd}.")
+            if self._left_out:
+                self.damage.append(
+                    f"Schemas beyond {limits().schemas_bytes} bytes together, left out: {len(self._left_out)} "
+                    "(--limits.schemas_bytes)."
+                )
+
+    def _learn(self, schema: Schema) -> None:
+        """Keeps a schema, if there is room for it."""
+        schema = _named(schema)
+        if self.schemas.get(schema.id) == schema:
+            return
+        self._schema_room -= len(schema.data)
+        if self._schema_room >= 0:
+            self.schemas[schema.id] = schema
+        else:
+            self._left_out.add((schema.id, schema.name))
+            self.schemas.pop(schema.id, None)
 
     def _unpacked(self) -> str:
         """The file itself, or an unpacked copy of one that was compressed as a whole, for as long as this lives."""
@@ -134,7 +162,7 @@ class LogFile:
                     for part in zstandard.ZstdDecompressor().read_to_iter(packed):
                         size += out.write(part)
                         if size > most:
-                            raise zstandard.ZstdError(of_size("it unpacks to", size, most))
+                            raise zstandard.ZstdError(f"it unpacks to more than {most} bytes (--limits.log_bytes)")
                 return copy
         except zstandard.ZstdError as error:
             raise LogError(
@@ -168,7 +196,8 @@ class LogFile:
             self._trouble = _words(error)
             return None
         self.channels = {i: _channel(channel) for i, channel in summary.channels.items()}
-        self.schemas = {i: _named(schema) for i, schema in summary.schemas.items()}
+        for schema in summary.schemas.values():
+            self._learn(schema)
         if summary.statistics is not None:
             self._note_statistics(summary.statistics)
         return summary
@@ -191,7 +220,10 @@ class LogFile:
             if records is None:
                 stream.seek(index.chunk_start_offset + 9)
                 try:
-                    records = _chunk_records(stream.read(max(min(index.chunk_length - 9, self.size), 0)), budget)
+                    body = stream.read(max(min(index.chunk_length - 9, self.size), 0))
+                    records, trouble = _chunk_records(body, budget)
+                    if trouble:
+                        bad.append(f"at byte {index.chunk_start_offset}: {trouble}")
                 except READ_ERRORS as error:
                     bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
                     continue
@@ -224,7 +256,10 @@ class LogFile:
             try:
                 if opcode == Opcode.CHUNK:
                     chunks += 1
-                    yield _chunk_records(body, budget)
+                    records, trouble = _chunk_records(body, budget)
+                    if trouble:
+                        bad.append(f"at byte {position}: {trouble}")
+                    yield records
                 elif opcode == Opcode.DATA_END:
                     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
                     if expected and expected != crc and not bad:
@@ -280,6 +315,9 @@ class LogFiles(LogFile):
             known.sort()
         self._overlap = any(a[1] > b[0] for a, b in zip(known, known[1:]))
         self.size = sum(part.size for part in self._parts)
+        self.clock = Clock(self.size)
+        for part in self._parts:
+            part.clock = self.clock
         self.channels, self.schemas, self.counts, self.damage = {}, {}, Counter(), []
         self.time_range = (known[0][0], max(last for _, last in known)) if known else None
         self.declared = {}
@@ -353,24 +391,46 @@ def _check(path: str, file: str) -> int:
     return size
 
 
+class Clock:
+    """How long a log has taken since it yielded something, in seconds of the processor for this thread."""
+
+    def __init__(self, size: int):
+        self.most = limits().seconds * (1 + (size >> 30))
+        self.restart()
+
+    def restart(self) -> None:
+        """Something came of it."""
+        self._wall, self._began = time.monotonic(), time.thread_time()
+
+    def check(self) -> None:
+        """Raises LogError if it took too long."""
+        # the processor's time is asked for where all time could be enough only: that takes ten times as long
+        if 0 < self.most < time.monotonic() - self._wall and self.most < time.thread_time() - self._began:
+            raise LogError(
+                f"The log took {self.most:g} s of the processor without yielding a frame: it is damaged, or made to "
+                "take long. If it is as it should be, allow more (--limits.seconds)."
+            )
+
+
 class Budget:
     """How much a log may still unpack to."""
 
     def __init__(self, size: int):
-        self.most = self.left = LOG_BYTES + LOG_TIMES * size
+        self.most = self.left = limits().log_bytes + limits().log_times * size
 
     def take(self, count: int) -> None:
         """Takes note of so many bytes. Raises LogError if they are too many: other than a bad chunk this ends all."""
         self.left -= count
         if self.left < 0:
             raise LogError(
-                f"The log unpacks to more than {self.most} bytes, {LOG_TIMES} times its size: it is damaged, or made "
-                "to take long. Nothing of it is used."
+                f"The log unpacks to more than {self.most} bytes, over {limits().log_times} times its size: it is "
+                "damaged, or made to take long. Nothing of it is used (--limits.log_bytes, --limits.log_times)."
             )
 
 
-def _chunk_records(body: bytes, budget: Budget) -> list:
-    """Schemas, channels and messages of one chunk record; raises one of READ_ERRORS if its bytes are not as written."""
+def _chunk_records(body: bytes, budget: Budget) -> tuple[list, str]:
+    """Schemas, channels and messages of one chunk record, and why some are missing; raises one of READ_ERRORS if its
+    bytes are not as written."""
     chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     if chunk.compression not in COMPRESSIONS:
         # mcap 1.6 would take the bytes for uncompressed ones and lose them without a word.
@@ -386,54 +446,68 @@ def _chunk_records(body: bytes, budget: Budget) -> list:
 
 def _unpacked(chunk: Chunk) -> bytes:
     """What is packed in a chunk, if it is not too large: looked up in its head, before any memory is asked for."""
-    size = len(chunk.data)
+    size, most = len(chunk.data), limits().chunk_bytes
     if chunk.compression == "zstd":
         # -1 where the packed data do not say it; where they do, the chunk's own word does not count
         size = zstandard.frame_content_size(chunk.data)
         size = chunk.uncompressed_size if size < 0 else size
     elif chunk.compression == "lz4":
         size = lz4.frame.get_frame_info(chunk.data)["content_size"]
-    if size > CHUNK_BYTES:
-        raise McapError(of_size("it unpacks to", size, CHUNK_BYTES))
+    if trouble := too_large("it unpacks to", size, "chunk_bytes"):
+        raise McapError(trouble)
     if chunk.compression == "zstd":
         return zstandard.decompress(chunk.data, chunk.uncompressed_size)
     if chunk.compression == "lz4":
         decoder = lz4.frame.LZ4FrameDecompressor()
-        data = decoder.decompress(chunk.data, max_length=CHUNK_BYTES)
+        data = decoder.decompress(chunk.data, max_length=most)
         if not decoder.eof:
-            raise McapError(f"it is cut off, or unpacks to more than {CHUNK_BYTES} bytes")
+            raise McapError(f"it is cut off, or unpacks to more than {most} bytes (--limits.chunk_bytes)")
         return data
     return chunk.data
 
 
-def _records(data: bytes) -> list:
-    """Schemas, channels and messages in the bytes of a chunk."""
-    stream, records = ReadDataStream(BytesIO(data)), []
-    while stream.count < len(data):
-        opcode, length = stream.read1(), stream.read8()
+def _records(data: bytes) -> tuple[list, str]:
+    """Schemas, channels and messages in the bytes of a chunk, and "" or why it ends early."""
+    records, at, end, most = [], 0, len(data), limits().chunk_messages
+    while at < end:
+        opcode, length = _RECORD.unpack_from(data, at)
+        at += _RECORD.size
+        stop = at + length
+        if stop > end:
+            return records, "a message in it is longer than the rest of it"
         if opcode == Opcode.MESSAGE:
-            records.append(Message.read(stream, length))
+            if length < _MESSAGE.size:
+                raise McapError("a message in it has no head")
+            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, at)
+            records.append(Message(channel, log_time, data[at + _MESSAGE.size : stop], publish_time, sequence))
         elif opcode == Opcode.CHANNEL:
-            records.append(Channel.read(stream))
+            records.append(Channel.read(ReadDataStream(BytesIO(data[at:stop]))))
         elif opcode == Opcode.SCHEMA:
-            records.append(Schema.read(stream))
+            records.append(Schema.read(ReadDataStream(BytesIO(data[at:stop]))))
         elif opcode == 0:  # MCAP has no such record: a chunk of zeros would be millions of them
             raise McapError("it holds bytes that are no records")
-        else:
-            stream.read(length)
-        if len(records) > CHUNK_RECORDS:
-            raise McapError(f"it holds more than {CHUNK_RECORDS} messages")
-    return records
+        if len(records) > most:
+            raise McapError(f"it holds more than {most} messages (--limits.chunk_messages)")
+        at = stop
+    return records, ""
 
 
 def _channel(channel: Channel) -> Channel:
     """A channel by whose names no terminal is harmed."""
-    return replace(channel, topic=plain_name(channel.topic), message_encoding=plain(channel.message_encoding))
+    topic, encoding = plain_name(channel.topic), plain(channel.message_encoding)
+    if (topic, encoding) == (channel.topic, channel.message_encoding) and not channel.metadata:
+        return channel
+    # what is looked at (registry.is_static), and no more of it than recorders write: there may be 65,536 channels
+    metadata = {key: channel.metadata[key][:4096] for key in METADATA if key in channel.metadata}
+    return replace(channel, topic=topic, message_encoding=encoding, metadata=metadata)
 
 
 def _named(schema: Schema) -> Schema:
     """The same of a schema."""
-    return replace(schema, name=plain_name(schema.name), encoding=plain(schema.encoding))
+    name, encoding = plain_name(schema.name), plain(schema.encoding)
+    if (name, encoding) == (schema.name, schema.encoding):
+        return schema
+    return replace(schema, name=name, encoding=encoding)
 
 
 def _whole(channel: Channel, message: Message) -> Message:
@@ -441,8 +515,8 @@ def _whole(channel: Channel, message: Message) -> Message:
     if channel.message_encoding in ("cdr", "ros1") and message.data[:4] == ZSTD:
         with suppress(zstandard.ZstdError):  # what cannot be unpacked cannot be decoded, and is said to be so there
             with zstandard.ZstdDecompressor().stream_reader(message.data) as stream:
-                data = stream.read(CHUNK_BYTES + 1)
-            return replace(message, data=data) if len(data) <= CHUNK_BYTES else message
+                data = stream.read(limits().chunk_bytes + 1)
+            return replace(message, data=data) if len(data) <= limits().chunk_bytes else message
     return message
 
 

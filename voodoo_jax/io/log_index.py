@@ -26,7 +26,7 @@ from voodoo_jax.io.decode.registry import (
 )
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
-from voodoo_jax.io.limits import TIME
+from voodoo_jax.io.limits import TIME, limits
 from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
@@ -65,7 +65,8 @@ class Scan:
         for transform in given_transforms(settings.transform):  # first: what the log has besides is no match for it
             self.tree.add(transform, True)
         self.log_times: tuple[int, int] | None = None
-        self._decoder = Decoder()
+        self._decoder, self._too_many = Decoder(), False
+        self._names: set[str] = set()  # of features
         self._moving: dict[tuple[str, str], list[tuple[Transform, int]]] = {}  # by topic and child; with log times
         self._foreign: dict[str, str] = {}  # topics whose clock is not the others', and why they cannot be used
         self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
@@ -77,6 +78,7 @@ class Scan:
             self.log_times = min(first, message.log_time), max(last, message.log_time)
             topic = self._topic(schema, channel)
             topic.count += 1
+            self.log.clock.check()
             if schema is not None and topic.kind and self.kind(schema, channel) == topic.kind:
                 self._take(topic, schema, channel, message)
         self._bring_clocks_together(settings)
@@ -128,6 +130,9 @@ class Scan:
         return "" if kind in self._off else kind
 
     def _topic(self, schema: Schema | None, channel: Channel) -> Topic:
+        if channel.topic not in self.topics and len(self.topics) >= limits().topics:
+            self._too_many = True
+            return Topic("", "", "", "too many topics")
         if channel.topic not in self.topics:
             encoding = "/".join(filter(None, [channel.message_encoding, schema.encoding if schema else ""]))
             name, why = schema.name if schema else "?", reason_unused(schema, channel)
@@ -164,6 +169,9 @@ class Scan:
                 if note not in self.notes:
                     self.notes.append(note)
         elif isinstance(content, Features):
+            if len(self._names) > limits().names:
+                return
+            self._names.update(content.names)
             topic.features.append(content)
             topic.log_times.append(message.log_time)
         elif depth:
@@ -220,6 +228,12 @@ class Scan:
             if i in log.channels:
                 stated[log.channels[i].topic] += n
         self.notes += log.damage
+        if len(self._names) > limits().names:
+            most = limits().names
+            self.notes.append(f"The log names more than {most} features; the later ones are left out (--limits.names).")
+        if self._too_many:
+            most = limits().topics
+            self.notes.append(f"The log has more than {most} topics; the others are not looked at (--limits.topics).")
         for name, topic in self.topics.items():
             topic.stated = stated[name]
             if topic.kind and topic.count < stated[name]:

@@ -147,6 +147,7 @@ class LogReader:
         wanted = lambda s, c: c.topic == topic and self._scan.kind(s, c) == self._scan.topics[topic].kind  # noqa: E731
         for schema, channel, message in guarded(self._scan.log, wanted) if topic not in stereo else ():
             number += 1
+            self._scan.log.clock.check()
             if number % step or schema is None:
                 continue
             try:
@@ -251,6 +252,7 @@ class LogReader:
             if member not in home or schema is None:
                 continue
             done += 1
+            scan.log.clock.check()
             if progress is not None:
                 progress(done, len(home))
             i = home[member]
@@ -280,6 +282,7 @@ class LogReader:
                 if following in parts or not self._whole.led_by_points:
                     yield self._frame(following, parts.pop(following, []), origins)
                     made += 1
+                    scan.log.clock.restart()
                 following += 1
         # What follows the last depth message; of frames with depth only if the file was changed between the passes.
         for i in range(following, len(self._plan)):

@@ -12,7 +12,7 @@ from voodoo_jax.io.skin_rays import SKIN_USE
 from voodoo_jax.model.marker_names import told_names
 from voodoo_jax.records.notes import NAME, as_few, plain
 
-TOPICS = 1000  # that are listed
+TOPICS = 500  # that are listed
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,8 @@ class LogSurvey:
 def damaged(scan: Scan, problem: LogError) -> str:
     """Why a log is refused: that it is damaged goes before what it lacks, which may be a consequence."""
     damage = as_few(scan.damage)
+    limits = " ".join(note for note in scan.notes if "--limits." in note and note not in damage)
+    problem = LogError(f"{problem} {limits}".strip())
     if not damage or "is damaged" in str(problem):
         return str(problem)
     return f"'{scan.log.path}' is damaged, copy it again. {' '.join(damage)} What is left of it: {problem}"

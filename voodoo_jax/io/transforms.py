@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation, Slerp
 
-from voodoo_jax.io.limits import PLACE, QUATERNION, TIME
+from voodoo_jax.io.limits import PLACE, QUATERNION, TIME, limits
 
 HOLD_NS = 500_000_000  # a moving transform is believed for this long before its first and after its last sample
 
@@ -68,6 +68,9 @@ class TransformTree:
         if not np.any(transform.rotation):
             self._odd["transforms have a rotation of all zeros, taken as no rotation"] += 1
         key = (transform.child, transform.parent)
+        if key not in self._samples and len(self._samples) >= limits().names:
+            self._odd[f"transforms beyond those of {limits().names} frames were left out (--limits.names)"] += 1
+            return
         if static:
             if key in self._static and not _same(self._samples[key][-1], transform):
                 self._odd["times a static transform changed; its last value is used for the whole log"] += 1

@@ -4,6 +4,7 @@ import hashlib
 import re
 from collections.abc import Iterable
 
+MOST = 200  # notes on one log
 FEW, NAMED = 3, 8  # notes of one kind that stand alone, but not more; names that are told then
 NAME, SENTENCE = 200, 2000  # characters of a name and of a note: what is longer is cut
 # how notes begin that say that frames were lost to damage
@@ -43,4 +44,7 @@ def as_few(notes: Iterable[str]) -> tuple[str, ...]:
         names = dict.fromkeys(name for note in same[1:] for name in re.findall(r"'[^']*'", note)[:1])
         told = ", ".join(list(names)[:NAMED]) + (" and others" if len(names) > NAMED else "")
         out.append(f"{same[0]} The same of {len(same) - 1} more{f': {told}' if told else ''}.")
+    if len(out) > MOST:
+        kept = [*out[:MOST], *(note for note in out[MOST:] if note.startswith((DAMAGED, INCOMPLETE)))]
+        out = [*kept, f"And {len(out) - len(kept)} notes more."]
     return tuple(out)

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.io.decode.colour import colour_image
 from voodoo_jax.io.decode.image_codec import PIXELS
-from voodoo_jax.io.limits import PIXELS as LARGEST
-from voodoo_jax.io.limits import of_size
+from voodoo_jax.io.limits import too_large
 from voodoo_jax.io.transforms import Transform, plausible
 from voodoo_jax.records.messages import (
     DEPTH_ENCODINGS,
@@ -51,6 +50,8 @@ def _ros_laser(m: Any) -> Cloud:
 
 def _fan(angles: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """Readings of a laser scanner (radians from x towards y, metres) as the grid of a cloud; NaN: nothing seen."""
+    if trouble := too_large("the turn has", len(ranges), "points", "points"):
+        raise ValueError(trouble)
     grid = np.zeros((1, len(ranges)), np.dtype([("x", "f8"), ("y", "f8"), ("z", "f8")]))
     ranges = np.where(np.isfinite(ranges) & (ranges > 0), ranges, np.nan)
     grid["x"], grid["y"] = ranges * np.cos(angles), ranges * np.sin(angles)
@@ -158,6 +159,8 @@ def _grid(data: Any, rows: int, columns: int, step: int, row_step: int, fields: 
     dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
     if rows * columns == 0:
         return np.empty((0, 0), dtype)
+    if trouble := too_large("the cloud has", rows * columns, "points", "points"):
+        raise ValueError(trouble)
     if rows == 1 or row_step < columns * step:
         row_step = columns * step  # some drivers leave row_step at 0
     if len(data) < (rows - 1) * row_step + columns * step:
@@ -171,8 +174,8 @@ def _image(
 ) -> Image:
     kind, unit = DEPTH_ENCODINGS.get(encoding.strip().upper(), ("", 1.0))
     raw = colour = None
-    if rows * columns > LARGEST:
-        raise ValueError(of_size("the image has", rows * columns, LARGEST, "pixels"))
+    if trouble := too_large("the image has", rows * columns, "pixels", "pixels"):
+        raise ValueError(trouble)
     if encoding.strip().lower() in PIXELS:
         colour = colour_image(stamp_ns, frame, encoding, rows, columns, step, data)
     if kind:

@@ -5,10 +5,12 @@ import struct
 import numpy as np
 from jaxtyping import Float32, Int, UInt16
 
-from voodoo_jax.io.limits import PIXELS, of_size
+from voodoo_jax.io.limits import too_large
 from voodoo_jax.records.messages import DEPTH_ENCODINGS, Image
 
 PNG = b"\x89PNG\r\n\x1a\n"
+LONGEST = 4  # bytes of a pixel packed by RVL: a difference has 3, a count before and behind it half a byte each
+RVL = 4  # pixels for which one of an image in RVL counts
 HEADER = 12  # bytes before the packed image: int32 format, float32 parameters A and B
 
 
@@ -34,8 +36,9 @@ def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | byte
     columns, rows = struct.unpack(">ii", head[16:24]) if is_png else struct.unpack("<ii", head[:8])
     if not (is_png or "rvl" in how.lower()) or not (0 < rows and 0 < columns):
         raise ValueError("the depth image is neither PNG nor RVL")
-    if rows * columns > PIXELS:
-        raise ValueError(of_size("the depth image has", rows * columns, PIXELS, "pixels"))
+    # RVL is unpacked by NumPy, which takes 400 bytes a pixel at worst (measured)
+    if trouble := too_large("the depth image has", rows * columns * (1 if is_png else RVL), "pixels", "pixels"):
+        raise ValueError(trouble)
     kind, unit = DEPTH_ENCODINGS.get(encoding.upper(), ("", 1.0))
     packed = bytes(data) if kind else None
     return Image(stamp_ns, frame, encoding, (rows, columns), None, unit, packed=packed, start=start)
@@ -67,6 +70,8 @@ def _png(data: bytes) -> np.ndarray:
 def _rvl(data: bytes, count: int) -> UInt16[np.ndarray, " pixel"]:
     """Runs of zeros and of differences, as numbers of groups of three bits (Wilson, Fast lossless depth image
     compression, 2017, DOI 10.1145/3132272.3134144)."""
+    if len(data) > LONGEST * (count + 16):
+        raise ValueError("the depth image is damaged: it is longer than its pixels need")
     words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
     groups = (words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32) & 15).ravel().astype(np.int64)
     numbers = _numbers(groups)

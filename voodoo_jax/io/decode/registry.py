@@ -15,10 +15,11 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.io.decode import colour, depth, landmarks
 from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
 from voodoo_jax.io.decode.colour import COLOUR_KIND
-from voodoo_jax.io.limits import SCHEMA_BYTES, SCHEMA_FIELDS, of_size
+from voodoo_jax.io.limits import limits, too_large
 
 KINDS = {
     "sensor_msgs/msg/PointCloud2": "point cloud",
@@ -55,6 +56,7 @@ _CONVERTERS: dict[str, Callable[[Any], Any]] = {
 _ENCODINGS = {
     ("cdr", "ros2msg"), ("cdr", "ros2idl"), ("ros1", "ros1msg"), ("protobuf", "protobuf"), ("json", "jsonschema"),
 }  # fmt: skip
+KEPT = 1024  # schemas of which it is remembered what they are good for: robots record some hundred
 _OLD_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}  # of ROS 1
 # One broken message raises one of these in rosbags, protobuf or NumPy.
 DECODE_ERRORS = (
@@ -126,23 +128,34 @@ class Decoder:
         """What decodes messages of a schema, or why nothing can: looked for once, not with each message."""
         make = {"protobuf": _protobuf, "json": _json}.get(channel.message_encoding)
         try:
-            if len(schema.data) > SCHEMA_BYTES:
-                raise ValueError(of_size("its schema has", len(schema.data), SCHEMA_BYTES))
-            return make(schema) if make else _ros(schema.name, schema.encoding, schema.data)
+            _check_size(schema.data)
+            return make(schema) if make else _ros(schema.name, schema.encoding, schema.data, limits())
         except DECODE_ERRORS as problem:
             return str(problem) or type(problem).__name__
 
 
-@lru_cache(256)
-def _begins_with_header(schema_name: str, encoding: str, definition: bytes) -> bool:
-    return starts_with_header(*_types(schema_name, encoding, definition))
+def _check_size(definition: bytes) -> None:
+    """Raises ValueError for a schema that would take long to look through."""
+    lines = definition.count(b"\n") + definition.count(b";") + definition.count(b"@")  # IDL needs no ends of lines
+    if trouble := too_large("its schema has", len(definition), "schema_bytes") or too_large(
+        "its schema has", lines, "schema_lines", "lines"
+    ):
+        raise ValueError(trouble)
+
+
+@lru_cache(KEPT)
+def _begins_with_header(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> bool:
+    try:
+        return starts_with_header(*_types(schema_name, encoding, definition, within))
+    except DECODE_ERRORS:
+        return False
 
 
 def quick_stamp(schema: Schema, channel: Channel, data: bytes) -> int | None:
     """Header stamp of a ROS message that starts with std_msgs/Header, nanoseconds, without decoding the rest."""
     if channel.message_encoding not in ("cdr", "ros1"):
         return None
-    if _full(schema.name) not in KINDS and not _begins_with_header(schema.name, schema.encoding, schema.data):
+    if _full(schema.name) not in KINDS and not _begins_with_header(schema.name, schema.encoding, schema.data, limits()):
         return None
     if channel.message_encoding == "ros1" and len(data) >= 12:  # behind a sequence number
         seconds, nanoseconds = struct.unpack_from("<II", data, 4)
@@ -159,10 +172,9 @@ def _full(name: str) -> str:
 
 
 @lru_cache(64)  # logs of one robot have the same few, and each takes 10 ms
-def _types(schema_name: str, encoding: str, definition: bytes) -> tuple[Typestore, str]:
-    """The types of a ROS schema, and the name of its own."""
-    if len(definition) > SCHEMA_BYTES:
-        raise ValueError(of_size("its schema has", len(definition), SCHEMA_BYTES))
+def _types(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> tuple[Typestore, str]:
+    """The types of a ROS schema, and the name of its own; `within`: the limits that hold, so that others count."""
+    _check_size(definition)
     store, name, text = get_typestore(Stores.EMPTY), _full(schema_name), definition.decode()
     if encoding == "ros1msg":
         builtin = get_typestore(Stores.ROS1_NOETIC).fielddefs  # `time` and `duration` are no messages there
@@ -178,8 +190,8 @@ def _types(schema_name: str, encoding: str, definition: bytes) -> tuple[Typestor
             if body.strip():
                 types.update(get_types_from_idl(body))
         store.register(types)
-    if (count := _fields(store, name, (), {})) > SCHEMA_FIELDS:
-        raise ValueError(of_size("its schema has", count, SCHEMA_FIELDS, "fields"))
+    if trouble := too_large("its schema has", _fields(store, name, (), {}), "schema_fields", "fields"):
+        raise ValueError(trouble)
     return store, name
 
 
@@ -200,8 +212,8 @@ def _fields(store: Typestore, name: str, above: tuple[str, ...], known: dict[str
 
 
 @lru_cache(64)
-def _ros(schema_name: str, encoding: str, definition: bytes) -> Callable[[bytes], Any]:
-    store, name = _types(schema_name, encoding, definition)
+def _ros(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> Callable[[bytes], Any]:
+    store, name = _types(schema_name, encoding, definition, within)
     convert = _CONVERTERS.get(name) or structure_converter(store, name)
     if convert is None:
         raise ValueError(f"{name} holds nothing that can be used")
@@ -209,10 +221,10 @@ def _ros(schema_name: str, encoding: str, definition: bytes) -> Callable[[bytes]
     return lambda data: convert(read(data, name))
 
 
-@lru_cache(256)
-def _structure_kind(schema_name: str, encoding: str, definition: bytes) -> str:
+@lru_cache(KEPT)
+def _structure_kind(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> str:
     try:
-        store, name = _types(schema_name, encoding, definition)
+        store, name = _types(schema_name, encoding, definition, within)
         return kind_by_fields(store, name)
     except DECODE_ERRORS:
         return ""
@@ -222,7 +234,7 @@ def structure_kind(schema: Schema, channel: Channel) -> str:
     """What a ROS message of an unknown type may be used for, by its fields."""
     if channel.message_encoding not in ("cdr", "ros1"):
         return ""
-    return _structure_kind(schema.name, schema.encoding, schema.data)
+    return _structure_kind(schema.name, schema.encoding, schema.data, limits())
 
 
 def _protobuf(schema: Schema) -> Callable[[bytes], Any]:

@@ -1,0 +1,53 @@
+"""Results that an earlier run has written elsewhere in the folder, where logs were named or laid out in another way."""
+
+import os
+import shutil
+from collections.abc import Collection
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from voodoo_jax.batch.log_job import Job, check_names, output_places, remove_others
+from voodoo_jax.batch.resume import BROKEN, fingerprint_of, finished_arrays, run_key
+from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.urls import NPZ, TRACKS, is_url, person_place
+
+
+def keys_elsewhere(folder: str, expected: Collection[str]) -> dict[str, str]:
+    """The tracks of main persons in a folder and those below it, by the keys of their runs, but for those that are
+    where they are `expected`; none of a URL."""
+    found: dict[str, str] = {}
+    for place in sorted(Path(folder).rglob(f"*{NPZ}")) if not is_url(folder) else ():
+        if str(place) in expected:
+            continue
+        with suppress(*BROKEN), np.load(place, allow_pickle=False) as data:
+            if int(data.get("person", 1)) == 1:
+                found.setdefault(str(data["run_key"]), str(place))
+    return found
+
+
+def brought(job: Job, elsewhere: dict[str, str]) -> bool:
+    """Whether the results of a log were among those, and are now where they belong: as links, or as copies where the
+    file system has none. What was there before of another log with this name is replaced, as by a new run."""
+    with suppress(OSError):
+        there = elsewhere.get(run_key(job.recipe, fingerprint_of(job.log)))
+        if there is None:
+            return False
+        shown = there.removesuffix(NPZ) + TRACKS
+        arrays = finished_arrays(job.log, there, shown, job.recipe)
+        if arrays is None:
+            return False
+        npz, mcap, _ = output_places(job.log, job.out)
+        check_names(npz, len(arrays))
+        Path(job.out).mkdir(parents=True, exist_ok=True)
+        pairs = [(person_place(there, k), person_place(npz, k)) for k in range(len(arrays), 0, -1)]
+        for source, target in [(shown, mcap), *pairs]:  # the main one last: where it is, all are
+            with replacing(target) as partial:
+                try:
+                    os.link(source, partial)
+                except OSError:
+                    shutil.copy2(source, partial)
+        remove_others(npz, len(arrays))
+        return True
+    return False
