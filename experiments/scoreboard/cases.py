@@ -227,13 +227,16 @@ def beside(tracks: vj.Tracks, known: Known) -> Outcome | None:
 
 
 def wrong_unsaid(place: Place, checks: Sequence[Check]) -> int:
-    """How many logs have tracks of nobody who is in them (> 20 cm off), that say they are right."""
+    """How many logs have tracks of nobody who is in them (> 20 cm off), that say they are right; of people without a
+    truth there may be as many as there are."""
     truths: dict[tuple[str, int], list[Known]] = {}
+    people: dict[tuple[str, int], int] = {}
     for check in checks:
         for log, known in check.known(place).items():
             truths.setdefault(log, []).extend(known)
+            people[log] = max(people.get(log, 0), getattr(check, "people", 0))
     return sum(
-        any(unsaid(tracks, truths[log]) for tracks in found.people)
+        sum(unsaid(tracks, truths[log]) for tracks in found.people) > max(people[log] - len(truths[log]), 0)
         for log, found in place.found.items()
         if log in truths
     )
