@@ -268,6 +268,13 @@ def test_an_empty_room(tmp_path):
     assert (got["status"] == Status.NOT_STARTED).all() and len(got["time_ns"]) == len(images)
 
 
+def test_a_log_that_takes_too_long_is_given_up(wave_log, tmp_path):
+    done = run(tmp_path / "out", wave_log, "--log-timeout", "0.01")
+    assert done.status == 1
+    assert "not done after 0.01 s" in done.printed and "--log-timeout" in done.printed
+    assert not list((tmp_path / "out").rglob("*.npz"))
+
+
 def test_two_cameras(tmp_path):
     """Two sensors of one log become one cloud, one sees the person from the front, one from her side."""
     cameras = {

@@ -36,7 +36,7 @@ def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | byte
     columns, rows = struct.unpack(">ii", head[16:24]) if is_png else struct.unpack("<ii", head[:8])
     if not (is_png or "rvl" in how.lower()) or not (0 < rows and 0 < columns):
         raise ValueError("the depth image is neither PNG nor RVL")
-    # RVL is unpacked by NumPy, which takes 400 bytes a pixel at worst (measured)
+    # RVL is unpacked by NumPy with some arrays of 64-bit numbers for each nibble: some hundred bytes a pixel at worst
     if trouble := too_large("the depth image has", rows * columns * (1 if is_png else RVL), "pixels", "pixels"):
         raise ValueError(trouble)
     kind, unit = DEPTH_ENCODINGS.get(encoding.upper(), ("", 1.0))
