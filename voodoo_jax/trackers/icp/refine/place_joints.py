@@ -65,9 +65,12 @@ def looked_at(centre: str) -> tuple[str, ...]:
     return LEGS if centre in ("hip", "knee", "talocrural") else UPPER
 
 
-def band_gaps(body: Body, tracks: Tracks) -> dict[str, Gaps]:
-    """Gaps of the joints in UPPER and in LEGS in the tracked frames. **Arguments:** `body` in its usual proportions."""
-    t, seen = body.topology, np.flatnonzero(tracks.tracked)
+def band_gaps(body: Body, tracks: Tracks, until: int | None = None) -> dict[str, Gaps]:
+    """Gaps of the joints in UPPER and in LEGS in the tracked frames, or in the first `until` of all frames.
+
+    **Arguments:** `body` in its usual proportions.
+    """
+    t, seen = body.topology, np.flatnonzero(tracks.tracked[:until])
     found: dict[str, tuple[np.ndarray, int]] = {}
     for j, joint in enumerate(t.joints):
         pair = [t.parents[j], t.children[j]]
@@ -150,22 +153,40 @@ class PlaceJoints:
     stay as they are. Of the body that comes with the package, by one sensor: for these alone it was learned."""
 
     name: ClassVar = "place_joints"
-    looks_ahead: ClassVar = True
+    looks_ahead: ClassVar = False  # online, bands are those of the frames until then
     needs: ClassVar = frozenset({"points", "one body"})
 
     few: int = 30  # frames of a joint with which its bands count half, as in fit_forearms
     widest: float = 2.0  # standard deviations that people's bands differ by: farther, something else stretches them
     farthest: float = 0.025  # of the stature: no centre of the people learned from was moved farther
+    again: float = 1.25  # online, bands are looked at anew once there are so many times as many frames
 
     def __call__(self, run: Runner, tracks: Tracks) -> Tracks:
         body = usual_body(tracks.body)
         eyes = sensor_places(run.people)
-        return tracks if body is None or eyes is None else self.placed(body, tracks, eyes)
+        if body is None or eyes is None:
+            return tracks
+        if run.settings.looks_ahead("track"):
+            return self.placed(body, tracks, eyes)
+        begin, count = 0, len(tracks.tracked)
+        while begin < count:
+            end = min(count, begin + max(1, int((self.again - 1) * begin)))
+            tracks = self.placed(body, tracks, eyes, slice(begin, end))
+            begin = end
+        return tracks
 
-    def placed(self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"]) -> Tracks:
-        """Tracks with their joints moved. **Arguments:** `body` in its usual proportions; `eyes` of sensor_places."""
+    def placed(
+        self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"], which: slice = slice(None)
+    ) -> Tracks:
+        """Tracks with the joints of some frames moved, by the bands of all frames, or of those up to the first of
+        `which`.
+
+        **Arguments:** `body` in its usual proportions; `eyes` of sensor_places.
+        """
         there = np.isfinite(tracks.rotation).all((1, 2)) & np.isfinite(tracks.translation).all((1, 2))
-        frames, gaps = np.flatnonzero(there), band_gaps(body, tracks)
+        frames = np.arange(len(there))[which]
+        frames = frames[there[frames]]
+        gaps = band_gaps(body, tracks, None if which.start is None else which.start + 1)
         joints = tracks.joints.copy()
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
