@@ -126,7 +126,7 @@ def foxglove_cloud(stamp_ns: int, frame: str, points: np.ndarray, pose: tuple | 
     for i, axis in enumerate("xyz"):
         m.fields.add(name=axis, offset=4 + 4 * i, type=kinds.FLOAT32)
     packed = np.full((len(points), 16 + padding), 0xEF, np.uint8)
-    packed[:, 4:16] = points.astype("<f4").view(np.uint8).reshape(len(points), 12)
+    packed[:, 4:16] = points.astype("<f4", order="C").view(np.uint8).reshape(len(points), 12)
     m.data = packed.tobytes()
     if pose is not None:
         xyz, q = pose

@@ -206,7 +206,10 @@ def main(argv: list[str] | None = None) -> int:
     atexit.register(gc.freeze)  # else Python goes through all of it once more at its end: a third of a second
     try:
         return _quietly(lambda: _run(command, base))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RuntimeError) as problem:
+        # a progress bar that is interrupted as it takes its lock raises RuntimeError while it lets go of it (tqdm)
+        if not isinstance(problem, KeyboardInterrupt) and not isinstance(problem.__context__, KeyboardInterrupt):
+            raise
         print("voodoo-jax: interrupted; finished logs are complete", file=sys.stderr)
         return 130
 

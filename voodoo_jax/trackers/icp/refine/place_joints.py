@@ -30,6 +30,7 @@ LIMBS = {
 }  # fmt: skip
 UPPER, LEGS = ("waist", "neck", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")  # whose bands are looked at
 SIDES = ("l_", "r_")
+EVERY = slice(None)
 
 
 class Gaps(NamedTuple):
@@ -65,12 +66,14 @@ def looked_at(centre: str) -> tuple[str, ...]:
     return LEGS if centre in ("hip", "knee", "talocrural") else UPPER
 
 
-def band_gaps(body: Body, tracks: Tracks, until: int | None = None) -> dict[str, Gaps]:
-    """Gaps of the joints in UPPER and in LEGS in the tracked frames, or in the first `until` of all frames.
+def band_gaps(body: Body, tracks: Tracks, among: slice = EVERY) -> dict[str, Gaps]:
+    """Gaps of the joints in UPPER and in LEGS in the tracked ones of some frames.
 
     **Arguments:** `body` in its usual proportions.
     """
-    t, seen = body.topology, np.flatnonzero(tracks.tracked[:until])
+    t = body.topology
+    seen = np.arange(len(tracks.tracked))[among]
+    seen = seen[tracks.tracked[seen]]
     found: dict[str, tuple[np.ndarray, int]] = {}
     for j, joint in enumerate(t.joints):
         pair = [t.parents[j], t.children[j]]
@@ -166,27 +169,37 @@ class PlaceJoints:
         eyes = sensor_places(run.people)
         if body is None or eyes is None:
             return tracks
-        if run.settings.looks_ahead("track"):
-            return self.placed(body, tracks, eyes)
-        begin, count = 0, len(tracks.tracked)
-        while begin < count:
-            end = min(count, begin + max(1, int((self.again - 1) * begin)))
-            tracks = self.placed(body, tracks, eyes, slice(begin, end))
-            begin = end
+        others = [k for k, frame in enumerate(run.people) if frame.other and k > 0]
+        for first, last in zip([0, *others], [*others, len(run.people)]):  # bands of one body tell nothing of another
+            for which, among in self._parts(first, last, run.settings.looks_ahead("track")):
+                tracks = self.placed(body, tracks, eyes, which, among)
         return tracks
 
+    def _parts(self, first: int, last: int, ahead: bool) -> list[tuple[slice, slice]]:
+        """Parts of the frames of one body, and the frames whose bands tell of them: all of the body or, if not `ahead`,
+        those up to the part's first."""
+        if ahead:
+            return [(slice(first, last), slice(first, last))]
+        parts, begin = [], first
+        while begin < last:
+            end = min(last, begin + max(1, int((self.again - 1) * (begin - first))))
+            parts.append((slice(begin, end), slice(first, begin + 1)))
+            begin = end
+        return parts
+
     def placed(
-        self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"], which: slice = slice(None)
-    ) -> Tracks:
-        """Tracks with the joints of some frames moved, by the bands of all frames, or of those up to the first of
-        `which`.
+        self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"],
+        which: slice = EVERY, among: slice = EVERY,
+    ) -> Tracks:  # fmt: skip
+        """Tracks with the joints of frames `which` moved, by the bands in frames `among`.
 
         **Arguments:** `body` in its usual proportions; `eyes` of sensor_places.
         """
-        there = np.isfinite(tracks.rotation).all((1, 2)) & np.isfinite(tracks.translation).all((1, 2))
+        known = np.isfinite(tracks.rotation).all((1, 2)), np.isfinite(tracks.translation).all((1, 2))
+        there = np.logical_and(*known)
         frames = np.arange(len(there))[which]
         frames = frames[there[frames]]
-        gaps = band_gaps(body, tracks, None if which.start is None else which.start + 1)
+        gaps = band_gaps(body, tracks, among)
         joints = tracks.joints.copy()
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
