@@ -11,27 +11,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
 
-from experiments.common import errors, load_truth, scored, table
+from experiments.common import errors, scored, table
+from experiments.scoreboard.tracked import read_known
 from voodoo_jax.exporters.npz import read_tracks_npz
 from voodoo_jax.records.tracks import Tracks
 
 RUNS = {"processor": "cpu", "accelerator, cold": "", "accelerator, warm": ""}  # JAX_PLATFORMS of each
-
-
-@dataclass(frozen=True)
-class Known:
-    """A recording's truth, to be compared with."""
-
-    stamps: np.ndarray
-    names: tuple[str, ...]
-    joints: np.ndarray
 
 
 def replay(logs: list[Path], out: Path, cache: Path, platform: str) -> float:
@@ -58,7 +49,7 @@ def from_truth(log: Path, tracks: Tracks) -> str:
     """Mean distance of the joints from the truth, cm; nothing where there is none."""
     if not log.with_suffix(".truth.npz").exists():
         return ""
-    truth = Known(*load_truth(log))
+    truth = read_known(log.with_suffix(".truth.npz"))
     return f"{100 * np.nanmean(errors(truth, tracks)[scored(truth)]):.2f}"
 
 

@@ -6,7 +6,7 @@ recordings count alike. Left out are people, never logs: the figures printed are
 Writes voodoo_jax/trackers/icp/refine/place_joints.toml.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -60,15 +60,13 @@ def case(log: Log, tracks: Tracks, person: str, simulated: bool) -> Case | None:
 
 def usual_gaps(cases: list[Case], plain: str) -> tuple[np.ndarray, np.ndarray]:
     """Mean over people of the recordings, and deviation over all."""
-    which = "legs" if stage.looked_at(plain) is stage.LEGS else "upper"
-    flat = lambda c: c.gaps[which].gap.ravel()  # noqa: E731
+    flat = lambda c: stage.gaps_for(plain, c.gaps).gap.ravel()  # noqa: E731
     return np.nanmean([flat(c) for c in cases if not c.simulated], 0), np.nanstd([flat(c) for c in cases], 0)
 
 
 def rows_of(one: Case, name: str, told: stage.Learned) -> tuple[np.ndarray, np.ndarray]:
     features, shift = one.rows[name]
-    plain = stage.plain(name)[1]
-    seen = stage.PlaceJoints().gap_features(one.gaps["legs" if stage.looked_at(plain) is stage.LEGS else "upper"], told)
+    seen = stage.PlaceJoints().gap_features(stage.gaps_for(stage.plain(name)[1], one.gaps), told)
     return np.concatenate([features, np.broadcast_to(seen, (len(features), len(seen)))], 1), shift
 
 
@@ -152,7 +150,7 @@ def main(recordings: tyro.conf.Positional[Path], logs: tyro.conf.Positional[list
         for path in tqdm(log_files(folder), folder.name, leave=False, disable=None):
             log, simulated = load_log(path, body, settings), folder != recordings
             person = f"{folder.name} {load_dims(path)['stature']:.3f}"
-            one = case(log, log.track(body, replace(settings)), person, simulated)
+            one = case(log, log.track(body, settings), person, simulated)
             cases += [] if one is None else [one]
     for simulated in (False, True):
         some = [c for c in cases if c.simulated == simulated]

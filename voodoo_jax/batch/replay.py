@@ -63,11 +63,11 @@ def replay(
     trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
     `report` writes `report.html`, with a row for each log whose results are in `out`;
     `export` formats to which tracks are exported besides (exporters/formats.py), such as "bvh"; `again` does finished
-    logs anew; `workers` processes, 1: one beside this one where it can be a
-    copy of this one (see worker_start.py), else this one, 0: as many as are good for this machine; `engine` "batch": in
-    this one, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of
-    eight parts of the logs only; `compile_cache` folder for compiled programs, "": the user's, "off": none;
-    `log_timeout` seconds after which a log is given up, 0: never.
+    logs anew; `workers` processes that track, 0: as many as are good for this machine, 1: a copy of this process, or
+    this one where it cannot be copied (see worker_start.py); `engine` "batch": in this process, several logs as one
+    batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight parts of the logs only;
+    `compile_cache` folder for compiled programs, "": the user's, "off": none; `log_timeout` seconds after which a log
+    is given up, 0: never.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 

@@ -71,7 +71,7 @@ class BodySegmenter:
         """What is seen of the body in a frame, but for what is near points that are `taken` by others."""
         s, frame = self.settings, whole(frame)
         if len(taken) and frame.part is not None:
-            frame, taken = frame.only(~_near(frame.points, taken)), ()
+            frame, taken = frame.only(~near_taken(frame.points, taken)), ()
         points = frame.points
         known = assigned(frame)
         sure = points[known]
@@ -80,7 +80,7 @@ class BodySegmenter:
                 self.last = None  # the body is somewhere else than thought
         index, distant = self._free(frame, known)
         if len(taken):  # here, where fewer are left to ask
-            index, distant = index[~_near(points[index], taken)], distant[~_near(distant, taken)]
+            index, distant = index[~near_taken(points[index], taken)], distant[~near_taken(distant, taken)]
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
         # not where something else than the body was seen before
         index = index[self._background.at(points[index]) < 3]
@@ -311,7 +311,7 @@ class BodySegmenter:
         self._background.add(cells_of(others[far], CELL), times)
 
 
-def _near(points: Float32[np.ndarray, "point 3"], taken: Sequence[np.ndarray]) -> Bool[np.ndarray, " point"]:
+def near_taken(points: Float32[np.ndarray, "point 3"], taken: Sequence[np.ndarray]) -> Bool[np.ndarray, " point"]:
     """Which points are near some that are taken."""
     return touching(cells_of(points, BESIDE), cells_of(np.concatenate(taken), BESIDE))
 

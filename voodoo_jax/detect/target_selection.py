@@ -14,7 +14,7 @@ from jaxtyping import Float32, Int
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
-from voodoo_jax.detect.segmentation import BESIDE, BodySegmenter
+from voodoo_jax.detect.segmentation import BodySegmenter, near_taken
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.geometry.voxels import Cells, cells_of, touching
@@ -229,7 +229,7 @@ class Chooser:
             other = Follower(finder, self._main.frames[:-1])
             rest = whole(frame)
             if taken:
-                rest = rest.only(~touching(cells_of(rest.points, BESIDE), cells_of(np.concatenate(taken), BESIDE)))
+                rest = rest.only(~near_taken(rest.points, taken))
             other.note(seen, rest, anew=True)
             other.frames.append(seen)
             self._others.append(other)

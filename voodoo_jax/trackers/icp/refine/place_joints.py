@@ -1,9 +1,9 @@
 """Joint centres where people have them: by the bend of joints, the side that is seen, the recording's bands.
 
 A joint centre does not stay in its place on a cylinder: shoulders rise and come forward with the arm, the side of a
-limb that the sensor sees is nearer or farther than a cylinder's, and who has longer thighs than the stature tells
-stretches the bands of knee and hip. How far a centre is off for all that was learned on people of known joints
-(experiments/offsets, `learn.py`): ridge regression, weak where a recording tells little.
+limb that the sensor sees is nearer or farther than a cylinder's, and thighs that are longer than the stature tells
+stretch the bands of knee and hip. What these three say of a centre's place was learned by ridge regression on people
+whose joints are known (experiments/offsets, `learn.py`). Where a recording tells little, the bands count for little.
 """
 
 import tomllib
@@ -66,6 +66,11 @@ def plain(name: str) -> tuple[str, str]:
 def looked_at(centre: str) -> tuple[str, ...]:
     """The joints whose bands tell of a joint centre."""
     return LEGS if centre in ("hip", "knee", "talocrural") else UPPER
+
+
+def gaps_for(centre: str, gaps: dict[str, Gaps]) -> Gaps:
+    """Those of band_gaps that tell of a joint centre."""
+    return gaps["legs" if looked_at(centre) is LEGS else "upper"]
 
 
 def band_gaps(body: Body, tracks: Tracks, among: slice = EVERY) -> dict[str, Gaps]:
@@ -209,7 +214,7 @@ class PlaceJoints:
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
             told = learned()[name]
-            seen = self.gap_features(gaps["legs" if looked_at(name) is LEGS else "upper"], told)
+            seen = self.gap_features(gaps_for(name, gaps), told)
             features = pose_features(body, centre, tracks, frames, eyes[frames])
             wide = np.broadcast_to(seen, (len(frames), len(seen)))
             shift = np.concatenate([features, wide], 1) @ told.weights
