@@ -42,7 +42,7 @@ class Case:
 
 def case(log: Log, tracks: Tracks, person: str, simulated: bool) -> Case | None:
     """What a tracked log tells; None where the tracks do not allow it."""
-    body, eyes = stage.usual_body(tracks.body), stage.sensor_places(log.people)
+    body, eyes = stage.persons_body(tracks.body), stage.sensor_places(log.people)
     if body is None or eyes is None or score(log, tracks).error_cm > WORST:
         return None
     frame, near = nearest(log, tracks)

@@ -1,5 +1,6 @@
-"""Body meshes of people: python experiments/people/bodies.py BODIES.npz [SEED], with Anny installed (pip install anny).
+"""Body meshes of people: python experiments/people/bodies.py BODIES.npz [SEED [USUAL]] (pip install anny).
 
+USUAL people are drawn at random, 26 if nothing is said, and twelve unusual ones are added.
 Anny (naver/anny, Apache-2.0, of MakeHuman's CC0 data) needs PyTorch, so this runs in an environment of its own.
 """
 
@@ -8,7 +9,7 @@ import sys
 import numpy as np
 
 TUNED = 11  # the seed of those that the built-in human has its shape from
-USUAL = 26  # people drawn at random
+USUAL = 26  # people drawn at random, if no other number is asked for
 UNUSUAL = (
     dict(gender=0.9, weight=0.95, muscle=0.4),
     dict(gender=0.1, weight=0.95, muscle=0.6, height=0.4),
@@ -26,7 +27,7 @@ UNUSUAL = (
 TALLEST, SHORTEST = 2.0, 1.5  # metres, of the usual ones
 
 
-def main(path: str, seed: int) -> None:
+def main(path: str, seed: int = TUNED, usual: int = USUAL) -> None:
     """Writes rest meshes, bones and skinning weights of all people; metres, x forward, y left, z up, soles at 0."""
     import anny  # pyright: ignore[reportMissingImports]
     import torch  # pyright: ignore[reportMissingImports]
@@ -42,7 +43,7 @@ def main(path: str, seed: int) -> None:
         floor = np.array([0, 0, vertices[:, 2].min()])
         found.append((vertices - floor, heads - floor))
 
-    while len(found) < USUAL:
+    while len(found) < usual:
         low = dict(gender=0.0, age=0.6, muscle=0.25, weight=0.25, height=0.25, proportions=0.3)
         high = dict(gender=1.0, age=0.9, muscle=0.75, weight=0.75, height=0.8, proportions=0.8)
         add({k: rng.uniform(low[k], high[k]) for k in low})
@@ -63,4 +64,4 @@ def main(path: str, seed: int) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else TUNED)
+    main(sys.argv[1], *map(int, sys.argv[2:]))

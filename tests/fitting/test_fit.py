@@ -19,6 +19,7 @@ from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
 from voodoo_jax.fitting.gauss_newton import undetermined
 from voodoo_jax.fitting.judge import ERROR, Judged, verdict_on
 from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths
+from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions
 from voodoo_jax.model.body_file import human, load_body, read_body, write_body
@@ -51,6 +52,43 @@ def test_names_and_patterns():
     assert "features.face.weight" in parameters(BODY, ["measurement weights"], ("face",)).names
     with pytest.raises(ValueError, match="'lenghts'.*lengths"):
         parameters(BODY, ["lenghts"])
+
+
+def test_modes_of_shape():
+    """A mode is what its changes are one by one, on both sides; a wrong body is pulled to people's by modes too."""
+    mode = BODY.modes[0]
+    whole = after(["shape"], {f"shape.{mode.name}": 2.0})
+    parts = after(["lengths", "radii", "anchors"], {name: 2.0 * value for name, value in mode.changes})
+    for name in ("sizes", "centres", "sites", "scale"):
+        np.testing.assert_allclose(getattr(whole, name), getattr(parts, name), rtol=1e-4, atol=1e-5)
+    assert parameters(BODY, ["shape"]).names == ("scale", *(f"shape.{m.name}" for m in BODY.modes))
+    np.testing.assert_array_equal(parameters(BODY, ["shape"]).sd[1:], 1.0)
+    # one stature: what modes change of the height is less than it is measured to
+    heights = [float(height_of(after(["shape"], {f"shape.{m.name}": 1.0}))) for m in BODY.modes]
+    np.testing.assert_allclose(heights, float(height_of(BODY)), rtol=0.005)
+    free = parameters(BODY, ["shape"])
+    long = with_proportions(BODY, {"l_thigh": 1.08, "r_thigh": 1.08})
+    x = usual_lengths(long, free)
+    pulled = changed(long, free.changes(jnp.asarray(x, jnp.float32)))
+    assert segment_lengths(BODY)["thigh"] < segment_lengths(pulled)["thigh"] < 0.97 * segment_lengths(long)["thigh"]
+    assert not usual_lengths(BODY, free).any()
+    # of a body without modes what is reported
+    assert parameters(load_body("human10"), ["shape"]).names == parameters(load_body("human10"), ["segments"]).names
+
+
+def test_sizes_and_their_deviations():
+    """Against the parameters: a length's deviation is the length's share, and the girth of a round limb is known."""
+    free = parameters(BODY, ["lengths.*thigh", "radii.thigh.*"])
+    cov = np.diag([0.02, 0.1, 0.1]) ** 2
+    found = {s.name: s for s in sizes_after(BODY, free, np.array([0.05, 0.0, 0.0]), cov)}
+    thigh = segment_lengths(BODY)["thigh"]
+    assert found["thigh"].before == pytest.approx(thigh, rel=1e-5)
+    assert found["thigh"].after == pytest.approx(thigh * np.exp(0.05), rel=0.01)
+    assert found["thigh"].sd == pytest.approx(0.02 * found["thigh"].after, rel=0.1)
+    assert found["upper_arm"].sd == pytest.approx(0.0, abs=1e-6)
+    ends = BODY.sizes[BODY.topology.limbs.index("l_thigh"), :4]
+    assert 2 * np.pi * min(ends) < found["girth of thigh"].before < 2 * np.pi * max(ends)
+    assert found["between hips"].before == pytest.approx(2 * 0.0629 * 1.7, rel=1e-3)
 
 
 def test_nothing_changes_at_zero():

@@ -59,6 +59,7 @@ def test_built_in_bodies_are_connected_and_round_trip(name, tmp_path):
     write(body, path)
     again = read_body(path)
     assert again.topology == body.topology and again.name == body.name and again.scale_name == body.scale_name
+    assert again.modes == body.modes and bool(body.modes) == (name == "human")
     for x, y in zip(jax.tree.leaves(body), jax.tree.leaves(again)):
         assert x.dtype == y.dtype and x.dtype in (np.float32, bool) and x.shape == y.shape
         np.testing.assert_allclose(x, y, atol=1e-6)
@@ -155,6 +156,17 @@ def test_bad_files_are_refused_with_line_and_reason(old, new, line, reason, tmp_
     with pytest.raises(BodyFileError, match=re.escape(reason)) as error:
         read_body(path)
     assert error.value.line == line and str(error.value).startswith(f"{path}:{line}: ")
+
+
+@pytest.mark.parametrize("changes, reason", [
+    ('{ "lengths.c" = 0.1 }', "there is no 'lengths.c'"), ('{ "anchors.j.x" = "far" }', "must be a number"),
+    ('{ "radii.a.top" = inf }', "must be a number"), ("{ }", "must be a table of names"),
+    ("0.1", "must be a table of names"),
+])  # fmt: skip
+def test_modes_that_change_nothing_of_the_body_are_refused(changes, reason):
+    with pytest.raises(BodyFileError, match=reason) as error:
+        parse_body(f'{GOOD}\n[[mode]]\nname = "m"\nchanges = {changes}\n')
+    assert error.value.line == len(GOOD.splitlines()) + 4
 
 
 def test_faults_of_the_tree():

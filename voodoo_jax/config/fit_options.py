@@ -9,7 +9,8 @@ class FitSettings:
     """What is fitted to what, and how long."""
 
     free: tuple[str, ...] = ("segments",)
-    """What may change: segments (the lengths that are reported: of people upper arms, forearms, thighs, shanks), scale,
+    """What may change: segments (the lengths that are reported: of people upper arms, forearms, thighs, shanks), shape
+    (scale and the main ways in which people of one stature differ, if the body file has [[mode]] tables), scale,
     lengths, radii, "joint centres", bands, "measurement weights", or patterns of names such as lengths.*thigh,
     radii.chest.top, bands.*.weight, bands.*.axes.x, anchors.hip.y, solve.ratio."""
     mirrored: bool = True

@@ -18,11 +18,12 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.custom_loss import minimised
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
-from voodoo_jax.fitting.gauss_newton import FitError, Part, Search, deviations, run_search, spread, undetermined
+from voodoo_jax.fitting.gauss_newton import FitError, Part, Search, covariance, run_search, spread, undetermined
 from voodoo_jax.fitting.judge import Verdict, is_size, judged_by, verdict_on
 from voodoo_jax.fitting.objective import UserLoss
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
+from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
@@ -85,6 +86,8 @@ def fit(
         raise FitError("name at least one log to fit to")
     if truths and len(truths) != len(logs):
         raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
+    if truths:  # joints are where the fit puts them: what was learned of other people would move them again
+        settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
     tell = say or (lambda what, progress: None)
     seen = tracked(body, logs, settings, lambda what: tell(what, None))
     return fit_tracked(seen, settings, options, truths, loss, state, say)
@@ -115,7 +118,7 @@ def fit_tracked(
         tell("fitting", now)
 
     tell("fitting", progress)
-    sd, apart, stays = np.full(size, np.nan), np.full(size, np.nan), np.zeros(size, bool)
+    cov, apart, stays = np.full((size, size), np.nan), np.full(size, np.nan), np.zeros(size, bool)
     if loss is not None:
         progress = minimised(search, loss, progress, options.iterations, step_done)
     else:
@@ -123,8 +126,8 @@ def fit_tracked(
         for number in range(1, options.rounds + 1):
             began = progress.x
             progress, place = run_search(search, progress, number * options.iterations, step_done)
-            sd, apart = deviations(search, progress.x, place), spread(search, progress.x, place)
-            moved = float(np.max(np.abs(progress.x - began) / sd, initial=0.0))
+            cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
+            moved = float(np.max(np.abs(progress.x - began) / np.sqrt(np.diag(cov)), initial=0.0))
             if number == options.rounds or moved < MOVED:
                 break
             tell("tracking again", progress)
@@ -133,7 +136,7 @@ def fit_tracked(
             parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
             search, progress = replace(search, parts=parts), replace(progress, done=False)
         # what the recordings do not tell stays, and the others are found anew beside it
-        stays = undetermined(sd, search.sd) | (np.abs(progress.x) < SURE * apart)
+        stays = undetermined(np.sqrt(np.diag(cov)), search.sd) | (np.abs(progress.x) < SURE * apart)
         if stays.any():
             progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
             progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
@@ -164,9 +167,13 @@ def fit_tracked(
         usual = search.sd / options.looseness
         verdict = verdict_on(judged, progress.x / usual, is_size(names) & ~stays, bool(truths), bool(stays.all()))
     bodies = fitted if verdict.better else starts
+    sizes = tuple(
+        sizes_after(start, search.free, progress.x[rows], cov[np.ix_(rows, rows)])
+        for start, rows in zip(starts, search.rows)
+    )
     return Fit(
-        bodies[0], bodies, fitted, starts, verdict, names, progress.x, sd, apart, search.sd, stays,
-        progress.losses, progress.done, tuple(judged), options, tuned,
+        bodies[0], bodies, fitted, starts, verdict, names, progress.x, np.sqrt(np.diag(cov)), apart, search.sd, stays,
+        sizes, progress.losses, progress.done, tuple(judged), options, tuned,
     )  # fmt: skip
 
 
@@ -189,7 +196,7 @@ def _again(seen: Seen, body: Body, settings: Settings) -> Seen:
     from voodoo_jax.trackers.icp.tracker import track_person
 
     start = replace(settings.start, scale=float(body.scale))
-    track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms", "place_joints"))
+    track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms"))
     known = replace(settings, start=start, track=track)
     found = track_person(body, seen.scene, seen.people, known, seen.tracks.source, seen.tracks.fixed_frame)
     return seen._replace(tracks=found)
@@ -203,8 +210,6 @@ def tracked(
     from voodoo_jax.detect.pipeline import build_of, find_body
     from voodoo_jax.trackers.icp.tracker import track_person
 
-    # joints as the body has them: what is learned of the usual body would not be a change that a fit can make
-    settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
     seen = []
     for log in logs:
         if isinstance(log, Recording):

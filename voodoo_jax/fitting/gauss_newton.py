@@ -276,10 +276,10 @@ def along(
     return best
 
 
-def deviations(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:
-    """Standard deviation of every parameter after the fit, from the Gauss-Newton matrix and the priors; of what is held
-    as if it were free."""
-    return np.sqrt(np.diag(np.linalg.inv(search.step(x, place).curve + np.diag(1 / search.sd**2))))
+def covariance(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, "all all"]:
+    """Covariance of the parameters after the fit, from the Gauss-Newton matrix and the priors; of what is held as if it
+    were free."""
+    return np.linalg.inv(search.step(x, place).curve + np.diag(1 / search.sd**2))
 
 
 def spread(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:

@@ -44,7 +44,7 @@ class Verdict:
 
 def is_size(names: tuple[str, ...]) -> Bool[np.ndarray, " all"]:
     """Which parameters are sizes of the body: the others are inventions of the method, with nothing true about them."""
-    return np.array([n.startswith(("scale", "lengths", "radii", "anchors")) for n in names], bool)
+    return np.array([n.startswith(("shape", "scale", "lengths", "radii", "anchors")) for n in names], bool)
 
 
 def judged_by(before: Tracks, after: Tracks, person: int, truth: Truth | None = None) -> Judged:

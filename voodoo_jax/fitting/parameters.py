@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Float64
+from jaxtyping import Array, Bool, Float, Float64
 
 from voodoo_jax.geometry.rigid import matrix, on_device, on_host, unrotate
 from voodoo_jax.model.body import Body, Topology, scaled, with_rest_from_joints
@@ -26,14 +26,15 @@ from voodoo_jax.solve.frame import IcpOptions
 # within 1.5 cm (1 % of stature) of a person's. Scale is all lengths in common; height is held beside. Bands and
 # settings are inventions of this method: a factor of two either way is usual.
 PRIORS = {
-    "scale": 0.02, "lengths": 0.045, "radii": 0.13, "anchors": 0.009, "bands.weight": 0.7, "bands.axes": 0.3,
-    "solve": 0.5, "features": 0.7,
+    "shape": 1.0, "scale": 0.02, "lengths": 0.045, "radii": 0.13, "anchors": 0.009, "bands.weight": 0.7,
+    "bands.axes": 0.3, "solve": 0.5, "features": 0.7,
 }  # fmt: skip
 # Sizes found miss by this share of the priors' deviations because people are no cylinders (2.5 % of a length: fits of
 # rendered people that began from right bodies moved by 0.5 to 4 %, see experiments/fit): less is no finding.
 SYSTEMATIC = 0.55
 HEIGHT = 0.005  # logarithm: the height is measured on the standing person before a fit, to half a percent
 WORDS = {  # what people say -> patterns of names; "segments": see segment_limbs
+    "shape": ("scale", "shape.*"),
     "scale": ("scale",),
     "lengths": ("lengths.*",),
     "radii": ("radii.*",),
@@ -77,13 +78,29 @@ class Parameters:
 
     def shown(self, x: Float64[np.ndarray, " free"]) -> list[str]:
         """The vector as people read it: percent, or centimetres per metre of scale."""
-        share = [name.startswith("anchors") for name in self.names]
-        return [f"{100 * v:+.2f} % of scale" if s else f"{100 * np.expm1(v):+.1f} %" for v, s in zip(x, share)]
+        return [
+            f"{v:+.1f} deviations"
+            if name.startswith("shape")
+            else f"{100 * v:+.2f} % of scale"
+            if name.startswith("anchors")
+            else f"{100 * np.expm1(v):+.1f} %"
+            for v, name in zip(x, self.names)
+        ]
 
 
 def _plain(name: str) -> str:
     """A limb's or joint's name without its side."""
     return name[2:] if name[:2] in ("l_", "r_") else name
+
+
+def _modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
+    """What each mode of a body changes, as entries whose sign is by how much."""
+    found = {}
+    for mode in body.modes:
+        changes = dict(mode.changes)
+        entries = [(e, changes.get(e[0], changes.get(".".join(map(_plain, e[0].split(".")))))) for e in known]
+        found[f"shape.{mode.name}"] = [(n, part, i, sign * by, "shape") for (n, part, i, sign, _), by in entries if by]
+    return found
 
 
 def _all_names(topology: Topology, features: tuple[str, ...], body: Body) -> list[Entry]:
@@ -119,11 +136,14 @@ def parameters(
     have is one parameter, and its name has no side. Raises ValueError for a pattern that names nothing.
     """
     known = _all_names(body.topology, features, body)
+    modes = _modes(body, known)
     reported = tuple(f"lengths.{limb}" for limb in segment_limbs(body.topology))
     words = WORDS | {"segments": reported or WORDS["lengths"]}
+    if not modes:
+        words["shape"] = words["segments"]
     patterns = [p for word in free for p in (words.get(word) or (word,))]
     for pattern in patterns:
-        if not any(_named(name, pattern) for name, *_ in known):
+        if not any(_named(name, pattern) for name in (*modes, *(name for name, *_ in known))):
             groups = ", ".join(words)
             examples = ", ".join([known[1][0], known[-1][0]])
             raise ValueError(
@@ -139,14 +159,20 @@ def parameters(
                 if entry[1] == 3 and entry[0] == name and name.endswith(".y"):
                     continue  # a joint of the middle stays in it
             rows.setdefault(name, []).append(entry)
+    rows |= {name: entries for name, entries in modes.items() if any(_named(name, p) for p in patterns)}
     t = body.topology
     shapes = [(), (len(t.limbs),), (len(t.limbs), 2), *(((len(t.joints), *s)) for s in ((3,), (), (2,)))]
     maps = [np.zeros((*shape, len(rows))) for shape in (*shapes, (len(SETTINGS),), (len(features),))]
     for column, entries in enumerate(rows.values()):
         for _, part, index, sign, _ in entries:
-            maps[part][(*index, column)] = sign if mirrored else 1.0
+            maps[part][(*index, column)] = sign if mirrored or entries[0][4] == "shape" else 1.0
     sd = np.array([PRIORS[entries[0][4]] for entries in rows.values()])
     return Parameters(tuple(rows), sd, tuple(maps), mirrored)
+
+
+def is_mode(names: tuple[str, ...]) -> Bool[np.ndarray, " free"]:
+    """Which parameters are modes of shape: numbers of standard deviations."""
+    return np.array([name.startswith("shape.") for name in names], bool)
 
 
 def segment_limbs(topology: Topology) -> list[str]:
@@ -180,8 +206,13 @@ def usual_lengths(body: Body, free: Parameters) -> Float64[np.ndarray, " free"]:
         share = np.zeros(body.limb_count)
         usual, has = (np.asarray(b.sizes)[:, 4] / float(b.scale) for b in (people, own))
         share[there] = np.log(usual / has[there])
-        of_limb = np.asarray(free.maps[1])
-        centre = (of_limb * share[:, None]).sum(0) / np.maximum(of_limb.sum(0), 1)
+        of_limb, one = np.asarray(free.maps[1]), ~is_mode(free.names)
+        centre[one] = ((of_limb * share[:, None]).sum(0) / np.maximum(of_limb.sum(0), 1))[one]
+        if not one.all():
+            # the modes that come nearest to it; none is wanted by more than people have of it
+            by, left = of_limb[:, ~one], share - of_limb[:, one] @ centre[one]
+            normal = by.T @ by / PRIORS["lengths"] ** 2 + np.diag(1 / free.sd[~one] ** 2)
+            centre[~one] = np.linalg.solve(normal, by.T @ left / PRIORS["lengths"] ** 2)
     return np.where(np.abs(centre) > 1e-3, centre, 0.0)  # below: rounding
 
 

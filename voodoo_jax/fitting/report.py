@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.fit_page import write_fit_page
 
@@ -14,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from voodoo_jax.fitting.result import Fit
+    from voodoo_jax.fitting.sizes import Size
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
@@ -23,6 +23,11 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 def _cm(value: float) -> str:
     return f"{100 * value:.2f}" if np.isfinite(value) else "-"
+
+
+def _interval(size: "Size") -> str:
+    reach = 1.96 * size.sd
+    return f"{_cm(size.after - reach)} .. {_cm(size.after + reach)}" if np.isfinite(reach) else "-"
 
 
 def report_text(fit: "Fit") -> str:
@@ -43,24 +48,29 @@ def report_text(fit: "Fit") -> str:
         "from the fit, and judge.\n",
         _table(head, rows),
     ]
-    for k, (start, body) in enumerate(zip(fit.starts, fit.fitted)):
+    out.append("## Sizes\n")
+    out.append(
+        "Girths are those of the body's cylinders half way along a limb. The intervals are what the model and its "
+        "noise allow; that a person is no cylinder is not in them.\n"
+    )
+    for k, sizes in enumerate(fit.sizes):
         if len(fit.fitted) > 1:
             names = ", ".join(j.name for j in fit.judged if j.person == k)
             out.append(f"### Person {k + 1} ({names})\n")
-        was, now = segment_lengths(start), segment_lengths(body)
-        rows = [[start.scale_name, _cm(float(start.scale)), _cm(float(body.scale))]]
-        rows += [[name, _cm(was[name]), _cm(now[name])] for name in was]
-        out.append(_table(["length", "before, cm", "fitted, cm"], rows))
+        rows = [[s.name, _cm(s.before), _cm(s.after), _interval(s)] for s in sizes]
+        out.append(_table(["size", "before, cm", "fitted, cm", "95 % interval, cm"], rows))
     rows = []
     for name, x, sd, apart, prior, stays in zip(fit.names, fit.x, fit.sd, fit.spread, fit.prior_sd, fit.stays):
         interval, parts, share = "-", "-", "-"
+        unit = 1.0 if name.startswith("shape.") else 100.0
         if np.isfinite(sd):
-            interval = f"{100 * (x - 1.96 * sd):+.1f} .. {100 * (x + 1.96 * sd):+.1f}"
-            parts, share = f"{100 * apart:.1f}", f"{100 * (1 - (sd / prior) ** 2):.0f} %"
-        rows.append([name, "stays" if stays else f"{100 * x:+.1f}", interval, f"{100 * prior:.1f}", parts, share])
+            interval = f"{unit * (x - 1.96 * sd):+.1f} .. {unit * (x + 1.96 * sd):+.1f}"
+            parts, share = f"{unit * apart:.1f}", f"{100 * (1 - (sd / prior) ** 2):.0f} %"
+        rows.append([name, "stays" if stays else f"{unit * x:+.1f}", interval, f"{unit * prior:.1f}", parts, share])
     out.append("## Parameters\n")
     out.append(
-        "Changes in percent (logarithms times 100; anchors: percent of the scale). The intervals are those of the "
+        "Changes in percent (logarithms times 100; anchors: percent of the scale), of shape in standard deviations of "
+        "people. The intervals are those of the "
         "Gauss-Newton matrix with the priors: what the model and its noise allow. That a person is no cylinder is not "
         "in them. Between parts: how much a change hangs on the part of the logs that it is found from. From the data: "
         "their share of what is known of a parameter.\n"

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float64
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.judge import Judged, Verdict
+from voodoo_jax.fitting.sizes import Size
 from voodoo_jax.model.body import Body
 
 
@@ -26,6 +27,7 @@ class Fit:
     spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see gauss_newton.spread; NaN likewise
     prior_sd: Float64[np.ndarray, " all"]
     stays: Bool[np.ndarray, " all"]  # what the recordings do not tell, and what therefore stayed
+    sizes: tuple[tuple[Size, ...], ...]  # of every person: what a tape would tell, before and after
     losses: tuple[float, ...]
     finished: bool  # stopped by itself
     judged: tuple[Judged, ...]

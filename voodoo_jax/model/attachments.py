@@ -82,6 +82,7 @@ def attach(
         topology=topology,
         name=body.name,
         scale_name=body.scale_name,
+        modes=body.modes,
     )
 
 

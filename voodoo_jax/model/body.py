@@ -37,6 +37,14 @@ class Topology(NamedTuple):
     held: tuple[int, ...] = ()  # limbs that are things: they keep their size when the body is scaled
 
 
+class Mode(NamedTuple):
+    """One way in which bodies of one scale differ: what one standard deviation of it changes."""
+
+    name: str
+    # parameters as a fit names them (fitting.parameters) and by how much: logarithms, or shares of the scale of anchors
+    changes: tuple[tuple[str, float], ...]
+
+
 class Body(eqx.Module):
     """Sizes, rest pose, joints and named points of an articulated body. Arrays are traced, `topology` is static."""
 
@@ -54,6 +62,7 @@ class Body(eqx.Module):
     topology: Topology = eqx.field(static=True)
     name: str = eqx.field(static=True)
     scale_name: str = eqx.field(static=True)  # what `scale` is called, "stature" for people
+    modes: tuple[Mode, ...] = eqx.field(static=True, default=())  # statistical shape, most important first; may be none
 
     @property
     def limb_count(self) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from voodoo_jax.geometry.rigid import Poses, on_device
-from voodoo_jax.model.body import Body, Topology
+from voodoo_jax.model.body import Body, Mode, Topology
 from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
 from voodoo_jax.storage.atomic import replacing
 
@@ -30,10 +30,14 @@ HEADER = """\
 #             about x and y of the joint's frame, and about its z; default no limit.
 # [[centre]]  a joint centre that tracks report, carried by a limb. [[site]]: a feature point.
 # [[segment]] a length to report, between two joints or centres; equal names are averaged.
+# [[mode]]    how bodies of one scale differ together; changes: what one standard deviation of it changes, under the
+#             names of a fit: logarithms of lengths.* and radii.*.bottom, radii.*.top, shares of the scale of
+#             anchors.*.x, .y, .z; a name without l_ or r_ is both sides.
 """
+MODES_LINE = "# Modes: how people of one stature differ (experiments/shape)."
 # kind of table: (keys it must have, keys it may have)
 KEYS = {
-    "": (("name", "scale"), ("scale_name", "limb", "joint", "centre", "site", "segment")),
+    "": (("name", "scale"), ("scale_name", "limb", "joint", "centre", "site", "segment", "mode")),
     "limb": (("name", "bottom", "top", "bottom_axes", "top_axes"), ("x_axis",)),
     "joint": (
         ("name", "parent", "child", "at", "axes"),
@@ -42,7 +46,9 @@ KEYS = {
     "centre": (("name", "limb", "at"), ()),
     "site": (("name", "limb", "at"), ()),
     "segment": (("name", "from", "to"), ()),
+    "mode": (("name", "changes"), ()),
 }
+MOST = 1.0  # logarithm or share: no people of one size differ by a factor of e
 LIMITS = ("swing_x", "swing_y", "twist")
 BUILT_IN = ("human", "human10", "arm", "dog", "stick")
 
@@ -111,6 +117,7 @@ def _parsed(text: str, source: str) -> Body:
         file.fail(None, "a body needs at least one [[limb]]")
     limbs, joints = unique_names(tables["limb"]), unique_names(tables["joint"])
     centres, sites = unique_names(tables["centre"]), unique_names(tables["site"])
+    unique_names(tables["mode"])
 
     bottoms, tops = ([t.numbers(key, 3) for t in tables["limb"]] for key in ("bottom", "top"))
     rotations, sizes = [], []
@@ -169,7 +176,32 @@ def _parsed(text: str, source: str) -> Body:
         topology=topology,
         name=root.name,
         scale_name=root.string("scale_name", "scale"),
+        modes=tuple(_mode(t, limbs, joints) for t in tables["mode"]),
     )
+
+
+def _mode(table: Table, limbs: tuple[str, ...], joints: tuple[str, ...]) -> Mode:
+    """One way in which bodies differ; every change names a limb or joint of the body."""
+    changes = table.data["changes"]
+    if not isinstance(changes, dict) or not changes:
+        table.fail("changes", f"'changes' of {table.title} must be a table of names and numbers, not {changes!r}")
+    known = set(size_names(limbs, joints))
+    for name, value in changes.items():
+        if name not in known:
+            table.fail("changes", f"'changes' of {table.title}: there is no '{name}'{nearest(name, sorted(known))}")
+        if type(value) not in (int, float) or not abs(value) < MOST:
+            table.fail("changes", f"'{name}' of {table.title} must be a number from -{MOST} to {MOST}, not {value!r}")
+    return Mode(table.name, tuple((name, float(value)) for name, value in changes.items()))
+
+
+def size_names(limbs: tuple[str, ...], joints: tuple[str, ...]) -> list[str]:
+    """What a mode may change, each name with its side and without."""
+    limbs, joints = (
+        tuple(dict.fromkeys(n for name in names for n in (name, name.removeprefix("l_").removeprefix("r_"))))
+        for names in (limbs, joints)
+    )
+    ends = [f"radii.{limb}.{end}" for limb in limbs for end in ("bottom", "top")]
+    return [f"lengths.{limb}" for limb in limbs] + ends + [f"anchors.{joint}.{a}" for joint in joints for a in "xyz"]
 
 
 def format_body(body: Body) -> str:
@@ -217,6 +249,9 @@ def format_body(body: Body) -> str:
             f"from = {string_text(start)}",
             f"to = {string_text(end)}",
         ]
+    for name, changes in body.modes:
+        table = ", ".join(f"{string_text(key)} = {number_text(value)}" for key, value in changes)
+        lines += ["", "[[mode]]", f"name = {string_text(name)}", f"changes = {{ {table} }}"]
     return "\n".join(lines) + "\n"
 
 

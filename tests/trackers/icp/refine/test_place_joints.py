@@ -20,8 +20,8 @@ from voodoo_jax.trackers.icp.refine.place_joints import (
     band_gaps,
     learned,
     looked_at,
+    persons_body,
     sensor_places,
-    usual_body,
 )
 
 BODY = on_host(scaled(human(), 1.8))
@@ -111,12 +111,14 @@ def test_nothing_is_moved_far():
     assert np.linalg.norm(STAGE.placed(BODY, wild, EYES).joints - wild.joints, axis=-1).max() <= 1.8 * 0.025 + 1e-5
 
 
-@pytest.mark.parametrize("other", [with_proportions(BODY, {"l_thigh": 1.05}), load_body("human10"), load_body("dog")],
-                         ids=["fitted", "human10", "dog"])  # fmt: skip
+@pytest.mark.parametrize("other", [with_proportions(BODY, {"l_thigh": 1.6}), load_body("human10"), load_body("dog")],
+                         ids=["no person", "human10", "dog"])  # fmt: skip
 def test_other_bodies_are_unknown(other):
-    assert usual_body(other) is None
+    assert persons_body(other) is None
+    fitted = with_proportions(BODY, {"l_thigh": 1.05, "r_thigh": 1.05})
+    np.testing.assert_array_equal(persons_body(fitted).sizes, fitted.sizes)  # pyright: ignore
     longer = with_proportions(BODY, {"l_forearm": 1.05, "r_forearm": 1.05})  # as fit_forearms leaves them
-    np.testing.assert_allclose(usual_body(longer).sizes, BODY.sizes, rtol=1e-5)  # pyright: ignore
+    np.testing.assert_allclose(persons_body(longer).sizes, BODY.sizes, rtol=1e-5)  # pyright: ignore
 
 
 def test_one_sensor_wherever_it_goes():
