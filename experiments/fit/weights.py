@@ -9,7 +9,6 @@ track needs where it is wrong they do not show. Writes weights.md.
 from dataclasses import replace
 from pathlib import Path
 
-import equinox as eqx
 import numpy as np
 import tyro
 from tqdm import tqdm
@@ -18,14 +17,9 @@ from experiments.common import MEAN_HEAD, Log, Score, halves, human, load_logs, 
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.fit import Seen, fit_tracked
+from voodoo_jax.fitting.folds import with_bands
 from voodoo_jax.fitting.frames import Truth
-from voodoo_jax.fitting.result import Fit
 from voodoo_jax.model.body import Body
-
-
-def tuned(body: Body, found: Fit) -> Body:
-    """The body with the bands that a fit found."""
-    return eqx.tree_at(lambda b: (b.weights, b.axes), body, (found.fitted[0].weights, found.fitted[0].axes))
 
 
 def tracked(logs: list[Log], body: Body, settings: Settings) -> list[Score]:
@@ -65,7 +59,7 @@ def main(
         truths = [Truth(log.stamps, log.names, log.joints) for log in own[k]]
         found = fit_tracked(seen, Settings(), replace(fit_options, free=free), truths)
         numbers.append(dict(zip(found.names, np.exp(found.x))))
-        new = tuned(body, found)
+        new = with_bands(body, found.starts[0], found.fitted[0])
         rows += [
             [f"tuned on {'AB'[k]}, half {'AB'[half]}", *mean_row(tracked(own[half], new, found.tuned))]
             for half in (k, 1 - k)

@@ -7,10 +7,11 @@ import numpy as np
 
 from experiments.common import halves, human, load_log
 from experiments.fit.promises import WRONG, Outcome, fitted_to, recovers_simulated, refuses_noise, wrong
-from experiments.fit.weights import tracked, tuned
+from experiments.fit.weights import tracked
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.fit import Seen, fit_tracked
+from voodoo_jax.fitting.folds import with_bands
 from voodoo_jax.fitting.frames import Truth
 
 
@@ -68,4 +69,5 @@ class TuneWeights:
             seen, settings, replace(options, free=("bands.*.weight", "measurement weights")), truths
         )  # fmt: skip
         mean = lambda scores: float(np.mean([s.error_cm for s in scores]))  # noqa: E731
-        return mean(tracked(others, body, settings)), mean(tracked(others, tuned(body, found), found.tuned))
+        tuned = with_bands(body, found.starts[0], found.fitted[0])
+        return mean(tracked(others, body, settings)), mean(tracked(others, tuned, found.tuned))

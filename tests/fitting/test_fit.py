@@ -15,8 +15,9 @@ from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.fit import fit
+from voodoo_jax.fitting.folds import check_common, folds_of, with_bands
 from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
-from voodoo_jax.fitting.gauss_newton import undetermined
+from voodoo_jax.fitting.gauss_newton import FitError, undetermined
 from voodoo_jax.fitting.judge import ERROR, Judged, verdict_on
 from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths
 from voodoo_jax.fitting.sizes import sizes_after
@@ -359,7 +360,7 @@ def test_a_loss_of_ones_own():
 
 def test_a_body_that_nothing_rests_with_gains_nothing():
     """A step is taken as far as frames come to rest, and the fit goes on."""
-    from voodoo_jax.fitting.gauss_newton import FitError, Place, Search, along
+    from voodoo_jax.fitting.gauss_newton import Place, Search, along
 
     class Slope(Search):
         """Falls for ever; beyond 1.5 no frame comes to rest."""
@@ -379,3 +380,33 @@ def test_a_body_that_nothing_rests_with_gains_nothing():
             assert share == wanted and gain == wanted * step == -there.loss
         else:
             assert not gain > 0
+
+
+def test_folds_are_runs_of_recordings():
+    assert [list(f) for f in folds_of(5, 2)] == [[0, 1], [2, 3, 4]]
+    assert [list(f) for f in folds_of(3, 3)] == [[0], [1], [2]]
+    for count, folds in ((3, 1), (3, 4)):
+        with pytest.raises(FitError, match="--folds from 2"):
+            folds_of(count, folds)
+
+
+def test_bands_found_on_one_body_are_another_ones():
+    """Factors carry over, whatever the sizes; joints without an axis keep none."""
+    start, other = scaled(BODY, 1.6), scaled(with_proportions(BODY, {"l_thigh": 1.1}), 1.9)
+    found = after(["bands"], {"bands.neck.weight": np.log(2.0), "bands.waist.axes.x": np.log(1.5)})
+    moved = with_bands(other, start, scaled(found, 1.7))
+    t = BODY.topology
+    weight, axis = np.asarray(moved.weights / other.weights), np.asarray(moved.axes[t.joints.index("waist")])
+    np.testing.assert_allclose(weight, np.where(np.array(t.joints) == "neck", 2.0, 1.0), rtol=1e-5)
+    np.testing.assert_allclose(axis / other.axes[t.joints.index("waist")], [1.5, 1.0], rtol=1e-5)
+    np.testing.assert_array_equal(moved.axes == 0, other.axes == 0)
+    np.testing.assert_array_equal(moved.sizes, other.sizes)
+
+
+def test_folds_are_for_what_people_have_in_common():
+    check_common(parameters(BODY, ["bands", "measurement weights"], ("face",)).names)
+    with pytest.raises(FitError, match=r"lengths\.thigh is a person's own"):
+        check_common(parameters(BODY, ["bands", "lengths.thigh"]).names)
+    options = FitSettings(folds=2)
+    with pytest.raises(FitError, match="a loss of your own"):
+        fit(BODY, ["x.mcap"], options=options, loss=lambda *_: jnp.zeros(()))

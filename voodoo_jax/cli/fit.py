@@ -33,7 +33,7 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
     except ValueError as problem:
         print(f"voodoo-jax fit: {problem}", file=sys.stderr)
         return 2
-    bodies = outputs(command.out, 1 if command.fit.persons == "one" else len(logs))
+    bodies = outputs(command.out, 1 if command.fit.persons == "one" or command.fit.folds else len(logs))
     report, state = command.out.with_suffix(".md"), command.out.with_name(f".{command.out.name}.fit-state.npz")
     config = command.out.with_suffix(".config.toml")
     there = [

@@ -18,6 +18,10 @@ class FitSettings:
     persons: Literal["one", "each"] = "one"
     """one: all logs show the same person; each: every log another one, with a body of its own. Bands, measurement
     weights and settings are common to all logs either way."""
+    folds: int = 0
+    """For what people have in common (bands, measurement weights, solve.*), over logs of several people: cut the logs
+    into so many runs, in the order given, track each run with what the others gave, and write only what is better
+    there. Every log then has a person of its own. 0: time held back in each log judges."""
     frames: int = 24
     """Frames of each log that are fitted to, spread over the well tracked ones of every third run of time; the others
     are held back and judge."""

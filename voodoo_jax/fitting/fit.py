@@ -84,12 +84,18 @@ def fit(
         raise FitError(f"bodies are fitted with the ICP tracker: set tracker to icp, not {settings.tracker}")
     if not logs:
         raise FitError("name at least one log to fit to")
+    if options.folds and loss is not None:
+        raise FitError("folds judge by points or joints, not by a loss of your own: leave one of the two out")
     if truths and len(truths) != len(logs):
         raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
     if truths:  # joints are where the fit puts them: what was learned of other people would move them again
         settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
     tell = say or (lambda what, progress: None)
     seen = tracked(body, logs, settings, lambda what: tell(what, None))
+    if options.folds:
+        from voodoo_jax.fitting.folds import fit_folds  # which takes what stands here
+
+        return fit_folds(seen, settings, options, truths, say)
     return fit_tracked(seen, settings, options, truths, loss, state, say)
 
 
@@ -131,7 +137,7 @@ def fit_tracked(
             if number == options.rounds or moved < MOVED:
                 break
             tell("tracking again", progress)
-            again = [_again(one, search.body(progress.x, part), settings) for one, part in zip(seen, search.parts)]
+            again = [track_again(one, search.body(progress.x, part), settings) for one, part in zip(seen, search.parts)]
             parts = search_of(again, settings, options, truths, chosen).parts
             parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
             search, progress = replace(search, parts=parts), replace(progress, done=False)
@@ -152,7 +158,7 @@ def fit_tracked(
     else:
         stiff = 1.0 if truths or _bands_free(search) else JUDGED
         pairs = [
-            [_again(one, body, _stiffer(some, stiff)).tracks for body, some in ((p.body, settings), (new, tuned))]
+            [track_again(one, body, _stiffer(some, stiff)).tracks for body, some in ((p.body, settings), (new, tuned))]
             for one, p in zip(seen, search.parts)
             for new in [search.body(progress.x, p)]
         ]
@@ -191,7 +197,7 @@ def _stiffer(settings: Settings, times: float) -> Settings:
     return replace(settings, solve=replace(settings.solve, ratio=settings.solve.ratio * times))
 
 
-def _again(seen: Seen, body: Body, settings: Settings) -> Seen:
+def track_again(seen: Seen, body: Body, settings: Settings) -> Seen:
     """A recording tracked with a body of known size."""
     from voodoo_jax.trackers.icp.tracker import track_person
 

@@ -1,6 +1,7 @@
 """The report of a fit: Markdown with tables, a figure of the loss, and a page that shows both and the bodies."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from voodoo_jax.viz.fit_page import write_fit_page
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from voodoo_jax.fitting.judge import Judged
     from voodoo_jax.fitting.result import Fit
     from voodoo_jax.fitting.sizes import Size
 
@@ -30,29 +32,35 @@ def _interval(size: "Size") -> str:
     return f"{_cm(size.after - reach)} .. {_cm(size.after + reach)}" if np.isfinite(reach) else "-"
 
 
+def _before_and_after(judged: "Sequence[Judged]") -> list[str]:
+    """How far points and joints are off, by recording."""
+    rows = []
+    for j in judged:
+        left_out = j.held.all()
+        for word, mask in (("left out", j.held),) if left_out else (("fitted", ~j.held), ("held back", j.held)):
+            columns = [v[mask] for v in (j.before, j.after, j.joints_before, j.joints_after)]
+            values = [float(np.nanmean(v)) if np.isfinite(v).any() else float("nan") for v in columns]
+            rows.append([f"{j.name}, {word}", str(int(np.isfinite(j.after[mask]).sum())), *map(_cm, values)])
+    head = ["log", "runs of time", "points off, before, cm", "after, cm", "joints off, before, cm", "after, cm"]
+    how = "two of three runs of time were held back from the fit, and judge."
+    if judged and judged[0].held.all():
+        how = "each log was left out of the fit that it judges."
+    text = f"The whole log tracked with the body before and with the fitted one; {how}\n"
+    return ["## Before and after\n", text, _table(head, rows)]
+
+
 def report_text(fit: "Fit") -> str:
     """The report as Markdown."""
     out = ["# Fit of a body\n", fit.verdict.why + "\n"]
     ended = "stopped by itself" if fit.finished else "was ended by its limit of steps: more may gain something"
     out.append(f"{len(fit.losses) - 1} steps, loss {fit.losses[0]:.1f} to {fit.losses[-1]:.1f}; it {ended}.\n")
-    rows = []
-    for j in fit.judged:
-        for word, mask in (("fitted", ~j.held), ("held back", j.held)):
-            columns = [v[mask] for v in (j.before, j.after, j.joints_before, j.joints_after)]
-            values = [float(np.nanmean(v)) if np.isfinite(v).any() else float("nan") for v in columns]
-            rows.append([f"{j.name}, {word}", str(int(np.isfinite(j.after[mask]).sum())), *map(_cm, values)])
-    head = ["log", "runs of time", "points off, before, cm", "after, cm", "joints off, before, cm", "after, cm"]
-    out += [
-        "## Before and after\n",
-        "The whole log tracked with the body before and with the fitted one; two of three runs of time were held back "
-        "from the fit, and judge.\n",
-        _table(head, rows),
-    ]
-    out.append("## Sizes\n")
-    out.append(
-        "Girths are those of the body's cylinders half way along a limb. The intervals are what the model and its "
-        "noise allow; that a person is no cylinder is not in them.\n"
-    )
+    out += _before_and_after(fit.judged)
+    if fit.sizes:
+        out.append("## Sizes\n")
+        out.append(
+            "Girths are those of the body's cylinders half way along a limb. The intervals are what the model and its "
+            "noise allow; that a person is no cylinder is not in them.\n"
+        )
     for k, sizes in enumerate(fit.sizes):
         if len(fit.fitted) > 1:
             names = ", ".join(j.name for j in fit.judged if j.person == k)

@@ -1,0 +1,93 @@
+"""What people have in common, judged by people it was not found from: cross-validation over recordings.
+
+Bands, measurement weights and options of the solve are one for all. Time held back in the recordings that they are
+fitted to says little about other people, so whole recordings are left out: each fold is tracked with what the others
+gave.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+
+from voodoo_jax.config.fit_options import FitSettings
+from voodoo_jax.config.options import Settings
+from voodoo_jax.fitting.fit import SHARED, Seen, TruthLike, fit_tracked, track_again
+from voodoo_jax.fitting.frames import feature_names, read_truth
+from voodoo_jax.fitting.gauss_newton import FitError
+from voodoo_jax.fitting.judge import Judged, judged_by, verdict_on
+from voodoo_jax.fitting.parameters import parameters
+from voodoo_jax.fitting.result import Fit
+from voodoo_jax.model.body import Body
+
+
+def folds_of(count: int, folds: int) -> list[range]:
+    """Recordings in the order given, cut into runs of nearly one length: a person's recordings, given one after the
+    other, are mostly in one fold. Raises FitError where there are fewer recordings than folds."""
+    if not 2 <= folds <= count:
+        raise FitError(f"{folds} folds of {count} recordings: say --folds from 2 to the number of recordings")
+    ends = np.linspace(0, count, folds + 1).round().astype(int).tolist()
+    return [range(a, b) for a, b in zip(ends, ends[1:])]
+
+
+def check_common(names: Sequence[str]) -> None:
+    """Raises FitError where something free is a person's own."""
+    if alone := [n for n in names if not n.startswith(SHARED)]:
+        raise FitError(
+            f"folds judge what people have in common, and {alone[0]} is a person's own: "
+            "say --free bands or --free 'measurement weights', or leave --folds out"
+        )
+
+
+def with_bands(body: Body, was: Body, now: Body) -> Body:
+    """A body, of any size, with its bands changed as another's are from `was` to `now`."""
+    grown = float(now.scale) / float(was.scale)
+    weights = np.asarray(body.weights) * np.asarray(now.weights) / np.asarray(was.weights)
+    there = np.asarray(was.axes) > 0
+    axes = np.asarray(body.axes) * np.where(there, np.asarray(now.axes) / np.where(there, was.axes, 1.0) / grown, 1.0)
+    return eqx.tree_at(lambda b: (b.weights, b.axes), body, (weights.astype(np.float32), axes.astype(np.float32)))
+
+
+def fit_folds(
+    seen: Sequence[Seen],
+    settings: Settings,
+    options: FitSettings,
+    truths: Sequence[TruthLike] = (),
+    say: Callable[..., None] | None = None,
+) -> Fit:
+    """A fit to all recordings; whether it is better say recordings that were left out, `options.folds` times some.
+
+    Every recording's person has a body of its own meanwhile; `body` is the given one with the bands found.
+    Raises FitError, also where sizes are free: those are a person's own.
+    """
+    own = replace(options, folds=0, persons="each")
+    start = seen[0].given or seen[0].tracks.body
+    measured = {n for s in seen for n in feature_names(s.people, start.topology, settings.features)}
+    check_common(parameters(start, options.free, tuple(sorted(measured))).names)
+    judged: list[Judged] = []
+    for fold in folds_of(len(seen), options.folds):
+        rest = [k for k in range(len(seen)) if k not in fold]
+        theirs = [truths[k] for k in rest] if truths else ()
+        found = fit_tracked([seen[k] for k in rest], settings, own, theirs, say=say)
+        judged += [left_out(seen[k], found, settings, truths[k] if truths else None) for k in fold]
+    whole = fit_tracked(seen, settings, own, truths, say=say)
+    none = np.zeros(len(whole.names), bool)
+    verdict = verdict_on(judged, whole.x / whole.prior_sd, none, bool(truths), bool(whole.stays.all()))
+    fitted = with_bands(start, whole.starts[0], whole.fitted[0])
+    body = fitted if verdict.better else start
+    return replace(
+        whole, body=body, bodies=(body,), fitted=(fitted,), starts=(start,), verdict=verdict, judged=tuple(judged),
+        sizes=(), settings=options,
+    )  # fmt: skip
+
+
+def left_out(one: Seen, found: Fit, settings: Settings, truth: TruthLike) -> Judged:
+    """A recording that a fit did not see, tracked with what was there before and with what it found; all counts."""
+    known = read_truth(truth) if isinstance(truth, (str, os.PathLike)) else truth
+    before = track_again(one, one.tracks.body, settings).tracks
+    tuned = with_bands(one.tracks.body, found.starts[0], found.fitted[0])
+    after = track_again(one, tuned, found.tuned).tracks
+    judged = judged_by(before, after, 0, known)
+    return replace(judged, held=np.ones_like(judged.held))
