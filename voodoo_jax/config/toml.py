@@ -26,6 +26,7 @@ from voodoo_jax.config.options import (
     StartSettings,
     TrackSettings,
 )
+from voodoo_jax.storage.troubles import small_text
 
 
 def _check(stage: str, f: Field, value: Any) -> Any:
@@ -100,8 +101,8 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
     OSError."""
     base = base or Settings()
     try:
-        content = tomllib.loads(Path(path).read_text())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        content = tomllib.loads(small_text(path))
+    except (ValueError, RecursionError) as problem:  # of its syntax, its bytes, or numbers of thousands of digits
         raise SettingsError(f"{path}: not a TOML file: {problem}") from problem
     try:
         return settings_from(with_new_names(content, base), base, path)

@@ -3,7 +3,6 @@
 import json
 import os
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from voodoo_jax.config.options import SettingsError
 from voodoo_jax.io.transforms import Transform
 from voodoo_jax.records.messages import Calibration, frame_name
+from voodoo_jax.storage.troubles import small_text
 
 # names of the same thing in camera_info messages, in files of camera_calibration, and in settings
 _MATRICES = {
@@ -72,9 +72,11 @@ def _calibration(place: str) -> Calibration:
 
 def _content(place: str) -> dict[str, Any]:
     try:
-        text = Path(os.path.expanduser(place)).read_text()
+        text = small_text(os.path.expanduser(place))
     except (OSError, UnicodeDecodeError) as problem:
-        raise SettingsError(f"read.camera: '{place}' cannot be read: {problem}") from problem
+        raise SettingsError(
+            f"read.camera: '{place}' cannot be read: {getattr(problem, 'strerror', None) or problem}"
+        ) from problem
     try:
         if place.endswith(".toml"):
             content = tomllib.loads(text)
@@ -85,7 +87,7 @@ def _content(place: str) -> dict[str, Any]:
 
             # `ros2 topic echo` writes a line of dashes behind each message
             content = next(iter(YAML(typ="safe", pure=True).load_all(text)), None)
-    except Exception as problem:  # each parser has its own
+    except Exception as problem:  # each parser has its own, RecursionError among them
         raise SettingsError(f"read.camera: '{place}' is no YAML, TOML or JSON: {problem}") from problem
     if not isinstance(content, dict):
         raise SettingsError(f"read.camera: '{place}' holds no camera_info")

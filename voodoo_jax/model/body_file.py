@@ -16,6 +16,7 @@ from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
 from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.troubles import small_text
 
 HEADER = """\
 # A body: degenerated cylinders (limbs) held together by elastic bands (joints).
@@ -79,7 +80,7 @@ def read_body(path: str | os.PathLike) -> Body:
 
 def _read(path: str | os.PathLike) -> Body:
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = small_text(path)
     except OSError as error:
         raise BodyFileError(str(path), None, error.strerror or str(error)) from error
     except UnicodeDecodeError as error:

@@ -30,7 +30,7 @@ class TomlFile:
         self.lines: dict[tuple[str, int, str | None], int] = {}  # (kind, number, key or "" for the header)
         try:
             self.data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as fault:
+        except (ValueError, RecursionError) as fault:  # of its syntax, or numbers of thousands of digits
             where = re.search(r"\(at line (\d+),", str(fault))
             line = int(where[1]) if where else text.count("\n") + 1
             raise error(source, line, f"not TOML: {fault}") from fault

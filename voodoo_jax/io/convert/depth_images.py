@@ -14,6 +14,7 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from voodoo_jax.io.convert.target import ConvertError, named_times, new_log, putter
+from voodoo_jax.storage.troubles import small_text
 
 IMAGE, INFO, FRAME = "/depth/image", "/depth/camera_info", "depth_optical"
 CAMERA_FILE = "camera.toml"
@@ -62,8 +63,8 @@ def camera_file(path: Path, usual: dict | None = None, asked: bool = True) -> di
             )
         return dict(usual)
     try:
-        found = (usual or {}) | tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        found = (usual or {}) | tomllib.loads(small_text(path))
+    except (ValueError, RecursionError, OSError) as problem:
         raise ConvertError(f"'{path}' is no TOML file: {problem}") from problem
     for key in KEYS:
         if not isinstance(found.get(key), int | float) or not found[key] > 0:

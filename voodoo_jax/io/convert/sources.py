@@ -44,6 +44,8 @@ def convert(
         if any(path.suffix.lower() in clouds.ENDINGS for path in source.iterdir()):
             return clouds.convert(source, target, rate)
         return depth_images.convert(source, target, Path(camera) if camera else None, rate)
+    if not source.is_file():
+        raise ConvertError(f"'{source}' is a pipe or a device: give a file")
     kind = source.suffix.lower()
     if kind in (".bag", ".db3"):
         return ros_bags.convert(source, target)
