@@ -236,8 +236,9 @@ def _of_printing(problem: Exception) -> bool:
     """Whether an error is of what was to be printed: nobody reads it any more, or its disk is full."""
     if isinstance(problem, BrokenPipeError):
         return True
-    nameless = isinstance(problem, OSError) and not isinstance(problem, NotWritten) and problem.filename is None
-    return nameless and problem.errno in WHILE_WRITING
+    if not isinstance(problem, OSError) or isinstance(problem, NotWritten):
+        return False
+    return problem.filename is None and problem.errno in WHILE_WRITING
 
 
 def _open_standard_files() -> None:

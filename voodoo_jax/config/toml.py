@@ -28,6 +28,9 @@ from voodoo_jax.config.options import (
 )
 from voodoo_jax.storage.troubles import small_text
 
+LARGEST = 1e6  # seconds, metres and weights: what float32 still computes with
+MOST = 2**31 - 1  # of what is counted: 32 bits
+
 
 def _check(stage: str, f: Field, value: Any) -> Any:
     """The value as the field wants it, or SettingsError."""
@@ -38,9 +41,11 @@ def _check(stage: str, f: Field, value: Any) -> Any:
         return value
     if isinstance(default, tuple):
         if default and isinstance(default[0], float):
-            good = isinstance(value, list) and all(type(v) in (int, float) and 0 <= v < float("inf") for v in value)
+            good = isinstance(value, list) and all(type(v) in (int, float) and 0 <= v <= LARGEST for v in value)
             if not good:
-                raise SettingsError(f"{name} = {value!r}: must be a list of numbers that are not negative")
+                raise SettingsError(
+                    f"{name} = {value!r}: must be a list of numbers that are not negative, and at most {LARGEST:g}"
+                )
             if name == "flexible.depth_noise" and len(value) != 3:
                 raise SettingsError(f"{name} = {value!r}: must be three numbers: of roots, middles and ends of limbs")
             return tuple(float(v) for v in value)
@@ -50,17 +55,17 @@ def _check(stage: str, f: Field, value: Any) -> Any:
             check_pairs(name, tuple(value), numbers=_PAIRS[name])
         return tuple(value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        value = float(value) if abs(value) <= LARGEST else float("inf")  # some are too large for that, too
     if name == "read.up" and value:
         direction(str(value))
     if type(value) is not type(default):
         raise SettingsError(f"{name} = {value!r}: must be {_WORDS[type(default)]}, such as {default!r}")
     if isinstance(value, (int, float)) and not isinstance(value, bool) and not value >= 0:
         raise SettingsError(f"{name} = {value!r}: must not be negative")
-    low, high = _BOUNDS.get(name, (0, float("inf")))
+    low, high = _BOUNDS.get(name, (0, LARGEST if isinstance(value, float) else MOST))
+    high = float("inf") if name in _ENDLESS else high
     if isinstance(value, (int, float)) and not low <= value <= high:
-        most = f" and at most {high}" if high < float("inf") else ""
-        raise SettingsError(f"{name} = {value!r}: must be at least {low}{most}")
+        raise SettingsError(f"{name} = {value!r}: must be at least {low} and at most {high:.12g}")
     return value
 
 
@@ -69,8 +74,8 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
     for word in words:
         key, _, value = word.partition("=")
         try:
-            least = -float("inf") if name in _SIGNED else 0
-            good = bool(key and value) and (not numbers or least <= float(value) < float("inf"))
+            low, high = _PAIR_BOUNDS.get(name, (0, LARGEST))
+            good = bool(key and value) and (not numbers or low <= float(value) <= high)
             if name == "read.labels":
                 int(key)
         except ValueError:
@@ -191,9 +196,6 @@ def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) ->
     return Change(**values)
 
 
-LARGEST = 1e6  # seconds, metres and weights of a change: what float32 still computes with
-
-
 def _numbers(value: Any, count: int, above: float = -float("inf")) -> bool:
     return (
         isinstance(value, list)
@@ -272,7 +274,10 @@ _PAIRS = {
     "read.scale": True,
     "read.delays": True,
 }
-_SIGNED = ("read.delays",)
+# seconds between two clocks may be those since 1970; no unit of length is smaller than a picometre
+_PAIR_BOUNDS = {"read.delays": (-1e10, 1e10), "read.scale": (1e-12, LARGEST)}
+# those that may be inf: all pairs or features count, as in the papers
+_ENDLESS = ("features.max_distance", "features.robust_scale", "solve.max_distance", "solve.robust_scale")
 _EXAMPLES = {
     "features.names": "name=point, such as face=sellion",
     "features.weights": "name=number, such as face=10",
@@ -284,17 +289,17 @@ _EXAMPLES = {
 }
 _BOUNDS: dict[str, tuple[float, float]] = {
     **{f"limits.{f.name}": (1, 1 << 60) for f in fields(LimitSettings) if f.name != "seconds"},
-    "read.max_points": (1, float("inf")),
+    "read.max_points": (1, MOST),
     "detect.points": (1, 8192),
     "start.headings": (1, 360),
     "start.frames": (1, 1000),
     "start.seconds": (0.0, 1000.0),
     "start.directions": (1, 1000),
     "start.size_frames": (1, 10_000),
-    "features.robust_scale": (1e-4, float("inf")),
+    "features.robust_scale": (1e-4, LARGEST),
     "solve.max_steps": (1, 10_000),
     "solve.sampling": (0, 1),
-    "solve.robust_scale": (1e-4, float("inf")),
+    "solve.robust_scale": (1e-4, LARGEST),
     "flexible.particles": (2, 100_000),
     "flexible.head_particles": (2, 100_000),
     "flexible.layers": (1, 10),
@@ -307,7 +312,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "flexible.follow_up": (0, 1),
     "flexible.mass_base": (1e-3, 1e3),
     "flexible.points": (16, 8192),
-    "track.prior_interval": (1e-4, float("inf")),
+    "track.prior_interval": (1e-4, LARGEST),
     "track.patience": (1, 1_000_000),
     "track.chunk": (1, 100_000),
 }

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from voodoo_jax.config.options import SettingsError
+from voodoo_jax.io.limits import PLACE, QUATERNION
 from voodoo_jax.io.transforms import Transform
 from voodoo_jax.records.messages import Calibration, frame_name
 from voodoo_jax.storage.troubles import small_text
@@ -42,7 +43,8 @@ def given_transforms(words: tuple[str, ...]) -> list[Transform]:
             numbers = np.array([float(number) for number in parts[2:]])
         except ValueError:
             numbers = np.zeros(0)
-        if len(numbers) != 7 or not np.isfinite(numbers).all() or not numbers[3:].any():
+        length = np.linalg.norm(numbers[3:]) if len(numbers) == 7 and (np.abs(numbers) < PLACE).all() else 0.0
+        if not QUATERNION[0] <= length <= QUATERNION[1]:
             raise SettingsError(
                 f"read.transform: '{word}' must look like 'parent child x y z qx qy qz qw', such as "
                 "'base camera 0 0 1.2 0 0 0 1': metres and a quaternion, the place of the child in the parent"
