@@ -17,9 +17,10 @@ from voodoo_jax.batch.output_paths import folders_within
 from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers, may_have_gpu
 from voodoo_jax.batch.results_elsewhere import brought, keys_elsewhere
 from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
-from voodoo_jax.batch.worker_start import can_copy
+from voodoo_jax.batch.worker_start import can_copy, in_a_copy
 from voodoo_jax.compile.cache_dir import safe_folder
-from voodoo_jax.config.options import Settings
+from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.storage.atomic import check_writable, made_folder
 from voodoo_jax.storage.troubles import NotWritten, check_text, not_written
@@ -30,6 +31,23 @@ __all__ = ["NotSummedUp", "Outcome", "draw", "output_paths", "replay", "track_lo
 SMOOTHEST = 1000.0  # seconds over which tracks may be averaged
 LONGEST = 1e6  # seconds, eleven days: timers take no more than some hundred years
 SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being done
+
+
+def check_changes(body: Body, settings: Settings) -> None:
+    """Raises SettingsError for changes that cannot be made to a body: before the logs, not once for each."""
+    if settings.changes and (problem := in_a_copy(_trouble_of_changes, body, settings)):
+        raise SettingsError(problem)
+
+
+def _trouble_of_changes(body: Body, settings: Settings) -> str:
+    from voodoo_jax.model.attachments import loaded, prepared
+    from voodoo_jax.model.body_file import BodyFileError
+
+    try:
+        prepared(on_device(body), loaded(settings.changes))
+    except (SettingsError, BodyFileError) as problem:
+        return str(problem)
+    return ""
 
 
 class NotSummedUp(NotWritten):
@@ -96,6 +114,7 @@ def replay(
     if not 0 <= log_timeout <= LONGEST:
         raise ValueError(f"--log-timeout {log_timeout}: must not be negative, and at most {LONGEST:g} seconds")
     check_stages(settings or Settings())
+    check_changes(body or load_on_host("human"), settings or Settings())
     exports = check_formats(export)
     number, count = parse_shard(shard)
     summary = summary_name(number, count)

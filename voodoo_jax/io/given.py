@@ -30,7 +30,13 @@ def given_cameras(words: tuple[str, ...]) -> dict[str, Calibration]:
     found = {}
     for word in words:
         topic, _, place = word.rpartition("=")
-        found[topic if topic.startswith("/") else ""] = _calibration(place if topic.startswith("/") else word)
+        file = place if topic.startswith("/") else word
+        try:
+            found[topic if topic.startswith("/") else ""] = _calibration(file)
+        except (ValueError, TypeError, AttributeError, OverflowError) as problem:
+            if isinstance(problem, SettingsError):
+                raise
+            raise SettingsError(f"read.camera: '{file}' holds no camera_info: {problem}") from problem
     return found
 
 
@@ -61,7 +67,7 @@ def _calibration(place: str) -> Calibration:
         K = np.array([content.get(name, 0) for name in ("fx", "fy", "cx", "cy")], float)
         K = np.array([K[0], 0, K[2], 0, K[1], K[3], 0, 0, 1])
     K = K.reshape(3, 3)
-    if not (K[0, 0] > 0 and K[1, 1] > 0):
+    if not (0 < K[0, 0] < PLACE and 0 < K[1, 1] < PLACE and (np.abs(K) < PLACE).all()):
         raise SettingsError(f"read.camera: '{place}' has no focal length (K, camera_matrix, or fx, fy, cx, cy)")
     D, R, P = (_numbers(content, name, count) for name, count in (("D", 0), ("R", 9), ("P", 12)))
     width, height = (int(content.get(n, 0) or content.get(f"image_{n}", 0)) for n in ("width", "height"))
@@ -105,7 +111,7 @@ def _numbers(content: dict[str, Any], name: str, count: int) -> np.ndarray | Non
                 numbers = np.array(value, float).ravel()
             except (TypeError, ValueError):
                 numbers = np.zeros(0)
-            if (count and len(numbers) != count) or not np.isfinite(numbers).all():
+            if (count and len(numbers) != count) or not (np.abs(numbers) < PLACE).all():
                 raise SettingsError(f"read.camera: {key} must be {count or 'a list of'} numbers")
             return numbers
     return None

@@ -45,6 +45,9 @@ KEYS = {
     "segment": (("name", "from", "to"), ()),
 }
 LIMITS = ("swing_x", "swing_y", "twist")
+LIMBS = 256  # skinned meshes have up to a hundred joints; each limb more makes a program that takes longer to compile
+SCALES = 1e-3, 1e3  # metres, of a body as a whole: far beyond what depth sensors see
+RESERVED = ("name", "segment_lengths")  # keys of body_json in results, beside which the scale stands by its name
 BUILT_IN = ("human", "human10", "arm", "dog", "stick")
 
 
@@ -107,9 +110,16 @@ def _parsed(text: str, source: str) -> Body:
     file = TomlFile(text, source, KEYS, BodyFileError)
     root = file.root()
     scale = root.number("scale", above=0)
+    if not SCALES[0] <= scale <= SCALES[1]:
+        root.fail("scale", f"a body of {scale:g} m; from {SCALES[0]:g} to {SCALES[1]:g} m are tracked")
+    scale_name = root.string("scale_name", "scale")
+    if scale_name in RESERVED:
+        root.fail("scale_name", f"'{scale_name}' cannot be what the scale is called: results use that name otherwise")
     tables = {kind: file.tables(kind) for kind in KEYS if kind}
     if not tables["limb"]:
         file.fail(None, "a body needs at least one [[limb]]")
+    if len(tables["limb"]) > LIMBS:
+        file.fail(None, f"a body of {len(tables['limb'])} limbs; {LIMBS} are the most")
     limbs, joints = unique_names(tables["limb"]), unique_names(tables["joint"])
     centres, sites = unique_names(tables["centre"]), unique_names(tables["site"])
 
@@ -169,7 +179,7 @@ def _parsed(text: str, source: str) -> Body:
         presence=array([1.0] * len(limbs), -1),
         topology=topology,
         name=root.name,
-        scale_name=root.string("scale_name", "scale"),
+        scale_name=scale_name,
     )
 
 
