@@ -113,6 +113,7 @@ def run_info(command: Info) -> int:
 
     status = 0
     try:
+        check_settings(Settings(read=command.read, limits=command.limits))
         paths = [path for place in command.logs for path in expanded(place)]
     except ValueError as problem:
         print(f"voodoo-jax info: {problem}", file=sys.stderr)
@@ -137,7 +138,13 @@ def run_demo(command: Demo) -> int:
     """Replays the shipped recording; 0 if it was tracked."""
     from voodoo_jax.cli.demo import demo
 
-    return demo(command.out)
+    try:
+        return demo(command.out)
+    except (OSError, ValueError) as problem:
+        if _of_printing(problem):
+            raise
+        print(f"voodoo-jax demo: {problem}", file=sys.stderr)
+        return 2
 
 
 def _flag(argv: list[str], name: str) -> str | None:

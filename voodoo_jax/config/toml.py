@@ -280,7 +280,7 @@ _PAIRS = {
     "read.delays": True,
 }
 # seconds between two clocks may be those since 1970; no unit of length is smaller than a picometre
-_PAIR_BOUNDS = {"read.delays": (-1e10, 1e10), "read.scale": (1e-12, LARGEST)}
+_PAIR_BOUNDS = {"read.delays": (-4e9, 4e9), "read.scale": (1e-12, LARGEST)}
 # those that may be inf: all pairs or features count, as in the papers
 _ENDLESS = ("features.max_distance", "features.robust_scale", "solve.max_distance", "solve.robust_scale")
 _EXAMPLES = {

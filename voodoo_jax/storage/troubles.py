@@ -79,6 +79,12 @@ def small_text(path: str | os.PathLike[str], errors: str = "strict") -> str:
     return small_file(path).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Raises NotReadable for a pipe or a device, for which one could wait for ever."""
+    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+        raise _unfit("it is a pipe or a device: give a file")
+
+
 def _unfit(why: str) -> NotReadable:
     found = NotReadable(why)
     found.strerror = why

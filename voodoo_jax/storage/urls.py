@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from voodoo_jax.storage.atomic import made_folder
-from voodoo_jax.storage.troubles import small_text
+from voodoo_jax.storage.troubles import check_file, small_text
 
 URL_HELP = 'pip install "voodoo_jax[urls]"'
 NPZ = ".tracks.npz"  # and those of files with tracks
@@ -182,6 +182,7 @@ class Readable(Protocol):
 def opened(place: str) -> Iterator[Any]:
     """A file opened for reading at any place of it: a Readable. Raises OSError."""
     if not is_url(place):
+        check_file(place)
         with open(place, "rb") as stream:
             yield stream
         return
