@@ -10,11 +10,19 @@ from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.urls import NPZ, person_place
 
 VIEW = ".html"
+MOST = 9  # people beside the main one of whom a killed run's files are looked for
 
 
 def exported_name(npz: str | Path, format: str) -> str:
     """Name of the file that tracks are exported to."""
     return Path(npz).name.removesuffix(NPZ) + FORMATS[format].suffix
+
+
+def extra_files(npz: Path, formats: Sequence[str]) -> list[Path]:
+    """Files that are written beside the tracks of a log, those of other people in it included."""
+    people = [npz, *(Path(person_place(str(npz), person)) for person in range(2, 2 + MOST))]
+    exported = [path.with_name(exported_name(path, name)) for path in people for name in formats]
+    return [npz.with_name(npz.name.removesuffix(NPZ) + VIEW), *people[1:], *exported]
 
 
 def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str]) -> list[str]:

@@ -155,7 +155,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
     from voodoo_jax.batch.converted import as_mcap
-    from voodoo_jax.batch.extra_files import write_exports, write_view
+    from voodoo_jax.batch.extra_files import extra_files, write_exports, write_view
     from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
@@ -174,7 +174,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         folder = stack.enter_context(delivered(job.out))
         npz, mcap = output_paths(job.log, folder)
         target = npz.with_name(Path(drawn).name)
-        for path in (npz, mcap, target):
+        for path in (npz, mcap, target, *extra_files(npz, job.exports)):
             remove_partials(path)
         if job.only_picture:
             people = [read_tracks_npz(stack.enter_context(fetched(place)))]
@@ -250,7 +250,7 @@ def _person_in(place: str) -> int | None:
 def remove_partials(target: Path) -> None:
     """Removes half-written files of this name whose process does not run any more: see atomic.replacing."""
     with suppress(OSError):
-        for partial in target.parent.glob(f".{escape(target.name)}.*.tmp"):
-            pid = partial.name.removesuffix(".tmp").rsplit(".", 1)[-1]
+        for partial in target.parent.glob(f".{escape(target.name)}.*.tmp*"):
+            pid = partial.name.rpartition(".tmp")[0].rsplit(".", 1)[-1]
             if pid.isdigit() and not process_runs(int(pid)):
                 partial.unlink(missing_ok=True)
