@@ -322,6 +322,27 @@ def test_workers_of_the_command_are_copies_of_it_and_are_replaced_where_they_die
     assert_same(arrays_of(out), arrays_of(reference))
 
 
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to see the worker")
+@pytest.mark.parametrize(
+    "how, said", [(signal.SIGSEGV, "ended by SIGSEGV"), (signal.SIGSTOP, "--log-timeout")], ids=["crash", "hang"]
+)
+def test_one_worker_is_as_safe_as_two(how, said, some_logs, reference, tmp_path):
+    """A log that ends the process it is tracked in, or never comes back, costs itself only with --workers 1, too."""
+    out, endless = tmp_path / "out", tmp_path / "endless.mcap"
+    endless_log(endless)
+    words = ["--workers", "1", *(["--log-timeout", "20"] if how == signal.SIGSTOP else [])]
+    with ended(start([some_logs[1], endless], out, *words)) as running:
+        wait_for(lambda: len(children(running.pid)) == 1 or running.poll() is not None)
+        (worker,) = children(running.pid)
+        wait_for(lambda: cpu_seconds(worker) > 1)  # it reads the endless one, the largest, first
+        os.kill(worker, how)
+        printed, errors = running.communicate(timeout=120)
+    assert running.returncode == 1 and "1 of 2 logs tracked" in printed and "Traceback" not in errors, errors
+    (line,) = (line for line in printed.splitlines() if line.startswith("endless.mcap: FAILED"))
+    assert said in line
+    assert_same(arrays_of(out), {"b.tracks.npz": arrays_of(reference)["b.tracks.npz"]})
+
+
 def test_a_process_is_copied_only_while_it_has_one_thread():
     code = """
 import threading

@@ -4,16 +4,25 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from voodoo_jax.config.options import Settings
-from voodoo_jax.exporters.formats import FORMATS, ExportError, export, gaps_note
+from voodoo_jax.exporters.formats import FORMATS, export, gaps_note
+from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.urls import NPZ, person_place
 
 VIEW = ".html"
+MOST = 9  # people beside the main one of whom a killed run's files are looked for
 
 
 def exported_name(npz: str | Path, format: str) -> str:
     """Name of the file that tracks are exported to."""
     return Path(npz).name.removesuffix(NPZ) + FORMATS[format].suffix
+
+
+def extra_files(npz: Path, formats: Sequence[str]) -> list[Path]:
+    """Files that are written beside the tracks of a log, those of other people in it included."""
+    people = [npz, *(Path(person_place(str(npz), person)) for person in range(2, 2 + MOST))]
+    exported = [path.with_name(exported_name(path, name)) for path in people for name in formats]
+    return [npz.with_name(npz.name.removesuffix(NPZ) + VIEW), *people[1:], *exported]
 
 
 def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str]) -> list[str]:
@@ -27,19 +36,27 @@ def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str]) -
         for name in formats:
             try:
                 export(own, path.parent / exported_name(path, name), name)
-            except (ExportError, OSError) as problem:
-                notes.append(f"No {exported_name(path, name)}: {problem}")
+            except Exception as problem:  # the tracks are there all the same
+                notes.append(f"No {exported_name(path, name)}: {reason(problem)}")
     return [note for note in notes if note]
 
 
 def write_view(people: Sequence[Tracks], npz: Path, settings: Settings, log: str) -> list[str]:
     """Writes `<log>.html` beside the tracks, reading the log once more; why that did not work, or nothing."""
-    from voodoo_jax.io.log_reader import LogError, open_log
+    from voodoo_jax.io.log_reader import open_log
     from voodoo_jax.viz.html_view import write_html
 
     target = npz.with_name(npz.name.removesuffix(NPZ) + VIEW)
     try:
         write_html(people, open_log(log, settings.read).frames(), target)
-    except (ValueError, OSError, LogError) as problem:
-        return [f"No {target.name}: {problem}"]
+    except Exception as problem:  # as above
+        return [f"No {target.name}: {reason(problem)}"]
     return []
+
+
+def reason(problem: Exception) -> str:
+    """An error in a sentence: as it says itself, with its kind where that was not foreseen."""
+    from voodoo_jax.io.container import LogError
+
+    known = isinstance(problem, (ValueError, OSError, LogError))
+    return plain(str(problem) if known else f"unexpected {type(problem).__name__}: {problem}", SENTENCE)

@@ -19,6 +19,8 @@ from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.records.tracks import Tracks, given_from
+from voodoo_jax.storage.atomic import check_writable
+from voodoo_jax.storage.troubles import NotWritten
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, is_url, joined, log_name, opened, person_place, removed
 
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
@@ -133,10 +135,14 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
     try:
         with limited(job.settings.limits):
             outcome = _done(job, progress, visit)
-    except (LogError, SettingsError, Unsuitable) as problem:
+    except (LogError, SettingsError, Unsuitable, NotWritten) as problem:
         outcome = Outcome(job.log, error=str(problem))
     except UnicodeEncodeError as problem:  # bytes of a name that are no text
         outcome = Outcome(job.log, error=f"a name in it or of it is not UTF-8 ({problem.reason}): rename the file")
+    except OSError as problem:
+        why = problem.strerror or str(problem)
+        text = f"'{problem.filename or job.log}' cannot be read any more: {why}. Was it moved, or its disk taken away?"
+        outcome = Outcome(job.log, error=plain(text, SENTENCE))
     except MemoryError:
         outcome = Outcome(job.log, error="out of memory: use fewer --workers, or cut the log in pieces")
     except Exception as problem:  # one log's trouble is not the others'
@@ -149,7 +155,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
     from voodoo_jax.batch.converted import as_mcap
-    from voodoo_jax.batch.extra_files import write_exports, write_view
+    from voodoo_jax.batch.extra_files import extra_files, write_exports, write_view
     from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
@@ -168,13 +174,16 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         folder = stack.enter_context(delivered(job.out))
         npz, mcap = output_paths(job.log, folder)
         target = npz.with_name(Path(drawn).name)
-        for path in (npz, mcap, target):
+        for path in (npz, mcap, target, *extra_files(npz, job.exports)):
             remove_partials(path)
         if job.only_picture:
             people = [read_tracks_npz(stack.enter_context(fetched(place)))]
             numbers = range(2, people[0].people + 1)
             people += [read_tracks_npz(stack.enter_context(fetched(person_place(place, k)))) for k in numbers]
         else:
+            job.log.encode()  # before hours of work
+            for path in (npz, mcap):
+                check_writable(path)
             with suppress(OSError):  # before reading: it may be changed meanwhile
                 key = run_key(job.recipe, fingerprint_of(original, far=is_url(job.log)))
             try:
@@ -199,10 +208,12 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
 
 def _picture(people: list[Tracks], target: Path, job: Job, log: str) -> str:
     """Draws; why that did not work, or nothing."""
+    from voodoo_jax.batch.extra_files import reason
+
     try:
         draw(people, target, job.settings, log=log)
-    except (ValueError, OSError) as problem:
-        return str(problem)
+    except Exception as problem:  # the tracks are there all the same
+        return reason(problem)
     return ""
 
 
@@ -239,7 +250,7 @@ def _person_in(place: str) -> int | None:
 def remove_partials(target: Path) -> None:
     """Removes half-written files of this name whose process does not run any more: see atomic.replacing."""
     with suppress(OSError):
-        for partial in target.parent.glob(f".{escape(target.name)}.*.tmp"):
-            pid = partial.name.removesuffix(".tmp").rsplit(".", 1)[-1]
+        for partial in target.parent.glob(f".{escape(target.name)}.*.tmp*"):
+            pid = partial.name.rpartition(".tmp")[0].rsplit(".", 1)[-1]
             if pid.isdigit() and not process_runs(int(pid)):
                 partial.unlink(missing_ok=True)

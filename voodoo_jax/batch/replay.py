@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
@@ -18,17 +17,45 @@ from voodoo_jax.batch.output_paths import folders_within
 from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers, may_have_gpu
 from voodoo_jax.batch.results_elsewhere import brought, keys_elsewhere
 from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
-from voodoo_jax.batch.worker_start import can_copy
+from voodoo_jax.batch.worker_start import can_copy, in_a_copy
 from voodoo_jax.compile.cache_dir import safe_folder
-from voodoo_jax.config.options import Settings
+from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
+from voodoo_jax.storage.atomic import check_writable, made_folder
+from voodoo_jax.storage.troubles import NotWritten, check_text, not_written
 from voodoo_jax.storage.urls import NPZ, byte_size, expanded, file_system, is_url, joined, person_place
 
-__all__ = ["Outcome", "draw", "output_paths", "replay", "track_log"]
+__all__ = ["NotSummedUp", "Outcome", "draw", "output_paths", "replay", "track_log"]
 
 SMOOTHEST = 1000.0  # seconds over which tracks may be averaged
 LONGEST = 1e6  # seconds, eleven days: timers take no more than some hundred years
 SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being done
+
+
+def check_changes(body: Body, settings: Settings) -> None:
+    """Raises SettingsError for changes that cannot be made to a body: before the logs, not once for each."""
+    if settings.changes and (problem := in_a_copy(_trouble_of_changes, body, settings)):
+        raise SettingsError(problem)
+
+
+def _trouble_of_changes(body: Body, settings: Settings) -> str:
+    from voodoo_jax.model.attachments import loaded, prepared
+    from voodoo_jax.model.body_file import BodyFileError
+
+    try:
+        prepared(on_device(body), loaded(settings.changes))
+    except (SettingsError, BodyFileError) as problem:
+        return str(problem)
+    return ""
+
+
+class NotSummedUp(NotWritten):
+    """All logs are done, but replay.jsonl or report.html could not be written; `outcomes` are those of the logs."""
+
+    def __init__(self, text: str, outcomes: list[Outcome]):
+        super().__init__(text)
+        self.outcomes = outcomes
 
 
 # 16 parameters, the options of the command, each by name; half of the lines say what they are
@@ -71,11 +98,11 @@ def replay(
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
-    Raises ValueError if two logs would write the same files, or an argument cannot be used.
+    Raises ValueError if two logs would write the same files, or an argument cannot be used; NotWritten if nothing can
+    be written in `out`; NotSummedUp, when all else is done, if replay.jsonl or the report cannot.
     """
-    from voodoo_jax.batch.report import write_report
     from voodoo_jax.batch.resume import recipe_key
-    from voodoo_jax.batch.summary_file import summary_name, write_summary
+    from voodoo_jax.batch.summary_file import summary_name
     from voodoo_jax.exporters.formats import check_formats
     from voodoo_jax.model.body_file import load_on_host
     from voodoo_jax.trackers.stages import check_stages
@@ -87,6 +114,7 @@ def replay(
     if not 0 <= log_timeout <= LONGEST:
         raise ValueError(f"--log-timeout {log_timeout}: must not be negative, and at most {LONGEST:g} seconds")
     check_stages(settings or Settings())
+    check_changes(body or load_on_host("human"), settings or Settings())
     exports = check_formats(export)
     number, count = parse_shard(shard)
     summary = summary_name(number, count)
@@ -94,8 +122,9 @@ def replay(
     places = list(dict.fromkeys(place for _, place in named))
     within = folders_within(places, {place for log, place in named if log in (place, os.path.dirname(place))})
     out, settings, body = _absolute(out), settings or Settings(), body or load_on_host("human")
+    check_text(out, "--out")
     if not is_url(out):
-        Path(out).mkdir(parents=True, exist_ok=True)
+        made_folder(out)
     places = shard_of(places, number, count)
     job = Job(
         log="",
@@ -115,7 +144,7 @@ def replay(
     expected = {output_places(log, joined(out, folder))[0] for log, folder in within.items()}
     elsewhere = {} if again else keys_elsewhere(out, expected)
     done: dict[str, Outcome] = {}
-    save = partial(write_summary, folder=out, name=summary)
+    save = _Summary(out, summary)
     with ThreadPoolExecutor(8) as several:  # a store's answers take long
         for log, found in zip(places, several.map(partial(_finished, again=again, elsewhere=elsewhere), jobs.values())):
             if found is not None and found.picture == "due":
@@ -123,6 +152,8 @@ def replay(
             elif found is not None:
                 done[log] = replace(found, folder=within[log])
                 _say(done[log], quiet)
+    if len(done) < len(places) and not is_url(out):
+        check_writable(joined(out, "replay"))
     left = largest_first([log for log in places if log not in done], {log: jobs[log].size for log in places})
     ordered, saved = [jobs[log] for log in left], time.monotonic()
     sizes = [job.size for job in ordered]
@@ -147,9 +178,44 @@ def replay(
                         saved = time.monotonic()
     finally:
         save(done.values())
-    if report:
-        write_report(out, summary)
-    return [done[log] for log in places]
+    outcomes = [done[log] for log in places]
+    if trouble := [*save.trouble, *(_report(out, summary) if report else [])]:
+        raise NotSummedUp("; ".join(trouble), outcomes)
+    return outcomes
+
+
+class _Summary:
+    """Writes replay.jsonl; that it cannot be written does not stop the logs, and is said at their end."""
+
+    def __init__(self, folder: str, name: str):
+        self.folder, self.name, self.trouble = folder, name, list[str]()
+
+    def __call__(self, outcomes: Iterable[Outcome]) -> None:
+        from voodoo_jax.batch.summary_file import write_summary
+
+        self.trouble = []
+        try:
+            write_summary(outcomes, self.folder, self.name)
+        except Exception as problem:  # every store has its own errors
+            self.trouble = [_unwritten(problem, joined(self.folder, self.name))]
+
+
+def _report(folder: str, summary: str) -> list[str]:
+    """Writes report.html; why that did not work."""
+    from voodoo_jax.batch.report import NAME, write_report
+
+    try:
+        write_report(folder, summary)
+    except Exception as problem:  # as above
+        return [_unwritten(problem, joined(folder, NAME))]
+    return []
+
+
+def _unwritten(problem: Exception, place: str) -> str:
+    """Why a file that sums up the logs is not there."""
+    if isinstance(problem, OSError) and problem.errno:
+        return str(not_written(problem, place))
+    return f"'{place}' cannot be written: {problem or type(problem).__name__}"
 
 
 def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "ray"], workers: int) -> Results:
@@ -211,7 +277,12 @@ def _absolute(place: str | os.PathLike[str]) -> str:
     if is_url(place):
         path = file_system(place)[1]
         return path if place.startswith("file://") else place
-    return os.path.abspath(os.path.expanduser(place))
+    try:
+        return os.path.abspath(os.path.expanduser(place))
+    except FileNotFoundError as problem:
+        raise ValueError(
+            f"'{place}': the folder in which this was started is not there any more; change into another"
+        ) from problem
 
 
 def _parameters(settings: Settings, smooth_seconds: float) -> tuple[tuple[str, str], ...]:

@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from voodoo_jax.batch.extra_files import VIEW, exported_name
+from voodoo_jax.batch.log_job import remove_partials
 from voodoo_jax.exporters.formats import FORMATS
 from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
 from voodoo_jax.storage.urls import NPZ, TRACKS, delivered, fetched, is_url, joined, opened
@@ -32,6 +33,8 @@ def write_report(folder: str, summary: str) -> str:
             logs.setdefault(log, rows)
     ordered = sorted(logs, key=lambda log: (os.path.basename(log), log))
     title = f"Tracks in {Path(folder).name if not is_url(folder) else folder}"
+    if not is_url(folder):
+        remove_partials(Path(folder) / NAME)
     with delivered(folder) as made:
         write_report_page((_row(logs[log], folder) for log in ordered), Path(made) / NAME, title)
     return joined(folder, NAME)

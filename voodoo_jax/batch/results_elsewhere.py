@@ -11,7 +11,7 @@ import numpy as np
 from voodoo_jax.batch.log_job import Job, check_names, output_places, remove_others
 from voodoo_jax.batch.resume import BROKEN, fingerprint_of, finished_arrays, run_key
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.storage.urls import NPZ, TRACKS, is_url, person_place
+from voodoo_jax.storage.urls import NPZ, TRACKS, is_url, opened, person_place
 
 
 def keys_elsewhere(folder: str, expected: Collection[str]) -> dict[str, str]:
@@ -21,7 +21,7 @@ def keys_elsewhere(folder: str, expected: Collection[str]) -> dict[str, str]:
     for place in sorted(Path(folder).rglob(f"*{NPZ}")) if not is_url(folder) else ():
         if str(place) in expected:
             continue
-        with suppress(*BROKEN), np.load(place, allow_pickle=False) as data:
+        with suppress(*BROKEN), opened(str(place)) as stream, np.load(stream, allow_pickle=False) as data:
             if int(data.get("person", 1)) == 1:
                 found.setdefault(str(data["run_key"]), str(place))
     return found

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 from voodoo_jax.storage.urls import byte_size
 
+MOST = 100_000  # parts: schedulers start fewer array jobs at once
+
 
 def parse_shard(text: str) -> tuple[int, int]:
     """ "2/8" as (2, 8); "" as (1, 1). Raises ValueError."""
@@ -12,8 +14,10 @@ def parse_shard(text: str) -> tuple[int, int]:
         i, n = int(number), int(count)
     except ValueError:
         i, n = 0, 0
-    if not 1 <= i <= n:
-        raise ValueError(f"--shard {text}: must look like 2/8, the second of eight parts; the first is 1/8")
+    if not 1 <= i <= n <= MOST:
+        raise ValueError(
+            f"--shard {text}: must look like 2/8, the second of eight parts; the first is 1/8, and {MOST} are the most"
+        )
     return i, n
 
 

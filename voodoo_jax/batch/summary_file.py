@@ -5,9 +5,10 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from voodoo_jax.batch.log_job import remove_partials
 from voodoo_jax.batch.outcome import Outcome
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.storage.urls import delivered, joined, opened
+from voodoo_jax.storage.urls import delivered, is_url, joined, opened
 
 
 def summary_name(number: int, count: int) -> str:
@@ -31,5 +32,7 @@ def write_summary(outcomes: Iterable[Outcome], folder: str, name: str) -> None:
     rows |= {outcome.path: outcome.rows() for outcome in outcomes}
     ordered = sorted(rows, key=lambda p: (os.path.basename(p), p))
     lines = [json.dumps(row, allow_nan=False) + "\n" for log in ordered for row in rows[log]]
+    if not is_url(folder):
+        remove_partials(Path(folder) / name)
     with delivered(folder) as made, replacing(Path(made) / name) as partial:
         partial.write_text("".join(lines), encoding="utf-8")

@@ -11,8 +11,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
+from typing import Any
 
 # what one log needs, beside what log_job.py imports at once
 IMPORTS = ("trackers.icp.tracker", "trackers.smoothing", "io.log_reader", "exporters.foxglove", "exporters.npz")
@@ -70,6 +71,28 @@ def can_copy() -> bool:
             return False
         time.sleep(0.001)  # for Python a thread has ended a moment before it has for the system
     return False
+
+
+def in_a_copy(function: Callable[..., str], *arguments: Any) -> str:
+    """What a function that opens jax's device says, computed in a copy of this process where that can be made: for a
+    process with an open device cannot be copied any more."""
+    if not can_copy():
+        return function(*arguments)
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=_answer, args=(there, function, arguments), daemon=True)
+    process.start()
+    there.close()
+    try:
+        return here.recv()
+    except EOFError:
+        return f"what was asked ends a process (exit status {process.exitcode})"
+    finally:
+        process.join()
+
+
+def _answer(pipe: Any, function: Callable[..., str], arguments: tuple) -> None:
+    pipe.send(function(*arguments))
 
 
 def started(threads: int) -> Process:

@@ -9,6 +9,8 @@ def run_body(command: BodyCommand) -> int:
     """0 if the body file was written, 1 if the source cannot be used, 2 if nothing could be begun."""
     from voodoo_jax.model.body_file import BodyFileError, write_body
     from voodoo_jax.model.foreign.sources import body_from
+    from voodoo_jax.records.notes import SENTENCE, plain
+    from voodoo_jax.storage.atomic import made_folder
 
     def say(problem: object) -> None:
         print(f"voodoo-jax body: {problem}", file=sys.stderr)
@@ -27,10 +29,10 @@ def run_body(command: BodyCommand) -> int:
         return 2
     try:
         body, notes = body_from(command.source, rest, command.least)
-        command.out.parent.mkdir(parents=True, exist_ok=True)
+        made_folder(command.out.parent)
         write_body(body, command.out)
     except (BodyFileError, OSError) as problem:
-        say(problem)
+        say(plain(str(problem), SENTENCE))
         return 1
     print(f"{command.out}: {body.limb_count} limbs, {body.scale_name} {float(body.scale):.4f} m")
     for note in notes:

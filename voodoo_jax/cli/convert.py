@@ -9,6 +9,7 @@ def run_convert(command: Convert) -> int:
     """0 if all was converted, 1 if something could not be, 2 if nothing could be begun."""
     from voodoo_jax.io.convert.sources import convert
     from voodoo_jax.io.convert.target import ConvertError
+    from voodoo_jax.storage.atomic import made_folder
 
     def say(problem: object) -> None:
         print(f"voodoo-jax convert: {problem}", file=sys.stderr)
@@ -24,7 +25,7 @@ def run_convert(command: Convert) -> int:
     for source in command.sources:
         target = command.out if single else command.out / f"{source.resolve().name}.mcap"
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+            made_folder(target.parent)
             if target.exists() and target.samefile(source):
                 raise ConvertError(f"'{source}' would be replaced by itself: name another --out")
             notes = convert(source, target, command.camera, command.rate)

@@ -11,6 +11,7 @@ def run_export(command: Export) -> int:
     from voodoo_jax.batch.extra_files import exported_name
     from voodoo_jax.exporters.formats import ExportError, check_formats, export, gaps_note
     from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
+    from voodoo_jax.storage.atomic import made_folder
     from voodoo_jax.storage.urls import NPZ
 
     def say(problem: object) -> None:
@@ -20,7 +21,7 @@ def run_export(command: Export) -> int:
         formats = check_formats([command.formats])
         paths = [path for place in command.tracks for path in _files(place, NPZ)]
         if command.out is not None:
-            command.out.mkdir(parents=True, exist_ok=True)
+            made_folder(command.out)
     except (ExportError, OSError) as problem:
         say(problem)
         return 2
@@ -39,7 +40,7 @@ def run_export(command: Export) -> int:
             target = (command.out or path.parent) / exported_name(path, name)
             try:
                 print(export(tracks, target, name))
-            except (ExportError, OSError) as problem:
+            except (ValueError, OSError) as problem:
                 say(f"{target} could not be written: {problem}")
                 failed = True
         if note := gaps_note(tracks, formats):

@@ -6,6 +6,7 @@ from pathlib import Path
 from tqdm.auto import tqdm
 
 from voodoo_jax.cli.commands import FitCommand
+from voodoo_jax.config.fit_options import check_fit
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.toml import settings_text
 from voodoo_jax.fitting.checkpoint import Progress
@@ -13,10 +14,11 @@ from voodoo_jax.fitting.fit import fit
 from voodoo_jax.fitting.frames import TruthError
 from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.fitting.report import write_report
+from voodoo_jax.fitting.result import Fit
 from voodoo_jax.io.limits import limited
 from voodoo_jax.io.log_reader import LogError
 from voodoo_jax.model.body_file import BodyFileError, load_body, write_body
-from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.atomic import check_writable, made_folder, replacing
 from voodoo_jax.storage.urls import expanded
 
 
@@ -55,7 +57,10 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
                 bar.refresh()
 
         try:
-            command.out.parent.mkdir(parents=True, exist_ok=True)
+            check_fit(command.fit)
+            made_folder(command.out.parent)
+            for path in (bodies[0], report, state):
+                check_writable(path)
             body = load_body(command.body or "human")
             with limited(settings.limits):
                 found = fit(body, logs, settings, command.fit, command.truth, state=state, say=say)
@@ -65,7 +70,25 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         except (BodyFileError, TruthError, FitError, LogError, ValueError, OSError) as problem:
             print(f"voodoo-jax fit: {problem}", file=sys.stderr)
             return 1 if isinstance(problem, (FitError, LogError)) and logs else 2
-    files = list(write_report(found, report))
+    try:
+        files = _write(command, settings, found, bodies)
+        state.unlink(missing_ok=True)
+    except OSError as problem:
+        print(f"voodoo-jax fit: {problem}; what was fitted is kept in {state}", file=sys.stderr)
+        return 1
+    print(found.verdict.why)
+    if not found.better:
+        kept = "The fitted body is written all the same."
+        print(kept if command.keep_anyway else "No body is written; --keep-anyway writes it.")
+    print(f"written: {', '.join(map(str, files))}")
+    return 0
+
+
+def _write(command: FitCommand, settings: Settings, found: Fit, bodies: list[Path]) -> list[Path]:
+    """Writes the report and, if it is better or asked for, the body and the settings; what was written. Raises
+    OSError."""
+    config = command.out.with_suffix(".config.toml")
+    files = list(write_report(found, command.out.with_suffix(".md")))
     written = found.better or command.keep_anyway
     if written:
         for fitted, path in zip(found.fitted, bodies):
@@ -79,9 +102,4 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         with replacing(config) as partial:
             partial.write_text(settings_text(found.tuned), encoding="utf-8")
         files.append(config)
-    state.unlink(missing_ok=True)
-    print(found.verdict.why)
-    if not found.better:
-        print("The fitted body is written all the same." if written else "No body is written; --keep-anyway writes it.")
-    print(f"written: {', '.join(map(str, files))}")
-    return 0
+    return files

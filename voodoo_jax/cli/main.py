@@ -30,6 +30,7 @@ from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.presets import PRESETS, preset
 from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
+from voodoo_jax.storage.troubles import WHILE_WRITING, NotWritten
 
 ALL_HELP = "--help-all"
 _T = TypeVar("_T")
@@ -50,10 +51,10 @@ def run_replay(command: Replay) -> int:
         print("voodoo-jax replay: --smooth averages over later frames too; leave it out with --online", file=sys.stderr)
         return 2
     gc.disable()  # all that is imported stays, and need not be gone through again and again
-    from voodoo_jax.batch.replay import replay
+    from voodoo_jax.batch.replay import NotSummedUp, replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
-    from voodoo_jax.records.notes import plain
+    from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.trackers.stages import check_stages
 
     gc.enable()
@@ -69,7 +70,7 @@ def run_replay(command: Replay) -> int:
     if problem := use_compile_cache(cache):
         without_cache(problem)
     try:
-        body = load_on_host(body_name(command))
+        unsummed, body = False, load_on_host(body_name(command))
         check_stages(command.settings)
         wanted, how = command.results, command.running
         outcomes = replay(
@@ -77,13 +78,13 @@ def run_replay(command: Replay) -> int:
             html=wanted.html, report=wanted.report, export=[wanted.export], again=how.again, workers=how.workers,
             engine=how.engine, shard=how.shard, compile_cache=cache or "off", log_timeout=how.log_timeout,
         )  # fmt: skip
-    except FileExistsError:
-        print(f"voodoo-jax replay: --out '{command.results.out}' is a file; name a folder", file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        raise
+    except NotSummedUp as problem:
+        print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)
+        outcomes, unsummed = problem.outcomes, True
     except (BodyFileError, ValueError, OSError) as problem:
-        print(f"voodoo-jax replay: {problem}", file=sys.stderr)
+        if _of_printing(problem):
+            raise
+        print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)
         return 2
     failed = [o for o in outcomes if not o.ok]
     frames, skipped = sum(o.frames for o in outcomes), sum(o.skipped for o in outcomes)
@@ -97,7 +98,7 @@ def run_replay(command: Replay) -> int:
     damaged = [o for o in outcomes if o.ok and o.damaged]
     if damaged:
         print("damaged, frames are missing: " + ", ".join(plain(o.name) for o in damaged), file=sys.stderr)
-    return 1 if failed else 3 if damaged else 0
+    return 1 if failed or unsummed else 3 if damaged else 0
 
 
 def run_info(command: Info) -> int:
@@ -112,6 +113,7 @@ def run_info(command: Info) -> int:
 
     status = 0
     try:
+        check_settings(Settings(read=command.read, limits=command.limits))
         paths = [path for place in command.logs for path in expanded(place)]
     except ValueError as problem:
         print(f"voodoo-jax info: {problem}", file=sys.stderr)
@@ -119,17 +121,16 @@ def run_info(command: Info) -> int:
     for path in paths:
         try:
             with limited(command.limits):
-                found = survey(path, command.read)
-            print(found)
+                found = str(survey(path, command.read))
         except (LogError, SettingsError) as problem:
             print(f"voodoo-jax info: {problem}", file=sys.stderr)
             status = 1
-        except BrokenPipeError:
-            raise
         except Exception as problem:  # one log's trouble is not the others'
             text = plain(f"'{path}': unexpected {type(problem).__name__}: {problem}", SENTENCE)
             print(f"voodoo-jax info: {text}", file=sys.stderr)
             status = 1
+        else:
+            print(found)
     return status
 
 
@@ -137,7 +138,13 @@ def run_demo(command: Demo) -> int:
     """Replays the shipped recording; 0 if it was tracked."""
     from voodoo_jax.cli.demo import demo
 
-    return demo(command.out)
+    try:
+        return demo(command.out)
+    except (OSError, ValueError) as problem:
+        if _of_printing(problem):
+            raise
+        print(f"voodoo-jax demo: {problem}", file=sys.stderr)
+        return 2
 
 
 def _flag(argv: list[str], name: str) -> str | None:
@@ -168,6 +175,7 @@ def _parsed_replay(words: list[str], base: Settings) -> Replay:
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point; the exit status."""
+    _open_standard_files()
     argv = sys.argv[1:] if argv is None else argv
     if argv == ["--version"]:
         from voodoo_jax._version import __version__
@@ -221,9 +229,37 @@ def _quietly(do: Callable[[], _T]) -> _T:
             return do()
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:
+    except OSError as problem:
+        if not _of_printing(problem):
+            raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more at its end
-        raise SystemExit(141) from None  # 128 + SIGPIPE, as of other commands
+        if isinstance(problem, BrokenPipeError):
+            raise SystemExit(141) from None  # 128 + SIGPIPE, as of other commands
+        print(f"voodoo-jax: what it prints cannot be written: {problem.strerror}", file=sys.stderr)
+        raise SystemExit(1) from None
+
+
+def _of_printing(problem: Exception) -> bool:
+    """Whether an error is of what was to be printed: nobody reads it any more, or its disk is full."""
+    if isinstance(problem, BrokenPipeError):
+        return True
+    if not isinstance(problem, OSError) or isinstance(problem, NotWritten):
+        return False
+    return problem.filename is None and problem.errno in WHILE_WRITING
+
+
+def _open_standard_files() -> None:
+    """Opens what the caller has closed of standard input and outputs: else files of ours would get their numbers, and
+    what libraries print."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: this one
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")
 
 
 def _run(

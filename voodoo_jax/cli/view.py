@@ -5,11 +5,14 @@ from dataclasses import replace
 
 from voodoo_jax.cli.commands import View
 
+PORTS = 1 << 16  # of TCP
+
 
 def run_view(command: View) -> int:
     """0 if it was shown until Ctrl-C, 1 if something cannot be read, 2 if nothing could be begun."""
     from voodoo_jax.batch.converted import as_mcap
-    from voodoo_jax.config.options import SettingsError
+    from voodoo_jax.config.options import Settings, SettingsError
+    from voodoo_jax.config.toml import check_settings
     from voodoo_jax.detect.opening import read_log
     from voodoo_jax.exporters.npz import TracksFileError, read_everybody
     from voodoo_jax.io.limits import limited
@@ -20,6 +23,14 @@ def run_view(command: View) -> int:
 
     if not 1 <= len(command.what) <= 2:
         say("name a log, and its tracks if there are some: voodoo-jax view LOG [TRACKS]")
+        return 2
+    if not 0 < command.port < PORTS:
+        say(f"--port {command.port}: must be from 1 to {PORTS - 1}")
+        return 2
+    try:
+        check_settings(Settings(read=command.read, limits=command.limits))
+    except SettingsError as problem:
+        say(problem)
         return 2
     try:
         from voodoo_jax.viz.viewer import Viewer

@@ -3,6 +3,25 @@
 from dataclasses import dataclass
 from typing import Literal
 
+# least and most of each number: with fewer frames or points nothing is determined, with more memory ends
+BOUNDS: dict[str, tuple[float, float]] = {
+    "frames": (1, 100_000),
+    "points": (1, 8192),
+    "steps": (1, 10_000),
+    "iterations": (1, 10_000),
+    "rounds": (1, 100),
+    "noise": (1e-6, 1e3),
+    "looseness": (1e-6, 1e6),
+    "stiffness": (1e-6, 1e6),
+}
+
+
+def check_fit(options: "FitSettings") -> None:
+    """Raises ValueError for a number that no fit can be made with."""
+    for name, (low, high) in BOUNDS.items():
+        if not low <= getattr(options, name) <= high:
+            raise ValueError(f"--{name} {getattr(options, name)}: must be from {low:g} to {high:g}")
+
 
 @dataclass(frozen=True)
 class FitSettings:

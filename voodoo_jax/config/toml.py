@@ -26,6 +26,11 @@ from voodoo_jax.config.options import (
     StartSettings,
     TrackSettings,
 )
+from voodoo_jax.storage.troubles import small_text
+
+LARGEST = 1e6  # seconds, metres and weights: what float32 still computes with
+LEAST, TINIEST = 1e-6, 1e-3  # metres, of a limb's sizes and of a body: as body files have them
+MOST = 2**31 - 1  # of what is counted: 32 bits
 
 
 def _check(stage: str, f: Field, value: Any) -> Any:
@@ -37,9 +42,11 @@ def _check(stage: str, f: Field, value: Any) -> Any:
         return value
     if isinstance(default, tuple):
         if default and isinstance(default[0], float):
-            good = isinstance(value, list) and all(type(v) in (int, float) and 0 <= v < float("inf") for v in value)
+            good = isinstance(value, list) and all(type(v) in (int, float) and 0 <= v <= LARGEST for v in value)
             if not good:
-                raise SettingsError(f"{name} = {value!r}: must be a list of numbers that are not negative")
+                raise SettingsError(
+                    f"{name} = {value!r}: must be a list of numbers that are not negative, and at most {LARGEST:g}"
+                )
             if name == "flexible.depth_noise" and len(value) != 3:
                 raise SettingsError(f"{name} = {value!r}: must be three numbers: of roots, middles and ends of limbs")
             return tuple(float(v) for v in value)
@@ -49,17 +56,19 @@ def _check(stage: str, f: Field, value: Any) -> Any:
             check_pairs(name, tuple(value), numbers=_PAIRS[name])
         return tuple(value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        value = float(value) if abs(value) <= LARGEST else float("inf")  # some are too large for that, too
     if name == "read.up" and value:
         direction(str(value))
     if type(value) is not type(default):
         raise SettingsError(f"{name} = {value!r}: must be {_WORDS[type(default)]}, such as {default!r}")
+    if name == "start.scale" and 0 < value < TINIEST:
+        raise SettingsError(f"{name} = {value!r}: must be at least {TINIEST} (metres), or 0: it is measured")
     if isinstance(value, (int, float)) and not isinstance(value, bool) and not value >= 0:
         raise SettingsError(f"{name} = {value!r}: must not be negative")
-    low, high = _BOUNDS.get(name, (0, float("inf")))
+    low, high = _BOUNDS.get(name, (0, LARGEST if isinstance(value, float) else MOST))
+    high = float("inf") if name in _ENDLESS else high
     if isinstance(value, (int, float)) and not low <= value <= high:
-        most = f" and at most {high}" if high < float("inf") else ""
-        raise SettingsError(f"{name} = {value!r}: must be at least {low}{most}")
+        raise SettingsError(f"{name} = {value!r}: must be at least {low} and at most {high:.12g}")
     return value
 
 
@@ -68,8 +77,8 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
     for word in words:
         key, _, value = word.partition("=")
         try:
-            least = -float("inf") if name in _SIGNED else 0
-            good = bool(key and value) and (not numbers or least <= float(value) < float("inf"))
+            low, high = _PAIR_BOUNDS.get(name, (0, LARGEST))
+            good = bool(key and value) and (not numbers or low <= float(value) <= high)
             if name == "read.labels":
                 int(key)
         except ValueError:
@@ -100,8 +109,8 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
     OSError."""
     base = base or Settings()
     try:
-        content = tomllib.loads(Path(path).read_text())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        content = tomllib.loads(small_text(path))
+    except (ValueError, RecursionError) as problem:  # of its syntax, its bytes, or numbers of thousands of digits
         raise SettingsError(f"{path}: not a TOML file: {problem}") from problem
     try:
         return settings_from(with_new_names(content, base), base, path)
@@ -167,7 +176,7 @@ def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) ->
             near = get_close_matches(name, known, 1)
             raise SettingsError(f"{where} has no option '{name}'" + (f"; did you mean '{near[0]}'?" if near else ""))
         if name == "sizes":
-            good = isinstance(value, dict) and all(_numbers(v, 5, above=0) for v in value.values())
+            good = isinstance(value, dict) and all(_numbers(v, 5, above=LEAST) for v in value.values())
             wanted = "a table such as { l_forearm = [0.04, 0.04, 0.03, 0.03, 0.25] }"
             value = tuple((limb, tuple(map(float, v))) for limb, v in value.items()) if good else value
         elif name == "remove":
@@ -177,7 +186,9 @@ def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) ->
         elif isinstance(known[name], str):
             good, wanted = isinstance(value, str), "a text"
         elif isinstance(known[name], float):
-            good, wanted = _numbers([value], 1, above=-1e-300), "a number that is not negative"
+            least = TINIEST if name == "scale" and value != 0 else -1e-300
+            good = _numbers([value], 1, above=least)
+            wanted = f"a number above {least}" if least > 0 else f"a number that is not negative, below {LARGEST:g}"
         else:
             count = 2 if name == "joint_axes" else 3
             good, wanted = _numbers(value, count), f"{count} numbers"
@@ -188,9 +199,6 @@ def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) ->
     if str(values.get("add", "")).endswith(".toml"):
         values["add"] = str(Path(path).parent / values["add"])
     return Change(**values)
-
-
-LARGEST = 1e6  # seconds, metres and weights of a change: what float32 still computes with
 
 
 def _numbers(value: Any, count: int, above: float = -float("inf")) -> bool:
@@ -271,7 +279,10 @@ _PAIRS = {
     "read.scale": True,
     "read.delays": True,
 }
-_SIGNED = ("read.delays",)
+# seconds between two clocks may be those since 1970; no unit of length is smaller than a picometre
+_PAIR_BOUNDS = {"read.delays": (-4e9, 4e9), "read.scale": (1e-12, LARGEST)}
+# those that may be inf: all pairs or features count, as in the papers
+_ENDLESS = ("features.max_distance", "features.robust_scale", "solve.max_distance", "solve.robust_scale")
 _EXAMPLES = {
     "features.names": "name=point, such as face=sellion",
     "features.weights": "name=number, such as face=10",
@@ -283,17 +294,18 @@ _EXAMPLES = {
 }
 _BOUNDS: dict[str, tuple[float, float]] = {
     **{f"limits.{f.name}": (1, 1 << 60) for f in fields(LimitSettings) if f.name != "seconds"},
-    "read.max_points": (1, float("inf")),
+    "read.max_points": (1, MOST),
     "detect.points": (1, 8192),
+    "start.scale": (0.0, 1000.0),
     "start.headings": (1, 360),
     "start.frames": (1, 1000),
     "start.seconds": (0.0, 1000.0),
     "start.directions": (1, 1000),
     "start.size_frames": (1, 10_000),
-    "features.robust_scale": (1e-4, float("inf")),
+    "features.robust_scale": (1e-4, LARGEST),
     "solve.max_steps": (1, 10_000),
     "solve.sampling": (0, 1),
-    "solve.robust_scale": (1e-4, float("inf")),
+    "solve.robust_scale": (1e-4, LARGEST),
     "flexible.particles": (2, 100_000),
     "flexible.head_particles": (2, 100_000),
     "flexible.layers": (1, 10),
@@ -306,7 +318,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "flexible.follow_up": (0, 1),
     "flexible.mass_base": (1e-3, 1e3),
     "flexible.points": (16, 8192),
-    "track.prior_interval": (1e-4, float("inf")),
+    "track.prior_interval": (1e-4, LARGEST),
     "track.patience": (1, 1_000_000),
     "track.chunk": (1, 100_000),
 }

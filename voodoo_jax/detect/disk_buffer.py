@@ -1,7 +1,6 @@
 """Points of long recordings wait in a temporary file: memory hardly grows with the length of a log. Host side."""
 
 import mmap
-import tempfile
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import IO
@@ -9,13 +8,14 @@ from typing import IO
 import numpy as np
 
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.storage.scratch import nameless_file
 
 BLOCK = 64 << 20  # bytes of points that stay in memory, and are written at once
 ARRAYS = ("points", "sensor", "part", "weight")
 
 
 class Spill:
-    """Frames that come one by one, their points in nameless files (where the system keeps temporary ones) but for those
+    """Frames that come one by one, their points in nameless files (see storage/scratch.py) but for those
     of the last block.
 
     The files go when the frames do. Where they cannot be written the points stay in memory.
@@ -52,7 +52,7 @@ def _arrays(frame: BodyObservation) -> dict[str, np.ndarray]:
 
 def _in_file(frames: list[BodyObservation]) -> list[BodyObservation]:
     try:
-        with tempfile.TemporaryFile() as file:
+        with nameless_file() as file:
             for frame in frames:
                 for array in _arrays(frame).values():
                     file.write(np.ascontiguousarray(array).data)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.storage.troubles import check_text
 
 
 class Format(NamedTuple):
@@ -72,6 +73,10 @@ def export(tracks: Tracks, path: str | os.PathLike[str], format: str = "") -> Pa
     if not len(tracks.time_ns):
         raise ExportError(f"there is nothing to export: the tracks of {tracks.source} have no frame")
     (name,) = check_formats([format or format_of(path)])
+    try:
+        check_text(path, name)
+    except ValueError as problem:
+        raise ExportError(str(problem)) from problem
     how = FORMATS[name]
     getattr(import_module(f"voodoo_jax.exporters.{how.module}"), how.function)(tracks, path)
     return Path(path)

@@ -15,6 +15,7 @@ OPENSIM = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # x forwards, y up, z 
 ANIMATION = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # x to the left, y up, z forwards
 ALONG_AXIS = np.cos(np.radians(3))  # so near to an axis of the fixed frame upwards is that axis
 JITTER = 0.25  # share of a frame's time by which stamps may be off an even rate
+LONGEST = 10_000_000  # frames: four days at 30 Hz
 GAP = 3.0  # frames: poses are not interpolated over longer gaps
 
 
@@ -80,16 +81,19 @@ def evenly(tracks: Tracks) -> tuple[Tracks, float]:
     even = np.linspace(0, time[-1], len(time))
     if count == len(time) and np.abs(time - even).max() <= JITTER * period:
         return tracks, (len(time) - 1) / float(time[-1])
-    return _resampled(tracks, time, period * np.arange(count)), 1 / period
+    if count > LONGEST:
+        raise ValueError(
+            f"{len(time)} frames in {time[-1]:.0f} s would be {count} at their rate of {1 / period:.3g} Hz"
+        )
+    return _resampled(tracks, time, period * np.arange(count), period), 1 / period
 
 
-def _resampled(tracks: Tracks, time: np.ndarray, wanted: np.ndarray) -> Tracks:
+def _resampled(tracks: Tracks, time: np.ndarray, wanted: np.ndarray, usual: float) -> Tracks:
     after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
     before = after - 1
     step = time[after] - time[before]
     share = np.clip((wanted - time[before]) / np.where(step > 0, step, 1), 0, 1)
     nearest = np.where(share < 0.5, before, after)
-    usual = wanted[1] - wanted[0]
     within = (step <= GAP * usual) | (np.abs(time[nearest] - wanted) <= 0.5 * usual)
 
     def between(values: np.ndarray, signed: bool = False) -> np.ndarray:

@@ -2,16 +2,20 @@
 
 import json
 import os
+import struct
+import tokenize
 import zipfile
 import zlib
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from voodoo_jax.model.body import segment_lengths
-from voodoo_jax.model.body_file import format_body, parse_body
+from voodoo_jax.model.body import Body, segment_lengths
+from voodoo_jax.model.body_file import BodyFileError, format_body, parse_body
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.troubles import check_file
 from voodoo_jax.storage.urls import person_place
 
 FRAME_ARRAYS = (
@@ -21,6 +25,25 @@ FRAME_ARRAYS = (
 MORE_ARRAYS = (
     "passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance", "joint_confidence",
     "up", "marker_residual", "limb_beside", "limb_distance", "limb_bare", "facing_odds",
+)  # fmt: skip
+
+
+# kinds of numbers, and the shape: f frames, l limbs, j joint centres, b joints of the body, m markers
+FORMS = {
+    "time_ns": ("iu", "f"), "rotation": ("f", "fl4"), "translation": ("f", "fl3"), "joints": ("f", "fj3"),
+    "status": ("iu", "f"), "residual": ("f", "f"), "explained": ("f", "f"), "steps": ("iu", "f"),
+    "points": ("iu", "f"), "limb_weight": ("f", "fl"), "passes_apart": ("f", "fl"), "beyond_limits": ("f", "fb"),
+    "depth_inside": ("f", "fl"), "limb_covariance": ("f", "fl66"), "joint_covariance": ("f", "fj33"),
+    "joint_confidence": ("f", "fj"), "up": ("f", "3"), "marker_residual": ("f", "m"), "limb_beside": ("f", "fl"),
+    "limb_distance": ("f", "fl"), "limb_bare": ("f", "fl"), "facing_odds": ("f", "f"),
+}  # fmt: skip
+FARTHEST = 1e30  # covariances are huge where nothing is known; not infinite
+LATEST = 1 << 62  # nanoseconds, as io.limits.TIME
+UNEVEN = 0.01  # of a unit quaternion's length: rounding
+MOST = 10_000  # people
+UNREADABLE = (
+    zipfile.BadZipFile, zlib.error, ValueError, EOFError, AttributeError, TypeError, KeyError, NotImplementedError,
+    RuntimeError, MemoryError, OverflowError, SyntaxError, struct.error, tokenize.TokenError,
 )  # fmt: skip
 
 
@@ -75,21 +98,20 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
 def read_tracks_npz(path: str | os.PathLike) -> Tracks:
     """Reads what write_tracks_npz wrote. Raises TracksFileError if it is something else, OSError if it is not there."""
     try:
+        check_file(path)
         # opened here, because np.load leaves a file open that it refuses
         with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, AttributeError, TypeError) as error:
+    except UNREADABLE as error:
         raise TracksFileError(f"{path}: not a tracks file: {error}") from error
     missing = [name for name in (*FRAME_ARRAYS, "body_toml", "fixed_frame", "source") if name not in data]
     if missing:
         raise TracksFileError(f"{path}: not a tracks file of this version: it has no {', '.join(missing)}")
-    body = parse_body(str(data["body_toml"]), f"{path}, body_toml")
-    frames, limbs, joints = len(data["time_ns"]), body.limb_count, len(body.topology.centres)
-    shapes = {"rotation": (limbs, 4), "translation": (limbs, 3), "joints": (joints, 3), "limb_weight": (limbs,)}
-    for name in FRAME_ARRAYS:
-        expected = (frames, *shapes.get(name, ()))
-        if data[name].shape != expected:
-            raise TracksFileError(f"{path}: '{name}' has shape {data[name].shape} where its body asks for {expected}")
+    try:
+        body = parse_body(str(data["body_toml"]), f"{path}, body_toml")
+    except BodyFileError as error:
+        raise TracksFileError(f"{path}: its body cannot be read: {error}") from error
+    _check(data, body, path)
     return Tracks(
         source=str(data["source"]),
         fixed_frame=str(data["fixed_frame"]),
@@ -102,6 +124,37 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
         person=int(data.get("person", 1)),
         people=int(data.get("people", 1)),
     )
+
+
+def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) -> None:
+    """Raises TracksFileError for arrays that no tracks of a body have."""
+    t = body.topology
+    sizes = {"f": len(data["time_ns"]) if data["time_ns"].ndim else 0, "l": body.limb_count, "j": len(t.centres)}
+    sizes |= {"b": len(t.joints), "m": data["marker_names"].size if "marker_names" in data else 0}
+    for name, (kinds, shape) in FORMS.items():
+        if name not in data:
+            continue
+        array = data[name]
+        expected = tuple(sizes[n] if n.isalpha() else int(n) for n in shape)
+        if array.shape != expected:
+            raise TracksFileError(f"{path}: '{name}' has shape {array.shape} where its body asks for {expected}")
+        if array.dtype.kind not in kinds:
+            raise TracksFileError(f"{path}: '{name}' holds {array.dtype}, which are no numbers of its kind")
+        if array.dtype.kind == "f" and (np.abs(array) > FARTHEST).any():
+            raise TracksFileError(f"{path}: '{name}' holds numbers beyond {FARTHEST:g}")
+    stamps, norms = data["time_ns"], np.linalg.norm(data["rotation"], axis=-1)
+    if not ((stamps >= 0) & (stamps < LATEST)).all() or (np.diff(stamps.astype(np.int64)) < 0).any():
+        raise TracksFileError(f"{path}: 'time_ns' does not rise, or holds impossible times")
+    if not (np.isnan(norms) | (np.abs(norms - 1) < UNEVEN)).all():
+        raise TracksFileError(f"{path}: 'rotation' holds quaternions that are no rotations")
+    for name in ("person", "people"):
+        if name in data and not (data[name].dtype.kind in "iu" and data[name].shape == () and 1 <= data[name] <= MOST):
+            raise TracksFileError(f"{path}: '{name}' is no number of people")
+    if "seconds" in data and not (data["seconds"].dtype.kind in "iuf" and data["seconds"].shape == ()):
+        raise TracksFileError(f"{path}: 'seconds' is no number")
+    for name in ("notes", "marker_names"):
+        if name in data and data[name].ndim != 1:
+            raise TracksFileError(f"{path}: '{name}' is no list")
 
 
 def read_everybody(path: str | os.PathLike) -> list[Tracks]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Int
 
 from voodoo_jax.compile.cache_dir import users_cache
-from voodoo_jax.config.fit_options import FitSettings
+from voodoo_jax.config.fit_options import FitSettings, check_fit
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.custom_loss import minimised
@@ -80,6 +80,7 @@ def fit(
     """
     settings, options = settings or Settings(), options or FitSettings()
     options = replace(options, free=tuple(free)) if free else options
+    check_fit(options)
     if settings.tracker != "icp":
         raise FitError(f"bodies are fitted with the ICP tracker: set tracker to icp, not {settings.tracker}")
     if not logs:

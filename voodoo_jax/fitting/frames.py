@@ -5,6 +5,7 @@ Host side. Which frames and points are chosen depends on the recording alone: th
 
 import os
 import zipfile
+import zlib
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features, pad_frames
+from voodoo_jax.storage.troubles import check_file
 
 RUNS, EVERY = 16, 3  # a log is cut into so many runs of time; every third is fitted to, the others judge
 FEWEST = 8  # frames to fit to
@@ -51,6 +53,7 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
     Raises TruthError.
     """
     try:
+        check_file(path)
         with np.load(path, allow_pickle=False) as file:
             key = "joint_names" if "joint_names" in file else "names"
             missing = [k for k in ("time_ns", "joints", key) if k not in file]
@@ -58,7 +61,7 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
                 raise TruthError(f"{path}: no array '{missing[0]}'; a truth has time_ns, joints and joint_names")
             names = tuple(V1_NAMES.get(str(n), str(n)) for n in file[key])
             stamps, joints = file["time_ns"].astype(np.int64), file["joints"].astype(np.float64)
-    except (OSError, ValueError, zipfile.BadZipFile) as problem:
+    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as problem:
         if isinstance(problem, TruthError):
             raise
         raise TruthError(f"{path}: cannot be read as a truth: {problem}") from problem

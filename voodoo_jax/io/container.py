@@ -361,6 +361,8 @@ def open_files(path: Place) -> LogFile:
 def _check(path: str, file: str) -> int:
     """Size of the file (itself or unpacked) in bytes; LogError unless it starts as MCAP."""
     if os.path.isdir(path):
+        if not os.access(path, os.R_OK | os.X_OK):
+            raise LogError(f"The folder '{path}' cannot be looked into. Check that you may read it.")
         raise LogError(f"'{path}' is a directory. Give the .mcap file itself (ROS 2 keeps it inside the bag's folder).")
     try:
         if os.path.exists(file) and not os.path.isfile(file):

@@ -3,14 +3,15 @@
 import json
 import os
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from voodoo_jax.config.options import SettingsError
+from voodoo_jax.io.limits import PLACE, QUATERNION
 from voodoo_jax.io.transforms import Transform
 from voodoo_jax.records.messages import Calibration, frame_name
+from voodoo_jax.storage.troubles import small_text
 
 # names of the same thing in camera_info messages, in files of camera_calibration, and in settings
 _MATRICES = {
@@ -29,7 +30,13 @@ def given_cameras(words: tuple[str, ...]) -> dict[str, Calibration]:
     found = {}
     for word in words:
         topic, _, place = word.rpartition("=")
-        found[topic if topic.startswith("/") else ""] = _calibration(place if topic.startswith("/") else word)
+        file = place if topic.startswith("/") else word
+        try:
+            found[topic if topic.startswith("/") else ""] = _calibration(file)
+        except (ValueError, TypeError, AttributeError, OverflowError) as problem:
+            if isinstance(problem, SettingsError):
+                raise
+            raise SettingsError(f"read.camera: '{file}' holds no camera_info: {problem}") from problem
     return found
 
 
@@ -42,7 +49,8 @@ def given_transforms(words: tuple[str, ...]) -> list[Transform]:
             numbers = np.array([float(number) for number in parts[2:]])
         except ValueError:
             numbers = np.zeros(0)
-        if len(numbers) != 7 or not np.isfinite(numbers).all() or not numbers[3:].any():
+        length = np.linalg.norm(numbers[3:]) if len(numbers) == 7 and (np.abs(numbers) < PLACE).all() else 0.0
+        if not QUATERNION[0] <= length <= QUATERNION[1]:
             raise SettingsError(
                 f"read.transform: '{word}' must look like 'parent child x y z qx qy qz qw', such as "
                 "'base camera 0 0 1.2 0 0 0 1': metres and a quaternion, the place of the child in the parent"
@@ -59,7 +67,7 @@ def _calibration(place: str) -> Calibration:
         K = np.array([content.get(name, 0) for name in ("fx", "fy", "cx", "cy")], float)
         K = np.array([K[0], 0, K[2], 0, K[1], K[3], 0, 0, 1])
     K = K.reshape(3, 3)
-    if not (K[0, 0] > 0 and K[1, 1] > 0):
+    if not (0 < K[0, 0] < PLACE and 0 < K[1, 1] < PLACE and (np.abs(K) < PLACE).all()):
         raise SettingsError(f"read.camera: '{place}' has no focal length (K, camera_matrix, or fx, fy, cx, cy)")
     D, R, P = (_numbers(content, name, count) for name, count in (("D", 0), ("R", 9), ("P", 12)))
     width, height = (int(content.get(n, 0) or content.get(f"image_{n}", 0)) for n in ("width", "height"))
@@ -72,9 +80,11 @@ def _calibration(place: str) -> Calibration:
 
 def _content(place: str) -> dict[str, Any]:
     try:
-        text = Path(os.path.expanduser(place)).read_text()
+        text = small_text(os.path.expanduser(place))
     except (OSError, UnicodeDecodeError) as problem:
-        raise SettingsError(f"read.camera: '{place}' cannot be read: {problem}") from problem
+        raise SettingsError(
+            f"read.camera: '{place}' cannot be read: {getattr(problem, 'strerror', None) or problem}"
+        ) from problem
     try:
         if place.endswith(".toml"):
             content = tomllib.loads(text)
@@ -85,7 +95,7 @@ def _content(place: str) -> dict[str, Any]:
 
             # `ros2 topic echo` writes a line of dashes behind each message
             content = next(iter(YAML(typ="safe", pure=True).load_all(text)), None)
-    except Exception as problem:  # each parser has its own
+    except Exception as problem:  # each parser has its own, RecursionError among them
         raise SettingsError(f"read.camera: '{place}' is no YAML, TOML or JSON: {problem}") from problem
     if not isinstance(content, dict):
         raise SettingsError(f"read.camera: '{place}' holds no camera_info")
@@ -101,7 +111,7 @@ def _numbers(content: dict[str, Any], name: str, count: int) -> np.ndarray | Non
                 numbers = np.array(value, float).ravel()
             except (TypeError, ValueError):
                 numbers = np.zeros(0)
-            if (count and len(numbers) != count) or not np.isfinite(numbers).all():
+            if (count and len(numbers) != count) or not (np.abs(numbers) < PLACE).all():
                 raise SettingsError(f"read.camera: {key} must be {count or 'a list of'} numbers")
             return numbers
     return None

@@ -16,6 +16,7 @@ from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.model.body import Body, Mode, Topology
 from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
 from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.troubles import small_text
 
 HEADER = """\
 # A body: degenerated cylinders (limbs) held together by elastic bands (joints).
@@ -50,6 +51,9 @@ KEYS = {
 }
 MOST = 1.0  # logarithm or share: no people of one size differ by a factor of e
 LIMITS = ("swing_x", "swing_y", "twist")
+LIMBS = 256  # skinned meshes have up to a hundred joints; each limb more makes a program that takes longer to compile
+SCALES = 1e-3, 1e3  # metres, of a body as a whole: far beyond what depth sensors see
+RESERVED = ("name", "segment_lengths")  # keys of body_json in results, beside which the scale stands by its name
 BUILT_IN = ("human", "human10", "arm", "dog", "stick")
 
 
@@ -85,7 +89,7 @@ def read_body(path: str | os.PathLike) -> Body:
 
 def _read(path: str | os.PathLike) -> Body:
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = small_text(path)
     except OSError as error:
         raise BodyFileError(str(path), None, error.strerror or str(error)) from error
     except UnicodeDecodeError as error:
@@ -112,9 +116,16 @@ def _parsed(text: str, source: str) -> Body:
     file = TomlFile(text, source, KEYS, BodyFileError)
     root = file.root()
     scale = root.number("scale", above=0)
+    if not SCALES[0] <= scale <= SCALES[1]:
+        root.fail("scale", f"a body of {scale:g} m; from {SCALES[0]:g} to {SCALES[1]:g} m are tracked")
+    scale_name = root.string("scale_name", "scale")
+    if scale_name in RESERVED:
+        root.fail("scale_name", f"'{scale_name}' cannot be what the scale is called: results use that name otherwise")
     tables = {kind: file.tables(kind) for kind in KEYS if kind}
     if not tables["limb"]:
         file.fail(None, "a body needs at least one [[limb]]")
+    if len(tables["limb"]) > LIMBS:
+        file.fail(None, f"a body of {len(tables['limb'])} limbs; {LIMBS} are the most")
     limbs, joints = unique_names(tables["limb"]), unique_names(tables["joint"])
     centres, sites = unique_names(tables["centre"]), unique_names(tables["site"])
     unique_names(tables["mode"])
@@ -175,7 +186,7 @@ def _parsed(text: str, source: str) -> Body:
         presence=array([1.0] * len(limbs), -1),
         topology=topology,
         name=root.name,
-        scale_name=root.string("scale_name", "scale"),
+        scale_name=scale_name,
         modes=tuple(_mode(t, limbs, joints) for t in tables["mode"]),
     )
 

@@ -10,6 +10,10 @@ from typing import Any, NoReturn
 import numpy as np
 from jaxtyping import Float
 
+LARGEST, LEAST = 1e6, 1e-6  # of numbers, and of those above 0: what float32 still computes with
+LONGEST = 200  # characters of a name
+MOST = 10_000  # tables of a kind: skeletons have some hundred joints
+
 # kind of table, "" for the top of the file: (keys it must have, keys it may have)
 Keys = Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
 
@@ -30,7 +34,7 @@ class TomlFile:
         self.lines: dict[tuple[str, int, str | None], int] = {}  # (kind, number, key or "" for the header)
         try:
             self.data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as fault:
+        except (ValueError, RecursionError) as fault:  # of its syntax, or numbers of thousands of digits
             where = re.search(r"\(at line (\d+),", str(fault))
             line = int(where[1]) if where else text.count("\n") + 1
             raise error(source, line, f"not TOML: {fault}") from fault
@@ -58,6 +62,8 @@ class TomlFile:
         found = self.data.get(kind, [])
         if not isinstance(found, list) or not all(isinstance(t, dict) for t in found):
             self.fail("", f"'{kind}' must be written as [[{kind}]]", kind)
+        if len(found) > MOST:
+            self.fail("", f"there are {len(found)} of [[{kind}]], more than {MOST}", kind)
         return [Table(self, kind, i, t) for i, t in enumerate(found)]
 
 
@@ -87,6 +93,8 @@ class Table:
         value = self.data.get(key, default)
         if not isinstance(value, str) or not value:
             self.fail(key, f"'{key}' of {self.title} must be a text in quotes, not {value!r}")
+        if len(value) > LONGEST or not value.isprintable():
+            self.fail(key, f"'{key}' of {self.title} must have at most {LONGEST} characters, all to be seen")
         return value
 
     def number(self, key: str, above: float, default: float | None = None) -> float:
@@ -99,10 +107,15 @@ class Table:
         values = [value] if count == 1 else value
         if not isinstance(values, list) or len(values) != count or not all(type(v) in (int, float) for v in values):
             self.fail(key, f"'{key}' of {self.title} must be {count} number{'s' * (count > 1)}, not {value!r}")
-        if not all(math.isfinite(v) for v in values):
+        if any(v != v or v in (math.inf, -math.inf) for v in values):
             self.fail(key, f"'{key}' of {self.title} must be finite, not {value!r}")
         if min(values) <= above:
             self.fail(key, f"'{key}' of {self.title} must be {'above' if above >= 0 else 'at least'} 0, not {value!r}")
+        if max(map(abs, values)) > LARGEST or above == 0 and min(values) < LEAST:
+            least = f"at least {LEAST:g} and " if above == 0 else ""
+            self.fail(
+                key, f"'{key}' of {self.title} must be {least}at most {LARGEST:g}: float32 computes with no others"
+            )
         return np.array(values, np.float64)
 
     def index(self, key: str, names: tuple[str, ...], what: str) -> int:

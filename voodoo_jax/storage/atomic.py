@@ -1,22 +1,59 @@
-"""Files that appear under their name only when they are complete."""
+"""Files that appear under their name only when they are complete, and folders for them."""
 
+import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from voodoo_jax.storage.troubles import WHILE_WRITING, not_written
 
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], ending: str = "") -> Iterator[Path]:
     """Gives a temporary path in the same folder; it becomes `path` at the end, or is removed if anything was raised.
 
-    `ending` is how the temporary name ends, for libraries that tell formats by it.
+    `ending` is how the temporary name ends, for libraries that tell formats by it. Raises NotWritten, with a sentence,
+    where the system does not let it be written.
     """
     target = Path(path)
-    # with the process id: two runs that write the same file do not write into each other's
-    partial = target.with_name(f".{target.name}.{os.getpid()}.tmp{ending}")
+    partial = _partial(target, ending)
     try:
         yield partial
         os.replace(partial, target)
+    except OSError as problem:
+        ours = problem.filename == str(partial) or problem.filename is None and problem.errno in WHILE_WRITING
+        if ours:
+            raise not_written(problem, target) from problem
+        raise
     finally:
+        with suppress(OSError):  # a disk that cannot be written any more
+            partial.unlink(missing_ok=True)
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raises NotWritten where a file of this name could not be made by `replacing`, as far as that can be told before
+    anything is in it."""
+    target = Path(path)
+    try:
+        if target.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        partial = _partial(target)
+        partial.open("wb").close()
         partial.unlink(missing_ok=True)
+    except OSError as problem:
+        raise not_written(problem, target) from problem
+
+
+def made_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder, made if it is missing. Raises NotWritten."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise not_written(problem, path) from problem
+    return Path(path)
+
+
+def _partial(target: Path, ending: str = "") -> Path:
+    # with the process id: two runs that write the same file do not write into each other's
+    return target.with_name(f".{target.name}.{os.getpid()}.tmp{ending}")

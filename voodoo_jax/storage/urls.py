@@ -8,9 +8,12 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
+
+from voodoo_jax.storage.atomic import made_folder
+from voodoo_jax.storage.troubles import check_file, small_text
 
 URL_HELP = 'pip install "voodoo_jax[urls]"'
 NPZ = ".tracks.npz"  # and those of files with tracks
@@ -71,11 +74,12 @@ def bag_of(path: str) -> tuple[str, list[str]]:
 def _bag_files(folder: str) -> list[str]:
     """Files of a split recording of rosbag2 in their order, as metadata.yaml says or else as they are called; a file
     that it names and that is not there is left out. Empty if the folder is none."""
-    there = sorted(name for name in os.listdir(folder) if _is_log(name)) if os.path.isdir(folder) else []
+    there: list[str] = []
+    with suppress(OSError):  # none, or one that must not be looked into, which is said when it is read
+        there = sorted(name for name in os.listdir(folder) if _is_log(name))
     metadata = os.path.join(folder, "metadata.yaml")
     if os.path.isfile(metadata):
-        with open(metadata, encoding="utf-8", errors="replace") as stream:
-            text = stream.read()
+        text = small_text(metadata, "replace")
         block = re.search(r"relative_file_paths:\s*(\[[^\]]*\]|(?:\s*-\s*[^\n]+\n?)+)", text)
         named = (
             re.findall(r"[^\s,\[\]\"']+(?: [^\s,\[\]\"']+)*", re.sub(r"(?m)^\s*-\s*", "", block[1])) if block else []
@@ -96,12 +100,19 @@ def _is_log(name: str) -> bool:
     return name.endswith(ENDINGS) and not name.endswith(TRACKS) and not name.startswith(".")
 
 
-def _inside(folder: str) -> list[str]:
-    """All recordings in a folder and those below it: bags of several files by their folder, else files."""
-    if len(_bag_files(folder)) > 1:
+def _inside(folder: str, above: frozenset[str] = frozenset()) -> list[str]:
+    """All recordings in a folder and those below it: bags of several files by their folder, else files. A folder that
+    must not be looked at stands for itself: what is wrong with it is said when it is read."""
+    own = os.path.realpath(folder)
+    if own in above:  # a link that leads back up
+        return []
+    try:
+        if len(_bag_files(folder)) > 1:
+            return [folder]
+        found = [os.path.join(folder, name) for name in os.listdir(folder)]
+    except OSError:
         return [folder]
-    found = [os.path.join(folder, name) for name in os.listdir(folder)]
-    below = [log for path in found if os.path.isdir(path) for log in _inside(path)]
+    below = [log for path in found if os.path.isdir(path) for log in _inside(path, above | {own})]
     return [path for path in found if os.path.isfile(path) and _is_log(os.path.basename(path))] + below
 
 
@@ -171,6 +182,7 @@ class Readable(Protocol):
 def opened(place: str) -> Iterator[Any]:
     """A file opened for reading at any place of it: a Readable. Raises OSError."""
     if not is_url(place):
+        check_file(place)
         with open(place, "rb") as stream:
             yield stream
         return
@@ -197,8 +209,7 @@ def delivered(folder: str) -> Iterator[Path]:
     """A local folder for results, made if it is missing; for a URL what was written there is sent at the end, in the
     order of writing. Raises OSError, ValueError."""
     if not is_url(folder):
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        yield Path(folder)
+        yield made_folder(folder)
         return
     system, path = file_system(folder)
     with tempfile.TemporaryDirectory(prefix="voodoo-") as made:

@@ -14,6 +14,7 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from voodoo_jax.io.convert.target import ConvertError, named_times, new_log, putter
+from voodoo_jax.storage.troubles import small_text
 
 IMAGE, INFO, FRAME = "/depth/image", "/depth/camera_info", "depth_optical"
 CAMERA_FILE = "camera.toml"
@@ -21,6 +22,7 @@ CAMERA_FILE = "camera.toml"
 TUM = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "unit": 1 / 5000}
 KEYS = ("width", "height", "fx", "fy", "cx", "cy", "unit")
 MILLIMETRE = 0.001
+LARGEST = 1e6  # of a camera's numbers: images have at most 65,535 pixels a side
 
 
 def convert(source: Path, target: Path, given: Path | None = None, rate: float = 0.0) -> list[str]:
@@ -62,20 +64,20 @@ def camera_file(path: Path, usual: dict | None = None, asked: bool = True) -> di
             )
         return dict(usual)
     try:
-        found = (usual or {}) | tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        found = (usual or {}) | tomllib.loads(small_text(path))
+    except (ValueError, RecursionError, OSError) as problem:
         raise ConvertError(f"'{path}' is no TOML file: {problem}") from problem
     for key in KEYS:
-        if not isinstance(found.get(key), int | float) or not found[key] > 0:
-            raise ConvertError(f"'{path}': '{key}' must be a number above 0")
+        if not isinstance(found.get(key), int | float) or not 0 < found[key] <= LARGEST:
+            raise ConvertError(f"'{path}': '{key}' must be a number above 0, and at most {LARGEST:g}")
     return found
 
 
 def _listed(path: Path) -> list[tuple[int, Path]]:
-    rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
     try:
+        rows = [line.split() for line in small_text(path).splitlines() if line.strip()]
         return sorted((round(float(row[0]) * 1e9), path.parent / row[1]) for row in rows if not row[0].startswith("#"))
-    except (ValueError, IndexError) as problem:
+    except (ValueError, IndexError, OverflowError) as problem:
         raise ConvertError(f"'{path}': a line must be a time in seconds and a file") from problem
 
 

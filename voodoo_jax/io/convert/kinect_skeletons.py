@@ -22,7 +22,7 @@ def convert(source: Path, target: Path) -> list[str]:
         told = json.loads(source.read_text(encoding="utf-8"))
         names = [str(name) for name in told["joint_names"]]
         frames = [_frame(frame, len(names)) for frame in told["frames"]]
-    except (ValueError, KeyError, TypeError) as problem:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as problem:
         raise ConvertError(
             f"'{source}' cannot be read as skeletons of a Kinect: {type(problem).__name__}: {problem}; it needs "
             "joint_names and frames with timestamp_usec and bodies with joint_positions"

@@ -4,7 +4,9 @@ import os
 from pathlib import Path
 
 from voodoo_jax.io.convert.target import ConvertError
+from voodoo_jax.records.notes import SENTENCE, plain
 
+FASTEST, SLOWEST = 1e6, 1e-6  # files a second
 FILES = {
     ".bag": "ROS 1 bag", ".db3": "ROS 2 bag (SQLite)", ".mkv": "Azure Kinect or Femto", ".c3d": "C3D", ".trc": "TRC",
     ".json": "skeletons of a Kinect",
@@ -31,9 +33,22 @@ def convert(
 
     **Returns:** what was left out or changed, one sentence each. Raises ConvertError, OSError.
     """
+    if not 0 <= rate <= FASTEST or 0 < rate < SLOWEST:
+        raise ConvertError(
+            f"--rate {rate}: must be from {SLOWEST:g} to {FASTEST:g} Hz, or 0: the files' names are times"
+        )
+    try:
+        return _converted(Path(source), Path(target), camera, rate)
+    except (ConvertError, OSError):
+        raise
+    except Exception as problem:  # each kind of file has its own
+        text = f"'{source}' cannot be converted: unexpected {type(problem).__name__}: {problem}"
+        raise ConvertError(plain(text, SENTENCE)) from problem
+
+
+def _converted(source: Path, target: Path, camera: str | os.PathLike[str] | None, rate: float) -> list[str]:
     from voodoo_jax.io.convert import clouds, depth_images, kinect_skeletons, kinect_video, markers, ros_bags
 
-    source, target = Path(source), Path(target)
     if not source.exists():
         raise ConvertError(f"there is no file or folder '{source}'")
     if source.is_dir():
@@ -44,6 +59,8 @@ def convert(
         if any(path.suffix.lower() in clouds.ENDINGS for path in source.iterdir()):
             return clouds.convert(source, target, rate)
         return depth_images.convert(source, target, Path(camera) if camera else None, rate)
+    if not source.is_file():
+        raise ConvertError(f"'{source}' is a pipe or a device: give a file")
     kind = source.suffix.lower()
     if kind in (".bag", ".db3"):
         return ros_bags.convert(source, target)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import BodyFileError
 from voodoo_jax.model.foreign.assembly import Piece, assembled
+from voodoo_jax.storage.troubles import small_file
 
 MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942  # glTF 2.0 specification, sec. 4
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # the same, sec. 3.6.2.2
@@ -39,7 +40,7 @@ class _File:
     """The JSON of a glTF file, and its arrays."""
 
     def __init__(self, path: Path):
-        data, self.folder, self.binary = path.read_bytes(), path.parent, b""
+        data, self.folder, self.binary = small_file(path), path.parent, b""
         self.tree: dict[str, Any] = {}
         if data[:4] == struct.pack("<I", MAGIC):
             at = 12
@@ -59,7 +60,7 @@ class _File:
         uri = buffer.get("uri")
         if uri is None:
             return self.binary
-        return base64.b64decode(uri.split(",", 1)[1]) if uri.startswith("data:") else (self.folder / uri).read_bytes()
+        return base64.b64decode(uri.split(",", 1)[1]) if uri.startswith("data:") else small_file(self.folder / uri)
 
     def array(self, number: int) -> np.ndarray:
         """An accessor's values [row, component]; normalised integers as numbers from 0 to 1."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import BodyFileError
+from voodoo_jax.model.checked_toml import LARGEST
 
 KINDS = {".urdf": "URDF", ".glb": "glTF", ".gltf": "glTF"}
 LEAST = 0.03  # metres: what is smaller no depth camera of some metres' reach shows
@@ -31,10 +32,24 @@ def body_from(
     kind = KINDS.get(path.suffix.lower())
     if kind is None:
         raise BodyFileError(str(path), None, f"bodies are made of {', '.join(KINDS)} files")
+    if not 0 <= least <= LARGEST:
+        raise BodyFileError(str(path), None, f"--least {least}: must be from 0 to {LARGEST:g} metres")
+    if not all(abs(value) <= LARGEST for value in (rest or {}).values()):
+        raise BodyFileError(str(path), None, f"--rest: joint values must be numbers up to {LARGEST:g}")
+    try:
+        return _read(path, kind, dict(rest or {}), least)
+    except (BodyFileError, OSError):
+        raise
+    except Exception as problem:  # each format's parsers have their own
+        why = f"it cannot be read as {kind}: unexpected {type(problem).__name__}: {problem}"
+        raise BodyFileError(str(path), None, why) from problem
+
+
+def _read(path: Path, kind: str, rest: dict[str, float], least: float) -> tuple[Body, list[str]]:
     if kind == "URDF":
         from voodoo_jax.model.foreign.urdf import read_urdf
 
-        return read_urdf(path, dict(rest or {}), least)
+        return read_urdf(path, rest, least)
     if rest:
         raise BodyFileError(str(path), None, "joint values of the rest pose are for URDF; a mesh has its own")
     from voodoo_jax.model.foreign.skinned_mesh import read_skinned

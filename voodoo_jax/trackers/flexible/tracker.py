@@ -1,6 +1,5 @@
 """The flexible tracker on a whole recording: features, person's points, head, filters, tracks. Host side."""
 
-import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from voodoo_jax.records.recording import Frame, Picture, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.storage.scratch import nameless_file
 from voodoo_jax.trackers.base import Progress, Source, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rated
 from voodoo_jax.trackers.flexible.filters import Inputs, Numbers, Seen, Shape, State, start, track_chunk
@@ -62,7 +62,7 @@ class FeatureStore:
     """Features of all frames on disk, in the order of time; a recording's images do not fit into memory."""
 
     def __init__(self):
-        self._file = tempfile.TemporaryFile()
+        self._file = nameless_file()
         self._at: list[int] = []
 
     def __len__(self) -> int:

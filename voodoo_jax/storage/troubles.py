@@ -1,0 +1,91 @@
+"""Sentences on files that cannot be written or read: which, why, and what to do."""
+
+import errno
+import os
+import stat
+
+ROOM = "make room, or name another folder for results; the same command then goes on"
+RIGHTS = "you may not write there", "name another folder for results"
+READ_ONLY = "the disk can be read only", "name another folder for results"
+# error of the system: why a file cannot be written, and what to do
+REASONS = {
+    errno.ENOSPC: ("the disk is full", ROOM),
+    errno.EDQUOT: ("your share of the disk is used up", ROOM),
+    errno.EFBIG: ("it would be larger than files may be (ulimit -f)", "allow larger ones"),
+    errno.EROFS: READ_ONLY,
+    errno.EACCES: RIGHTS,
+    errno.EPERM: RIGHTS,
+    errno.ENOENT: ("its folder is not there, or no more", "make it, and give the same command again"),
+    errno.ENOTDIR: ("a part of its path is a file and no folder", "name another folder for results"),
+    errno.EEXIST: ("a file or a broken link of this name is there", "name a folder"),
+    errno.EISDIR: ("a folder of this name is there", "rename that folder, or name another one for results"),
+    errno.ENAMETOOLONG: ("its name is too long for the disk", "shorten the name"),
+    errno.ELOOP: ("links in its path lead in a circle", "name another folder for results"),
+    errno.EMFILE: ("too many files are open (ulimit -n)", "allow more, or use fewer --workers"),
+    errno.ENFILE: ("too many files are open", "use fewer --workers"),
+    errno.EIO: ("the disk reports an error", "look at it, and name a folder on another one"),
+}
+# errors of writing that come without the name of the file
+WHILE_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+SMALL = 64 << 20  # bytes: no file that people write by hand or a drawing program makes for a body is larger
+
+
+class NotWritten(OSError):
+    """A file or folder that cannot be written: a sentence that names it, says why and what to do."""
+
+
+class NotReadable(OSError):
+    """A file that is none, or too large to be one of its kind."""
+
+
+def not_written(problem: OSError, place: str | os.PathLike[str]) -> NotWritten:
+    """The error to raise where `place` cannot be written."""
+    if isinstance(problem, NotWritten):
+        return problem
+    why, advice = REASONS.get(problem.errno or 0, (problem.strerror or str(problem), "name another folder for results"))
+    found = NotWritten(f"'{os.fspath(place)}' cannot be written: {why}; {advice}")
+    found.errno = problem.errno
+    return found
+
+
+def check_text(place: str | os.PathLike[str], what: str) -> None:
+    """Raises ValueError for a path with bytes that are no UTF-8: formats and libraries have no place for it."""
+    if not (text := os.fspath(place)).isascii():
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError as problem:
+            shown = text.encode("utf-8", "backslashreplace").decode()
+            raise ValueError(
+                f"{what} '{shown}': a name in it is not UTF-8; rename it, or name another one"
+            ) from problem
+
+
+def small_file(path: str | os.PathLike[str]) -> bytes:
+    """All of a file that somebody names beside logs: settings, a body, a calibration. Raises NotReadable for pipes and
+    devices, for which one could wait for ever, and for what is far too large; OSError."""
+    # a pipe that nobody writes into must not be waited for
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(handle, "rb") as stream:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            raise _unfit(f"it is a {'folder' if stat.S_ISDIR(status.st_mode) else 'pipe or a device'}: give a file")
+        if status.st_size > SMALL:
+            raise _unfit(f"it has {status.st_size} bytes, more than the {SMALL} that are read of such files")
+        return stream.read(SMALL + 1)
+
+
+def small_text(path: str | os.PathLike[str], errors: str = "strict") -> str:
+    """The same as text, UTF-8, with the ends of lines that Python likes. Raises UnicodeDecodeError besides."""
+    return small_file(path).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Raises NotReadable for a pipe or a device, for which one could wait for ever."""
+    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+        raise _unfit("it is a pipe or a device: give a file")
+
+
+def _unfit(why: str) -> NotReadable:
+    found = NotReadable(why)
+    found.strerror = why
+    return found
