@@ -31,7 +31,7 @@ from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
-from voodoo_jax.records.recording import Frame, Pairs, Picture, Rays, Recording
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Picture, Recording
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
@@ -191,7 +191,7 @@ class LogReader:
     def named_at_once(self) -> set[tuple[str, ...]]:
         """Names of the features of each frame that has any."""
         rays, pairs = self._whole.rays, self._whole.pairs
-        both = ((rays.get(i, Rays()), pairs.get(i, Pairs())) for i in rays.keys() | pairs.keys())
+        both = ((rays.get(i, NO_RAYS), pairs.get(i, NO_PAIRS)) for i in rays.keys() | pairs.keys())
         return {(*r.names, *p.names) for r, p in both}
 
     @property
@@ -318,8 +318,8 @@ class LogReader:
             points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see _measure
             sensor=sensor,
             origins=origins.astype(np.float32),
-            rays=self._whole.rays.get(i, Rays()),
-            pairs=self._whole.pairs.get(i, Pairs()),
+            rays=self._whole.rays.get(i, NO_RAYS),
+            pairs=self._whole.pairs.get(i, NO_PAIRS),
             part=part,
             parts=said.names,
             weight=weights[sensor] if said.weighted(self.sensors) else None,
@@ -417,5 +417,5 @@ class LogReader:
             rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
             K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)
             height, width = image.shape
-            self._rays[key] = lens.pixel_rays(K, D, c.model, width, height)[::k, ::k].copy()
+            self._rays[key] = lens.pixel_rays(K, D, c.model, width, height, k)
         return self._rays[key]
