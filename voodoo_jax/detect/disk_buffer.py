@@ -19,13 +19,21 @@ WITHOUT: dict[str, Any] = {
 }  # fmt: skip
 
 
+class Kind(NamedTuple):
+    """How an array lies in the file."""
+
+    name: str
+    dtype: np.dtype
+    row: tuple[int, ...]  # shape of what there is of each point
+    order: Literal["C", "F"]
+
+
 class Place(NamedTuple):
-    """Where an array is in the file."""
+    """Where a frame's arrays are in the file, one behind the other."""
 
     at: int  # bytes
-    dtype: np.dtype
-    shape: tuple[int, ...]
-    order: Literal["C", "F"]
+    points: int
+    kinds: tuple[Kind, ...]  # one object for all frames that are alike
 
 
 class Spill:
@@ -39,7 +47,8 @@ class Spill:
         self._end = 0  # of the file, bytes
         self._full = False  # there is no room in it
         self._frames: list[BodyObservation] = []  # those in the file without their arrays
-        self._places: list[dict[str, Place]] = []  # where these are, from the first on
+        self._places: list[Place] = []  # where these are, from the first on
+        self._kinds: dict[tuple[Kind, ...], tuple[Kind, ...]] = {}
 
     def append(self, frame: BodyObservation) -> None:
         self._frames.append(_shared(frame, self._frames[-1] if self._frames else None))
@@ -67,14 +76,12 @@ class Spill:
             self._file.seek(self._end)
             places, end = [], self._end
             for frame in self._frames[first:]:
-                found = {}
-                for name, array in _arrays(frame).items():
-                    # as it lies in memory, on which the last bits of sums may depend
-                    turned = array.flags.f_contiguous and not array.flags.c_contiguous
-                    self._file.write(np.ascontiguousarray(array.T if turned else array).data)
-                    found[name] = Place(end, array.dtype, array.shape, "F" if turned else "C")
+                arrays, begin = _arrays(frame), end
+                kinds = tuple(Kind(n, a.dtype, a.shape[1:], _order(a)) for n, a in arrays.items())
+                for kind, array in zip(kinds, arrays.values()):
+                    self._file.write(np.ascontiguousarray(array.T if kind.order == "F" else array).data)
                     end += array.nbytes
-                places.append(found)
+                places.append(Place(begin, len(frame.points), self._kinds.setdefault(kinds, kinds)))
             self._file.flush()
         except OSError:  # no room: they stay where they are
             self._full = True
@@ -109,7 +116,15 @@ def _alike(one: np.ndarray, other: np.ndarray) -> bool:
     return one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
 
 
-def _mapped(frame: BodyObservation, places: dict[str, Place], held: mmap.mmap) -> BodyObservation:
+def _order(array: np.ndarray) -> Literal["C", "F"]:
+    """How it lies in memory, on which the last bits of sums may depend."""
+    return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
+
+
+def _mapped(frame: BodyObservation, place: Place, held: mmap.mmap) -> BodyObservation:
     """A frame with its arrays in the file: read when they are asked for, dropped by the system as it likes."""
-    arrays = {name: np.ndarray(p.shape, p.dtype, held, p.at, order=p.order) for name, p in places.items()}
+    arrays, at = {}, place.at
+    for kind in place.kinds:
+        array = np.ndarray((place.points, *kind.row), kind.dtype, held, at, order=kind.order)
+        arrays[kind.name], at = array, at + array.nbytes
     return replace(frame, **arrays)
