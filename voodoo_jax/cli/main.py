@@ -52,6 +52,7 @@ def run_replay(command: Replay) -> int:
     gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.batch.replay import replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
     from voodoo_jax.records.notes import plain
     from voodoo_jax.trackers.stages import check_stages
@@ -69,7 +70,8 @@ def run_replay(command: Replay) -> int:
     if problem := use_compile_cache(cache):
         without_cache(problem)
     try:
-        body = load_on_host(body_name(command))
+        with limited(command.settings.limits):
+            body = load_on_host(body_name(command))
         check_stages(command.settings)
         wanted, how = command.results, command.running
         outcomes = replay(

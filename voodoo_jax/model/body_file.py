@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from voodoo_jax.config.limited import limits
 from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
@@ -109,6 +110,10 @@ def _parsed(text: str, source: str) -> Body:
     tables = {kind: file.tables(kind) for kind in KEYS if kind}
     if not tables["limb"]:
         file.fail(None, "a body needs at least one [[limb]]")
+    if len(tables["limb"]) > limits().limbs:
+        file.fail(
+            None, f"{len(tables['limb'])} limbs, more than the {limits().limbs} that are allowed (--limits.limbs)"
+        )
     limbs, joints = unique_names(tables["limb"]), unique_names(tables["joint"])
     centres, sites = unique_names(tables["centre"]), unique_names(tables["site"])
 
