@@ -140,9 +140,14 @@ class Watched:
         self._end()
         return {"hang": spent}
 
-    def _end(self) -> None:
+    def kill(self) -> None:
+        """Ends the process, as a crash would."""
         if self._process is not None:
             self._process.kill()
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self.kill()
             self._process.communicate()
             self._process = None
 
