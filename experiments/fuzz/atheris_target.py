@@ -7,7 +7,9 @@ LogError is a find, and so is what takes over a minute or 2 GB.
 import os
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 MISSING = 'The fuzzer atheris is not installed: pip install "voodoo_jax[fuzz]" (Linux, CPython 3.11 to 3.14).'
 OPTIONS = ("-timeout=60", "-rss_limit_mb=2048")
@@ -54,14 +56,18 @@ def begin(corpus: Path) -> None:
 def main(arguments: list[str]) -> None:
     """Fuzzes until it is interrupted, or as libFuzzer's options say."""
     try:
-        import atheris
+        atheris: Any = import_module("atheris")  # its types are not known where it is not installed
     except ImportError:
         raise SystemExit(MISSING) from None
     with atheris.instrument_imports(include=["voodoo_jax.io", "mcap"]):
         import voodoo_jax.io.log_reader  # noqa: F401
     if arguments and not arguments[0].startswith("-"):
         begin(Path(arguments[0]))
-    atheris.Setup([sys.argv[0], *OPTIONS, *arguments], lambda data: try_log(data) and None)
+
+    def target(data: bytes) -> None:
+        try_log(data)
+
+    atheris.Setup([sys.argv[0], *OPTIONS, *arguments], target)
     atheris.Fuzz()
 
 
