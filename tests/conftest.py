@@ -34,6 +34,10 @@ if not jax.config.jax_compilation_cache_dir:
     jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--long", action="store_true", help="2000 damaged logs, tracked too (half an hour)")
+
+
 @pytest.fixture
 def rng(request) -> np.random.Generator:
     """Random numbers that depend on the test's name only: tests may be run alone or in any order."""

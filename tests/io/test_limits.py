@@ -2,6 +2,7 @@
 
 import random
 import struct
+import tracemalloc
 import zlib
 from dataclasses import replace
 
@@ -11,14 +12,16 @@ import pytest
 import zstandard
 from mcap.records import Channel, Schema
 
-from tests.support.logs import depth_log
+from tests.support.logs import PERIOD, START, K, depth_log, ros_point, ros_tf
 from voodoo_jax.config.options import LimitSettings
+from voodoo_jax.geometry.lens import pixel_rays
 from voodoo_jax.io.decode.depth_codec import packed_depth
 from voodoo_jax.io.decode.image_codec import stored
 from voodoo_jax.io.decode.registry import Decoder
 from voodoo_jax.io.limits import limited
 from voodoo_jax.io.log_reader import LogError, read_log, survey
-from voodoo_jax.io.transforms import Transform, TransformTree
+from voodoo_jax.io.transforms import Moving, Transform, TransformTree
+from voodoo_jax.model.body_file import BodyFileError, load_on_host
 from voodoo_jax.records.notes import plain, plain_name
 
 # ten fields of the next type in each, five deep
@@ -129,6 +132,58 @@ def test_limits_are_settings(tmp_path):
                 said = str(problem)
         assert f"--limits.{name}" in said, (name, said)
     assert len(read_log(path)) == 3  # what was refused before is not remembered
+
+
+def test_what_moves_and_what_is_named_is_bounded(tmp_path):
+    """What comes after the limit is left out, with a sentence; what comes before it counts as ever."""
+    log = depth_log(20)
+    for i in range(20):
+        at = START + i * PERIOD
+        log.add("/tf", at, ros_tf((at, "base", "hand", (0.01 * i, 0, 0), (0, 0, 0, 1))))
+        log.add("/wrist", at, ros_point(at, "hand", (1, 2, 3)))
+    path = log.write(tmp_path / "moving.mcap")
+    whole = read_log(path)
+    assert all(frame.pairs.names for frame in whole) and not whole.notes
+    with limited(replace(LimitSettings(), transforms=5)):
+        few = read_log(path)
+    assert any("20 transforms that move; those after 5 are left out (--limits.transforms)" in n for n in few.notes)
+    for a, b in zip(list(whole)[:4], list(few)[:4], strict=True):
+        np.testing.assert_array_equal(a.pairs.points, b.pairs.points)
+    with limited(replace(LimitSettings(), features=7)):
+        few = read_log(path)
+    assert any("20 named features; those after 7 are left out (--limits.features)" in n for n in few.notes)
+    assert sum(len(frame.pairs.names) for frame in few) == 7 and len(few) == 20
+
+
+def test_transforms_take_little_memory():
+    """A tenth of a gigabyte for a million of them, as the limit says."""
+    tree, moving = TransformTree(), Moving()
+    turn, place, count = np.array([0, 0, 0, 1.0]), np.zeros(3), 50_000
+    tracemalloc.start()
+    for i in range(count):
+        moving.add(Transform(i, "base", "hand", place, turn), i)
+    kept = tracemalloc.get_traced_memory()[0]
+    tree.add_moving("hand", moving, np.zeros(count, np.int64))
+    tree.close()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert kept < 100 * count and peak < 400 * count
+
+
+def test_limbs_of_a_body_file_are_bounded():
+    with limited(replace(LimitSettings(), limbs=3)), pytest.raises(BodyFileError, match="15 limbs.*--limits.limbs"):
+        load_on_host("human")
+
+
+def test_rays_of_a_huge_image_are_made_for_the_pixels_that_are_read():
+    whole = pixel_rays(K, np.array([0.1, -0.05, 0, 0, 0]), "plumb_bob", 320, 240)
+    few = pixel_rays(K, np.array([0.1, -0.05, 0, 0, 0]), "plumb_bob", 320, 240, 3)
+    np.testing.assert_allclose(few, whole[::3, ::3], rtol=0, atol=1e-12)
+    tracemalloc.start()
+    pixel_rays(K, np.array([0.1, -0.05, 0, 0, 0]), "plumb_bob", 4096, 4096, 16)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 30e6  # all of them would be 3 GB
 
 
 def test_a_jpeg_without_an_end_of_its_head():

@@ -29,6 +29,9 @@ def shard_of(logs: Sequence[str], number: int, count: int) -> list[str]:
     """
     if count == 1:
         return list(logs)
+    count = min(count, max(number, len(logs)))  # more parts than logs have none
+    if number > len(logs):
+        return []
     sizes = {log: byte_size(log) for log in logs}
     parts: list[list[str]] = [[] for _ in range(count)]
     bytes_in = [0] * count

@@ -61,8 +61,8 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
             made_folder(command.out.parent)
             for path in (bodies[0], report, state):
                 check_writable(path)
-            body = load_body(command.body or "human")
             with limited(settings.limits):
+                body = load_body(command.body or "human")
                 found = fit(body, logs, settings, command.fit, command.truth, state=state, say=say)
         except KeyboardInterrupt:
             print("voodoo-jax fit: interrupted; the same command goes on from the last step", file=sys.stderr)

@@ -7,7 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 from tyro.conf import arg
@@ -32,6 +32,9 @@ from voodoo_jax.config.presets import PRESETS, preset
 from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
 from voodoo_jax.storage.troubles import WHILE_WRITING, NotWritten
 
+if TYPE_CHECKING:
+    from voodoo_jax.batch.outcome import Outcome
+
 ALL_HELP = "--help-all"
 _T = TypeVar("_T")
 
@@ -53,6 +56,7 @@ def run_replay(command: Replay) -> int:
     gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.batch.replay import NotSummedUp, replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
     from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.trackers.stages import check_stages
@@ -70,7 +74,9 @@ def run_replay(command: Replay) -> int:
     if problem := use_compile_cache(cache):
         without_cache(problem)
     try:
-        unsummed, body = False, load_on_host(body_name(command))
+        unsummed = False
+        with limited(command.settings.limits):
+            body = load_on_host(body_name(command))
         check_stages(command.settings)
         wanted, how = command.results, command.running
         outcomes = replay(
@@ -86,19 +92,27 @@ def run_replay(command: Replay) -> int:
             raise
         print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)
         return 2
+    return 1 if _summed_up(outcomes, command.results.out) or unsummed else 3 if _damaged(outcomes) else 0
+
+
+def _summed_up(outcomes: "list[Outcome]", out: str) -> bool:
+    """Says what was done; whether a log failed."""
+    from voodoo_jax.records.notes import plain
+
     failed = [o for o in outcomes if not o.ok]
     frames, skipped = sum(o.frames for o in outcomes), sum(o.skipped for o in outcomes)
     before = f" ({skipped} of them finished before)" if skipped else ""
-    print(
-        f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked{before}, {frames} frames, "
-        f"results in {command.results.out}"
-    )
+    print(f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked{before}, {frames} frames, results in {out}")
     if failed:
         print("not tracked: " + ", ".join(plain(o.name) for o in failed), file=sys.stderr)
-    damaged = [o for o in outcomes if o.ok and o.damaged]
-    if damaged:
+    if damaged := _damaged(outcomes):
         print("damaged, frames are missing: " + ", ".join(plain(o.name) for o in damaged), file=sys.stderr)
-    return 1 if failed or unsummed else 3 if damaged else 0
+    return bool(failed)
+
+
+def _damaged(outcomes: "list[Outcome]") -> "list[Outcome]":
+    """Logs that were tracked without the frames that damage took."""
+    return [o for o in outcomes if o.ok and o.damaged]
 
 
 def run_info(command: Info) -> int:

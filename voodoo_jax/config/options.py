@@ -320,6 +320,15 @@ class LimitSettings:
     # whole-body marker sets have a hundred, pose nets 133 with hands and face
     names: int = 10_000
     """Different names of features, markers or coordinate frames of a log."""
+    # 20 moving frames at 100 Hz are 7 million in an hour; one takes 80 bytes, and as much when they are sorted
+    transforms: int = 1 << 23
+    """Transforms of a log that move."""
+    # 50 markers at 90 Hz are 16 million in an hour; one takes 100 bytes, and as much when they are gathered
+    features: int = 1 << 24
+    """Named features of a log, in all its messages together."""
+    # a person with all fingers has 55, a quadruped robot 20; a program for them is compiled for each pair of limbs
+    limbs: int = 256
+    """Limbs of a body file."""
     # no recording at hand needs more than 6 s for its first frame (measured, one slow core): ten times that
     seconds: float = 60.0
     """Seconds of a processor in which a log must yield its next frame, for each GiB begun of its size; 0: no limit."""

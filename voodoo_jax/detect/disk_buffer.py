@@ -1,41 +1,94 @@
 """Points of long recordings wait in a temporary file: memory hardly grows with the length of a log. Host side."""
 
 import mmap
+import weakref
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import IO
+from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
 
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS
 from voodoo_jax.storage.scratch import nameless_file
 
-BLOCK = 64 << 20  # bytes of points that stay in memory, and are written at once
-ARRAYS = ("points", "sensor", "part", "weight")
+BLOCK = 8 << 20  # bytes of points that are written at once: shorter recordings stay in memory
+# what is moved to the file, and what frames have of it meanwhile
+WITHOUT: dict[str, Any] = {
+    "points": np.zeros((0, 3), np.float32), "sensor": np.zeros(0, np.int32), "part": None, "weight": None,
+}  # fmt: skip
+
+
+class Kind(NamedTuple):
+    """How an array lies in the file."""
+
+    name: str
+    dtype: np.dtype
+    row: tuple[int, ...]  # shape of what there is of each point
+    order: Literal["C", "F"]
+
+
+class Place(NamedTuple):
+    """Where a frame's arrays are in the file, one behind the other."""
+
+    at: int  # bytes
+    points: int
+    kinds: tuple[Kind, ...]  # one object for all frames that are alike
 
 
 class Spill:
-    """Frames that come one by one, their points in nameless files (see storage/scratch.py) but for those
-    of the last block.
-
-    The files go when the frames do. Where they cannot be written the points stay in memory.
+    """Frames that come one by one; once they are many, their points are in a nameless file (in the user's cache), which
+    goes when the frames do. Where it cannot be written the points stay in memory.
     """
 
     def __init__(self, block: int = BLOCK):
         self._block, self._size = block, 0
-        self._out: list[BodyObservation] = []
-        self._waiting: list[BodyObservation] = []
+        self._file: IO[bytes] | None = None
+        self._end = 0  # of the file, bytes
+        self._full = False  # there is no room in it
+        self._frames: list[BodyObservation] = []  # those in the file without their arrays
+        self._places: list[Place] = []  # where these are, from the first on
+        self._kinds: dict[tuple[Kind, ...], tuple[Kind, ...]] = {}
 
     def append(self, frame: BodyObservation) -> None:
-        self._waiting.append(frame)
+        self._frames.append(_shared(frame, self._frames[-1] if self._frames else None))
         self._size += sum(array.nbytes for array in _arrays(frame).values())
-        if self._size >= self._block:
-            self._out += _in_file(self._waiting)
-            self._waiting, self._size = [], 0
+        if self._size >= self._block and not self._full:
+            self._write()
 
     def frames(self) -> list[BodyObservation]:
         """All that there are."""
-        return self._out + self._waiting
+        if self._file is None or not self._end:
+            return list(self._frames)
+        if not self._full:
+            self._write()
+        held = mmap.mmap(self._file.fileno(), self._end, access=mmap.ACCESS_READ)
+        count = len(self._places)
+        return [*map(_mapped, self._frames[:count], self._places, [held] * count), *self._frames[count:]]
+
+    def _write(self) -> None:
+        """Moves the points that are in memory to the file, if there is room."""
+        first = len(self._places)
+        try:
+            if self._file is None:
+                self._file = nameless_file()
+                weakref.finalize(self, self._file.close)
+            self._file.seek(self._end)
+            places, end = [], self._end
+            for frame in self._frames[first:]:
+                arrays, begin = _arrays(frame), end
+                kinds = tuple(Kind(n, a.dtype, a.shape[1:], _order(a)) for n, a in arrays.items())
+                for kind, array in zip(kinds, arrays.values()):
+                    self._file.write(np.ascontiguousarray(array.T if kind.order == "F" else array).data)
+                    end += array.nbytes
+                places.append(Place(begin, len(frame.points), self._kinds.setdefault(kinds, kinds)))
+            self._file.flush()
+        except OSError:  # no room: they stay where they are
+            self._full = True
+            return
+        self._places += places
+        self._frames[first:] = [replace(f, **WITHOUT) for f in self._frames[first:]]
+        self._end, self._size = end, 0
 
 
 def spilled(frames: Iterable[BodyObservation], block: int = BLOCK) -> list[BodyObservation]:
@@ -47,28 +100,31 @@ def spilled(frames: Iterable[BodyObservation], block: int = BLOCK) -> list[BodyO
 
 
 def _arrays(frame: BodyObservation) -> dict[str, np.ndarray]:
-    return {name: array for name in ARRAYS if (array := getattr(frame, name)) is not None}
+    return {name: array for name in WITHOUT if (array := getattr(frame, name)) is not None}
 
 
-def _in_file(frames: list[BodyObservation]) -> list[BodyObservation]:
-    try:
-        with nameless_file() as file:
-            for frame in frames:
-                for array in _arrays(frame).values():
-                    file.write(np.ascontiguousarray(array).data)
-            file.flush()
-            return _mapped(frames, file)
-    except OSError:  # no room: they stay where they are
-        return frames
+def _shared(frame: BodyObservation, before: BodyObservation | None) -> BodyObservation:
+    """The frame with one object for what is alike in all frames, or in it and the one before."""
+    same: dict[str, Any] = {} if frame.rays.names else {"rays": NO_RAYS}
+    same |= {} if frame.pairs.names else {"pairs": NO_PAIRS}
+    if before is not None and _alike(frame.origins, before.origins):
+        same["origins"] = before.origins
+    return replace(frame, **same)
 
 
-def _mapped(frames: list[BodyObservation], file: IO[bytes]) -> list[BodyObservation]:
-    """The frames with their arrays in the file: read when they are asked for, dropped by the system as it likes."""
-    held, at, out = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), 0, []
-    for frame in frames:
-        found = {}
-        for name, array in _arrays(frame).items():
-            found[name] = np.frombuffer(held, array.dtype, array.size, at).reshape(array.shape)
-            at += array.nbytes
-        out.append(replace(frame, **found))
-    return out
+def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+    return one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
+
+
+def _order(array: np.ndarray) -> Literal["C", "F"]:
+    """How it lies in memory, on which the last bits of sums may depend."""
+    return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
+
+
+def _mapped(frame: BodyObservation, place: Place, held: mmap.mmap) -> BodyObservation:
+    """A frame with its arrays in the file: read when they are asked for, dropped by the system as it likes."""
+    arrays, at = {}, place.at
+    for kind in place.kinds:
+        array = np.ndarray((place.points, *kind.row), kind.dtype, held, at, order=kind.order)
+        arrays[kind.name], at = array, at + array.nbytes
+    return replace(frame, **arrays)

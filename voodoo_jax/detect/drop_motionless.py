@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.detect.stage import Target, windows
+from voodoo_jax.detect.stage import Target, by_windows
 from voodoo_jax.detect.stillness import directions, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
@@ -33,13 +33,15 @@ class DropMotionless:
     moving: float = 0.1  # of them, in which somebody moves at least
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        for window in windows(frames):
-            if self.is_thing(window):
-                scene = target.finder.scene
-                if NOTE not in scene.notes:
-                    target.finder.scene = replace(scene, notes=(*scene.notes, NOTE))
-                window = [frame.only(np.zeros(0, int)) for frame in window]
-            yield from window
+        def change(window: list[BodyObservation]) -> list[BodyObservation]:
+            if not self.is_thing(window):
+                return window
+            scene = target.finder.scene
+            if NOTE not in scene.notes:
+                target.finder.scene = replace(scene, notes=(*scene.notes, NOTE))
+            return [frame.only(np.zeros(0, int)) for frame in window]
+
+        return by_windows(frames, change)
 
     def is_thing(self, frames: list[BodyObservation]) -> bool:
         """Whether what is seen never moves; False where too little is seen to tell."""

@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from voodoo_jax.detect.stage import Target, windows
+from voodoo_jax.detect.stage import Target, by_windows
 from voodoo_jax.detect.static_points import Resting, resting
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation, assigned
@@ -62,8 +62,7 @@ class DropPlanarFurniture:
     needs: ClassVar = frozenset({"person"})
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        for window in windows(frames):
-            yield from without_faces(window, target.finder.scene.floor)
+        return by_windows(frames, lambda window: without_faces(window, target.finder.scene.floor))
 
 
 def without_faces(frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:

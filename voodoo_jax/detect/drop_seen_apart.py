@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.segmentation import stands_aside
-from voodoo_jax.detect.stage import Target, windows
+from voodoo_jax.detect.stage import Target, by_windows
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components, within
 from voodoo_jax.records.observation import BodyObservation, assigned
@@ -26,9 +26,11 @@ class DropSeenApart:
     needs: ClassVar = frozenset()
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        for window in windows(frames):
+        def change(window: list[BodyObservation]) -> list[BodyObservation]:
             finder = target.finder
-            yield from without_things(window, finder.scene.floor, finder.apart(), finder.settings.link)
+            return without_things(window, finder.scene.floor, finder.apart(), finder.settings.link)
+
+        return by_windows(frames, change)
 
 
 def without_things(

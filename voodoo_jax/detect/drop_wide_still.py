@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import KDTree
 
-from voodoo_jax.detect.stage import Target, windows
+from voodoo_jax.detect.stage import Target, by_windows
 from voodoo_jax.detect.stillness import NOISE, Directions, directions, moves, seen_long
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components
@@ -50,8 +50,7 @@ class DropWideStill:
     margin: float = 0.15  # metres beyond its outline: its edges are seen in part, and together with others
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        for window in windows(frames):
-            yield from self.without(window, target.finder.scene.floor)
+        return by_windows(frames, lambda window: self.without(window, target.finder.scene.floor))
 
     def without(self, frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
         """The frames without such things; the same frames if there are none."""

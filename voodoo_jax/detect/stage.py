@@ -3,7 +3,7 @@
 The name of a stage is its file, its switch (`detect.skip`), its test file and its row in experiments/ablation.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import ClassVar, Protocol, runtime_checkable
@@ -80,7 +80,16 @@ class PointStage(Named, Protocol):
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]: ...
 
 
-def windows(frames: Iterable[BodyObservation]) -> Iterator[list[BodyObservation]]:
-    """So many successive frames as are looked at together."""
+def by_windows(
+    frames: Iterable[BodyObservation], change: Callable[[list[BodyObservation]], list[BodyObservation]]
+) -> Iterator[BodyObservation]:
+    """The frames after a change of so many successive ones as are looked at together. Those that are given on are not
+    kept, so that one window is in memory at a time, whatever the number of stages."""
     stream = iter(frames)
-    return iter(lambda: list(islice(stream, WINDOW)), [])
+    while window := list(islice(stream, WINDOW)):
+        changed = change(window)
+        if changed is not window:
+            window.clear()
+        changed.reverse()
+        while changed:
+            yield changed.pop()

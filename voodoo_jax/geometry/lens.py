@@ -13,15 +13,21 @@ _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4")
 
 
 def pixel_rays(
-    K: Float[np.ndarray, "3 3"], D: Float[np.ndarray, " coefficient"], model: str, width: int, height: int
-) -> Float[np.ndarray, "height width 2"]:
-    """Where the ray through each pixel centre meets the plane z = 1 of the optical frame (x right, y down, z forward).
+    K: Float[np.ndarray, "3 3"],
+    D: Float[np.ndarray, " coefficient"],
+    model: str,
+    width: int,
+    height: int,
+    every: int = 1,
+) -> Float[np.ndarray, "row column 2"]:
+    """Where the ray through each pixel centre meets the plane z = 1 of the optical frame (x right, y down, z forward);
+    of `every` so many-th row and column, others are not computed.
 
     `K` in pixels, `D` in OpenCV's order (k1 k2 p1 p2 k3 k4 k5 k6 s1..s4, or k1..k4 of a fisheye lens). A pixel whose
     ray does not exist (90 degrees and more off the axis, or outside of where the lens model can be inverted) is NaN.
     Raises ValueError for an unknown lens model or K without focal length.
     """
-    v, u = np.mgrid[0:height, 0:width].astype(float)
+    v, u = np.mgrid[0:height:every, 0:width:every].astype(float)
     return undistort(np.stack([u, v], axis=-1), K, D, model)
 
 

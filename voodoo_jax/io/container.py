@@ -3,7 +3,6 @@
 import heapq
 import os
 import struct
-import tempfile
 import time
 import weakref
 import zlib
@@ -28,6 +27,7 @@ from mcap.summary import Summary
 
 from voodoo_jax.io.limits import TIME, limits, too_large
 from voodoo_jax.records.notes import INCOMPLETE, SENTENCE, plain, plain_name
+from voodoo_jax.storage.scratch import named_file
 from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -155,7 +155,7 @@ class LogFile:
                 if packed.read(len(ZSTD)) != ZSTD:
                     return self.path
                 packed.seek(0)
-                handle, copy = tempfile.mkstemp(prefix="voodoo-", suffix=".mcap")
+                handle, copy = named_file(".mcap")
                 weakref.finalize(self, os.unlink, copy)
                 size, most = 0, Budget(os.fstat(packed.fileno()).st_size).most
                 with os.fdopen(handle, "wb") as out:

@@ -4,11 +4,9 @@ Together with what is kept of a log between its passes these keep reading below 
 that is read in the same thread: what decodes a message need not be told.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from voodoo_jax.config.limited import limited, limits
 
-from voodoo_jax.config.options import LimitSettings
+__all__ = ["PLACE", "QUATERNION", "TIME", "limited", "limits", "too_large"]
 
 # Nanoseconds, the year 2116: differences of two such times fit into 64 bits.
 TIME = 1 << 62
@@ -16,24 +14,6 @@ TIME = 1 << 62
 PLACE = 1e8
 # Lengths of quaternions that are taken for one of length 1 with rounding: drivers round to 3 digits at worst.
 QUATERNION = 1e-3, 1e3
-
-USUAL = LimitSettings()
-_now: ContextVar[LimitSettings] = ContextVar("limits", default=USUAL)
-
-
-def limits() -> LimitSettings:
-    """Those that hold here."""
-    return _now.get()
-
-
-@contextmanager
-def limited(to: LimitSettings) -> Iterator[None]:
-    """Other limits hold for what is read inside, in this thread."""
-    before = _now.set(to)
-    try:
-        yield
-    finally:
-        _now.reset(before)
 
 
 def too_large(what: str, size: int, limit: str, unit: str = "bytes") -> str:

@@ -31,7 +31,7 @@ from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.topic_roles import decide_uses
-from voodoo_jax.io.transforms import Transform, TransformTree
+from voodoo_jax.io.transforms import Moving, TransformTree
 from voodoo_jax.records.messages import Calibration, Features, Image, many, moved
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
@@ -67,7 +67,8 @@ class Scan:
         self.log_times: tuple[int, int] | None = None
         self._decoder, self._too_many = Decoder(), False
         self._names: set[str] = set()  # of features
-        self._moving: dict[tuple[str, str], list[tuple[Transform, int]]] = {}  # by topic and child; with log times
+        self._moving: dict[tuple[str, str], Moving] = {}  # by topic and child
+        self._transforms = self._features = 0  # how many there are
         self._foreign: dict[str, str] = {}  # topics whose clock is not the others', and why they cannot be used
         self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
         # Without statistics the only way to know the number of messages is to read them all.
@@ -155,11 +156,13 @@ class Scan:
         if isinstance(content, list):
             static = is_static(schema, channel)
             for transform in content:
-                if static:
+                if static or abs(transform.stamp_ns) >= TIME:
                     self.tree.add(transform, static)
-                else:
+                    continue
+                self._transforms += 1
+                if self._transforms <= limits().transforms:
                     key = channel.topic, transform.child
-                    self._moving.setdefault(key, []).append((transform, message.log_time))
+                    self._moving.setdefault(key, Moving()).add(transform, message.log_time)
         elif isinstance(content, Calibration):
             old = topic.calibration
             if old is None or (old.K[0, 0] == 0 and content.K[0, 0] != 0):
@@ -169,7 +172,8 @@ class Scan:
                 if note not in self.notes:
                     self.notes.append(note)
         elif isinstance(content, Features):
-            if len(self._names) > limits().names:
+            self._features += len(content.names)
+            if len(self._names) > limits().names or self._features > limits().features:
                 return
             self._names.update(content.names)
             topic.features.append(content)
@@ -205,18 +209,15 @@ class Scan:
             if topic.features:
                 given.append(Stamps(name, as_array([f.stamp_ns for f in topic.features]), as_array(topic.log_times)))
         for (topic, child), samples in self._moving.items():
-            own = as_array([transform.stamp_ns for transform, _ in samples])
-            given.append(Stamps(f"{topic} {child}", own, as_array([at for _, at in samples]), measured=False))
+            given.append(Stamps(f"{topic} {child}", samples.stamps_ns, samples.log_times_ns, measured=False))
         by, self._foreign = shifts(given, delays, self.notes)
         for name, topic in self.topics.items():
             if topic.stamps and by[name].any():
                 topic.stamps = (as_array(topic.stamps) + by[name]).tolist()
             elif topic.features and by[name].any():
                 topic.features = [moved(f, int(ns)) for f, ns in zip(topic.features, by[name])]
-        for (topic, child), samples in self._moving.items():
-            for (transform, _), ns in zip(samples, by[f"{topic} {child}"]):
-                self.tree.add(replace(transform, stamp_ns=transform.stamp_ns + int(ns)) if ns else transform, False)
-        self._moving.clear()
+        for topic, child in list(self._moving):
+            self.tree.add_moving(child, self._moving.pop((topic, child)), by[f"{topic} {child}"])
 
     def _count(self) -> None:
         """Number of messages per topic as the file states it, and a note where fewer were found."""
@@ -231,6 +232,11 @@ class Scan:
         if len(self._names) > limits().names:
             most = limits().names
             self.notes.append(f"The log names more than {most} features; the later ones are left out (--limits.names).")
+        for what, count, name in (
+            ("transforms that move", self._transforms, "transforms"), ("named features", self._features, "features")
+        ):  # fmt: skip
+            if count > (most := getattr(limits(), name)):
+                self.notes.append(f"The log has {count} {what}; those after {most} are left out (--limits.{name}).")
         if self._too_many:
             most = limits().topics
             self.notes.append(f"The log has more than {most} topics; the others are not looked at (--limits.topics).")

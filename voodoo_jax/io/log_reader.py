@@ -31,7 +31,7 @@ from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
-from voodoo_jax.records.recording import Frame, Pairs, Picture, Rays, Recording
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Picture, Recording
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
@@ -191,7 +191,7 @@ class LogReader:
     def named_at_once(self) -> set[tuple[str, ...]]:
         """Names of the features of each frame that has any."""
         rays, pairs = self._whole.rays, self._whole.pairs
-        both = ((rays.get(i, Rays()), pairs.get(i, Pairs())) for i in rays.keys() | pairs.keys())
+        both = ((rays.get(i, NO_RAYS), pairs.get(i, NO_PAIRS)) for i in rays.keys() | pairs.keys())
         return {(*r.names, *p.names) for r, p in both}
 
     @property
@@ -216,7 +216,7 @@ class LogReader:
         counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
         return counted + self._plan_parts.losses()
 
-    # 76 lines: one pass over the messages, which share a dozen variables
+    # 75 lines: one pass over the messages, which share a dozen variables
     def frames(self, progress: Progress | None = None) -> Iterator[Frame]:
         """Frames in the order of their stamps. `progress` gets the number of depth messages (without
         any: frames) done, and of all.
@@ -226,7 +226,7 @@ class LogReader:
         scan, decoder = self._scan, Decoder()
         self._counted = Counter()
         sensor_of = {name: i for i, name in enumerate(self.sensors)}
-        home = {member: i for i, (_, members) in enumerate(self._plan) for member in members}
+        homes, wanted_count = self._homes()
         missing = [len(members) for _, members in self._plan]
         self._plan_parts.forget()
         parts: dict[int, list[tuple[int, _Measured]]] = {}
@@ -249,13 +249,13 @@ class LogReader:
                 self._keep(i, topic, partial(reader.single, item, self._picture_stamp(topic, number)))
                 continue
             member = sensor_of.get(topic, -1), number
-            if member not in home or schema is None:
+            i = int(homes[member[0]][number]) if 0 <= member[0] and number < len(homes[member[0]]) else -1
+            if i < 0 or schema is None:
                 continue
             done += 1
             scan.log.clock.check()
             if progress is not None:
-                progress(done, len(home))
-            i = home[member]
+                progress(done, wanted_count)
             missing[i] -= 1
             try:
                 part = content = None
@@ -287,7 +287,7 @@ class LogReader:
         # What follows the last depth message; of frames with depth only if the file was changed between the passes.
         for i in range(following, len(self._plan)):
             if i in parts or not self._whole.led_by_points:
-                if progress is not None and not home:
+                if progress is not None and not wanted_count:
                     progress(i + 1, len(self._plan))
                 yield self._frame(i, parts.get(i, []), origins)
                 made += 1
@@ -296,6 +296,14 @@ class LogReader:
             if any(what == UNREADABLE for _, what in self._counted):
                 text = f"{text}. It is damaged, or was written by another version: copy it again."
             raise LogError(damaged(scan, LogError(text)))
+
+    def _homes(self) -> tuple[list[Int64[np.ndarray, " message"]], int]:
+        """Number of the frame that each message of each sensor goes to, -1 for none; how many go to one."""
+        homes = [np.full(len(stamps), -1, np.int64) for stamps in self._stamps]
+        for i, (_, members) in enumerate(self._plan):
+            for sensor, message in members:
+                homes[sensor][message] = i
+        return homes, sum(len(members) for _, members in self._plan)
 
     def _frame(self, i: int, parts: list[tuple[int, "_Measured"]], origins: np.ndarray) -> Frame:
         time_ns = self._plan[i][0]
@@ -318,8 +326,8 @@ class LogReader:
             points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see _measure
             sensor=sensor,
             origins=origins.astype(np.float32),
-            rays=self._whole.rays.get(i, Rays()),
-            pairs=self._whole.pairs.get(i, Pairs()),
+            rays=self._whole.rays.get(i, NO_RAYS),
+            pairs=self._whole.pairs.get(i, NO_PAIRS),
             part=part,
             parts=said.names,
             weight=weights[sensor] if said.weighted(self.sensors) else None,
@@ -417,5 +425,5 @@ class LogReader:
             rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
             K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)
             height, width = image.shape
-            self._rays[key] = lens.pixel_rays(K, D, c.model, width, height)[::k, ::k].copy()
+            self._rays[key] = lens.pixel_rays(K, D, c.model, width, height, k)
         return self._rays[key]

@@ -1,10 +1,12 @@
 """Coordinate frames of a log: a tree of rigid transforms over time, looked up at the stamp of a measurement."""
 
+from array import array
 from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from scipy.spatial.transform import Rotation, Slerp
 
 from voodoo_jax.io.limits import PLACE, QUATERNION, TIME, limits
@@ -21,6 +23,39 @@ class Transform:
     child: str
     translation: Float[np.ndarray, "3"]  # metres
     rotation: Float[np.ndarray, "4"]  # quaternion x, y, z, w; any length but 0
+
+
+class Moving:
+    """Samples of one frame as they come from a log, in 80 bytes each: an object for each would be six times that."""
+
+    def __init__(self):
+        self._stamps, self._log_times = array("q"), array("q")  # nanoseconds
+        self.numbers = array("d")  # translation and rotation of each
+        self.names: dict[str, int] = {}  # of parents
+        self.parents = array("i")  # number of its parent
+
+    def add(self, transform: Transform, log_time_ns: int) -> None:
+        """One more; its stamp and log time are possible ones (limits.TIME)."""
+        self._stamps.append(transform.stamp_ns)
+        self._log_times.append(log_time_ns)
+        self.numbers.extend(transform.translation)
+        self.numbers.extend(transform.rotation)
+        self.parents.append(self.names.setdefault(transform.parent, len(self.names)))
+
+    @property
+    def stamps_ns(self) -> Int64[np.ndarray, " sample"]:
+        return np.array(self._stamps, np.int64)
+
+    @property
+    def log_times_ns(self) -> Int64[np.ndarray, " sample"]:
+        return np.array(self._log_times, np.int64)
+
+
+class _Samples(NamedTuple):
+    """Samples of one frame in another one."""
+
+    stamps: Int64[np.ndarray, " sample"]  # nanoseconds
+    numbers: Float[np.ndarray, "sample 7"]  # translation, metres, and quaternion x, y, z, w
 
 
 @dataclass(frozen=True)
@@ -49,7 +84,7 @@ class TransformTree:
     """All transforms of a log. Collect with `add`, then `close`, then look up. `notes` says what was odd."""
 
     def __init__(self):
-        self._samples: dict[tuple[str, str], list[Transform]] = {}  # (child, parent)
+        self._samples: dict[tuple[str, str], list[_Samples]] = {}  # (child, parent)
         self._static: set[tuple[str, str]] = set()
         self._edges: dict[str, _Edge] = {}
         self._cache: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]] = {}
@@ -59,25 +94,44 @@ class TransformTree:
 
     def add(self, transform: Transform, static: bool) -> None:
         """Keep one sample. A static transform holds for the whole log, the last one given wins."""
-        if not plausible(transform.translation, transform.rotation) or abs(transform.stamp_ns) >= TIME:
-            self._odd["transforms without finite and possible numbers were left out"] += 1
+        possible = abs(transform.stamp_ns) < TIME
+        stamps = np.array([transform.stamp_ns if possible else TIME], np.int64)
+        numbers = np.concatenate([transform.translation, transform.rotation])[None].astype(float)
+        self._add(transform.child, transform.parent, _Samples(stamps, numbers), static)
+
+    def add_moving(self, child: str, moving: Moving, by_ns: Int64[np.ndarray, " sample"]) -> None:
+        """Keep all samples of a frame that moves, so much later."""
+        samples = _Samples(moving.stamps_ns + by_ns, np.array(moving.numbers).reshape(-1, 7))
+        parents = np.array(moving.parents, np.int64)
+        for number, parent in enumerate(moving.names):
+            mine = parents == number
+            self._add(child, parent, _Samples(samples.stamps[mine], samples.numbers[mine]), False)
+
+    def _add(self, child: str, parent: str, given: "_Samples", static: bool) -> None:
+        there = plausible(given.numbers[:, :3], given.numbers[:, 3:]) & (np.abs(given.stamps) < TIME)
+        samples, count = _Samples(given.stamps[there], given.numbers[there]), int(there.sum())
+        if count < len(there):
+            self._odd["transforms without finite and possible numbers were left out"] += len(there) - count
+        if not count:
             return
-        if not transform.child or transform.child == transform.parent:
-            self._odd["transforms without a child frame were left out"] += 1
+        if not child or child == parent:
+            self._odd["transforms without a child frame were left out"] += count
             return
-        if not np.any(transform.rotation):
-            self._odd["transforms have a rotation of all zeros, taken as no rotation"] += 1
-        key = (transform.child, transform.parent)
+        if zeros := int((samples.numbers[:, 3:] == 0).all(1).sum()):
+            self._odd["transforms have a rotation of all zeros, taken as no rotation"] += zeros
+        key = (child, parent)
         if key not in self._samples and len(self._samples) >= limits().names:
-            self._odd[f"transforms beyond those of {limits().names} frames were left out (--limits.names)"] += 1
+            self._odd[f"transforms beyond those of {limits().names} frames were left out (--limits.names)"] += count
             return
         if static:
-            if key in self._static and not _same(self._samples[key][-1], transform):
+            if key in self._static and not np.allclose(
+                self._samples[key][-1].numbers[-1], samples.numbers[0], atol=1e-9, rtol=0
+            ):
                 self._odd["times a static transform changed; its last value is used for the whole log"] += 1
             self._static.add(key)
-            self._samples[key] = [transform]
+            self._samples[key] = [samples]
         elif key not in self._static:
-            self._samples.setdefault(key, []).append(transform)
+            self._samples.setdefault(key, []).append(samples)
 
     def close(self) -> None:
         """Sort the samples and settle on one parent for each frame."""
@@ -86,15 +140,18 @@ class TransformTree:
                 other = self._edges[child].parent
                 self.notes.append(f"Frame '{child}' has two parents, '{other}' and '{parent}'; the first is used.")
                 continue
+            stamps, numbers = (np.concatenate(parts) for parts in zip(*samples))
+            samples.clear()
             # Stable sort, then the last of equal stamps: a later message corrects an earlier one.
-            by_stamp = {s.stamp_ns: s for s in sorted(samples, key=lambda s: s.stamp_ns)}
-            kept = list(by_stamp.values())
-            translations = np.array([s.translation for s in kept], float)
-            quaternions = np.array([s.rotation if np.any(s.rotation) else [0, 0, 0, 1] for s in kept], float)
+            order = np.argsort(stamps, kind="stable")
+            kept = order[np.append(np.diff(stamps[order]) != 0, True)]
+            stamps, translations, quaternions = stamps[kept], numbers[kept, :3].copy(), numbers[kept, 3:].copy()
+            quaternions[(quaternions == 0).all(1)] = [0, 0, 0, 1]
             if max(np.ptp(translations, axis=0).max(), np.ptp(quaternions, axis=0).max()) < 1e-9:
-                kept = kept[:1]  # never moves; Foxglove has no word for static, and such logs may give it only once
-            stamps = np.array([s.stamp_ns for s in kept] if len(kept) > 1 else [], dtype=np.int64)
-            self._edges[child] = _Edge(parent, stamps, translations, Rotation.from_quat(quaternions))
+                # never moves; Foxglove has no word for static, and such logs may give it only once
+                stamps, translations, quaternions = stamps[:1], translations[:1], quaternions[:1]
+            moving = stamps if len(stamps) > 1 else stamps[:0]
+            self._edges[child] = _Edge(parent, moving, translations, Rotation.from_quat(quaternions))
         self.notes += [f"{n} {what}." for what, n in self._odd.items()]
         self._samples.clear()
 
@@ -155,16 +212,13 @@ class TransformTree:
         return result
 
 
-def plausible(translation: Float[np.ndarray, "3"], rotation: Float[np.ndarray, "4"]) -> bool:
-    """Whether a pose can be meant: a place on earth, metres, and a quaternion of a length near 1, or of zeros, which
+def plausible(
+    translation: Float[np.ndarray, "*poses 3"], rotation: Float[np.ndarray, "*poses 4"]
+) -> Bool[np.ndarray, "*poses"]:
+    """Whether poses can be meant: a place on earth, metres, and a quaternion of a length near 1, or of zeros, which
     nobody filled in. Its square neither overflows nor vanishes."""
-    largest = float(np.abs(rotation).max())
+    largest = np.abs(rotation).max(-1)
     low, high = QUATERNION
     # NaN fails every comparison
-    return bool(np.abs(translation).max() < PLACE) and (low < largest < high or largest == 0)
-
-
-def _same(a: Transform, b: Transform) -> bool:
-    return bool(np.allclose(a.translation, b.translation, atol=1e-9, rtol=0)) and bool(
-        np.allclose(a.rotation, b.rotation, atol=1e-9, rtol=0)
-    )
+    there = np.abs(translation).max(-1) < PLACE
+    return np.asarray(there & (((low < largest) & (largest < high)) | (largest == 0)))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from voodoo_jax.config.limited import limits
 from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.model.body import Body, Mode, Topology
 from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
@@ -51,7 +52,6 @@ KEYS = {
 }
 MOST = 1.0  # logarithm or share: no people of one size differ by a factor of e
 LIMITS = ("swing_x", "swing_y", "twist")
-LIMBS = 256  # skinned meshes have up to a hundred joints; each limb more makes a program that takes longer to compile
 SCALES = 1e-3, 1e3  # metres, of a body as a whole: far beyond what depth sensors see
 RESERVED = ("name", "segment_lengths")  # keys of body_json in results, beside which the scale stands by its name
 BUILT_IN = ("human", "human10", "arm", "dog", "stick")
@@ -124,8 +124,10 @@ def _parsed(text: str, source: str) -> Body:
     tables = {kind: file.tables(kind) for kind in KEYS if kind}
     if not tables["limb"]:
         file.fail(None, "a body needs at least one [[limb]]")
-    if len(tables["limb"]) > LIMBS:
-        file.fail(None, f"a body of {len(tables['limb'])} limbs; {LIMBS} are the most")
+    if len(tables["limb"]) > limits().limbs:
+        file.fail(
+            None, f"{len(tables['limb'])} limbs, more than the {limits().limbs} that are allowed (--limits.limbs)"
+        )
     limbs, joints = unique_names(tables["limb"]), unique_names(tables["joint"])
     centres, sites = unique_names(tables["centre"]), unique_names(tables["site"])
     unique_names(tables["mode"])

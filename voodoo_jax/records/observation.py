@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int32
 
-from voodoo_jax.records.recording import Frame, Pairs, Rays
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Rays
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class BodyObservation:
     points: Float32[np.ndarray, "point 3"]  # fixed frame, metres
     sensor: Int[np.ndarray, " point"]
     origins: Float32[np.ndarray, "sensor 3"]
-    rays: Rays = field(default_factory=Rays)
-    pairs: Pairs = field(default_factory=Pairs)
+    rays: Rays = NO_RAYS
+    pairs: Pairs = NO_PAIRS
     part: Int32[np.ndarray, " point"] | None = None  # as in Frame
     parts: tuple[str, ...] = ()
     weight: Float32[np.ndarray, " point"] | None = None

@@ -27,6 +27,10 @@ class Pairs:
     weights: Float32[np.ndarray, " pair"] | None = None  # of the source, times the name's weight; None: all 1
 
 
+# in all frames without any: an object of its own in each would be half a kilobyte
+NO_RAYS, NO_PAIRS = Rays(), Pairs()
+
+
 @dataclass(frozen=True)
 class Picture:
     """A calibrated colour image, or a rectified pair of them, still packed: a log that is not asked for its images
@@ -53,8 +57,8 @@ class Frame:
     points: Float32[np.ndarray, "point 3"]  # metres, finite
     sensor: Int32[np.ndarray, " point"]  # which row of `origins` saw the point
     origins: Float32[np.ndarray, "sensor 3"]  # where each sensor stood, metres
-    rays: Rays = field(default_factory=Rays)
-    pairs: Pairs = field(default_factory=Pairs)
+    rays: Rays = NO_RAYS
+    pairs: Pairs = NO_PAIRS
     part: Int32[np.ndarray, " point"] | None = None  # index in `parts`, -1: free; None: all free
     parts: tuple[str, ...] = ()  # "body", or names of limbs
     weight: Float32[np.ndarray, " point"] | None = None  # None: all 1, as a depth camera's (2007, sec. 6)

@@ -2,11 +2,12 @@
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
+T = TypeVar("T")
 VARIABLE = "VOODOO_JAX_SCRATCH"  # names another folder; processes that this one starts have it, too
 IN_MEMORY = ("tmpfs", "ramfs", "devtmpfs", "hugetlbfs")  # file systems of Linux
 
@@ -14,12 +15,21 @@ IN_MEMORY = ("tmpfs", "ramfs", "devtmpfs", "hugetlbfs")  # file systems of Linux
 def nameless_file() -> IO[bytes]:
     """An open file without a name, which goes when it is closed, or with this process. Raises OSError where there is no
     disk for it: folders that are missing are made, others are tried in turn, and those in memory are left out."""
+    return _first(lambda folder: tempfile.TemporaryFile(dir=folder))
+
+
+def named_file(suffix: str) -> tuple[int, str]:
+    """A new file of this user alone, at the same places: its descriptor and its path; who asks removes it."""
+    return _first(lambda folder: tempfile.mkstemp(prefix="voodoo-", suffix=suffix, dir=folder))
+
+
+def _first(made: Callable[[str], T]) -> T:
     trouble: OSError = FileNotFoundError("no folder on a disk for what does not fit into memory")
     for folder in _folders():
         try:
             Path(folder).mkdir(mode=0o700, parents=True, exist_ok=True)
             if not in_memory(folder):
-                return tempfile.TemporaryFile(dir=folder)
+                return made(folder)
         except OSError as problem:
             trouble = problem
     raise trouble

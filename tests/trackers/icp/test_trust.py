@@ -1,5 +1,6 @@
 """How far tracks can be trusted: falls with every sign of trouble, is silent where nothing was measured."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
 from voodoo_jax.trackers.icp.confidence import (
+    BATCH,
     ONE_PASS,
     THERE_AND_BACK,
     UNMARKED,
@@ -42,6 +44,25 @@ def good_tracks(frames: int = 6, scale: float = 1.0, step: float = 0.01) -> Trac
         passes_apart=np.full((frames, LIMBS), 0.02 * scale, np.float32),
         status=np.full(frames, Status.TRACKED, np.int8),
     )
+
+
+def test_long_tracks_are_rated_in_batches():
+    """The same as all at once, and little more memory than what is returned."""
+    rng, count = np.random.default_rng(3), 2 * BATCH + 50
+    found = replace(fitting(count), joints=rng.normal(size=(count, CENTRES, 3)).astype(np.float32).cumsum(0) / 100)
+    at = BATCH - 40
+    part = np.s_[at : at + 80]
+    said = joint_confidence(found)
+    arrays = {name: array[part] for name, array in vars(found).items() if np.shape(array)[:1] == (count,)}
+    np.testing.assert_array_equal(joint_confidence(replace(found, **arrays))[20:60], said[part][20:60])
+    peaks = []
+    for frames in (count, 2 * count):
+        tracks = fitting(frames)
+        tracemalloc.start()
+        joint_confidence(tracks)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert (peaks[1] - peaks[0]) / count < 700
 
 
 def test_a_good_track_is_trusted_and_a_bad_one_is_not():

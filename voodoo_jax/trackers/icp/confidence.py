@@ -30,6 +30,7 @@ LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: les
 # metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
 # nothing, and so many beyond count at most
 STATURE, STATURES, USUAL, UNUSUAL = 1.70, 0.095, 2.7, 2.0
+BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
 SURELY = 9.0  # how much the odds of facing tell, see facing_right; bound of experiments/trust/elsewhere.py
 
 
@@ -86,15 +87,25 @@ def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame join
 
     NaN where it is not known.
     """
+    return _misfits(tracks, _averages(tracks, ahead))
+
+
+def _averages(tracks: Tracks, ahead: bool) -> tuple[np.ndarray, ...]:
+    """Misfits beside, at and along limbs [frame, limb], averaged over a second; none where they are not known."""
+    if tracks.limb_beside is None or tracks.limb_distance is None or tracks.limb_bare is None:
+        return ()
+    return tuple(averaged(found, ahead) for found in (tracks.limb_beside, tracks.limb_distance, tracks.limb_bare))
+
+
+def _misfits(tracks: Tracks, averages: tuple[np.ndarray, ...]) -> Float[np.ndarray, "frame joint misfit"]:
+    """See misfits; of tracks whose `averages` these are."""
     t, count = tracks.body.topology, len(tracks.status)
     limbs = np.array(t.centre_limbs, int)
-    if tracks.limb_beside is None or tracks.limb_distance is None or tracks.limb_bare is None:
+    if not averages:
         return np.full((count, len(limbs), len(MISFITS)), np.nan)
     parent = np.arange(len(t.limbs))
     parent[np.array(t.children, int)] = np.array(t.parents, int)
-    beside, distance, bare = (
-        averaged(found, ahead) for found in (tracks.limb_beside, tracks.limb_distance, tracks.limb_bare)
-    )
+    beside, distance, bare = averages
     worse = lambda found: np.fmax(found[:, limbs], found[:, parent[limbs]])  # noqa: E731
     every = np.broadcast_to(distance.mean(1, keepdims=True), (count, len(limbs)))
     size = np.broadcast_to(_unusual(tracks), every.shape)
@@ -104,11 +115,14 @@ def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame join
 
 def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float[np.ndarray, "frame limb"]:
     """Mean over the AROUND frames around each that tell something, or over those before if not `ahead`."""
-    known = np.isfinite(found)
     origin = 0 if ahead else AROUND // 2  # the window ends with the frame
-    mean = lambda x: uniform_filter1d(x.astype(float), AROUND, axis=0, mode="constant", origin=origin)  # noqa: E731
-    total, count = mean(np.where(known, found, 0.0)), mean(known)
-    return np.where(known, total / np.maximum(count, 1e-9), np.nan)
+    mean = lambda x: uniform_filter1d(x.astype(float), AROUND, mode="constant", origin=origin)  # noqa: E731
+    out = np.full(found.shape, np.nan)
+    for limb, column in enumerate(found.T):  # one by one: all at once take several times their memory
+        known = np.isfinite(column)
+        total, count = mean(np.where(known, column, 0.0)), mean(known)
+        out[known, limb] = (total / np.maximum(count, 1e-9))[known]
+    return out
 
 
 def _unusual(tracks: Tracks) -> float:
@@ -143,12 +157,26 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
 
     **Arguments:** `ahead` as for `clues`.
     """
-    found = clues(tracks, ahead)
-    twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
-    fits = probability(FITS, misfits(tracks, ahead))
-    sure = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0) * facing_right(tracks)
-    told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
-    return np.where(told[:, None], sure, np.nan).astype(np.float32)
+    averages, right = _averages(tracks, ahead), facing_right(tracks)
+    count, out = len(tracks.status), np.full(right.shape, np.nan, np.float32)
+    for at in range(0, count, BATCH):
+        span = slice(at, min(at + BATCH, count))
+        around = slice(max(at - 1, 0), min(at + BATCH + 1, count))  # clues look at the frames beside each
+        inner = slice(at - around.start, span.stop - around.start)
+        found = clues(_only(tracks, around), ahead)[inner]
+        twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
+        fits = probability(FITS, _misfits(_only(tracks, span), tuple(each[span] for each in averages)))
+        sure = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0) * right[span]
+        told = np.isin(tracks.status[span], (Status.TRACKED, Status.LOST))
+        out[span] = np.where(told[:, None], sure, np.nan)
+    return out
+
+
+def _only(tracks: Tracks, frames: slice) -> Tracks:
+    """Some frames of tracks."""
+    of_frames = vars(tracks).keys() - {"up", "marker_residual"}
+    arrays = {name: value for name in of_frames if isinstance(value := getattr(tracks, name), np.ndarray)}
+    return replace(tracks, **{name: value[frames] for name, value in arrays.items()})
 
 
 def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, "frame joint"]:

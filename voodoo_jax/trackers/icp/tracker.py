@@ -175,20 +175,24 @@ def _with_residuals(tracks: Tracks, run: Runner) -> Tracks:
 
 
 def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> Tracks:
-    """Tracks of a whole recording, with all that follows from its poses; these are moved to the fixed frame in place.
+    """Tracks of a whole recording, with all that follows from its poses; these are moved to the fixed frame in place,
+    and covariances take the place of the segment's.
 
     **Arguments:** `segment` all frames of the recording; `source` its path.
     """
     fit = _misfit(run, segment)
     to_fixed(run.people, segment.rotation, segment.translation)
     segment.residual[segment.status == Status.NO_DATA] = np.nan
-    found, chunk = [], run.settings.track.chunk
+    chunk = run.settings.track.chunk
+    derived = _room(run.body, segment, chunk)
     for first, end, body in spans(run.bodies, len(segment)):
         absent = ~np.asarray(body.present)
         for array in (segment.rotation, segment.translation, segment.limb_covariance):
             array[first:end, absent] = np.nan
-        found += [_derived(body, segment[at : min(at + chunk, end)], chunk) for at in range(first, end, chunk)]
-    derived = Derived(*map(np.concatenate, zip(*found))) if found else _derived(run.body, segment[:0], chunk)
+        for at in range(first, end, chunk):
+            span = slice(at, min(at + chunk, end))
+            for array, part in zip(derived, _derived(body, segment[span], chunk)):
+                array[span] = part
     return Tracks(
         source, fixed_frame, run.body,
         time_ns=np.array([f.time_ns for f in run.people], np.int64),
@@ -219,6 +223,12 @@ def _up(run: Runner) -> Float32[np.ndarray, "3"]:
     normal = np.asarray(run.scene.floor.normal, np.float32)
     T = run.people[0].T_fixed_steady if run.people else None
     return normal if T is None else (T[:3, :3] @ normal).astype(np.float32)
+
+
+def _room(body: Body, segment: Segment, chunk: int) -> Derived:
+    """Arrays for what follows from the poses of a segment, without their numbers; its own for covariances of limbs."""
+    found = (np.empty((len(segment), *part.shape[1:]), np.float32) for part in _derived(body, segment[:0], chunk))
+    return Derived(*found)._replace(limb_covariance=segment.limb_covariance)
 
 
 def _derived(body: Body, segment: Segment, chunk: int) -> Derived:

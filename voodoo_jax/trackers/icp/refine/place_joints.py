@@ -13,7 +13,7 @@ from importlib.resources import files
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Bool, Float, Float64, Int
 
 from voodoo_jax.geometry.rigid import Poses, apply, on_host, rotate, unrotate
 from voodoo_jax.model.body import Body, scaled
@@ -212,7 +212,7 @@ class PlaceJoints:
         joints, covariance = tracks.joints.copy(), tracks.joint_covariance
         if covariance is not None:
             covariance = covariance.copy()
-            covariance[frames] *= REMAINS
+            np.multiply(covariance, REMAINS, out=covariance, where=_mask(frames, len(there))[:, None, None, None])
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
             told = learned()[name]
@@ -233,6 +233,12 @@ class PlaceJoints:
         share = np.repeat(gaps.count / (gaps.count + self.few), 3)
         away = np.where(told.spread > 0, (gaps.gap.ravel() - told.usual) / np.maximum(told.spread, 1e-9), 0.0)
         return np.clip(np.where(np.isfinite(away), away, 0.0), -self.widest, self.widest) * share
+
+
+def _mask(frames: Int[np.ndarray, " some"], count: int) -> Bool[np.ndarray, " frame"]:
+    mask = np.zeros(count, bool)
+    mask[frames] = True
+    return mask
 
 
 def persons_body(body: Body) -> Body | None:
