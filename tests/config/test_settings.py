@@ -80,6 +80,19 @@ def test_a_file_changes_only_what_it_names(tmp_path):
         ("[solve]\nratio = true", ["solve.ratio", "a number"]),
         ("[solve]\nratio = -0.1", ["solve.ratio = -0.1", "negative"]),
         ("[solve]\nratio = nan", ["solve.ratio = nan"]),
+        ("[solve]\nratio = 1e38", ["solve.ratio = 1e+38", "at most 1000000"]),
+        ("[solve]\nratio = inf", ["solve.ratio = inf", "at most 1000000"]),
+        (f"[solve]\nratio = {'9' * 400}", ["solve.ratio = inf", "at most 1000000"]),
+        (f"[solve]\nmax_steps = {'9' * 6000}", ["not a TOML file"]),
+        (f"[solve]\nratio = {'[' * 3000}", ["not a TOML file"]),
+        ("[detect]\nforget = 5000000000", ["detect.forget", "at most 2147483647"]),
+        ("[start]\nscale = 1e-30", ["start.scale = 1e-30", "at least 0.001"]),
+        ("[start]\nlater = [inf]", ["start.later", "at most 1e+06"]),
+        ("[read]\nscale = ['/a=0']", ["read.scale", "metres per unit"]),
+        ("[read]\ndelays = ['/a=1e38']", ["read.delays", "seconds"]),
+        ("[[change]]\ntime = inf", ["number 1: time = inf", "below 1e+06"]),
+        ("[[change]]\ntime = 1\nscale = 1e-300", ["scale = 1e-300", "above 0.001"]),
+        ("[[change]]\ntime = 1\nsizes = {a = [1e-30, 1, 1, 1, 1]}", ["sizes", "a table such as"]),
         ("[detect]\npoints = -5", ["detect.points = -5", "negative"]),
         ("[solve]\nsolver = 'Coupled'", ["solve.solver", "'coupled'", "'per_limb'"]),
         ("[solve]\nsolver = ['coupled']", ["solve.solver", "'coupled'", "'per_limb'"]),
@@ -187,6 +200,23 @@ def test_wrong_flags_are_refused(words, capsys):
     with pytest.raises(SystemExit) as stopped:
         cli.main(["replay", "a.mcap", "--out", "o", *words])
     assert stopped.value.code == 2 and words[0].split(".")[1] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("to = 'no_limb'\nadd = 'stick'", "no_limb"),
+        ("to = 'r_hand'\nadd = 'none.toml'", "none.toml"),
+        ("remove = ['no_limb']", "no_limb"),
+        ("sizes = {no_limb = [0.1, 0.1, 0.1, 0.1, 0.1]}", "no_limb"),
+        ("to = 'r_hand'\nadd = 'stick'\naxis = [0, 0, 0]", "axis"),
+    ],
+)
+def test_changes_are_tried_before_the_logs(text, said, tmp_path, capsys):
+    path = tmp_path / "mine.toml"
+    path.write_text(f"[[change]]\ntime = 1\n{text}\n")
+    assert cli.main(["replay", "a.mcap", "--out", str(tmp_path / "o"), "--config", str(path)]) == 2
+    assert said in capsys.readouterr().err and not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize("words", [["--solve.max-steps", "-3"], ["--detect.link", "-0.1"], ["--start.scale", "nan"]])

@@ -125,6 +125,14 @@ def test_single_limb():
 CASES = [  # text, put in its place, line of the fault, part of the reason
     ("scale = 2.0", "scale = 2.0.0", "scale = 2.0", "not TOML"),
     ("scale = 2.0", "scale = 0", "scale = 2.0", "above 0"),
+    ("scale = 2.0", "scale = 1e-300", "scale = 2.0", "at least 1e-06"),
+    ("scale = 2.0", "scale = 2000.0", "scale = 2.0", "a body of 2000 m"),
+    ("scale = 2.0", f"scale = {'9' * 400}", "scale = 2.0", "at most 1e+06"),
+    ("scale = 2.0", 'scale = 2.0\nscale_name = "segment_lengths"', 3, "results use that name otherwise"),
+    ("scale = 2.0", 'scale = 2.0\nscale_name = "name"', 3, "results use that name otherwise"),
+    ("scale = 2.0", 'scale = 2.0\nscale_name = "\\u001b[31m"', 3, "all to be seen"),
+    ("bottom = [0, 0, 0]", "bottom = [0, 1e38, 0]", 6, "at most 1e+06"),
+    ("top_axes = [0.1, 0.05]", "top_axes = [0.1, 1e-38]", 9, "at least 1e-06"),
     ("scale = 2.0", "scael = 2.0", "scale = 2.0", "unknown key 'scael' in the top of the file; did you mean 'scale'?"),
     ("scale = 2.0", "", 1, "has no 'scale'"),
     ("bottom = [0, 0, 0]", "", 4, "[[limb]] 'a' has no 'bottom'"),
@@ -167,6 +175,12 @@ def test_modes_that_change_nothing_of_the_body_are_refused(changes, reason):
     with pytest.raises(BodyFileError, match=reason) as error:
         parse_body(f'{GOOD}\n[[mode]]\nname = "m"\nchanges = {changes}\n')
     assert error.value.line == len(GOOD.splitlines()) + 4
+
+
+@pytest.mark.parametrize("value", ["9" * 6000, "[" * 3000], ids=["digits", "brackets"])
+def test_what_no_parser_takes(value):
+    with pytest.raises(BodyFileError, match="^mine: not TOML"):
+        parse_body(f"scale = {value}", "mine")
 
 
 def test_faults_of_the_tree():

@@ -36,7 +36,8 @@ class TomlFile:
             self.data = tomllib.loads(text)
         except (ValueError, RecursionError) as fault:  # of its syntax, or numbers of thousands of digits
             where = re.search(r"\(at line (\d+),", str(fault))
-            line = int(where[1]) if where else text.count("\n") + 1
+            at_end = text.count("\n") + 1 if isinstance(fault, tomllib.TOMLDecodeError) else None
+            line = int(where[1]) if where else at_end
             raise error(source, line, f"not TOML: {fault}") from fault
         kind, number, counts = "", 0, dict.fromkeys(keys, -1)
         for line, content in enumerate(text.splitlines(), 1):
