@@ -3,7 +3,8 @@
 import mmap
 import tempfile
 import tracemalloc
-from collections.abc import Iterator
+import weakref
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import platformdirs
 import pytest
 
 from tests.support.small_logs import SETTINGS, small_body, small_log
+from voodoo_jax.detect import stage
 from voodoo_jax.detect.disk_buffer import WITHOUT, spilled
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.records.observation import BodyObservation
@@ -70,6 +72,27 @@ def test_frames_are_alike_wherever_they_wait():
     for one, other in zip(frames, spilled(frames, block=100), strict=True):
         assert in_file(other.points) and one.points.strides == other.points.strides
         np.testing.assert_array_equal(one.points, other.points)
+
+
+def test_one_window_is_in_memory_at_a_time(monkeypatch):
+    """However many stages look at windows one after the other."""
+    monkeypatch.setattr(stage, "WINDOW", 10)
+    born: list[weakref.ref] = []
+
+    def measured() -> Iterator[BodyObservation]:
+        for i in range(45):
+            frame = cloud(i, 10)
+            born.append(weakref.ref(frame))
+            yield frame
+
+    frames: Iterable[BodyObservation] = measured()
+    for change in (lambda window: window, lambda window: list(window), lambda window: window):
+        frames = stage.by_windows(frames, change)
+    times, most = [], 0
+    for frame in frames:
+        times.append(frame.time_ns)
+        most = max(most, sum(ref() is not None for ref in born))
+    assert times == list(range(45)) and most <= 12
 
 
 def test_points_wait_in_the_users_cache(monkeypatch, tmp_path):
