@@ -20,6 +20,7 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.trackers.icp.joint_spread import MOVED, SHAPE
 from voodoo_jax.trackers.icp.runner import Runner
 
 # joint centre -> the limb in whose axes it is moved, and the limb whose direction tells how the joint is bent
@@ -31,7 +32,8 @@ LIMBS = {
 UPPER, LEGS = ("waist", "neck", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")  # whose bands are looked at
 SIDES = ("l_", "r_")
 EVERY = slice(None)
-# square of the mean error after moving over that before, people left out by halves: 1.88, 2.04 cm (experiments/offsets)
+# square of the mean error after moving over that before, people left out by halves: 1.88, 2.04 cm (experiments/
+# offsets); of joints that were tracked in one direction of time
 REMAINS = 0.85
 
 
@@ -210,7 +212,7 @@ class PlaceJoints:
         joints, covariance = tracks.joints.copy(), tracks.joint_covariance
         if covariance is not None:
             covariance = covariance.copy()
-            covariance[frames] *= REMAINS
+            covariance[frames] = _smaller(body, tracks, frames)
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
             told = learned()[name]
@@ -231,6 +233,15 @@ class PlaceJoints:
         share = np.repeat(gaps.count / (gaps.count + self.few), 3)
         away = np.where(told.spread > 0, (gaps.gap.ravel() - told.usual) / np.maximum(told.spread, 1e-9), 0.0)
         return np.clip(np.where(np.isfinite(away), away, 0.0), -self.widest, self.widest) * share
+
+
+def _smaller(body: Body, tracks: Tracks, frames: np.ndarray) -> np.ndarray:
+    """Covariances of some frames' joints once they are moved."""
+    assert tracks.joint_covariance is not None and tracks.passes_apart is not None
+    before = tracks.joint_covariance[frames]
+    both = np.isfinite(tracks.passes_apart[frames][:, np.array(body.topology.centre_limbs, int)])[..., None, None]
+    moved = before + np.float32(MOVED**2 - SHAPE**2) * np.eye(3, dtype=np.float32)
+    return np.where(both, moved, np.float32(REMAINS) * before)
 
 
 def usual_body(body: Body) -> Body | None:
