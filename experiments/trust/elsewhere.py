@@ -144,7 +144,7 @@ def unlikely(n: Numbers, told: dict[str, Any]) -> Any:
 def fitted(told: list[Told]) -> Numbers:
     """The numbers with the highest likelihood, the clues' and the others' in turns; neither trouble nor misfit can make
     a joint more probable."""
-    every, plain = together(told), together([t for t in told if t.kind in PLAIN])
+    every, plain = together(told), together([t for t in told if t.kind in PLAIN] or told)
     middle = plain["weight"] @ plain["clues"]
     spread = np.sqrt(plain["weight"] @ (plain["clues"] - middle) ** 2) + 1e-9
     n = Numbers(np.r_[0.0, np.zeros(len(CLUES))], np.r_[4.0, np.zeros(len(MISFITS))], np.r_[np.log(10.0), 0.0, 0.0])
