@@ -1,19 +1,20 @@
-"""How well a body fits: the numbers FITS and SURELY of voodoo_jax/trackers/icp/confidence.py and what they are worth.
+"""Numbers of voodoo_jax/trackers/icp/confidence.py for logs of all kinds, and what they are worth for a kind left out.
 
-python -m experiments.trust.elsewhere KIND=FOLDER ... tracks logs of several kinds, fits the numbers on all kinds but
-one, and compares what they say with what is right in that one. A folder holds *.mcap with *.truth.npz beside them; of
-a log without a truth every joint counts as wrong (of a kind whose name begins with "nobody": there is nobody to be
-right about), so leave those out that are not known.
+python -m experiments.trust.elsewhere KIND=FOLDER ... tracks logs of several kinds, fits THERE_AND_BACK, FITS, SURELY
+and LESS_SURE on all kinds but one, and compares what they say with what is right in that one. A folder holds *.mcap
+with *.truth.npz beside them; of a log without a truth every joint counts as wrong, so leave those out that are not
+known.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 from scipy.optimize import minimize
-from scipy.special import expit, log_expit
 from tqdm import tqdm
 
 import voodoo_jax as vj
@@ -24,23 +25,25 @@ from experiments.trust.__main__ import rank
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.trackers.icp.confidence import (
     CLOSE,
+    CLUES,
+    LEAST_DISTANCE,
+    LEAST_SHARE,
     MISFITS,
-    ONE_PASS,
-    THERE_AND_BACK,
     Trust,
     clues,
+    ill_fit,
     misfits,
-    probability,
 )
 
-HOME = {
-    "recordings": 5.0,
-    "every fifth frame": 3.0,
-    "controls": 3.0,
-}  # times that these count
-SUREST = 9.0  # SURELY at most: all some fifty decisions were right, and would ask for more
-FAR = 9.0  # odds beyond which nothing changes
-WEAK = 3e-4  # weight of the squared slopes
+# what kinds count; the others 1. Each log of a kind counts alike
+COUNTS = {"recordings": 30.0, "controls": 10.0, "people": 10.0, "stress": 3.0}
+PLAIN = tuple(COUNTS)  # kinds with nothing before or around people: for these alone THERE_AND_BACK is fitted
+LEAST = 0.03  # a clue counts so much for each standard deviation at least
+SUREST, FAR = 40.0, 9.0  # SURELY at most; odds beyond which nothing changes
+WEAK, WEAKER = 1e-3, 3e-5  # weights of the squared slopes: of clues by standard deviations, of misfits
+NOTHING = np.array([np.log(LEAST_SHARE), 0.0, np.log(LEAST_DISTANCE), 0.0])  # misfits of a body that fits
+FRAMES = 14  # of a log, drawn at random
+ROUNDS = 2  # THERE_AND_BACK and the others are fitted in turns
 
 
 @dataclass(frozen=True)
@@ -53,102 +56,177 @@ class Job:
 
 
 class Told(NamedTuple):
-    """Of the joints that something is said of."""
+    """Of the joints of a log that something is said of, tracked there and back in time."""
 
     kind: str
-    plain: np.ndarray  # [joint] what is said without a look at how well the body fits
-    misfits: np.ndarray  # [joint, misfit]
-    odds: np.ndarray  # [joint] of facing; FAR where it makes no difference
+    clues: np.ndarray  # [joint, clue]
+    misfits: np.ndarray  # [joint, misfit], above NOTHING
+    ill: np.ndarray  # [joint, 2] of ill_fit
+    odds: np.ndarray  # [joint] of facing; infinite where it makes no difference
     close: np.ndarray  # [joint] bool
 
 
-def work(job: Job) -> Told:
-    """Tracks a log and compares."""
+class Numbers(NamedTuple):
+    """All that is fitted, by standard deviations of nothing: as `probability` takes them."""
+
+    plain: np.ndarray  # constant and slopes of clues
+    fits: np.ndarray  # constant, and logarithms (softplus) of minus the slopes of misfits
+    facing: np.ndarray  # logarithm of SURELY, and softplus of minus LESS_SURE
+
+
+def work(job: Job) -> Told | None:
+    """Tracks a log and compares; None where nothing is said."""
     recording = vj.read_log(job.log)
     if job.step > 1:
         recording = vj.Recording(**{**vars(recording), "frames": recording.frames[:: job.step]})
     tracks = vj.track(vj.human(), recording)
-    plain = probability(THERE_AND_BACK, clues(tracks))
-    plain = np.where(np.isfinite(plain), plain, probability(ONE_PASS, clues(tracks)))
-    fit, odds = misfits(tracks), facing(tracks)
-    told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
     truth = job.log.with_suffix(".truth.npz")
+    said = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
     if truth.exists():
         known = read_known(truth)
         frame, near = nearest(known, tracks)
-        use, columns = frame[near & told[frame]], [tracks.body.topology.centres.index(n) for n in known.names]
-        close = errors(known, tracks)[near & told[frame]] < CLOSE
+        use, columns = frame[near & said[frame]], [tracks.body.topology.centres.index(n) for n in known.names]
+        close = errors(known, tracks)[near & said[frame]] < CLOSE
     else:
-        use, columns = np.flatnonzero(told), list(range(plain.shape[1]))
+        use, columns = np.flatnonzero(said), list(range(tracks.joints.shape[1]))
         close = np.zeros((len(use), len(columns)), bool)
-    plain, fit, odds = (each[use][:, columns] for each in (plain, fit, odds))
-    good = np.isfinite(plain) & np.isfinite(fit).all(-1)
-    return Told(job.kind, plain[good], fit[good], odds[good], close[good])
+    return told_of(job.kind, tracks, use, columns, close)
+
+
+def told_of(kind: str, tracks: vj.Tracks, use: np.ndarray, columns: list[int], close: np.ndarray) -> Told | None:
+    """What some frames of tracks say of some joints, FRAMES of them at most.
+
+    **Arguments:** `close` [frame, joint] whether these are right.
+    """
+    draw = np.random.default_rng(0).permutation(len(use))[:FRAMES]
+    use, close = use[draw], close[draw]
+    fit = misfits(tracks)
+    ill = np.repeat(ill_fit(fit)[use][:, None], len(columns), 1)
+    clue, misfit, odds = clues(tracks)[use][:, columns], fit[use][:, columns] - NOTHING, facing(tracks)[use][:, columns]
+    good = np.isfinite(clue).all(-1) & np.isfinite(misfit).all(-1)
+    return Told(kind, clue[good], misfit[good], ill[good], odds[good], close[good]) if good.any() else None
 
 
 def facing(tracks: vj.Tracks) -> np.ndarray:
-    """[frame, joint] Odds of facing, FAR where they make no difference."""
+    """[frame, joint] Odds of facing, infinite where they make no difference."""
     sides = [name.startswith(("l_", "r_")) for name in tracks.body.topology.centres]
-    odds = np.full((len(tracks.status), len(sides)), FAR)
+    odds = np.full((len(tracks.status), len(sides)), np.inf)
     if tracks.facing_odds is not None and (known := np.flatnonzero(np.isfinite(tracks.facing_odds))).size:
         last = known[np.maximum(np.searchsorted(known, np.arange(len(odds)), "right") - 1, 0)]
         odds[:, sides] = np.minimum(tracks.facing_odds[last], FAR)[:, None]
     return odds
 
 
-def fitted(told: list[Told]) -> tuple[Trust, float]:
-    """FITS and SURELY with the highest likelihood; misfit can only lower the probability."""
-    plain, x, odds, close = (np.concatenate([getattr(t, name) for t in told]) for name in Told._fields[1:])
-    weight = np.concatenate([np.full(len(t.close), HOME.get(t.kind, 1.0)) for t in told])
-    weight, y = weight / weight.sum(), close.astype(float)
-    middle, spread = x.mean(0), np.maximum(x.std(0), 1e-9)
-    rows = np.c_[np.ones(len(x)), (x - middle) / spread]
-
-    def cost(v: np.ndarray) -> tuple[float, np.ndarray]:
-        z, surely = rows @ v[:-1], np.exp(v[-1])
-        p = np.clip(plain * np.exp(log_expit(z) + log_expit(surely * odds)), 1e-9, 1 - 1e-7)
-        pull = -weight * (y - (1 - y) * p / (1 - p))
-        slope = rows.T @ (pull * expit(-z)) + 2 * WEAK * np.r_[0, v[1:-1]]
-        value = -np.sum(weight * (y * np.log(p) + (1 - y) * np.log1p(-p))) + WEAK * v[1:-1] @ v[1:-1]
-        return float(value), np.r_[slope, np.sum(pull * expit(-surely * odds) * odds * surely)]
-
-    bounds = [(None, None), *[(None, 0.0)] * x.shape[1], (np.log(3.0), np.log(SUREST))]
-    begin = np.r_[3.0, -np.ones(x.shape[1]), np.log(6.0)]
-    v = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=bounds).x
-    slopes = v[1:-1] / spread
-    return Trust(float(v[0] - slopes @ middle), tuple(float(s) for s in slopes)), float(np.exp(v[-1]))
+def said(n: Any, told: Any) -> Any:
+    """[joint] Logarithm of the probability that is said, of NumPy's or JAX's arrays."""
+    plain = jax.nn.log_sigmoid(n.plain[0] + told["clues"] @ n.plain[1:])
+    fits = jax.nn.log_sigmoid(n.fits[0] - told["misfits"] @ jax.nn.softplus(n.fits[1:]))
+    sides = told["odds"] <= FAR
+    surely = jnp.exp(n.facing[0] - told["ill"] @ jax.nn.softplus(n.facing[1:]))
+    return plain + fits + jnp.where(sides, jax.nn.log_sigmoid(surely * jnp.where(sides, told["odds"], 0.0)), 0.0)
 
 
-def said(told: Told, fits: Trust, surely: float) -> np.ndarray:
+def together(told: list[Told]) -> dict[str, Any]:
+    """All joints, and what each counts."""
+    logs = [t.kind for t in told]
+    weight = [np.full(len(t.close), COUNTS.get(t.kind, 1.0) / logs.count(t.kind) / len(t.close)) for t in told]
+    out = {name: np.concatenate([getattr(t, name) for t in told]) for name in Told._fields[1:]}
+    return {**out, "weight": np.concatenate(weight) / np.concatenate(weight).sum()}
+
+
+@jax.jit
+def unlikely(n: Numbers, told: dict[str, Any]) -> Any:
+    """Minus the mean logarithm of the probability of what was right and what was not."""
+    right = jnp.minimum(said(n, told), -1e-7)
+    return -jnp.sum(told["weight"] * jnp.where(told["close"], right, jnp.log1p(-jnp.exp(right))))
+
+
+def fitted(told: list[Told]) -> Numbers:
+    """The numbers with the highest likelihood, the clues' and the others' in turns; neither trouble nor misfit can make
+    a joint more probable."""
+    every, plain = together(told), together([t for t in told if t.kind in PLAIN] or told)
+    middle = plain["weight"] @ plain["clues"]
+    spread = np.sqrt(plain["weight"] @ (plain["clues"] - middle) ** 2) + 1e-9
+    n = Numbers(np.r_[0.0, np.zeros(len(CLUES))], np.r_[4.0, np.zeros(len(MISFITS))], np.r_[np.log(10.0), 0.0, 0.0])
+
+    def clues_of(v: Any) -> Any:
+        slopes = v[1:] / spread
+        return jnp.concatenate([v[:1] - slopes @ middle, slopes])
+
+    def first(v: Any, n: Numbers) -> Any:
+        return unlikely(n._replace(plain=clues_of(v)), plain) + WEAK * v[1:] @ v[1:]
+
+    def second(v: Any, n: Numbers) -> Any:
+        fits, face = v[: len(n.fits)], v[len(n.fits) :]
+        slopes = jax.nn.softplus(jnp.concatenate([fits[1:], face[1:]]))
+        return unlikely(n._replace(fits=fits, facing=face), every) + WEAKER * slopes @ slopes
+
+    worse = {"weight": (LEAST, None)}  # of these clues more is better
+    bounds = [(None, None), *(worse.get(name, (None, -LEAST)) for name in CLUES)]
+    others = [(None, None), *[(-8.0, None)] * len(MISFITS), (np.log(3.0), np.log(SUREST)), *[(-8.0, None)] * 2]
+    v, w = np.r_[3.0, [LEAST if name in worse else -0.3 for name in CLUES]], np.r_[n.fits, n.facing]
+    free = n._replace(fits=np.r_[60.0, n.fits[1:]], facing=np.r_[np.log(SUREST), -8.0, -8.0])
+    v = _least(first, v, bounds, free)  # to begin with, as if all fitted
+    for _ in range(ROUNDS + 1):
+        n = n._replace(plain=np.asarray(clues_of(v), float))
+        w = _least(second, w, others, n)
+        n = n._replace(fits=w[: len(n.fits)], facing=w[len(n.fits) :])
+        v = _least(first, v, bounds, n)
+    return n._replace(plain=np.asarray(clues_of(v), float))
+
+
+def _least(cost: Any, begin: np.ndarray, bounds: list, n: Numbers) -> np.ndarray:
+    slope = jax.jit(jax.value_and_grad(cost))
+    pair = lambda v: tuple(np.asarray(x, float) for x in slope(v, n))  # noqa: E731
+    return minimize(pair, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 150}).x
+
+
+def as_written(n: Numbers) -> str:
+    """The numbers as confidence.py has them."""
+    slopes, less = (-np.log1p(np.exp(each[1:])) for each in (n.fits, n.facing))
+    tuples = [Trust(float(n.plain[0]), tuple(n.plain[1:])), Trust(float(n.fits[0] - slopes @ NOTHING), tuple(slopes))]
+    text = [f"Trust({t.constant:.3f}, ({', '.join(f'{x:.3f}' for x in t.slopes)}))" for t in tuples]
+    surely = f"{np.exp(n.facing[0]):.1f}, ({', '.join(f'{x:.2f}' for x in less)})"
+    return f"THERE_AND_BACK = {text[0]}\nFITS = {text[1]}\nSURELY, LESS_SURE = {surely}"
+
+
+def probabilities(n: Numbers, told: Told) -> np.ndarray:
     """[joint] The probability that is said."""
-    return told.plain * probability(fits, told.misfits) * expit(surely * told.odds)
+    return np.exp(np.asarray(said(n, told._asdict())))
+
+
+def left_out(told: list[Told]) -> str:
+    """A table: what is said of each kind by numbers of the others, and in the end of all."""
+    rows, held, right, whole = [], [], [], fitted(told)
+    for kind in sorted({t.kind for t in told}):
+        out = fitted([t for t in told if t.kind != kind])
+        p, within = (np.concatenate([probabilities(n, t) for t in told if t.kind == kind]) for n in (out, whole))
+        y = np.concatenate([t.close for t in told if t.kind == kind])
+        held.append(p)
+        right.append(y)
+        rows.append([kind, *(f"{100 * each.mean():.1f}" for each in (y, within, p)), f"{rank(p, y):.3f}"])
+    p, y = np.concatenate(held), np.concatenate(right)
+    within = np.concatenate([probabilities(whole, t) for t in told])
+    rows.append(["all", *(f"{100 * each.mean():.1f}" for each in (y, within, p)), f"{rank(p, y):.3f}"])
+    head = ["kind left out", "right, %", "said with all, %", "said, %", "right above wrong"]
+    return f"{table(head, rows)}\n{as_written(whole)}"
 
 
 def main(kinds: tyro.conf.Positional[tuple[str, ...]], processes: int = 2) -> None:
     """How well a body fits, by kinds of logs that are left out.
 
     Args:
-        kinds: KIND=FOLDER, or KIND=FOLDER:STEP for every so many-th frame only.
+        kinds: KIND=FOLDER, or KIND=FOLDER:STEP for every so many-th frame only; a kind may have several folders.
         processes: how many work at once.
     """
     jobs = []
     for kind, folder in (one.split("=", 1) for one in kinds):
         folder, _, step = folder.partition(":")
         jobs += [Job(kind, log, int(step or 1)) for log in sorted(Path(folder).glob("*.mcap"))]
-    told = list(tqdm(trials(work, jobs, processes), total=len(jobs), leave=False, disable=None))
-    rows, held, right = [], [], []
-    for kind in sorted({t.kind for t in told}):
-        out = fitted([t for t in told if t.kind != kind])
-        p = np.concatenate([said(t, *out) for t in told if t.kind == kind])
-        plain, y = (np.concatenate([getattr(t, name) for t in told if t.kind == kind]) for name in ("plain", "close"))
-        held.append(p)
-        right.append(y)
-        rows.append([kind, *(f"{100 * each.mean():.1f}" for each in (y, plain, p)), f"{rank(p, y):.3f}"])
-    p, y = np.concatenate(held), np.concatenate(right)
-    rows.append(["all", f"{100 * y.mean():.1f}", "", f"{100 * p.mean():.1f}", f"{rank(p, y):.3f}"])
-    print(table(["kind left out", "right, %", "said before, %", "said, %", "right above wrong"], rows))
-    fits, surely = fitted(told)
-    print(f"{dict(zip(MISFITS, np.round(fits.slopes, 3)))}, constant {fits.constant:.3f}; SURELY {surely:.2f}")
+    found = tqdm(trials(work, jobs, processes), total=len(jobs), leave=False, disable=None)
+    told = [one for one in found if one is not None]
+    with jax.enable_x64():
+        print(left_out(told))
 
 
 if __name__ == "__main__":

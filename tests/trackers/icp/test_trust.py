@@ -19,8 +19,10 @@ from voodoo_jax.trackers.icp.confidence import (
     clues,
     doubted,
     facing_right,
+    ill_fit,
     joint_confidence,
     marker_confidence,
+    misfits,
     probability,
 )
 
@@ -31,13 +33,13 @@ CENTRES, LIMBS = len(TOPOLOGY.centres), len(TOPOLOGY.limbs)
 
 def good_tracks(frames: int = 6, scale: float = 1.0, step: float = 0.01) -> Tracks:
     """A good track; larger `scale`: everything is so much worse. `step` metres that joints move from frame to frame."""
-    variance = ((0.02 * scale) ** 2 * np.eye(3)).astype(np.float32)
+    variance = ((0.02 * scale) ** 2 * np.diag([0, 0, 0, 1, 1, 1])).astype(np.float32)
     moved = step * np.arange(frames)[:, None, None] * np.array([1.0, 0, 0])
     return blank_tracks(
         BODY,
         frames,
         joints=np.broadcast_to(moved, (frames, CENTRES, 3)).astype(np.float32),
-        joint_covariance=np.broadcast_to(variance, (frames, CENTRES, 3, 3)),
+        limb_covariance=np.broadcast_to(variance, (frames, LIMBS, 6, 6)),
         residual=np.full(frames, 0.015 * scale, np.float32),
         explained=np.full(frames, 1 - 0.02 * scale, np.float32),
         limb_weight=np.full((frames, LIMBS), 40.0, np.float32),
@@ -71,7 +73,7 @@ def test_a_good_track_is_trusted_and_a_bad_one_is_not():
     assert good.min() > 0.95 and bad.max() < 0.2
 
 
-@pytest.mark.parametrize("worse", ["joint_covariance", "residual", "explained", "passes_apart", "limb_weight", "moved"])
+@pytest.mark.parametrize("worse", ["limb_covariance", "residual", "explained", "passes_apart", "limb_weight", "moved"])
 def test_every_sign_of_trouble_counts(worse):
     fine = joint_confidence(good_tracks())
     if worse == "moved":
@@ -149,13 +151,25 @@ def test_misfit_is_averaged_over_a_second_and_online_over_what_was_before():
 
 def test_who_may_face_the_other_way_is_not_trusted_but_for_joints_in_the_middle():
     odds = np.array([np.nan, 0.0, np.nan, 2.0, np.nan, np.nan], np.float32)
-    right = facing_right(replace(good_tracks(), facing_odds=odds))
+    unknown = ill_fit(np.full((6, CENTRES, 4), np.nan))
+    right = facing_right(replace(good_tracks(), facing_odds=odds), unknown)
     sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
     np.testing.assert_allclose(right[:3][:, sides], 0.5)  # the next answer, and the last one
     assert (right[3:][:, sides] > 0.99).all() and (right[:, ~sides] == 1).all() and (~sides).sum() == 2
-    assert (facing_right(good_tracks()) == 1).all()
+    assert (facing_right(good_tracks(), unknown) == 1).all()
     doubtful = joint_confidence(replace(fitting(), facing_odds=odds))
     assert (doubtful[1, sides] < 0.51).all() and (doubtful[1, ~sides] > 0.9).all()
+
+
+@pytest.mark.parametrize("worse", ["limb_beside", "limb_bare"])
+def test_odds_of_facing_tell_little_of_a_body_that_fits_badly(worse):
+    odds = {"facing_odds": np.full(6, 0.2, np.float32)}
+    fine = replace(fitting(), **odds)
+    badly = replace(fine, **{worse: np.full((6, LIMBS), 0.3, np.float32)})
+    good, bad = (facing_right(tracks, ill_fit(misfits(tracks))) for tracks in (fine, badly))
+    sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
+    assert (good[:, sides] > 0.95).all() and (bad[:, sides] < 0.8).all() and (bad[:, sides] > 0.5).all()
+    assert (bad[:, ~sides] == 1).all()
 
 
 @pytest.mark.parametrize("frames", [0, 1])

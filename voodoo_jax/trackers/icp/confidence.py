@@ -6,7 +6,8 @@ people, the other half's joints are right as often as is said.
 
 These are all recordings of people with nothing before or around them. A body that was fitted to a table or a coat, or
 that faces the wrong way, is as smooth and as near to its points: two more factors say whether it fits at all
-(misfits), and whether it faces the right way.
+(misfits), and whether it faces the right way. What a body faces is told by what it is fitted to: of those that fit, all
+of some two hundred decisions at odds of 0.1 and more (logarithms) were right, of those in skirts two of five.
 """
 
 from dataclasses import replace
@@ -17,6 +18,7 @@ from jaxtyping import Float, Float32, Int8
 from scipy.ndimage import uniform_filter1d
 from scipy.special import expit
 
+from voodoo_jax.geometry.rigid import cross_matrix
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
 
 CLOSE = 0.10  # metres
@@ -31,7 +33,9 @@ LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: les
 # nothing, and so many beyond count at most
 STATURE, STATURES, USUAL, UNUSUAL = 1.70, 0.095, 2.7, 2.0
 BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
-SURELY = 9.0  # how much the odds of facing tell, see facing_right; bound of experiments/trust/elsewhere.py
+# how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
+# limbs are bare; from experiments/trust/elsewhere.py
+SURELY, LESS_SURE = 19.2, (-3.33, -5.02)
 
 
 class Trust(NamedTuple):
@@ -41,16 +45,17 @@ class Trust(NamedTuple):
     slopes: tuple[float, ...]
 
 
+# from experiments/trust/elsewhere.py
+THERE_AND_BACK = Trust(-12.401, (-3.267, -0.124, -0.047, -0.535, 0.287, -1.020))
 # from experiments/trust
-THERE_AND_BACK = Trust(-13.527, (-2.262, -1.144, -0.308, -0.269, 0.013, -1.162))
 ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
 
 # of MISFITS; from experiments/trust/elsewhere.py
-FITS = Trust(-16.664, (-0.763, -5.922, -4.102, -1.568))
+FITS = Trust(-10.682, (-2.726, -5.503, -1.534, -3.409))
 
 
 def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
-    """What tells of trouble, of each joint centre: logarithms of how far off it may be by its covariance, of the
+    """What tells of trouble, of each joint centre: logarithms of how far off it may be by its limb's covariance, of the
     frame's residual and share of unexplained points, of how far it moves between frames and of how far the passes there
     and back in time are apart (all in metres), and log(1 + weight) of what was measured of its limb.
 
@@ -58,13 +63,13 @@ def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint 
 
     The last clue is NaN where there was one pass only.
     """
-    assert tracks.joint_covariance is not None and tracks.passes_apart is not None
+    assert tracks.passes_apart is not None
     joints, limbs = tracks.joints, np.array(tracks.body.topology.centre_limbs, int)
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
     still = np.zeros((1, joints.shape[1]))
     before, after = np.concatenate([still, step]), np.concatenate([step, still])
     moved = (np.fmax(before, after) if ahead else before)[: len(joints)]
-    spread = np.sqrt(np.trace(tracks.joint_covariance, axis1=2, axis2=3))
+    spread = _spread(tracks)
     log = lambda found, least, most: np.log(np.clip(found, least, most))  # noqa: E731
     each = lambda row: np.broadcast_to(row[:, None], moved.shape)  # noqa: E731
     found = (
@@ -76,6 +81,17 @@ def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint 
         log(tracks.passes_apart[:, limbs], 0.005, 1.0),
     )
     return np.stack(found, -1)
+
+
+def _spread(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
+    """How far off joint centres may be by what was measured of their limbs, metres: without what place_joints and the
+    other pass say of them, for that is a clue of its own."""
+    t = tracks.body.topology
+    assert tracks.limb_covariance is not None
+    twist = tracks.limb_covariance[:, np.array(t.centre_limbs, int)].astype(float)
+    turned = -cross_matrix(np.asarray(tracks.body.centres, float))
+    shift = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], 2)  # of a joint, by its limb's twist
+    return np.sqrt(np.einsum("jab,fjbc,jac->fj", shift, twist, shift))
 
 
 def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint misfit"]:
@@ -132,10 +148,13 @@ def _unusual(tracks: Tracks) -> float:
     return min(max(abs(float(tracks.body.scale) - STATURE) / STATURES - USUAL, 0.0), UNUSUAL) ** 2
 
 
-def facing_right(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
+def facing_right(tracks: Tracks, ill: Float[np.ndarray, "frame 2"]) -> Float[np.ndarray, "frame joint"]:
     """Probability that a joint is not off because the body faces the other way: 1 of joints in its middle.
 
-    Of frames of which nobody has asked the last answer before holds, or the next one.
+    Of frames of which nobody has asked the last answer before holds, or the next one. The less the body fits, the less
+    its odds tell.
+
+    **Arguments:** `ill` of `ill_fit`.
     """
     sides = np.array([name.startswith(("l_", "r_")) for name in tracks.body.topology.centres])
     out = np.ones((len(tracks.status), len(sides)))
@@ -143,8 +162,17 @@ def facing_right(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
         return out
     known = np.flatnonzero(np.isfinite(tracks.facing_odds))
     at = known[np.maximum(np.searchsorted(known, np.arange(len(out)), "right") - 1, 0)]
-    out[:, sides] = expit(SURELY * tracks.facing_odds[at].astype(float))[:, None]
+    odds = tracks.facing_odds[at].astype(float)
+    out[:, sides] = expit(SURELY * np.exp(ill @ np.array(LESS_SURE)) * odds)[:, None]
     return out
+
+
+def ill_fit(found: Float[np.ndarray, "frame joint misfit"]) -> Float[np.ndarray, "frame 2"]:
+    """What tells that the odds of facing are of something else: the logarithm of the share of points beside limbs, over
+    what tells nothing, and the share of limbs that is bare; means over the body of `misfits`, 0 where these are not
+    known."""
+    whole = found[..., :2].mean(1) - [np.log(LEAST_SHARE), 0.0]
+    return np.where(np.isfinite(whole), whole, 0.0)
 
 
 def probability(trust: Trust, found: Float[np.ndarray, "... clue"]) -> Float[np.ndarray, "..."]:
@@ -157,19 +185,19 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
 
     **Arguments:** `ahead` as for `clues`.
     """
-    averages, right = _averages(tracks, ahead), facing_right(tracks)
-    count, out = len(tracks.status), np.full(right.shape, np.nan, np.float32)
-    for at in range(0, count, BATCH):
-        span = slice(at, min(at + BATCH, count))
-        around = slice(max(at - 1, 0), min(at + BATCH + 1, count))  # clues look at the frames beside each
+    averages, shape = _averages(tracks, ahead), (len(tracks.status), len(tracks.body.topology.centres))
+    sure, ill = np.full(shape, np.nan), np.zeros((shape[0], 2))
+    for at in range(0, shape[0], BATCH):
+        span = slice(at, min(at + BATCH, shape[0]))
+        around = slice(max(at - 1, 0), min(at + BATCH + 1, shape[0]))  # clues look at the frames beside each
         inner = slice(at - around.start, span.stop - around.start)
         found = clues(_only(tracks, around), ahead)[inner]
         twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
-        fits = probability(FITS, _misfits(_only(tracks, span), tuple(each[span] for each in averages)))
-        sure = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0) * right[span]
-        told = np.isin(tracks.status[span], (Status.TRACKED, Status.LOST))
-        out[span] = np.where(told[:, None], sure, np.nan)
-    return out
+        misfit = _misfits(_only(tracks, span), tuple(each[span] for each in averages))
+        fits, ill[span] = probability(FITS, misfit), ill_fit(misfit)
+        sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
+    told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
+    return np.where(told[:, None], sure * facing_right(tracks, ill), np.nan).astype(np.float32)
 
 
 def _only(tracks: Tracks, frames: slice) -> Tracks:

@@ -40,6 +40,7 @@ from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import Visit, options_from
 from voodoo_jax.trackers.icp.confidence import rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
+from voodoo_jax.trackers.icp.joint_spread import with_passes
 from voodoo_jax.trackers.icp.misfit import Misfit, misfit
 from voodoo_jax.trackers.icp.pipeline import FINISH, PLACE, REFINE
 from voodoo_jax.trackers.icp.refine.stage import is_active
@@ -141,6 +142,7 @@ def track_person(
             whole = stage(whole)
     run = whole.run
     tracks = tracks_of(run, whole.segment, source, fixed_frame)
+    tracks = tracks if from_markers else with_passes(tracks)
     for stage in PLACE:
         if is_active(run, stage):
             tracks = stage(run, tracks)

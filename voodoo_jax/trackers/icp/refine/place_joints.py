@@ -13,13 +13,14 @@ from importlib.resources import files
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int
+from jaxtyping import Float, Float64, Int
 
 from voodoo_jax.geometry.rigid import Poses, apply, on_host, rotate, unrotate
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.trackers.icp.joint_spread import MOVED, SHAPE
 from voodoo_jax.trackers.icp.runner import Runner
 
 # joint centre -> the limb in whose axes it is moved, and the limb whose direction tells how the joint is bent
@@ -31,8 +32,10 @@ LIMBS = {
 UPPER, LEGS = ("waist", "neck", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")  # whose bands are looked at
 SIDES = ("l_", "r_")
 EVERY = slice(None)
-# square of the mean error after moving over that before, people left out by halves: 1.88, 2.04 cm (experiments/offsets)
+# square of the mean error after moving over that before, people left out by halves: 1.88, 2.04 cm (experiments/
+# offsets); of joints that were tracked in one direction of time
 REMAINS = 0.85
+BATCH = 4096  # frames whose covariances are looked at at once: 1.4 kB each
 UNLIKE = 0.4  # logarithm of a size over the usual one: girths of people differ by 13 % (ANSUR II), three deviations
 
 
@@ -212,7 +215,8 @@ class PlaceJoints:
         joints, covariance = tracks.joints.copy(), tracks.joint_covariance
         if covariance is not None:
             covariance = covariance.copy()
-            np.multiply(covariance, REMAINS, out=covariance, where=_mask(frames, len(there))[:, None, None, None])
+            for some in np.split(frames, np.arange(BATCH, len(frames), BATCH)):
+                covariance[some] = _smaller(body, tracks, some)
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
             told = learned()[name]
@@ -235,10 +239,13 @@ class PlaceJoints:
         return np.clip(np.where(np.isfinite(away), away, 0.0), -self.widest, self.widest) * share
 
 
-def _mask(frames: Int[np.ndarray, " some"], count: int) -> Bool[np.ndarray, " frame"]:
-    mask = np.zeros(count, bool)
-    mask[frames] = True
-    return mask
+def _smaller(body: Body, tracks: Tracks, frames: np.ndarray) -> np.ndarray:
+    """Covariances of some frames' joints once they are moved."""
+    assert tracks.joint_covariance is not None and tracks.passes_apart is not None
+    before = tracks.joint_covariance[frames]
+    both = np.isfinite(tracks.passes_apart[frames][:, np.array(body.topology.centre_limbs, int)])[..., None, None]
+    moved = before + np.float32(MOVED**2 - SHAPE**2) * np.eye(3, dtype=np.float32)
+    return np.where(both, moved, np.float32(REMAINS) * before)
 
 
 def persons_body(body: Body) -> Body | None:
