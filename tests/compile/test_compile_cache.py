@@ -5,10 +5,12 @@ import os
 import subprocess
 import sys
 import tempfile
+import zlib
 from pathlib import Path
 
 import platformdirs
 import pytest
+import zstandard
 
 from tests.support.small_logs import small_log
 from voodoo_jax.cli.main import main
@@ -202,12 +204,27 @@ def test_entries_are_this_user_s_alone_whatever_the_umask(shared):
     before = os.umask(0)
     try:
         keep("x", b"program")
-        (shared[1] / "jit-cache").write_bytes(b"of jax")
+        (shared[1] / "jit-cache").write_bytes(zlib.compress(b"of jax"))
         link_all(shared[1], shared[0])
     finally:
         os.umask(before)
     modes = {path.name: path.stat().st_mode & 0o777 for path in shared[0].iterdir() if path.is_file()}
     assert modes == {"program-x-cache": 0o600, "jit-cache": 0o600}
+
+
+def test_half_an_entry_is_not_handed_on(tmp_path):
+    """What jax has left on a full disk it would never write again."""
+    own, handed = tmp_path / "run-here-1-x", tmp_path / "shared"
+    own.mkdir()
+    handed.mkdir()
+    for name, pack in (("zstd", zstandard.compress), ("zlib", zlib.compress)):
+        data = pack(bytes(range(256)) * 99)
+        (own / f"{name}-cache").write_bytes(data)
+        (own / f"half-{name}-cache").write_bytes(data[: len(data) // 2])
+    (own / "none-cache").write_bytes(b"")
+    cache_dir.link_all(own, handed)
+    assert {path.name for path in handed.iterdir()} == {"zstd-cache", "zlib-cache"}
+    assert {path.name for path in own.iterdir()} == {"zstd-cache", "zlib-cache"}
 
 
 def test_the_command_refuses_a_named_folder(tmp_path, monkeypatch, capsys):

@@ -170,7 +170,7 @@ def a_tracks_file(tmp_path_factory) -> Path:
 
     body, path = two_limbs(), tmp_path_factory.mktemp("tracks") / "a.npz"
     limbs, numbers = body.limb_count, lambda *shape: np.ones((2, *shape), np.float32)
-    rotation = np.tile(np.float32([1, 0, 0, 0]), (2, limbs, 1))
+    rotation = np.tile(np.array([1, 0, 0, 0], np.float32), (2, limbs, 1))
     tracks = Tracks(
         source="a.mcap", fixed_frame="base", body=body, time_ns=np.array([0, 33_000_000]), rotation=rotation,
         translation=numbers(limbs, 3), joints=numbers(len(body.topology.centres), 3), status=np.zeros(2, np.int8),

@@ -26,8 +26,10 @@ from importlib.metadata import version
 from pathlib import Path
 
 import platformdirs
+import zstandard
 
-LOCK = "lock-"
+LOCK, OURS = "lock-", "program-"  # how names of locks, and of entries of `keep`, begin
+ZSTD = b"\x28\xb5\x2f\xfd"  # how what is packed so begins (RFC 8878); jax packs entries so or by zlib
 PATIENCE = 300.0  # seconds that a process waits for what another one compiles
 DIGEST = 32  # bytes of checksum before an entry of `keep`
 OLD_SECONDS = 2 * 86_400  # a process's folder of another machine that is older was left by a killed one
@@ -149,6 +151,8 @@ def use_compile_cache(folder: str) -> str:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
+    # a full disk, or a folder that somebody has cleared: compiled again next time
+    warnings.filterwarnings("ignore", "Error writing persistent compilation cache entry")
     atexit.register(leave_compile_cache)
     return ""
 
@@ -257,7 +261,7 @@ def alone(name: str) -> Iterator[None]:
 
 
 def _entry(folder: Path, name: str) -> Path:
-    return folder / f"program-{name}-cache"
+    return folder / f"{OURS}{name}-cache"
 
 
 def link_all(source: Path, target: Path) -> None:
@@ -265,8 +269,26 @@ def link_all(source: Path, target: Path) -> None:
     with suppress(OSError):  # a full disk, or a folder that somebody has cleared: compiled again next time
         there = set(os.listdir(target))
         for name in os.listdir(source):
-            if name.endswith("-cache") and name not in there:
-                _link(source / name, target / name)
+            if not name.endswith("-cache") or name in there:
+                continue
+            if source.name.startswith("run-") and not _complete(source / name):
+                (source / name).unlink(missing_ok=True)
+                continue
+            _link(source / name, target / name)
+
+
+def _complete(entry: Path) -> bool:
+    """Whether an entry that jax has written here is whole: a full disk leaves the first part of one, which jax would
+    neither use nor write again. Raises OSError."""
+    data = entry.read_bytes()
+    if entry.name.startswith(OURS):  # has a checksum
+        return True
+    unpacking = zstandard.ZstdDecompressor().decompressobj() if data[:4] == ZSTD else zlib.decompressobj()
+    try:
+        unpacking.decompress(data)
+        return unpacking.eof
+    except (zlib.error, zstandard.ZstdError):
+        return False
 
 
 def _link(source: Path, target: Path) -> None:
