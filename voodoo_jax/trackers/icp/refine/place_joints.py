@@ -35,7 +35,7 @@ EVERY = slice(None)
 # square of the mean error after moving over that before, people left out by halves: 1.88, 2.04 cm (experiments/
 # offsets); of joints that were tracked in one direction of time
 REMAINS = 0.85
-BATCH = 4096  # frames whose covariances are looked at at once: 1.4 kB each
+BATCH = 4096  # frames whose covariances are looked at at once, by hand: 1.4 kB each
 UNLIKE = 0.4  # logarithm of a size over the usual one: girths of people differ by 13 % (ANSUR II), three deviations
 
 
