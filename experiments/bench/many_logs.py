@@ -10,7 +10,6 @@ together, which a busy machine changes little.
 """
 
 import os
-import resource
 import statistics
 import subprocess
 import sys
@@ -30,6 +29,7 @@ class Measured:
 
     wall: float  # seconds
     processor: float  # seconds, of all processes together
+    memory: float  # GB, of the largest process
 
 
 def recorded_seconds(log: Path) -> float:
@@ -40,14 +40,19 @@ def recorded_seconds(log: Path) -> float:
 
 def measured(logs: list[Path], workers: int, cache: Path) -> Measured:
     """Replays the logs into a folder that is thrown away. Raises CalledProcessError if one cannot be tracked."""
-    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    began = time.perf_counter()
     with tempfile.TemporaryDirectory() as out:
         words = ["replay", *map(str, logs), "--out", out, "--workers", str(workers), "--compile-cache", str(cache)]
         command = [sys.executable, "-P", "-m", "voodoo_jax.cli", *words]
-        subprocess.run(command, check=True, capture_output=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return Measured(time.perf_counter() - began, spent)
+        with tempfile.TemporaryFile() as said:
+            process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)
+            _, status, used = os.wait4(process.pid, 0)  # what it and its workers used
+            process.returncode = os.waitstatus_to_exitcode(status)
+            if process.returncode:
+                said.seek(0)
+                raise subprocess.CalledProcessError(process.returncode, command, said.read())
+    # Linux counts in kB
+    return Measured(time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e6)
 
 
 def main(logs: tyro.conf.Positional[tuple[Path, ...]], workers: tuple[int, ...] = (1, 2), rounds: int = 3) -> None:
