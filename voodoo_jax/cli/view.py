@@ -24,8 +24,8 @@ def run_view(command: View) -> int:
     if not 1 <= len(command.what) <= 2:
         say("name a log, and its tracks if there are some: voodoo-jax view LOG [TRACKS]")
         return 2
-    if not 0 < command.port < PORTS:
-        say(f"--port {command.port}: must be from 1 to {PORTS - 1}")
+    if not 0 <= command.port < PORTS:
+        say(f"--port {command.port}: must be from 0 (any that is free) to {PORTS - 1}")
         return 2
     try:
         check_settings(Settings(read=command.read, limits=command.limits))
