@@ -46,7 +46,7 @@ KINDS = {
 }
 PROMISE = Promise(
     name="users_work",
-    sentence="A minute at 320x288 takes six seconds, one at 640x576 twelve, on two cores.",
+    sentence="A minute at 320x288 is to take six seconds, one at 640x576 twelve, on two cores.",
     data="simulated people who walk, 30 Hz, 15 to 60 s; the largest recordings of markers and stereo",
     figures=(
         *(Figure(f"{kind}, times real time", limit, "more", digits=1) for kind, limit in KINDS.items()),
