@@ -19,7 +19,7 @@ from experiments.people.figure import BONES, Figure, read_meshes
 from experiments.people.sections import standing
 from voodoo_jax.fitting.parameters import Parameters, changed, height_of, parameters
 from voodoo_jax.geometry.rigid import unrotate
-from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.model.body import Body, joint_centres, without_side
 from voodoo_jax.model.body_file import MODES_LINE, load_body
 from voodoo_jax.model.marker_sets import V1_NAMES
 
@@ -45,10 +45,6 @@ MEASURED = {
 }  # fmt: skip
 HELD = 0.003  # logarithm: a mode changes the height by no more, as people of one stature have one height
 LEAST = 0.05  # of a mode's greatest effect: smaller ones are left out of the file
-
-
-def _plain(name: str) -> str:
-    return name[2:] if name[:2] in ("l_", "r_") else name
 
 
 def _places(body: Body, usual: Float[jax.Array, ""]) -> Float[jax.Array, "row 3"]:
@@ -102,7 +98,7 @@ def girths(people: list, skin: dict[str, np.ndarray], bodies: Body, body: Body) 
         share, far = local[..., 2] / long[:, None], np.linalg.norm(local[..., :2], axis=-1)
         for end, (low, high) in ENDS.items():
             mean = np.nanmean(np.where((share >= low) & (share <= high), far, np.nan), 1)
-            found[f"radii.{_plain(limb)}.{end}"] = np.log(mean / np.exp(np.log(mean).mean()))
+            found[f"radii.{without_side(limb)}.{end}"] = np.log(mean / np.exp(np.log(mean).mean()))
     return found
 
 
@@ -175,11 +171,12 @@ def main(
     meshes, human = read_meshes(bodies), load_body("human")
     people = [standing(Figure(meshes, k)) for k in range(len(meshes.vertices))]
     bones = np.array(meshes.bones)[meshes.skin[np.arange(len(meshes.skin)), meshes.weights.argmax(1)]]
-    skin = {
-        limb: np.array([b.startswith(SKIN[_plain(limb)]) and (limb == _plain(limb) or b.endswith(".L")) for b in bones])
-        for limb in human.topology.limbs
-        if not limb.startswith("r_") and _plain(limb) in SKIN
-    }
+    left, skin = np.array([bone.endswith(".L") for bone in bones]), {}
+    for limb in human.topology.limbs:
+        plain = without_side(limb)
+        if plain in SKIN and not limb.startswith("r_"):
+            mine = np.array([bone.startswith(SKIN[plain]) for bone in bones])
+            skin[limb] = mine if limb == plain else mine & left
     free = parameters(human, ("lengths", "radii", "anchors"))
     found, off = lengths(np.array([joints for _, joints in people]), human, free)
     print(f"{len(people)} people; their joints are met to {off:.2f} cm")

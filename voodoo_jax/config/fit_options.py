@@ -5,6 +5,7 @@ from typing import Literal
 
 # least and most of each number: with fewer frames or points nothing is determined, with more memory ends
 BOUNDS: dict[str, tuple[float, float]] = {
+    "folds": (0, 1000),
     "frames": (1, 100_000),
     "points": (1, 8192),
     "steps": (1, 10_000),

@@ -12,6 +12,7 @@ from math import hypot
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
+from voodoo_jax.config.bounds import LARGEST, LEAST, SIZES
 from voodoo_jax.config.old_names import with_new_names
 from voodoo_jax.config.options import (
     Change,
@@ -28,8 +29,6 @@ from voodoo_jax.config.options import (
 )
 from voodoo_jax.storage.troubles import small_text
 
-LARGEST = 1e6  # seconds, metres and weights: what float32 still computes with
-LEAST, TINIEST = 1e-6, 1e-3  # metres, of a limb's sizes and of a body: as body files have them
 MOST = 2**31 - 1  # of what is counted: 32 bits
 
 
@@ -61,8 +60,8 @@ def _check(stage: str, f: Field, value: Any) -> Any:
         direction(str(value))
     if type(value) is not type(default):
         raise SettingsError(f"{name} = {value!r}: must be {_WORDS[type(default)]}, such as {default!r}")
-    if name == "start.scale" and 0 < value < TINIEST:
-        raise SettingsError(f"{name} = {value!r}: must be at least {TINIEST} (metres), or 0: it is measured")
+    if name == "start.scale" and 0 < value < SIZES[0]:
+        raise SettingsError(f"{name} = {value!r}: must be at least {SIZES[0]} (metres), or 0: it is measured")
     if isinstance(value, (int, float)) and not isinstance(value, bool) and not value >= 0:
         raise SettingsError(f"{name} = {value!r}: must not be negative")
     low, high = _BOUNDS.get(name, (0, LARGEST if isinstance(value, float) else MOST))
@@ -186,7 +185,7 @@ def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) ->
         elif isinstance(known[name], str):
             good, wanted = isinstance(value, str), "a text"
         elif isinstance(known[name], float):
-            least = TINIEST if name == "scale" and value != 0 else -1e-300
+            least = SIZES[0] if name == "scale" and value != 0 else -1e-300
             good = _numbers([value], 1, above=least)
             wanted = f"a number above {least}" if least > 0 else f"a number that is not negative, below {LARGEST:g}"
         else:
@@ -296,7 +295,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     **{f"limits.{f.name}": (1, 1 << 60) for f in fields(LimitSettings) if f.name != "seconds"},
     "read.max_points": (1, MOST),
     "detect.points": (1, 8192),
-    "start.scale": (0.0, 1000.0),
+    "start.scale": (0.0, SIZES[1]),
     "start.headings": (1, 360),
     "start.frames": (1, 1000),
     "start.seconds": (0.0, 1000.0),

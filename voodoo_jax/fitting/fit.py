@@ -10,7 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float64, Int
 
 from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.fit_options import FitSettings, check_fit
@@ -19,7 +19,7 @@ from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.custom_loss import minimised
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
 from voodoo_jax.fitting.gauss_newton import FitError, Part, Search, covariance, run_search, spread, undetermined
-from voodoo_jax.fitting.judge import Verdict, is_size, judged_by, verdict_on
+from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, verdict_on
 from voodoo_jax.fitting.objective import UserLoss
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
@@ -85,8 +85,12 @@ def fit(
         raise FitError(f"bodies are fitted with the ICP tracker: set tracker to icp, not {settings.tracker}")
     if not logs:
         raise FitError("name at least one log to fit to")
-    if options.folds and loss is not None:
-        raise FitError("folds judge by points or joints, not by a loss of your own: leave one of the two out")
+    if options.folds:
+        from voodoo_jax.fitting.folds import fit_folds, folds_of  # which take what stands here
+
+        if loss is not None:
+            raise FitError("folds judge by points or joints, not by a loss of your own: leave one of the two out")
+        folds_of(len(logs), options.folds)  # before anything is tracked
     if truths and len(truths) != len(logs):
         raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
     if truths:  # joints are where the fit puts them: what was learned of other people would move them again
@@ -94,13 +98,41 @@ def fit(
     tell = say or (lambda what, progress: None)
     seen = tracked(body, logs, settings, lambda what: tell(what, None))
     if options.folds:
-        from voodoo_jax.fitting.folds import fit_folds  # which takes what stands here
-
         return fit_folds(seen, settings, options, truths, say)
     return fit_tracked(seen, settings, options, truths, loss, state, say)
 
 
-# 77 lines: one round after the other, which share ten variables
+class Found(NamedTuple):
+    """What a search has found, not yet judged."""
+
+    search: Search
+    progress: Progress
+    covariance: Float64[np.ndarray, "all all"]  # NaN where the loss is the user's own
+    spread: Float64[np.ndarray, " all"]
+    stays: Bool[np.ndarray, " all"]
+
+    @property
+    def starts(self) -> tuple[Body, ...]:
+        """Of every person, before the fit."""
+        return tuple(part.body for part in self._first())
+
+    @property
+    def fitted(self) -> tuple[Body, ...]:
+        """Of every person, as found."""
+        return tuple(self.search.body(self.progress.x, part) for part in self._first())
+
+    def tuned(self, settings: Settings) -> Settings:
+        """The settings with what was found of them."""
+        first = self._first()[0]
+        changes = self.search.changes(self.progress.x, first)
+        return tuned_settings(settings, first.body.topology, changes, self.search.features)
+
+    def _first(self) -> list[Part]:
+        """The first recording of every person."""
+        return [next(p for p in self.search.parts if p.person == k) for k in range(len(self.search.rows))]
+
+
+# 8 parameters: what `fit` has, and truths for the report
 def fit_tracked(
     seen: Sequence[Seen],
     settings: Settings,
@@ -112,6 +144,61 @@ def fit_tracked(
     judge: Sequence[TruthLike] = (),
 ) -> Fit:
     """The same from tracks and the frames that they were found in; `judge` truths that only the report looks at."""
+    found = searched(seen, settings, options, truths, loss, state, say)
+    search, x, stays, tuned = found.search, found.progress.x, found.stays, found.tuned(settings)
+    if say is not None:
+        say("judging", found.progress)
+    known = [read_truth(t) if isinstance(t, (str, os.PathLike)) else t for t in truths or judge] or [None] * len(seen)
+    if stays.all():  # the same body
+        judged = [
+            judged_by(s.tracks, s.tracks, part.person, truth) for s, part, truth in zip(seen, search.parts, known)
+        ]
+    else:
+        stiff = 1.0 if truths or _bands_free(search) else JUDGED
+        pairs = [
+            [track_again(one, body, _stiffer(some, stiff)).tracks for body, some in ((p.body, settings), (new, tuned))]
+            for one, p in zip(seen, search.parts)
+            for new in [search.body(x, p)]
+        ]
+        judged = [judged_by(was, now, p.person, t) for (was, now), p, t in zip(pairs, search.parts, known)]
+    if loss is not None:
+        fallen = found.progress.losses[-1] < found.progress.losses[0]
+        verdict = Verdict(
+            fallen, f"The loss {'fell' if fallen else 'did not fall'}; nothing else judges a loss of your own."
+        )
+    else:
+        sizes, usual = is_size(_all_names(search)) & ~stays, search.sd / options.looseness
+        verdict = verdict_on(judged, x / usual, sizes, bool(truths), bool(stays.all()))
+    return fit_of(found, settings, options, judged, verdict)
+
+
+def fit_of(found: Found, settings: Settings, options: FitSettings, judged: Sequence[Judged], verdict: Verdict) -> Fit:
+    """What was found, once it is judged."""
+    search, x = found.search, found.progress.x
+    starts, fitted = found.starts, found.fitted
+    bodies = fitted if verdict.better else starts
+    sizes = tuple(
+        sizes_after(start, search.free, x[rows], found.covariance[np.ix_(rows, rows)])
+        for start, rows in zip(starts, search.rows)
+    )
+    return Fit(
+        bodies[0], bodies, fitted, starts, verdict, _all_names(search), x, np.sqrt(np.diag(found.covariance)),
+        found.spread, search.sd, found.stays, sizes, found.progress.losses, found.progress.done, tuple(judged), options,
+        found.tuned(settings),
+    )  # fmt: skip
+
+
+# 7 parameters: what `fit` hands on
+def searched(
+    seen: Sequence[Seen],
+    settings: Settings,
+    options: FitSettings,
+    truths: Sequence[TruthLike] = (),
+    loss: UserLoss | None = None,
+    state: str | os.PathLike[str] | None = None,
+    say: Callable[[str, Progress | None], None] | None = None,
+) -> Found:
+    """The search alone; arguments of `fit`."""
     tell = say or (lambda what, progress: None)
     chosen = [chosen_frames(s.tracks, s.people, options.frames) for s in seen]
     search = _stiff(search_of(seen, settings, options, truths, chosen), options)
@@ -128,60 +215,26 @@ def fit_tracked(
     cov, apart, stays = np.full((size, size), np.nan), np.full(size, np.nan), np.zeros(size, bool)
     if loss is not None:
         progress = minimised(search, loss, progress, options.iterations, step_done)
-    else:
-        search.compiled()
-        for number in range(1, options.rounds + 1):
-            began = progress.x
-            progress, place = run_search(search, progress, number * options.iterations, step_done)
-            cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
-            moved = float(np.max(np.abs(progress.x - began) / np.sqrt(np.diag(cov)), initial=0.0))
-            if number == options.rounds or moved < MOVED:
-                break
-            tell("tracking again", progress)
-            again = [track_again(one, search.body(progress.x, part), settings) for one, part in zip(seen, search.parts)]
-            parts = search_of(again, settings, options, truths, chosen).parts
-            parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
-            search, progress = replace(search, parts=parts), replace(progress, done=False)
-        # what the recordings do not tell stays, and the others are found anew beside it
-        stays = undetermined(np.sqrt(np.diag(cov)), search.sd) | (np.abs(progress.x) < SURE * apart)
-        if stays.any():
-            progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
-            progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
-    tell("judging", progress)
-    first = [next(p for p in search.parts if p.person == k) for k in range(len(search.rows))]
-    fitted, starts = tuple(search.body(progress.x, p) for p in first), tuple(p.body for p in first)
-    tuned = tuned_settings(settings, fitted[0].topology, search.changes(progress.x, first[0]), search.features)
-    known = [read_truth(t) if isinstance(t, (str, os.PathLike)) else t for t in truths or judge] or [None] * len(seen)
-    if stays.all():  # the same body
-        judged = [
-            judged_by(s.tracks, s.tracks, part.person, truth) for s, part, truth in zip(seen, search.parts, known)
-        ]
-    else:
-        stiff = 1.0 if truths or _bands_free(search) else JUDGED
-        pairs = [
-            [track_again(one, body, _stiffer(some, stiff)).tracks for body, some in ((p.body, settings), (new, tuned))]
-            for one, p in zip(seen, search.parts)
-            for new in [search.body(progress.x, p)]
-        ]
-        judged = [judged_by(was, now, p.person, t) for (was, now), p, t in zip(pairs, search.parts, known)]
-    names = _all_names(search, len(first))
-    if loss is not None:
-        fallen = progress.losses[-1] < progress.losses[0]
-        verdict = Verdict(
-            fallen, f"The loss {'fell' if fallen else 'did not fall'}; nothing else judges a loss of your own."
-        )
-    else:
-        usual = search.sd / options.looseness
-        verdict = verdict_on(judged, progress.x / usual, is_size(names) & ~stays, bool(truths), bool(stays.all()))
-    bodies = fitted if verdict.better else starts
-    sizes = tuple(
-        sizes_after(start, search.free, progress.x[rows], cov[np.ix_(rows, rows)])
-        for start, rows in zip(starts, search.rows)
-    )
-    return Fit(
-        bodies[0], bodies, fitted, starts, verdict, names, progress.x, np.sqrt(np.diag(cov)), apart, search.sd, stays,
-        sizes, progress.losses, progress.done, tuple(judged), options, tuned,
-    )  # fmt: skip
+        return Found(search, progress, cov, apart, stays)
+    search.compiled()
+    for number in range(1, options.rounds + 1):
+        began = progress.x
+        progress, place = run_search(search, progress, number * options.iterations, step_done)
+        cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
+        moved = float(np.max(np.abs(progress.x - began) / np.sqrt(np.diag(cov)), initial=0.0))
+        if number == options.rounds or moved < MOVED:
+            break
+        tell("tracking again", progress)
+        again = [track_again(one, search.body(progress.x, part), settings) for one, part in zip(seen, search.parts)]
+        parts = search_of(again, settings, options, truths, chosen).parts
+        parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
+        search, progress = replace(search, parts=parts), replace(progress, done=False)
+    # what the recordings do not tell stays, and the others are found anew beside it
+    stays = undetermined(np.sqrt(np.diag(cov)), search.sd) | (np.abs(progress.x) < SURE * apart)
+    if stays.any():
+        progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
+        progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
+    return Found(search, progress, cov, apart, stays)
 
 
 def _stiff(search: Search, options: FitSettings) -> Search:
@@ -275,9 +328,9 @@ def search_of(
     return Search(free, tuple(parts), icp, objective, tuple(rows), sd, centre, held, options.noise, names)
 
 
-def _all_names(search: Search, persons: int) -> tuple[str, ...]:
+def _all_names(search: Search) -> tuple[str, ...]:
     """A name for every entry of the vector; with several persons their own end in the person's number."""
-    out = [""] * len(search.sd)
+    out, persons = [""] * len(search.sd), len(search.rows)
     for person, rows in enumerate(search.rows):
         for name, row in zip(search.free.names, rows):
             out[row] = name if persons == 1 or name.startswith(SHARED) else f"{name} ({person + 1})"

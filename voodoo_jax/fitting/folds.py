@@ -14,7 +14,7 @@ import numpy as np
 
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.fit import SHARED, Seen, TruthLike, fit_tracked, track_again
+from voodoo_jax.fitting.fit import SHARED, Found, Seen, TruthLike, fit_of, searched, track_again
 from voodoo_jax.fitting.frames import feature_names, read_truth
 from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.fitting.judge import Judged, judged_by, verdict_on
@@ -70,24 +70,22 @@ def fit_folds(
     for fold in folds_of(len(seen), options.folds):
         rest = [k for k in range(len(seen)) if k not in fold]
         theirs = [truths[k] for k in rest] if truths else ()
-        found = fit_tracked([seen[k] for k in rest], settings, own, theirs, say=say)
+        found = searched([seen[k] for k in rest], settings, own, theirs, say=say)
         judged += [left_out(seen[k], found, settings, truths[k] if truths else None) for k in fold]
-    whole = fit_tracked(seen, settings, own, truths, say=say)
-    none = np.zeros(len(whole.names), bool)
-    verdict = verdict_on(judged, whole.x / whole.prior_sd, none, bool(truths), bool(whole.stays.all()))
+    whole = searched(seen, settings, own, truths, say=say)
+    moved, none = whole.progress.x / whole.search.sd, np.zeros(len(whole.search.sd), bool)
+    verdict = verdict_on(judged, moved, none, bool(truths), bool(whole.stays.all()))
     fitted = with_bands(start, whole.starts[0], whole.fitted[0])
     body = fitted if verdict.better else start
-    return replace(
-        whole, body=body, bodies=(body,), fitted=(fitted,), starts=(start,), verdict=verdict, judged=tuple(judged),
-        sizes=(), settings=options,
-    )  # fmt: skip
+    made = fit_of(whole, settings, options, judged, verdict)
+    return replace(made, body=body, bodies=(body,), fitted=(fitted,), starts=(start,), sizes=())
 
 
-def left_out(one: Seen, found: Fit, settings: Settings, truth: TruthLike) -> Judged:
+def left_out(one: Seen, found: Found, settings: Settings, truth: TruthLike) -> Judged:
     """A recording that a fit did not see, tracked with what was there before and with what it found; all counts."""
     known = read_truth(truth) if isinstance(truth, (str, os.PathLike)) else truth
     before = track_again(one, one.tracks.body, settings).tracks
     tuned = with_bands(one.tracks.body, found.starts[0], found.fitted[0])
-    after = track_again(one, tuned, found.tuned).tracks
+    after = track_again(one, tuned, found.tuned(settings)).tracks
     judged = judged_by(before, after, 0, known)
     return replace(judged, held=np.ones_like(judged.held))

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Float64
 
 from voodoo_jax.geometry.rigid import matrix, on_device, on_host, unrotate
-from voodoo_jax.model.body import Body, Topology, scaled, with_rest_from_joints
+from voodoo_jax.model.body import Body, Topology, scaled, with_rest_from_joints, without_side
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.solve.frame import IcpOptions
 
@@ -76,29 +76,13 @@ class Parameters:
         """What a vector says."""
         return Changes(*(jnp.sum(jnp.asarray(m, x.dtype) * x, -1) for m in self.maps))
 
-    def shown(self, x: Float64[np.ndarray, " free"]) -> list[str]:
-        """The vector as people read it: percent, or centimetres per metre of scale."""
-        return [
-            f"{v:+.1f} deviations"
-            if name.startswith("shape")
-            else f"{100 * v:+.2f} % of scale"
-            if name.startswith("anchors")
-            else f"{100 * np.expm1(v):+.1f} %"
-            for v, name in zip(x, self.names)
-        ]
-
-
-def _plain(name: str) -> str:
-    """A limb's or joint's name without its side."""
-    return name[2:] if name[:2] in ("l_", "r_") else name
-
 
 def _modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
     """What each mode of a body changes, as entries whose sign is by how much."""
     found = {}
     for mode in body.modes:
         changes = dict(mode.changes)
-        entries = [(e, changes.get(e[0], changes.get(".".join(map(_plain, e[0].split(".")))))) for e in known]
+        entries = [(e, changes.get(e[0], changes.get(".".join(map(without_side, e[0].split(".")))))) for e in known]
         found[f"shape.{mode.name}"] = [(n, part, i, sign * by, "shape") for (n, part, i, sign, _), by in entries if by]
     return found
 
@@ -155,7 +139,7 @@ def parameters(
         if any(_named(entry[0], p) for p in patterns):
             name = entry[0]
             if mirrored:
-                name = ".".join(map(_plain, name.split(".")))
+                name = ".".join(map(without_side, name.split(".")))
                 if entry[1] == 3 and entry[0] == name and name.endswith(".y"):
                     continue  # a joint of the middle stays in it
             rows.setdefault(name, []).append(entry)
@@ -229,7 +213,7 @@ def height_ratio(body: Body) -> Float[Array, ""] | float:
 
 def _named(name: str, pattern: str) -> bool:
     """Whether a pattern names a parameter, by its full name or by that without its side."""
-    return fnmatchcase(name, pattern) or fnmatchcase(".".join(map(_plain, name.split("."))), pattern)
+    return fnmatchcase(name, pattern) or fnmatchcase(".".join(map(without_side, name.split("."))), pattern)
 
 
 def changed(body: Body, by: Changes) -> Body:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Float64
 
 from voodoo_jax.fitting.parameters import Parameters, changed
 from voodoo_jax.geometry.rigid import apply
-from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.model.body import Body, joint_centres, without_side
 
 
 class Size(NamedTuple):
@@ -40,7 +40,7 @@ def sizes_of(body: Body) -> dict[str, Float[Array, ""]]:
             a, b = (body.sizes[i, :2] + body.sizes[i, 2:4]) / 2
             # Ramanujan's first approximation of an ellipse's circumference, good to 0.1 % for these
             girth = jnp.pi * (3 * (a + b) - jnp.sqrt((3 * a + b) * (a + 3 * b)))
-            found.setdefault(f"girth of {name.removeprefix('l_').removeprefix('r_')}", []).append(girth)
+            found.setdefault(f"girth of {without_side(name)}", []).append(girth)
     return {name: sum(values[1:], values[0]) / len(values) for name, values in found.items()}
 
 

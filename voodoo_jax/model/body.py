@@ -120,6 +120,11 @@ def scaled(body: Body, scale: Float[AnyArray, ""] | float) -> Body:
     return on_device(eqx.tree_at(lengths, body, tuple(x * f for x, f in zip(lengths(body), factors))))
 
 
+def without_side(name: str) -> str:
+    """A limb's or joint's name without l_ or r_."""
+    return name[2:] if name[:2] in ("l_", "r_") else name
+
+
 def tree_order(topology: Topology) -> list[int]:
     """Joints in such an order that a joint's parent limb comes before it; the root is limb 0."""
     done, order = {0}, []

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from voodoo_jax.config.bounds import SIZES
 from voodoo_jax.config.limited import limits
 from voodoo_jax.geometry.rigid import Poses, on_device
-from voodoo_jax.model.body import Body, Mode, Topology
+from voodoo_jax.model.body import Body, Mode, Topology, without_side
 from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.troubles import small_text
@@ -52,7 +53,6 @@ KEYS = {
 }
 MOST = 1.0  # logarithm or share: no people of one size differ by a factor of e
 LIMITS = ("swing_x", "swing_y", "twist")
-SCALES = 1e-3, 1e3  # metres, of a body as a whole: far beyond what depth sensors see
 RESERVED = ("name", "segment_lengths")  # keys of body_json in results, beside which the scale stands by its name
 BUILT_IN = ("human", "human10", "arm", "dog", "stick")
 
@@ -116,8 +116,8 @@ def _parsed(text: str, source: str) -> Body:
     file = TomlFile(text, source, KEYS, BodyFileError)
     root = file.root()
     scale = root.number("scale", above=0)
-    if not SCALES[0] <= scale <= SCALES[1]:
-        root.fail("scale", f"a body of {scale:g} m; from {SCALES[0]:g} to {SCALES[1]:g} m are tracked")
+    if not SIZES[0] <= scale <= SIZES[1]:
+        root.fail("scale", f"a body of {scale:g} m; from {SIZES[0]:g} to {SIZES[1]:g} m are tracked")
     scale_name = root.string("scale_name", "scale")
     if scale_name in RESERVED:
         root.fail("scale_name", f"'{scale_name}' cannot be what the scale is called: results use that name otherwise")
@@ -210,8 +210,7 @@ def _mode(table: Table, limbs: tuple[str, ...], joints: tuple[str, ...]) -> Mode
 def size_names(limbs: tuple[str, ...], joints: tuple[str, ...]) -> list[str]:
     """What a mode may change, each name with its side and without."""
     limbs, joints = (
-        tuple(dict.fromkeys(n for name in names for n in (name, name.removeprefix("l_").removeprefix("r_"))))
-        for names in (limbs, joints)
+        tuple(dict.fromkeys(n for name in names for n in (name, without_side(name)))) for names in (limbs, joints)
     )
     ends = [f"radii.{limb}.{end}" for limb in limbs for end in ("bottom", "top")]
     return [f"lengths.{limb}" for limb in limbs] + ends + [f"anchors.{joint}.{a}" for joint in joints for a in "xyz"]

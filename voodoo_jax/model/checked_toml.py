@@ -10,7 +10,8 @@ from typing import Any, NoReturn
 import numpy as np
 from jaxtyping import Float
 
-LARGEST, LEAST = 1e6, 1e-6  # of numbers, and of those above 0: what float32 still computes with
+from voodoo_jax.config.bounds import LARGEST, LEAST
+
 LONGEST = 200  # characters of a name
 MOST = 10_000  # tables of a kind: skeletons have some hundred joints
 

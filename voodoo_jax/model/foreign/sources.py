@@ -4,9 +4,9 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from voodoo_jax.config.bounds import LARGEST
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import BodyFileError
-from voodoo_jax.model.checked_toml import LARGEST
 
 KINDS = {".urdf": "URDF", ".glb": "glTF", ".gltf": "glTF"}
 LEAST = 0.03  # metres: what is smaller no depth camera of some metres' reach shows

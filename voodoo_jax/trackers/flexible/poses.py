@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.model.body import Body, joint_centres, without_side
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
 
 # from a point to the joint centre of its name in the torso's directions (forward, left for the left side, up), and
@@ -46,7 +46,7 @@ def centres_of(
         if centre in named:
             name = named[centre]
             upper = name in ("head", "neck") or name.split("_")[-1] in ("shoulder", "elbow", "wrist")
-            *shift, near = np.array(OFFSETS[name.removeprefix("l_").removeprefix("r_")]) * stature
+            *shift, near = np.array(OFFSETS[without_side(name)]) * stature
             shift = np.array(shift) * [1, -1 if name.startswith("r_") else 1, 1]
             at = x[:, POINTS.index(name)]
             toward = camera - at

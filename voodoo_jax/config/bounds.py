@@ -1,0 +1,5 @@
+"""Between which numbers of settings, bodies and changes lie: what is beyond cannot be computed with, or is no body."""
+
+LARGEST = 1e6  # seconds, metres and weights: what float32 still computes with
+LEAST = 1e-6  # of what must be above 0, a limb's sizes in metres among them
+SIZES = 1e-3, 1e3  # metres, of a body as a whole: far beyond what depth sensors see
