@@ -78,7 +78,7 @@ def report_text(fit: "Fit") -> str:
     out.append("## Parameters\n")
     out.append(
         "Changes in percent (logarithms times 100; anchors: percent of the scale), of shape in standard deviations of "
-        "people. The intervals are those of the "
+        "people (the [[mode]] tables of the body file). The intervals are those of the "
         "Gauss-Newton matrix with the priors: what the model and its noise allow. That a person is no cylinder is not "
         "in them. Between parts: how much a change hangs on the part of the logs that it is found from. From the data: "
         "their share of what is known of a parameter.\n"
