@@ -45,6 +45,7 @@ from voodoo_jax.trackers.icp.misfit import Misfit, misfit
 from voodoo_jax.trackers.icp.pipeline import FINISH, PLACE, REFINE
 from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner, by_markers, spans
+from voodoo_jax.trackers.icp.segment import depths
 from voodoo_jax.trackers.icp.sequence import Progress, track_whole
 
 
@@ -69,6 +70,7 @@ def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, 
     run = Runner(body, options, frames, scene, settings, changes)
     chunk = _padded(Segment.blank(0, body.limb_count), settings.track.chunk)
     threads = [Thread(target=looked_at.prepare, args=(body, *chunk))]
+    threads.append(Thread(target=depths.prepare, args=(body, chunk[0])))
     if sensors:  # markers alone have another program
         threads.insert(0, Thread(target=run.prepare))
     for thread in threads:

@@ -58,7 +58,7 @@ class ChooseFacing:
     def _speaks_for(self, run: Runner, start: StartHypothesis, segment: Followed) -> bool:
         """Whether how a segment goes speaks for the start's rival, though that costs clearly more."""
         assert start.rival is not None
-        bends = start.rival.cost < RIVAL * start.cost * np.exp(np.mean(bent(run, segment)) / WRONG_WAY)
+        bends = start.rival.cost < RIVAL * start.cost * np.exp(np.mean(bent(run.body, segment.rotation)) / WRONG_WAY)
         return bool(bends) or _gone(run, segment) < -self.step
 
     def _odds(self, run: Runner, start: StartHypothesis, segment: Followed, other: Followed) -> float:
@@ -70,7 +70,7 @@ class ChooseFacing:
         costs = float(np.mean(segment.cost)), float(np.mean(other.cost))
         unexplained = max(min(costs) - start.noise**2, 1e-9)
         fit = min(1.0, self.fits * run.settings.start.sure / unexplained)
-        bends = float(np.mean(bent(run, other)) - np.mean(bent(run, segment))) / WRONG_WAY
+        bends = float(np.mean(bent(run.body, other.rotation)) - np.mean(bent(run.body, segment.rotation))) / WRONG_WAY
         ahead = self._ahead(_gone(run, segment)) - self._ahead(_gone(run, other))
         return float(np.log(start.rival.cost / start.cost) + np.log(costs[1] / costs[0])) + fit * bends + ahead
 

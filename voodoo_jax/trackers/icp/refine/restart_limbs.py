@@ -18,9 +18,9 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
-from voodoo_jax.trackers.icp.segment import Followed, pass_of, tracked_anew
+from voodoo_jax.trackers.icp.segment import Followed, implausible, pass_of, tracked_anew
 from voodoo_jax.trackers.icp.start.hypothesis import USUAL, soon
-from voodoo_jax.trackers.icp.trials import standing_places
+from voodoo_jax.trackers.icp.trials import Trial, standing_places
 
 # against the rest pose, in which they hang: as there, forwards, to the side and bent, up
 ARMS: tuple[tuple[Turn, ...], ...] = (
@@ -58,7 +58,8 @@ class RestartLimbs:
     passes: ForwardBackward = ForwardBackward()  # by which passes are compared frame by frame
 
     def __call__(self, run: Runner, segment: Followed) -> Followed:
-        for start, end in self.in_doubt(run.people[segment.first : segment.end], segment.cost, segment.tracked):
+        cost = pass_of(run, segment).cost
+        for start, end in self.in_doubt(run.people[segment.first : segment.end], cost, segment.tracked):
             segment = self._looked(run, segment, start, end)
         return segment
 
@@ -75,7 +76,7 @@ class RestartLimbs:
 
     def _looked(self, run: Runner, segment: Followed, start: int, end: int) -> Followed:
         """The segment with limbs that were started anew between two of its frames, where they cost less."""
-        first, count, cost = segment.first, len(segment), segment.cost
+        first, count, cost = segment.first, len(segment), pass_of(run, segment).cost
         at = start + int(np.argmax(self.passes.smoothed(cost)[start:end]))
         frames = soon(run.people[first + at : segment.end], run.settings.start)
         last = at + len(frames) - 1
@@ -84,18 +85,25 @@ class RestartLimbs:
         if not limbs or any(len(f.points) < FEW_POINTS for f in frames):
             return segment
         here = float(np.mean(cost[at : last + 1]))
-        if here > self.lost * np.percentile(cost, self.well):
+        if np.mean(segment.cost[at : last + 1]) > self.lost * np.percentile(segment.cost, self.well):
             limbs.append(standing_places(run.body, frames[::-1], run.scene.floor, run.settings.start.headings))
         # not all at once: the best few after two frames might all be of one kind
         tried = [run.trials(run.body, frames, starts) for starts in limbs]
-        trial = min(tried, key=lambda t: np.min(t.cost))
-        best = int(np.argmin(trial.cost))
-        if not trial.cost[best] < self.better * here:
+        costs = [_cost(run, each) for each in tried]
+        k = int(np.argmin([np.min(cost) for cost in costs]))
+        trial, best = tried[k], int(np.argmin(costs[k]))
+        if not costs[k][best] < self.better * here:
             return segment
         low, high = max(0, start - self.around), min(count, end + self.around)
         other = tracked_anew(run, trial.state.poses[best], first + low, first + at, first + high)
         costs = (pass_of(run, some).cost for some in (other, segment[low:high]))
         return segment.spliced(low, other, self.passes.is_better(*costs))
+
+
+def _cost(run: Runner, trial: Trial) -> Float[np.ndarray, " trial"]:
+    """What trials cost, more where the poses that they end in are not plausible."""
+    found = on_host(trial.state.poses)
+    return trial.cost * implausible(run.body, found.rotation, found.translation, run.settings.track.chunk)
 
 
 def other_arms(body: Body, poses: Poses) -> list[Poses]:
