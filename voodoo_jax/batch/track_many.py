@@ -14,12 +14,12 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks, given_from
 from voodoo_jax.solve.scan import Visit
-from voodoo_jax.trackers.base import alone, source_of, tracker_of
+from voodoo_jax.trackers.base import alone, check_arguments, source_of, tracker_of
 from voodoo_jax.trackers.icp.tracker import track_person
 from voodoo_jax.trackers.stages import check_stages
 
 
-# 67 lines, a third of them what it takes and gives
+# 69 lines, a third of them what it takes and gives
 @users_cache()
 def track_many(
     bodies: Body | Sequence[Body],
@@ -44,7 +44,9 @@ def track_many(
 
     Raises ValueError if sequences differ in length, and whatever `track` raises, with a note where.
     """
-    given = [tuple(x) if isinstance(x, Sequence) else (x,) for x in (bodies, recordings, settings or Settings())]
+    listed = lambda x: tuple(x) if isinstance(x, Sequence) and not isinstance(x, str) else (x,)  # noqa: E731
+    given = [listed(x) for x in (bodies, recordings, settings or Settings())]
+    check_arguments(*given[:2])
     if min(map(len, given)) == 0:
         return []
     count = max(map(len, given))

@@ -86,6 +86,19 @@ def alone(settings: Settings) -> Settings:
     return replace(settings, detect=replace(settings.detect, people=1))
 
 
+def check_arguments(bodies: Iterable[Any], recordings: Iterable[Any]) -> None:
+    """Raises TypeError, with what to try, unless these are bodies and recordings in memory."""
+    for each in bodies:
+        if not isinstance(each, Body):
+            what, names = type(each).__name__, "vj.human(), vj.load_body(NAME) or vj.read_body(FILE)"
+            raise TypeError(f"The first argument is a body, and this is of type {what}. Try {names}.")
+    for each in recordings:
+        if not isinstance(each, Recording):
+            tracked = "vj.replay_logs([PATH], OUT) tracks files as the command does"
+            what = f"The second argument is a recording in memory, and this is of type {type(each).__name__}"
+            raise TypeError(f"{what}. Read the log first: vj.read_log(PATH). {tracked}.")
+
+
 def source_of(recording: Recording) -> Source:
     """What a recording in memory says of itself."""
     frames = recording.frames

@@ -8,7 +8,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks, given_from
-from voodoo_jax.trackers.base import Progress, Source, Tracker, alone, source_of, tracker_of
+from voodoo_jax.trackers.base import Progress, Source, Tracker, alone, check_arguments, source_of, tracker_of
 from voodoo_jax.trackers.stages import check_stages
 
 
@@ -59,6 +59,7 @@ def track_people(
 
 def _ready(body: Body, recording: Recording, settings: Settings) -> tuple[Tracker, Source]:
     """The tracker that settings name, which begins to compile, and what the recording says of itself."""
+    check_arguments([body], [recording])
     check_stages(settings)
     chosen, source = tracker_of(settings), source_of(recording)
     if recording.frames:

@@ -8,7 +8,7 @@ has gained or lost some is tracked anew.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int8
+from jaxtyping import Bool, Float, Float32, Int8
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
@@ -16,9 +16,10 @@ from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import Visit
-from voodoo_jax.trackers.icp.limb_distance import signed_distance
+from voodoo_jax.trackers.icp.limb_distance import body_distance
 from voodoo_jax.trackers.icp.runner import FEW_POINTS
 from voodoo_jax.trackers.icp.sequence import Progress
+from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
 from voodoo_jax.trackers.icp.tracker import track_person
 
 ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; by hand
@@ -55,8 +56,14 @@ def track_subjects(
         )
 
     found = [tracked(subject, progress) for subject in subjects]
-    for _ in range(ROUNDS if len(subjects) > 1 and shares else 0):
-        subjects, concerned = shared_out(subjects, found)
+    for turn in range(ROUNDS if len(subjects) > 1 and shares else 0):
+        close = close_in(found)
+        if turn == 0 and not settings.changes:
+            frames = owned_in_turn(subjects, found, close, settings, NEAR, visit)
+        else:
+            frames = shared_out([s.frames for s in subjects], found, close)
+        concerned = _exchanged(subjects, frames)
+        subjects = [replace(s, frames=own) for s, own in zip(subjects, frames)]
         if not concerned.any():
             break
         anew = [(tracked(s), t) if c else (t, None) for s, t, c in zip(subjects, found, concerned)]
@@ -93,69 +100,69 @@ def _area(frame: BodyObservation) -> float:
     return float(np.sum((frame.points - frame.origins[frame.sensor]) ** 2))
 
 
-def shared_out(subjects: list[Subject], tracks: list[Tracks]) -> tuple[list[Subject], Bool[np.ndarray, " person"]]:
-    """The subjects with the points near several of them given to whom the nearest limb is, and who has gained or lost
-    enough to be tracked anew."""
-    frames = [list(subject.frames) for subject in subjects]
-    counts = np.zeros(len(subjects), int)  # of frames in which enough points change hands
-    for at in range(len(frames[0])):
+def close_in(tracks: list[Tracks]) -> Bool[np.ndarray, "person frame"]:
+    """In which frames each of some people may be near to another one."""
+    close = np.zeros((len(tracks), len(tracks[0].status)), bool)
+    for at in range(close.shape[1]):
         sure = [k for k, t in enumerate(tracks) if t.status[at] == Status.TRACKED]
         boxes = {k: _box(tracks[k], at) for k in sure}
-        close = [k for k in sure if any(_meet(boxes[k], boxes[j]) for j in sure if j != k)]
-        if len(close) < 2:
-            continue
-        now, moved = _given([f[at] for f in frames], tracks, close, at)
-        for k in close:
-            if moved[k] > MOVED * max(len(frames[k][at].points), 1):
-                counts[k] += 1
-            frames[k][at] = now[k]
-    concerned = counts >= FRAMES
-    return [replace(s, frames=f) for s, f in zip(subjects, frames)], concerned
+        for k in sure:
+            close[k, at] = any(_meet(boxes[k], boxes[j]) for j in sure if j != k)
+    return close
 
 
-def _given(
-    seen: list[BodyObservation], tracks: list[Tracks], close: list[int], at: int
-) -> tuple[list[BodyObservation], Int[np.ndarray, " person"]]:
-    """The frames of all people after those who are close to each other have given points away, and of each how many
-    they have gained or lost."""
-    owner = {}
-    for k in close:
-        points = seen[k].points
-        distance = np.stack([surface_distance(tracks[j], at, points, NEAR) for j in close])
-        distance[close.index(k)] -= CLEARLY
-        best = np.argmin(distance, 0)
-        owner[k] = np.where(np.min(distance, 0) < NEAR, np.array(close)[best], k)
-    out, moved = list(seen), np.zeros(len(seen), int)
-    for k in close:
-        gained = [seen[j].only(owner[j] == k) for j in close if j != k]
-        moved[k] = np.sum(owner[k] != k) + sum(len(g.points) for g in gained)
-        out[k] = joined([seen[k].only(owner[k] == k), *gained]) if moved[k] else seen[k]
-    return out, moved
+def shared_out(
+    frames: list[list[BodyObservation]], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"]
+) -> list[list[BodyObservation]]:
+    """Everybody's frames with the points of those who are `close` to each other given to whom the nearest limb is."""
+    frames = [list(own) for own in frames]
+    for at in np.flatnonzero(np.sum(close, 0) > 1).tolist():
+        who = np.flatnonzero(close[:, at]).tolist()
+        for k, now in zip(who, _given([frames[k][at] for k in who], [tracks[k] for k in who], at)):
+            frames[k][at] = now
+    return frames
+
+
+def _given(seen: list[BodyObservation], tracks: list[Tracks], at: int) -> list[BodyObservation]:
+    """What is seen of some people in a frame after they have given points away."""
+    owner = []
+    for k, own in enumerate(seen):
+        distance = np.stack([surface_distance(other, at, own.points, NEAR) for other in tracks])
+        distance[k] -= CLEARLY
+        owner.append(np.where(np.min(distance, 0) < NEAR, np.argmin(distance, 0), k))
+    everybody = range(len(seen))
+    return [
+        joined([own.only(owner[k] == k), *(seen[j].only(owner[j] == k) for j in everybody if j != k)])
+        for k, own in enumerate(seen)
+    ]
+
+
+def _exchanged(subjects: list[Subject], frames: list[list[BodyObservation]]) -> Bool[np.ndarray, " person"]:
+    """Who has gained or lost enough to be tracked anew. Where nothing changes hands the old frame stays."""
+    concerned = np.zeros(len(subjects), bool)
+    for k, (subject, own) in enumerate(zip(subjects, frames)):
+        count = 0  # of frames in which enough points change hands
+        for at, (before, now) in enumerate(zip(subject.frames, own)):
+            if now is before:
+                continue
+            moved = len(np.setxor1d(_rows(before), _rows(now)))
+            count += moved > MOVED * max(len(before.points), 1)
+            own[at] = now if moved else before
+        concerned[k] = count >= FRAMES
+    return concerned
+
+
+def _rows(frame: BodyObservation) -> np.ndarray:
+    """A frame's points, each as one value."""
+    return np.ascontiguousarray(frame.points, np.float32).view(np.dtype((np.void, 12))).ravel()
 
 
 def surface_distance(
     tracks: Tracks, at: int, points: Float32[np.ndarray, "point 3"], most: float = np.inf
 ) -> Float[np.ndarray, " point"]:
     """How far points are from the surface of somebody's nearest limb in a frame, metres; `most` where it is more."""
-    out = np.full(len(points), min(most, 1e3))
-    low, high = _box(tracks, at)
-    near = np.flatnonzero(np.all((points > low - out[:1].max(initial=0)) & (points < high + out.max(initial=0)), 1))
-    some = points[near]
-    best = out[near]
-    for limb, size in enumerate(np.asarray(tracks.body.sizes, np.float32)):
-        turn, place = tracks.rotation[at, limb], tracks.translation[at, limb]
-        if not np.isfinite(place).all():
-            continue
-        best = np.minimum(best, np.abs(signed_distance(size, _into(turn, some - place))))
-    out[near] = best
-    return out
-
-
-def _into(turn: Float32[np.ndarray, "4"], v: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point 3"]:
-    """Vectors in a limb's frame; `turn` unit quaternion wxyz of the limb."""
-    w, axis = turn[0], turn[1:]
-    twice = 2 * np.cross(-axis, v)
-    return v + w * twice + np.cross(-axis, twice)
+    sizes = np.asarray(tracks.body.sizes, np.float32)
+    return body_distance(sizes, tracks.rotation[at], tracks.translation[at], points, most)
 
 
 def _box(tracks: Tracks, at: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:

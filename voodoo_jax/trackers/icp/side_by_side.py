@@ -1,0 +1,116 @@
+"""Who owns which points while people are close to each other: all are tracked frame by frame together. Host side.
+
+By where points were in the frame before (detect/people.py) an arm that swings in front of somebody becomes theirs, and
+they explain it well enough to keep it. Bodies know better: in each frame every point goes to whose predicted limb is
+nearest, and once these are solved, to whose solved limb is.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from voodoo_jax.config.options import Settings
+from voodoo_jax.geometry.rigid import Poses, on_host
+from voodoo_jax.records.observation import BodyObservation, joined
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS
+from voodoo_jax.records.stretches import stretches
+from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.solve.scan import State, Visit, at_rest, options_from
+from voodoo_jax.trackers.icp.limb_distance import body_distance
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
+
+LEAD = 5  # frames before people are close in which each is tracked alone: until it is known how fast they are; by hand
+
+
+@dataclass
+class Walker:
+    """Somebody who is tracked frame by frame."""
+
+    run: Runner
+    state: State
+    seconds: float = 0.0  # from one frame to the next
+
+    @property
+    def predicted(self) -> Poses:
+        """Poses in the next frame, if all goes on."""
+        state = self.state
+        return Poses(state.poses.rotation, state.poses.translation + np.float32(self.seconds) * state.velocity)
+
+    def distance(self, poses: Poses, points: np.ndarray, most: float) -> np.ndarray:
+        """How far points are from the nearest limb's surface, metres; `most` where it is more."""
+        sizes = np.asarray(self.run.body.sizes, np.float32)
+        return body_distance(sizes, np.asarray(poses.rotation), np.asarray(poses.translation), points, most)
+
+    def solved(self, frame: BodyObservation, at: int) -> State:
+        """The state after a frame with these points."""
+        self.run.people[at] = frame
+        return on_host(self.run.chunk(self.state, at, 1)[0])
+
+
+def owned_in_turn(
+    subjects: list[Subject], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"], settings: Settings,
+    near: float, visit: Visit | None = None,
+) -> list[list[BodyObservation]]:  # fmt: skip
+    """Everybody's frames with the points of those who are `close` to each other given to whom they belong.
+
+    **Arguments:** `tracks` of the subjects so far, of which each stretch begins; `near` metres from somebody's surface
+    beyond which a point stays whose it was.
+    """
+    frames = [list(subject.frames) for subject in subjects]
+    for start, end in stretches(np.sum(close, 0) > 1):
+        who = [k for k in range(len(subjects)) if close[k, start:end].any()]
+        who = [k for k in who if tracks[k].status[start] == Status.TRACKED]
+        lead = max(0, start - LEAD)
+        while lead < start and any(tracks[k].status[lead] != Status.TRACKED for k in who):
+            lead += 1
+        if len(who) < 2:
+            continue
+        walkers = {k: _walker(subjects[k], frames[k], tracks[k], settings, lead, visit) for k in who}
+        for at in range(lead, end):
+            _walk(walkers, frames, at, near if at >= start else None)
+    return frames
+
+
+def _walker(
+    subject: Subject, frames: list[BodyObservation], tracks: Tracks, settings: Settings, at: int, visit: Visit | None
+) -> Walker:
+    """Somebody at rest where they were tracked in a frame."""
+    options = options_from(settings.solve, settings.track, settings.features)
+    # of points alone: whose a named point is another one knows
+    plain = [replace(f, rays=NO_RAYS, pairs=NO_PAIRS) for f in frames]
+    run = Runner(tracks.body, options, plain, subject.scene, settings, visit=visit)
+    return Walker(run, at_rest(Poses(tracks.rotation[at], tracks.translation[at])))
+
+
+def _walk(walkers: dict[int, Walker], frames: list[list[BodyObservation]], at: int, near: float | None) -> None:
+    """One frame further; points change hands where `near` is given. `frames` of everybody, changed in place."""
+    who = list(walkers)
+    own = [frames[k][at] for k in who]
+    everything = joined(own)
+    owner = np.repeat(np.arange(len(who)), [len(f.points) for f in own])
+    for w in walkers.values():
+        w.seconds = (w.run.people[at].time_ns - w.run.people[at - 1].time_ns) / 1e9 if at else 0.0
+    states = {k: w.state for k, w in walkers.items()}
+    for ahead in (True, False) if near is not None else (False,):
+        if near is not None:
+            poses = {k: w.predicted if ahead else states[k].poses for k, w in walkers.items()}
+            owner = _nearest(walkers, poses, everything, owner, near)
+        for j, k in enumerate(who):
+            some = everything.only(owner == j)
+            mine = replace(own[j], points=some.points, sensor=some.sensor, part=some.part, weight=some.weight)
+            if len(mine.points) >= FEW_POINTS:
+                states[k] = walkers[k].solved(replace(mine, rays=NO_RAYS, pairs=NO_PAIRS), at)
+            frames[k][at] = mine
+    for k, w in walkers.items():
+        w.state = states[k]
+
+
+def _nearest(
+    walkers: dict[int, Walker], poses: dict[int, Poses], seen: BodyObservation, owner: Int[np.ndarray, " point"],
+    near: float,
+) -> Int[np.ndarray, " point"]:  # fmt: skip
+    """Whose surface is nearest to each point; whose it was where none is near."""
+    distance = np.stack([w.distance(poses[k], seen.points, near) for k, w in walkers.items()])
+    return np.where(np.min(distance, 0) < near, np.argmin(distance, 0), owner)
