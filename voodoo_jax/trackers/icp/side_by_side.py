@@ -21,8 +21,6 @@ from voodoo_jax.solve.scan import State, Visit, at_rest, options_from
 from voodoo_jax.trackers.icp.limb_distance import body_distance
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
 
-LEAD = 5  # frames before people are close in which each is tracked alone: until it is known how fast they are; by hand
-
 
 @dataclass
 class Walker:
@@ -62,7 +60,8 @@ def owned_in_turn(
     for start, end in stretches(np.sum(close, 0) > 1):
         who = [k for k in range(len(subjects)) if close[k, start:end].any()]
         who = [k for k in who if tracks[k].status[start] == Status.TRACKED]
-        lead = max(0, start - LEAD)
+        # tracked alone before they are close, as long as trials are: until it is known how fast they are
+        lead = max(0, start - settings.start.frames)
         while lead < start and any(tracks[k].status[lead] != Status.TRACKED for k in who):
             lead += 1
         if len(who) < 2:
