@@ -74,8 +74,8 @@ def tracked_anew(run: Runner, poses: Poses, first: int, at: int, end: int) -> Fo
 
 
 # metres in another limb that say nothing (frusta are no flesh), and metres farther in, sum over pairs of limbs, that
-# count as much as costs e times higher; measured: the best of five choices on the 18 recordings and the six of people. At 0.03
-# and 0.05 a deep bow is taken apart.
+# count as much as costs e times higher; measured: the best of five choices on the 18 recordings and the six of people.
+# At 0.03 and 0.05 a deep bow is taken apart.
 FREE_DEPTH, IN_ANOTHER = 0.04, 0.2
 
 
