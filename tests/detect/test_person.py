@@ -79,6 +79,16 @@ def test_the_lower_edge_of_what_is_seen_is_no_floor(rng):
     assert whole.floor_seen and abs(whole.floor.offset) < 0.01
 
 
+def test_a_chest_is_no_floor(rng):
+    """An upper body and nothing else, close by: least squares turn a plane that may be a floor until it stands."""
+    y, z = rng.uniform(-0.22, 0.22, 8000), rng.uniform(0.85, 1.25, 8000)
+    chest = np.stack([0.85 + 0.6 * y**2 + 0.12 * (z - 0.85) + rng.normal(0, 0.004, 8000), y, z], 1)
+    y, z = rng.uniform(-0.08, 0.08, 8000), rng.uniform(1.25, 1.46, 8000)
+    head = np.stack([1.03 - np.sqrt(0.01 - y**2), y, z], 1)
+    scene = find_scene([frame(np.concatenate([chest, head]))], np.array([0, 0, 1], np.float32))
+    assert not scene.floor_seen and scene.floor.normal[2] == 1.0
+
+
 def test_noise_behind_a_wall_is_the_wall_and_the_next_room_is_not(rng):
     wall = Plane(np.array([-1, 0, 0], np.float32), -3.5)
     finder = lambda: BodySegmenter(Scene(FLOOR, (wall,), True), build_of(1.75), DetectSettings())  # noqa: E731

@@ -14,6 +14,7 @@ from voodoo_jax.records.scene import Scene
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
 SLANTED = 0.9  # cosine: a floor that is so far from where it was thought to be is looked for once more
+STEEPEST = 0.77  # cosine: a floor is no farther from where up is thought to be, 40 degrees
 COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
 
@@ -37,7 +38,8 @@ def find_scene(frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bo
     for cloud in clouds if seen is None and len(clouds) > 1 else []:  # where the sensor moves it is no plane in all
         seen = seen or _find_floor(cloud, up, rng)
     if seen is not None and seen.normal @ up < SLANTED:  # what is near it, and not so far from `up`, was preferred
-        seen = _find_floor(points, seen.normal, rng) or seen
+        again = _find_floor(points, seen.normal, rng)
+        seen = again if again is not None and again.normal @ up > STEEPEST else seen
     floor, unknown = (seen, False) if seen else _lowest(points, up, up_is_sure)
     walls: list[Plane] = []
     for frame in free:  # one by one: a person who walks is as wide as a wall over several frames together
@@ -97,8 +99,9 @@ def _find_floor(points, up, rng) -> Plane | None:
         return None
     height = points @ up
     low = points[height < np.percentile(height, 70)]
-    found = fit_plane(low, lambda n: np.abs(n @ up) > 0.77, rng, 0.03)
-    if found is not None:
+    found = fit_plane(low, lambda n: np.abs(n @ up) > STEEPEST, rng, 0.03)
+    # least squares turn the plane that was asked for: a chest that leans back is none in the end
+    if found is not None and np.abs(found[0].normal @ up) > STEEPEST:
         plane, _ = found
         if plane.normal @ up < 0:
             plane = Plane(-plane.normal, -plane.offset)

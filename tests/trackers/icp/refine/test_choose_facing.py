@@ -40,11 +40,14 @@ def turned_round(poses):
     return on_host(compose(Poses(about, (2 * middle).astype(np.float32)), poses))
 
 
-def way(run, first, second, cost: float = 1.0):
+BLIND = ChooseFacing(SETTLE, posture=0.0, doubtful=-np.inf)  # posture tells it nothing
+
+
+def way(run, first, second, cost: float = 1.0, stage=BLIND):
     """What becomes of a start in the first poses with a rival in the second ones that costs so much more."""
     start = StartHypothesis(0, BODY, first, 1.0, rival=StartHypothesis(0, BODY, second, cost))
     settled = refined(run, replace(forwards(run, first, 0, COUNT), start=start), SETTLE)
-    found = ChooseFacing(SETTLE)(run, settled)
+    found = stage(run, settled)
     return found, found.state
 
 
@@ -75,6 +78,13 @@ def test_who_seems_to_go_backwards_is_looked_at_the_other_way_round_though_that_
     assert (error(sim, found).mean() < 0.03) == (nearer > 0)
     found, end = way(run, truth, turned, 1.3)
     assert end is None and error(sim, found).mean() < 0.03
+
+
+def test_whose_posture_is_that_of_one_turned_round_is_looked_at_the_other_way_round(seen):
+    sim, run, truth, turned = seen
+    for first, second, changes in ((turned, truth, True), (truth, turned, False)):
+        found, end = way(run, first, second, 1.3, ChooseFacing(SETTLE))
+        assert (end is not None) == changes and error(sim, found).mean() < 0.03 and (found.facing_odds > 0.1).all()
 
 
 def test_whose_joints_bend_the_wrong_way_is_looked_at_the_other_way_round_though_that_began_worse(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.in_front import error, in_front
 from tests.support.segments import tracked_segment
-from voodoo_jax.geometry.rigid import Poses, on_host
+from voodoo_jax.geometry.rigid import Poses, compose, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
@@ -59,6 +59,19 @@ def test_what_goes_much_farther_than_before_and_after_jumps():
     foot = moving(still)
     foot.translation[5:, BODY.topology.limbs.index("l_foot")] += np.float32(0.4)
     assert MendDiscontinuities().jumps(BODY, foot) == []
+
+
+def test_nobody_is_turned_round_from_one_frame_to_the_next(seen):
+    """Then the other side is carried on though it explains no more; of exchanged legs it is not."""
+    sim, run, good, wrong = seen
+    about, middle = np.array([0, 0, 0, 1], np.float32), np.asarray(sim.translation[0, 0]) * [1, 1, 0]
+    back = compose(Poses(about, (2 * middle).astype(np.float32)), Poses(sim.rotation, sim.translation)[0])
+    turned = forwards(run, on_host(back), 0, COUNT)
+    mend = MendDiscontinuities(better=0.0)
+    found = mend(run, put_together(good, turned, 17))
+    assert error(sim, found).max() < 0.03 and mend.jumps(BODY, found) == []
+    segment = put_together(good, wrong, 17)
+    assert mend(run, segment) is segment
 
 
 @pytest.mark.parametrize("good_first", [True, False])

@@ -1,7 +1,7 @@
 """Which way somebody faces: where a start might as well face the other way, both are tracked. Host side.
 
-Joints that are bent the wrong way tell little where the body fits badly: knees in a skirt, or behind a desk, are bent
-by what is not a leg.
+Costs and joints that are bent the wrong way tell little where the body fits badly: knees in a skirt, or behind a desk,
+are bent by what is not a leg. The posture as a whole tells the more then.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
+from voodoo_jax.model.posture import faces_ahead
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.refine.stage import Stage, refined
 from voodoo_jax.trackers.icp.runner import Runner
@@ -25,8 +26,9 @@ WHILE, STRAIGHT = 0.3, 0.95  # seconds in which who goes ahead turns by no more 
 
 @dataclass(frozen=True)
 class ChooseFacing:
-    """Where the start has a rival that costs hardly more, or the body goes backwards or bends its joints the wrong way,
-    the rival is tracked too, and taken if the odds are clearly for it. Numbers were chosen by hand."""
+    """Where the start has a rival that costs hardly more, or the body goes backwards, bends its joints the wrong way or
+    has the posture of one turned round, the rival is tracked too, and taken if the odds are clearly for it. Numbers
+    were chosen by hand."""
 
     name: ClassVar = "choose_facing"
     looks_ahead: ClassVar = True
@@ -38,7 +40,11 @@ class ChooseFacing:
     # logarithm of the odds that somebody goes ahead, and of those that they do not go backwards: at 0.25 a skirt that
     # walks is turned, at 0.37 a person who walks backwards
     ahead: float = 0.3
-    fits: float = 4.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
+    # logarithm of the odds that posture tells (see model.posture) where one is plainly ahead and the other one turned
+    # round; who has less than this posture is looked at the other way round: all of 15 skirts that were turned have it
+    posture: float = 1.0
+    doubtful: float = 0.0
+    fits: float = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
     clearly: float = 0.1  # logarithm of the odds for the rival, at least, if it is taken
 
     def __call__(self, run: Runner, segment: Followed) -> Followed:
@@ -59,12 +65,12 @@ class ChooseFacing:
         """Whether how a segment goes speaks for the start's rival, though that costs clearly more."""
         assert start.rival is not None
         bends = start.rival.cost < RIVAL * start.cost * np.exp(np.mean(bent(run.body, segment.rotation)) / WRONG_WAY)
-        return bool(bends) or _gone(run, segment) < -self.step
+        return bool(bends) or _gone(run, segment) < -self.step or _posture(run, segment) < self.doubtful
 
     def _odds(self, run: Runner, start: StartHypothesis, segment: Followed, other: Followed) -> float:
         """Logarithm of the odds that a segment faces the right way and not another one, of the start's rival: by the
-        costs of their trials and their own, joints bent the wrong way as far as the body fits, and where the body
-        goes: people walk backwards, but seldom."""
+        costs of their trials and their own and joints bent the wrong way as far as the body fits, by the posture,
+        and by where the body goes: people walk backwards, but seldom."""
         assert start.rival is not None
         # a few frames hardly tell front from back: all of them do
         costs = float(np.mean(segment.cost)), float(np.mean(other.cost))
@@ -72,7 +78,9 @@ class ChooseFacing:
         fit = min(1.0, self.fits * run.settings.start.sure / unexplained)
         bends = float(np.mean(bent(run.body, other.rotation)) - np.mean(bent(run.body, segment.rotation))) / WRONG_WAY
         ahead = self._ahead(_gone(run, segment)) - self._ahead(_gone(run, other))
-        return float(np.log(start.rival.cost / start.cost) + np.log(costs[1] / costs[0])) + fit * bends + ahead
+        stands = self.posture * float(np.nan_to_num(_posture(run, segment) - _posture(run, other))) / 2
+        dearer = float(np.log(start.rival.cost / start.cost) + np.log(costs[1] / costs[0]))
+        return fit * (dearer + bends) + stands + ahead
 
     def _ahead(self, gone: float) -> float:
         return self.ahead * float(np.sign(gone) * np.clip((abs(gone) - self.step) / self.stride, 0, 1))
@@ -80,6 +88,10 @@ class ChooseFacing:
 
 def _with_odds(segment: Followed, odds: float) -> Followed:
     return replace(segment, facing_odds=np.full(len(segment), odds, np.float32))
+
+
+def _posture(run: Runner, segment: Segment) -> float:
+    return faces_ahead(run.body, segment.poses[segment.tracked], run.scene.floor.normal)
 
 
 def _gone(run: Runner, segment: Segment) -> float:

@@ -1,0 +1,47 @@
+"""Who is cut off below, over a floor that nobody sees: head and shoulders tell the size, not how high the head is.
+
+Host side.
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from voodoo_jax.model.body import scaled
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.start.hypothesis import HIDDEN, lowest, trial
+from voodoo_jax.trackers.icp.start.stage import Search
+
+
+@dataclass(frozen=True)
+class CutOffSize:
+    """The best of starts in several sizes, each on a floor so far below the head; unusual ones must explain more.
+    Numbers were chosen by hand, but for the usual stature."""
+
+    name: ClassVar = "cut_off_size"
+    looks_ahead: ClassVar = False
+    needs: ClassVar = frozenset({"points"})
+
+    usual: float = 1.70  # metres and ...
+    spread: float = 0.095  # ... its standard deviation, men and women together (ANSUR II, 2012)
+    sizes: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
+    counts: float = 19.0  # logarithms of the odds for each of a cost, as for facing (confidence.SURELY)
+
+    def __call__(self, run: Runner, search: Search) -> Search:
+        best, scene = search.best, run.scene
+        known = run.sized or run.settings.start.scale > 0 or run.body.scale_name != "stature" or scene.floor_seen
+        if known or lowest(run, run.people[best.frame]) < HIDDEN:
+            return search
+        found = [(best.cost * self._unlikely(float(best.body.scale)), scene, best)]
+        for size in self.usual + self.spread * np.array(self.sizes):
+            deeper = float(size) - float(best.body.scale)
+            run.scene = replace(scene, floor=replace(scene.floor, offset=scene.floor.offset - deeper))
+            tried = trial(run, best.frame, scaled(run.body, float(size)))
+            found.append((tried.cost * self._unlikely(float(size)), run.scene, tried))
+        _, run.scene, best = min(found, key=lambda each: each[0])
+        return search._replace(best=best, found=(best,))
+
+    def _unlikely(self, size: float) -> float:
+        """What a start's cost is multiplied by for its size."""
+        return float(np.exp(((size - self.usual) / self.spread) ** 2 / (2 * self.counts)))
