@@ -33,6 +33,7 @@ VARIANTS: dict[str, dict] = {
     "no skin": dict(skin_weight=0.0),
     "no edges, no colours": dict(edge_weight=0.0, surface_weight=0.0),
     "no gravity": dict(gravity=0.0),
+    "legs that never cross": dict(legs_cross=0.0),
     "no velocity": dict(velocity=0.0),
     "the paper's depth noise": dict(depth_noise=(0.15, 0.5, 1.0)),
     "80 % of the head's motion": dict(follow_level=0.8, follow_up=0.8),
