@@ -18,6 +18,7 @@ from voodoo_jax.trackers.flexible.physics import (
     length,
     relax,
     relax_springs,
+    separate_legs,
     step,
     stiff_trunk,
     verlet,
@@ -110,6 +111,16 @@ def test_a_trunk_does_not_fold_at_the_waist():
     assert span(jax.jit(lambda x: relax(BODY, x, BODY.masses, 6))(folded)) > 0.9 * upright
     kept = jax.jit(lambda x: stiff_trunk(BODY, x, inverse_masses(BODY.masses)))(BODY.rest)
     np.testing.assert_array_equal(kept, BODY.rest)
+
+
+def test_legs_have_room_beside_each_other_and_may_cross_one_before_the_other():
+    inside = BODY.rest.at[jnp.array([14, 15])].set(BODY.rest[jnp.array([11, 12])] + jnp.array([0.03, 0.0, 0.0]))
+    moved = separate_legs(BODY, inside, jnp.ones(16))
+    for left, right, least in ((11, 14, 0.075), (12, 15, 0.058)):
+        assert float(jnp.linalg.norm(moved[left] - moved[right])) == pytest.approx(least * 1.75, abs=1e-3)
+        assert float(moved[left, 1] - moved[right, 1]) > 0.05
+    ahead = BODY.rest.at[jnp.array([14, 15])].set(BODY.rest[jnp.array([11, 12])] + jnp.array([0.3, 0.05, 0.0]))
+    np.testing.assert_array_equal(separate_legs(BODY, ahead, jnp.ones(16)), ahead)
 
 
 def test_points_pull_a_displaced_body_back_and_gradients_pass():

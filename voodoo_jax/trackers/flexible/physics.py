@@ -36,6 +36,9 @@ _KNEE_BACK = 0.02  # metres that a knee may be behind the line from hip to ankle
 # share of the standing distance from the hips' middle to the neck that is left when a person bows: spines bend, hips do
 # the rest. Measured on rendered people (0.915 to 0.95), whose flat bodies else fold at the waist
 _BOWED = 0.92
+# how near the two knees and the two ankles come to each other, shares of stature: measured on 27 recordings of people who
+# stand, walk, run and bow (knees 0.072 and more, ankles 0.053)
+_LEGS_NEAR = np.array([0.075, 0.058], np.float32)
 _OVER = 0.035  # share of the stature that an ankle is above the floor, measured on the built-in body
 _NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # by hand: a kilometre down
 _TINY = 1e-9  # square metres: float32 has no smaller distances here
@@ -219,6 +222,20 @@ def stiff_trunk(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Arra
     return x.at[NECK].add(own * move).at[hips].add(-others * move)
 
 
+def separate_legs(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Array, " 16"]) -> Float[Array, "16 3"]:
+    """Knees and ankles moved apart, along the hips' line, to where two legs have room: else a leg that another one hides
+    is drawn into it. Legs one before the other may cross."""
+    left, right = np.array(LIMBS[2][1:]), np.array(LIMBS[3][1:])
+    d, outward = x[left] - x[right], unit(x[LIMBS[2][0]] - x[LIMBS[3][0]])
+    along = d @ outward
+    across = d - along[:, None] * outward
+    room = (_LEGS_NEAR * body.stature) ** 2 - jnp.sum(across**2, -1)
+    short = jnp.where(room > 0, jnp.maximum(jnp.sqrt(jnp.maximum(room, _TINY)) - along, 0.0), 0.0)
+    one, other = inverse[left], inverse[right]
+    move = (short / jnp.maximum(one + other, 1e-6))[:, None] * outward
+    return x.at[left].add(one[:, None] * move).at[right].add(-other[:, None] * move)
+
+
 # 7 parameters: the body, its state and what acts on it, traced each
 def relax(
     body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], iterations: int | Int[Array, ""],
@@ -235,7 +252,7 @@ def relax(
         x = relax_springs(body, x, inverse)
         if not limits:
             return x
-        x = stiff_trunk(body, x, inverse)
+        x = separate_legs(body, stiff_trunk(body, x, inverse), inverse)
         moved = jax.vmap(limb_limits)(x[LIMBS], inverse[LIMBS], limb_spaces(body, x, apart, floor))
         return x.at[LIMBS.ravel()].set(moved.reshape(12, 3))
 
