@@ -36,8 +36,8 @@ _KNEE_BACK = 0.02  # metres that a knee may be behind the line from hip to ankle
 # share of the standing distance from the hips' middle to the neck that is left when a person bows: spines bend, hips do
 # the rest. Measured on rendered people (0.915 to 0.95), whose flat bodies else fold at the waist
 _BOWED = 0.92
-# how near the two knees and the two ankles come to each other, shares of stature: measured on 27 recordings of people who
-# stand, walk, run and bow (knees 0.072 and more, ankles 0.053)
+# how near the two knees and the two ankles come to each other, shares of stature: measured on 27 recordings of people
+# who stand, walk, run and bow (knees 0.072 and more, ankles 0.053)
 _LEGS_NEAR = np.array([0.075, 0.058], np.float32)
 _OVER = 0.035  # share of the stature that an ankle is above the floor, measured on the built-in body
 _NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # by hand: a kilometre down
@@ -223,8 +223,8 @@ def stiff_trunk(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Arra
 
 
 def separate_legs(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Array, " 16"]) -> Float[Array, "16 3"]:
-    """Knees and ankles moved apart, along the hips' line, to where two legs have room: else a leg that another one hides
-    is drawn into it. Legs one before the other may cross."""
+    """Knees and ankles moved apart, along the hips' line, to where two legs have room: else a leg that another one
+    hides is drawn into it. Legs one before the other may cross."""
     left, right = np.array(LIMBS[2][1:]), np.array(LIMBS[3][1:])
     d, outward = x[left] - x[right], unit(x[LIMBS[2][0]] - x[LIMBS[3][0]])
     along = d @ outward
