@@ -271,6 +271,8 @@ class FlexibleSettings:
     """How fast it falls with how far they are apart (-s in the paper), per metre."""
     legs_apart: float = 0.0
     """Knees and ankles stay so far on their own side of the plane between the legs, as a share of the stature."""
+    legs_cross: float = 0.1
+    """They may cross it by so much instead, as those of people do who walk (the paper: not at all)."""
     learn_frames: int = 8
     """Images in which colours are learnt, then they are frozen."""
     points: int = 384

@@ -64,7 +64,7 @@ def _hecht2009() -> FlexibleSettings:
         edge_weight=12.0, surface_weight=12.0, depth_weight=0.0, points_weight=0.0,  # sec. III-B: two scores
         skin_weight=0.0, seen_length=False, flow=False, restart=0.0, refine=0,
         follow_level=0.8, follow_up=0.8,  # sec. III: 80 %
-        legs_apart=0.02,  # sec. IV-B: a plane that keeps natural cross-overs out
+        legs_apart=0.02, legs_cross=0.0,  # sec. IV-B: a plane that keeps natural cross-overs out
         backwards=False,
     )  # fmt: skip
 

@@ -1,14 +1,15 @@
 """Two passes, there and back in time, become one: their mean where they agree, one of them where they do not."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 import voodoo_jax as vj
 from voodoo_jax.config.options import FlexibleSettings
-from voodoo_jax.trackers.flexible.filters import Seen
+from voodoo_jax.trackers.flexible.filters import Seen, start
 from voodoo_jax.trackers.flexible.flexible_body import OTHER_SIDE, flexible_body
 from voodoo_jax.trackers.flexible.scores import Score
-from voodoo_jax.trackers.flexible.tracker import better, numbers, smoothed, with_the_face
+from voodoo_jax.trackers.flexible.tracker import better, numbers, shape_of, smoothed, with_the_face
 
 FRAMES = 12
 WEIGHING = numbers(FlexibleSettings()).weighing
@@ -67,3 +68,10 @@ def test_smoothing_takes_noise_and_leaves_the_way():
     assert np.std(found - way) < 0.75 * 0.02
     assert np.abs(smoothed(way, (t * 1e9).astype(np.int64)) - way)[3:-3].max() < 0.01
     np.testing.assert_array_equal(smoothed(way[:1], np.zeros(1, np.int64)), way[:1])
+
+
+def test_the_first_chunk_is_the_program_of_all_others():
+    """A state that begins with other types than a frame leaves would be compiled for twice."""
+    body = flexible_body(vj.human(), 1.75)
+    state = start(jax.random.PRNGKey(0), body, body.rest, shape_of(FlexibleSettings()))
+    assert {(a.dtype, a.weak_type) for a in jax.tree.leaves(state)} == {(jnp.dtype(jnp.float32), False)}

@@ -11,7 +11,18 @@ from voodoo_jax.trackers.base import Unsuitable
 from voodoo_jax.trackers.flexible.cylinders import closest
 from voodoo_jax.trackers.flexible.filters import refined
 from voodoo_jax.trackers.flexible.flexible_body import ENDS, LIMBS, SPRINGS, flexible_body, rest_points
-from voodoo_jax.trackers.flexible.physics import energy, frames, length, relax, relax_springs, step, verlet
+from voodoo_jax.trackers.flexible.physics import (
+    energy,
+    frames,
+    inverse_masses,
+    length,
+    relax,
+    relax_springs,
+    separate_legs,
+    step,
+    stiff_trunk,
+    verlet,
+)
 
 GRAVITY = np.array([0.0, 0.0, -9.81], np.float32)
 PULL = jnp.broadcast_to(jnp.asarray(GRAVITY), (16, 3))
@@ -89,6 +100,27 @@ def test_limits_are_kept():
             (np.abs(trunk[:, 0]) < 0.03) & (np.abs(trunk[:, 1]) < 0.08) & (trunk[:, 2] > 0.05) & (trunk[:, 2] < 0.4)
         )
         assert not inside.any()  # no wrist in the torso
+
+
+def test_a_trunk_does_not_fold_at_the_waist():
+    """Hips pushed towards the neck go back to where a bowed spine holds them; the springs alone leave them there."""
+    folded = BODY.rest.at[8:].add(jnp.array([-0.05, 0.0, 0.15]))
+    span = lambda x: float(jnp.linalg.norm(x[1] - (x[10] + x[13]) / 2))  # noqa: E731
+    upright = span(BODY.rest)
+    assert span(folded) < 0.8 * upright
+    assert span(jax.jit(lambda x: relax(BODY, x, BODY.masses, 6))(folded)) > 0.9 * upright
+    kept = jax.jit(lambda x: stiff_trunk(BODY, x, inverse_masses(BODY.masses)))(BODY.rest)
+    np.testing.assert_array_equal(kept, BODY.rest)
+
+
+def test_legs_have_room_beside_each_other_and_may_cross_one_before_the_other():
+    inside = BODY.rest.at[jnp.array([14, 15])].set(BODY.rest[jnp.array([11, 12])] + jnp.array([0.03, 0.0, 0.0]))
+    moved = separate_legs(BODY, inside, jnp.ones(16))
+    for left, right, least in ((11, 14, 0.075), (12, 15, 0.058)):
+        assert float(jnp.linalg.norm(moved[left] - moved[right])) == pytest.approx(least * 1.75, abs=1e-3)
+        assert float(moved[left, 1] - moved[right, 1]) > 0.05
+    ahead = BODY.rest.at[jnp.array([14, 15])].set(BODY.rest[jnp.array([11, 12])] + jnp.array([0.3, 0.05, 0.0]))
+    np.testing.assert_array_equal(separate_legs(BODY, ahead, jnp.ones(16)), ahead)
 
 
 def test_points_pull_a_displaced_body_back_and_gradients_pass():

@@ -78,6 +78,19 @@ def test_it_follows_a_person_and_the_same_seed_gives_the_same_bits(waving):
     assert not np.array_equal(tracks.joints, other.joints)
 
 
+def test_recordings_of_one_batch_are_as_each_alone(waving):
+    """To the last bit, whatever is beside it."""
+    recording, _ = waving
+    settings = Settings(tracker="flexible", flexible=SMALL, detect=DetectSettings(link=0.2))
+    shorter = replace(recording, frames=recording.frames[:10])
+    together = vj.track_many(vj.human(), [recording, shorter], settings, quiet=True)
+    for own, tracks in zip((recording, shorter), together):
+        alone = vj.track(vj.human(), own, settings)
+        for name in ("joints", "joint_confidence", "rotation", "status"):
+            np.testing.assert_array_equal(getattr(tracks, name), getattr(alone, name))
+    assert len(together[1].joints) == 10
+
+
 def test_what_it_cannot_take_is_refused(waving, tmp_path):
     recording, _ = waving
     blind = replace(recording, frames=tuple(replace(f, pictures=()) for f in recording.frames))

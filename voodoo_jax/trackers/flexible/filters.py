@@ -17,12 +17,13 @@ from voodoo_jax.trackers.flexible.image_features import COARSE
 from voodoo_jax.trackers.flexible.physics import (
     LimbSpace,
     frames,
+    inverse_masses,
     length,
     limb_spaces,
     project_limb,
     relax,
-    step,
     unit,
+    verlet,
 )
 from voodoo_jax.trackers.flexible.scores import (
     LimbContext,
@@ -43,6 +44,9 @@ _PROJECTIONS = 3  # sweeps over a particle's constraints: more change little, by
 _DAMPING = 0.6  # share of the dangling body's velocity lost in a frame: it is overwritten by the filters, by hand
 _HOLD = 4.0  # points' worth with which a body point stays where it is in the refinement, by hand
 _PULL = 1.2  # how far it goes where its points pull it, by hand: over one, as springs take some of it back
+_SWEEPS = 3  # relaxations after each pull, by hand
+# in the refinement the head may move, but less than other points: its place is measured, by hand
+_REFINED_MASSES = np.where(np.arange(16) == HEAD, np.float32(3), np.float32(1))
 _REACH = 0.25  # metres, by hand: points farther from the body than this pull nothing
 _NOT_CLOTHES = 0.3  # metres: more than what is told apart by distances, by hand
 _FACE = 0.11  # of the stature: skin so near the head point may be the face's, measured on rendered people
@@ -126,7 +130,9 @@ def start(key: Array, body: FlexibleBody, x: Float[Array, "16 3"], shape: Shape)
     """The state before the first frame, the particles a little around a pose."""
     noise = 0.03 * jax.random.normal(key, (4, shape.particles, 3, 3))
     p = x[LIMBS][:, None] + noise
-    return State(x, x, p, p, jnp.full((4, 3), 0.05), jnp.full((4, 2, 10, 3), 0.5), jnp.zeros((4, 2, 10)))
+    # with the types that a frame's state has: else the second chunk would be a program of its own
+    full = lambda shape, value: jnp.full(shape, value, x.dtype)  # noqa: E731
+    return State(x, x, p, p, full((4, 3), 0.05), full((4, 2, 10, 3), 0.5), full((4, 2, 10), 0.0))
 
 
 @program
@@ -145,9 +151,8 @@ def track_chunk(
 def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, shape: Shape) -> tuple[State, Seen]:
     """One frame: prediction, filters, springs, refinement."""
     view, keys = given.view, jax.random.split(key, 3)
-    x = _moved(body, state, given, n, shape)
-    if shape.refine:  # torso and head first: else limbs are drawn to the points that a bow leaves unexplained
-        x = refined(body, x, given.points, given.share, shape.refine // 2, n.legs_apart, n.floor, given.bare)
+    # torso and head first: else limbs are drawn to the points that a bow leaves unexplained
+    x = settled(body, _moved(body, state, given, n), body.masses, shape.refine // 2, given, n, shape)
     space, context = limb_spaces(body, x, n.legs_apart, n.floor), _context(body, state, x, given, shape)
     origin = state.particles
     ahead = _ahead(keys[0], state, view, n, shape)
@@ -161,11 +166,7 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
         )
     p, origin, mean, spread = _layers(keys[2], ahead, origin, state.spread, space, context, view, n, shape)
     masses = body.masses.at[LIMBS.ravel()].set((n.masses[0] + n.masses[1] * jnp.exp(-n.masses[2] * spread)).ravel())
-    x = relax(
-        body, x.at[LIMBS.ravel()].set(mean.reshape(12, 3)), masses, shape.relaxations, n.legs_apart, True, n.floor
-    )
-    if shape.refine:
-        x = refined(body, x, given.points, given.share, shape.refine, n.legs_apart, n.floor, given.bare)
+    x = settled(body, x.at[LIMBS.ravel()].set(mean.reshape(12, 3)), masses, shape.refine, given, n, shape)
     shift = (x[LIMBS] - mean)[:, None] if shape.refine else jnp.zeros((4, 1, 3, 3))
     sure = jnp.exp(-n.masses[2] * spread)
     rate = given.learn * jnp.stack([sure[:, :2].mean(1), sure[:, 1:].mean(1)], 1)
@@ -174,23 +175,33 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     return after, _seen(body, x, spread, masses, given, context, n)
 
 
-def _moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers, shape: Shape) -> Float[Array, "16 3"]:
-    """The body with its head where it was measured, the rest following, one step of physics later."""
+def _moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers) -> Float[Array, "16 3"]:
+    """The body with its head where it was measured, the rest following, a Verlet step later; not yet relaxed."""
     move = jnp.where(given.head_seen > 0, given.head - state.x[HEAD], 0.0)
     high = jnp.sum(move * given.up) * given.up
     follow = n.follow[0] * (move - high) + n.follow[1] * high
     x = (state.x + follow).at[HEAD].add(move - follow)
-    return step(
-        body,
-        x,
-        state.before + follow,
-        -n.gravity * given.up,
-        given.dt,
-        _DAMPING,
-        shape.relaxations,
-        n.legs_apart,
-        n.floor,
-    )
+    free = inverse_masses(body.masses)[:, None] > 0
+    pull = jnp.broadcast_to(-n.gravity * given.up, x.shape)
+    later = verlet(x, state.before + follow, pull, given.dt, _DAMPING)
+    return jnp.where(free, later, x)
+
+
+# 7 parameters: model, state and measurements, traced each
+def settled(
+    body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], rounds: int, given: Inputs, n: Numbers,
+    shape: Shape,
+) -> Float[Array, "16 3"]:  # fmt: skip
+    """Springs and limits, then `rounds` of the refinement: one loop, so that both are compiled once."""
+
+    def one(number, x):
+        pulls = number > 0
+        move = lambda: pulled(body, x, given.points, given.share, given.bare)  # noqa: E731
+        x = lax.cond(pulls, move, lambda: x) if rounds else x
+        sweeps = jnp.where(pulls, _SWEEPS, shape.relaxations)
+        return relax(body, x, jnp.where(pulls, _REFINED_MASSES, masses), sweeps, n.legs_apart, True, n.floor)
+
+    return lax.fori_loop(0, 1 + rounds, one, x)
 
 
 def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape) -> LimbContext:
@@ -324,23 +335,29 @@ def refined(
     """Points pull the nearest axes and patches until they lie on the surface, then springs and limits hold: in turn.
     Differentiable: which part is nearest is held fixed."""
 
-    farther = 0.0 if bare is None else _clothed(bare)
-
     def one(_, x):
-        found = closest(body, x, points)
-        best = lax.stop_gradient(jnp.argmin(jnp.abs(found.distance) + farther, 1))
-        pick = lambda a: jnp.take_along_axis(a, best.reshape(-1, *[1] * (a.ndim - 1)), 1)[:, 0]  # noqa: E731
-        d, away, weights = pick(found.distance), pick(found.away), pick(found.weights)
-        carriers = found.carriers[best]
-        use = share * (jnp.abs(d) < _REACH) / (1 + (d / 0.08) ** 2)
-        full = jnp.sum(weights[..., None] * jax.nn.one_hot(carriers, 16), 1)  # [point, body point]
-        pull = (full * use[:, None]).T @ (d[:, None] * away)
-        norm = jnp.abs(full * use[:, None]).sum(0)
-        move = _PULL * pull / (norm + _HOLD)[:, None]
-        masses = jnp.where(jnp.arange(16) == HEAD, 3.0, 1.0)
-        return relax(body, x + move, masses, 3, legs_apart, True, floor)
+        moved = pulled(body, x, points, share, bare)
+        return relax(body, moved, jnp.asarray(_REFINED_MASSES), _SWEEPS, legs_apart, True, floor)
 
     return lax.fori_loop(0, rounds, one, x) if rounds else x
+
+
+def pulled(
+    body: FlexibleBody, x: Float[Array, "16 3"], points: Float[Array, "point 3"], share: Float[Array, "point"],
+    bare: Float[Array, "point"] | None = None,
+) -> Float[Array, "16 3"]:  # fmt: skip
+    """The body's points moved to where measured points pull the nearest axes and patches."""
+    found = closest(body, x, points)
+    farther = 0.0 if bare is None else _clothed(bare)
+    best = lax.stop_gradient(jnp.argmin(jnp.abs(found.distance) + farther, 1))
+    pick = lambda a: jnp.take_along_axis(a, best.reshape(-1, *[1] * (a.ndim - 1)), 1)[:, 0]  # noqa: E731
+    d, away, weights = pick(found.distance), pick(found.away), pick(found.weights)
+    carriers = found.carriers[best]
+    use = share * (jnp.abs(d) < _REACH) / (1 + (d / 0.08) ** 2)
+    full = jnp.sum(weights[..., None] * jax.nn.one_hot(carriers, 16), 1)  # [point, body point]
+    pull = (full * use[:, None]).T @ (d[:, None] * away)
+    norm = jnp.abs(full * use[:, None]).sum(0)
+    return x + _PULL * pull / (norm + _HOLD)[:, None]
 
 
 # 7 parameters: model, state and measurements, traced each

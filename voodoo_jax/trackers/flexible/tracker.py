@@ -94,7 +94,7 @@ def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
     return Numbers(
         weighing, f(s.velocity), f(s.depth_share), f(s.depth_noise), f(s.base_noise), f(s.spread_noise),
         f(s.motion_noise), f([s.follow_level, s.follow_up]), f(s.gravity),
-        f([s.mass_base, s.mass_variable, s.mass_falloff]), f(s.legs_apart), f(plane),
+        f([s.mass_base, s.mass_variable, s.mass_falloff]), f(s.legs_apart - s.legs_cross), f(plane),
     )  # fmt: skip
 
 
