@@ -36,6 +36,8 @@ SPEED = 3.0  # metres per second: so fast the body may be where it was not seen 
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
+PLENTY = 1.1  # times the points that a frame may keep: twice as many are thinned before all else; by hand
+BARELY = 1.0  # the same: with fewer, fewer are left out again; by hand
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
@@ -55,6 +57,8 @@ class BodySegmenter:
         self.unseen = self.last_ns = 0
         self.hidden = False  # in part, by somebody else: what seems to be apart from the body, or left by it, may be it
         self.taken = np.zeros(0, int)  # indices of the points taken from the last frame
+        self.thins = False  # whether points may be left out where the body has many more than are kept (detect.points)
+        self._every = 1  # then: of the points one of so many is looked at
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
@@ -98,10 +102,11 @@ class BodySegmenter:
         if tells:
             self.last, self.last_ns, self.unseen = points[index], frame.time_ns, 0
             self._left.clear()
+            self._thin()
         else:
             self.unseen += 1
             if self.unseen > s.forget:
-                self.last = None  # gone: look everywhere again
+                self.last, self._every = None, 1  # gone: look everywhere again
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
@@ -112,7 +117,8 @@ class BodySegmenter:
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
         """Indices of the points that are off floor and walls, not `known` already, and near where the body was; and,
         where it is time to look at the whole room, the points that are farther off."""
-        points, s = frame.points, self.settings
+        every, s = self._every if self.thins and self.last is not None else 1, self.settings
+        points = frame.points if every == 1 else np.asfortranarray(frame.points[::every])
         near = np.ones(len(points), bool)
         survey = False
         if self.last is not None:
@@ -124,14 +130,22 @@ class BodySegmenter:
             survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
         asked = np.arange(len(points)) if survey else np.flatnonzero(near)
         height, _, _, *walls = self._places(points[asked])
-        keep = (height > s.floor_margin) & ~known[asked]
+        keep = (height > s.floor_margin) & ~known[every * asked]
         for distance, wall in zip(walls, self.scene.walls):
             keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
         index = asked[keep]
         if not survey:
-            return index, points[:0]
+            return every * index, points[:0]
         self._surveyed_ns = frame.time_ns
-        return index[near[index]], points[index[~near[index]]]
+        return every * index[near[index]], points[index[~near[index]]]
+
+    def _thin(self) -> None:
+        """Sees to it that the next frame has about as many points on the body as are kept, and somewhat more."""
+        assert self.last is not None
+        if len(self.last) >= 2 * PLENTY * self.settings.points and self.thins:
+            self._every, self.last = 2 * self._every, self.last[::2]
+        elif len(self.last) < BARELY * self.settings.points:
+            self._every = max(1, self._every // 2)
 
     def another(self, settings: DetectSettings) -> "BodySegmenter":
         """One that follows nothing yet, for the same sensors."""

@@ -130,6 +130,7 @@ class Follower:
         """One that goes on from here by itself."""
         other = copy(self)
         other.finder, other.frames = deepcopy(self.finder), []
+        other.finder.thins = False
         return other
 
     def _compare(self, now: Sight) -> None:
@@ -188,6 +189,8 @@ class Chooser:
     def __call__(self, frames: Iterable[Frame]) -> Iterator[BodyObservation]:
         for frame in frames:
             if self._known:
+                # nothing else is compared with it any more; of several sensors one may have few points
+                self.finder.thins = len(frame.origins) == 1
                 yield self.finder(frame)
                 continue
             self._follow(frame)
