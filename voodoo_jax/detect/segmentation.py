@@ -14,7 +14,7 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build, candidate
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.point_cloud import along, fair_share, point_gap, point_spacing, without_strays
+from voodoo_jax.geometry.point_cloud import along, fair_share, one_of, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
@@ -117,8 +117,9 @@ class BodySegmenter:
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
         """Indices of the points that are off floor and walls, not `known` already, and near where the body was; and,
         where it is time to look at the whole room, the points that are farther off."""
-        every, s = self._every if self.thins and self.last is not None else 1, self.settings
-        points = frame.points if every == 1 else np.asfortranarray(frame.points[::every])
+        every, s = self._looked_at(), self.settings
+        some = None if every == 1 else one_of(every, len(frame.points))
+        points = frame.points if some is None else frame.points.T[:, some].T  # by coordinate in memory
         near = np.ones(len(points), bool)
         survey = False
         if self.last is not None:
@@ -130,20 +131,25 @@ class BodySegmenter:
             survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
         asked = np.arange(len(points)) if survey else np.flatnonzero(near)
         height, _, _, *walls = self._places(points[asked])
-        keep = (height > s.floor_margin) & ~known[every * asked]
+        keep = (height > s.floor_margin) & ~(known if some is None else known[some])[asked]
         for distance, wall in zip(walls, self.scene.walls):
             keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
         index = asked[keep]
-        if not survey:
-            return every * index, points[:0]
-        self._surveyed_ns = frame.time_ns
-        return every * index[near[index]], points[index[~near[index]]]
+        distant = points[:0]
+        if survey:
+            self._surveyed_ns = frame.time_ns
+            index, distant = index[near[index]], points[index[~near[index]]]
+        return index if some is None else some[index], distant
+
+    def _looked_at(self) -> int:
+        """Of so many points of a frame one is looked at."""
+        return self._every if self.thins and self.last is not None else 1
 
     def _thin(self) -> None:
         """Sees to it that the next frame has about as many points on the body as are kept, and somewhat more."""
         assert self.last is not None
         if len(self.last) >= 2 * PLENTY * self.settings.points and self.thins:
-            self._every, self.last = 2 * self._every, self.last[::2]
+            self._every, self.last = 2 * self._every, self.last[one_of(2, len(self.last))]
         elif len(self.last) < BARELY * self.settings.points:
             self._every = max(1, self._every // 2)
 
@@ -160,14 +166,14 @@ class BodySegmenter:
 
     def _without_strays(self, frame: BodyObservation, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
-        kept = []
+        kept, every = [], self._looked_at()
         for sensor in np.flatnonzero(np.bincount(frame.sensor[index])).tolist():
             mine = index[frame.sensor[index] == sensor]
             points, origin = frame.points[mine], frame.origins[sensor]
             spacing = self._spacing.get(sensor) or (point_spacing(points, origin) if len(points) > 4 else 0.0)
             if len(points) > 100 and sensor not in self._spacing:
                 self._spacing[sensor], self._gap[sensor] = spacing, point_gap(points, origin)
-            kept.append(mine[without_strays(points, origin, spacing)])
+            kept.append(mine[without_strays(points, origin, spacing * every**0.5)])
         return np.sort(np.concatenate([index[:0], *kept]))
 
     def _of_body(self, frame: BodyObservation) -> Bool[np.ndarray, " point"]:

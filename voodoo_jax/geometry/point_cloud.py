@@ -1,10 +1,15 @@
 """Points of one frame: how dense they are, flying pixels, a fair choice. Host side, NumPy."""
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 ASKED, FEWER = 2000, 300  # points whose nearest neighbours are looked at, and whose neighbours in all directions
+# the golden ratio less 1: shares of its multiples are spread evenly, in every part of a list and from row to row of an
+# image (Knuth 1973, The Art of Computer Programming 3, sec. 6.4)
+GOLDEN = (5**0.5 - 1) / 2
 AROUND = 100  # neighbours of a point among which the nearest in every direction is looked for
 
 
@@ -97,3 +102,15 @@ def fair_share(sensor: Int[np.ndarray, " point"], most: int) -> Int[np.ndarray, 
         room -= min(int(count), share)
     step = [1 if n <= share else int(n) // max(share, 1) + 1 for n in counts]
     return np.sort(np.concatenate([np.flatnonzero(sensor == s)[::k] for s, k in enumerate(step)]))
+
+
+def one_of(every: int, count: int) -> Int[np.ndarray, " kept"]:
+    """Indices of one of so many of `count` points, no two of which are neighbours for long: unlike every fourth one, of
+    an image they are no columns."""
+    found = _one_of(every, 1 << max(count - 1, 1).bit_length())
+    return found[: np.searchsorted(found, count)]
+
+
+@lru_cache(16)
+def _one_of(every: int, count: int) -> Int[np.ndarray, " kept"]:
+    return np.flatnonzero(np.arange(count) * GOLDEN % 1.0 < 1 / every)
