@@ -14,7 +14,7 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build, candidate
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.point_cloud import along, fair_share, one_of, point_gap, point_spacing, without_strays
+from voodoo_jax.geometry.point_cloud import along, fair_share, one_of, picked, point_gap, point_spacing, without_strays
 from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
@@ -119,18 +119,21 @@ class BodySegmenter:
         where it is time to look at the whole room, the points that are farther off."""
         every, s = self._looked_at(), self.settings
         some = None if every == 1 else one_of(every, len(frame.points))
-        points = frame.points if some is None else frame.points.T[:, some].T  # by coordinate in memory
+        points = frame.points if some is None else picked(frame.points, some)
         near = np.ones(len(points), bool)
         survey = False
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here; of its points a share tells the middle
             level = self._axes[1:3]
             x, y = along(level, points, level @ np.median(self.last[::4], 0))
-            near = x * x + y * y < (s.reach * self.body.reach / 1.75 + self._gone_by(frame)) ** 2
+            near = (
+                np.add(np.square(x, out=x), np.square(y, out=y), out=x)
+                < (s.reach * self.body.reach / 1.75 + self._gone_by(frame)) ** 2
+            )
             self._surveyed_ns = frame.time_ns if self._surveyed_ns is None else self._surveyed_ns
             survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
         asked = np.arange(len(points)) if survey else np.flatnonzero(near)
-        height, _, _, *walls = self._places(points[asked])
+        height, _, _, *walls = self._places(picked(points, asked))
         keep = (height > s.floor_margin) & ~(known if some is None else known[some])[asked]
         for distance, wall in zip(walls, self.scene.walls):
             keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)

@@ -80,10 +80,21 @@ def along(
     several cores busy, and has other last digits with each number of them.
     """
     x, y, z = points.T
-    found = np.empty((len(axes), len(points)), np.float32)
-    for (a, b, c), at, out in zip(axes, start, found):
-        np.subtract(a * x + b * y + c * z, at, out=out)
+    found, part = np.empty((len(axes), len(points)), np.float32), np.empty(len(points), np.float32)
+    for (a, b, c), at, out in zip(axes, start, found):  # (a x + b y + c z) - at, without room for each of them
+        np.multiply(x, a, out=out)
+        for k, other in ((b, y), (c, z)):
+            out += np.multiply(other, k, out=part)
+        out -= at
     return found
+
+
+def picked(points: Float32[np.ndarray, "point 3"], index: Int[np.ndarray, " some"]) -> Float32[np.ndarray, "some 3"]:
+    """Some of the points, by coordinate in memory: where they are so already, several times as fast as by rows."""
+    found = np.empty((3, len(index)), np.float32)
+    for coordinate, out in zip(points.T, found):
+        np.take(coordinate, index, out=out)
+    return found.T
 
 
 def fair_share(sensor: Int[np.ndarray, " point"], most: int) -> Int[np.ndarray, " kept"]:
