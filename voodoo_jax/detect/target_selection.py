@@ -15,6 +15,7 @@ from jaxtyping import Float32, Int
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.segmentation import BodySegmenter, near_taken
+from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.geometry.voxels import Cells, cells_of, touching
@@ -169,7 +170,7 @@ class Chooser:
     """
 
     def __init__(self, scene: Scene, body: Build, settings: DetectSettings, ahead: bool = True):
-        self.settings, self.ahead = settings, ahead
+        self.settings, self.ahead, self.stillness = settings, ahead, Stillness()
         self._main = Follower(BodySegmenter(scene, body, settings))
         self._others: list[Follower] = []
         self._known = False
