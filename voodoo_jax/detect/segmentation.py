@@ -14,7 +14,15 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build, candidate
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.point_cloud import along, fair_share, one_of, picked, point_gap, point_spacing, without_strays
+from voodoo_jax.geometry.point_cloud import (
+    along,
+    even_share,
+    fair_share,
+    picked,
+    point_gap,
+    point_spacing,
+    without_strays,
+)
 from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
@@ -36,8 +44,8 @@ SPEED = 3.0  # metres per second: so fast the body may be where it was not seen 
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
-PLENTY = 1.1  # times the points that a frame may keep: twice as many are thinned before all else; by hand
-BARELY = 1.0  # the same: with fewer, fewer are left out again; by hand
+PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
+STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
@@ -58,7 +66,7 @@ class BodySegmenter:
         self.hidden = False  # in part, by somebody else: what seems to be apart from the body, or left by it, may be it
         self.taken = np.zeros(0, int)  # indices of the points taken from the last frame
         self.thins = False  # whether points may be left out where the body has many more than are kept (detect.points)
-        self._every = 1  # then: of the points one of so many is looked at
+        self._steps = 0  # then: by so many the share of them is less that is looked at
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
@@ -106,7 +114,7 @@ class BodySegmenter:
         else:
             self.unseen += 1
             if self.unseen > s.forget:
-                self.last, self._every = None, 1  # gone: look everywhere again
+                self.last, self._steps = None, 0  # gone: look everywhere again
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
@@ -117,8 +125,8 @@ class BodySegmenter:
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
         """Indices of the points that are off floor and walls, not `known` already, and near where the body was; and,
         where it is time to look at the whole room, the points that are farther off."""
-        every, s = self._looked_at(), self.settings
-        some = None if every == 1 else one_of(every, len(frame.points))
+        share, s = self._looked_at(), self.settings
+        some = None if share == 1 else even_share(share, len(frame.points))
         points = frame.points if some is None else picked(frame.points, some)
         near = np.ones(len(points), bool)
         survey = False
@@ -144,17 +152,21 @@ class BodySegmenter:
             index, distant = index[near[index]], points[index[~near[index]]]
         return index if some is None else some[index], distant
 
-    def _looked_at(self) -> int:
-        """Of so many points of a frame one is looked at."""
-        return self._every if self.thins and self.last is not None else 1
+    def _looked_at(self) -> float:
+        """The share of a frame's points that is looked at."""
+        return STEP**self._steps if self.thins and self.last is not None else 1.0
 
     def _thin(self) -> None:
-        """Sees to it that the next frame has about as many points on the body as are kept, and somewhat more."""
+        """Sees to it that the next frame has about as many points on the body as are kept, or somewhat more."""
         assert self.last is not None
-        if len(self.last) >= 2 * PLENTY * self.settings.points and self.thins:
-            self._every, self.last = 2 * self._every, self.last[one_of(2, len(self.last))]
-        elif len(self.last) < BARELY * self.settings.points:
-            self._every = max(1, self._every // 2)
+        count, kept = len(self.last), self.settings.points
+        if self.thins and count >= (ENOUGH if self._steps else PLENTY) * kept:
+            steps = 1
+            while count * STEP**steps >= ENOUGH * kept:
+                steps += 1
+            self._steps, self.last = self._steps + steps, self.last[even_share(STEP**steps, count)]
+        elif count < kept:
+            self._steps = max(0, self._steps - 1)
 
     def another(self, settings: DetectSettings) -> "BodySegmenter":
         """One that follows nothing yet, for the same sensors."""
@@ -169,14 +181,14 @@ class BodySegmenter:
 
     def _without_strays(self, frame: BodyObservation, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
-        kept, every = [], self._looked_at()
+        kept, wider = [], self._looked_at() ** -0.5
         for sensor in np.flatnonzero(np.bincount(frame.sensor[index])).tolist():
             mine = index[frame.sensor[index] == sensor]
             points, origin = frame.points[mine], frame.origins[sensor]
             spacing = self._spacing.get(sensor) or (point_spacing(points, origin) if len(points) > 4 else 0.0)
             if len(points) > 100 and sensor not in self._spacing:
                 self._spacing[sensor], self._gap[sensor] = spacing, point_gap(points, origin)
-            kept.append(mine[without_strays(points, origin, spacing * every**0.5)])
+            kept.append(mine[without_strays(points, origin, spacing * wider)])
         return np.sort(np.concatenate([index[:0], *kept]))
 
     def _of_body(self, frame: BodyObservation) -> Bool[np.ndarray, " point"]:

@@ -115,13 +115,12 @@ def fair_share(sensor: Int[np.ndarray, " point"], most: int) -> Int[np.ndarray, 
     return np.sort(np.concatenate([np.flatnonzero(sensor == s)[::k] for s, k in enumerate(step)]))
 
 
-def one_of(every: int, count: int) -> Int[np.ndarray, " kept"]:
-    """Indices of one of so many of `count` points, no two of which are neighbours for long: unlike every fourth one, of
-    an image they are no columns."""
-    found = _one_of(every, 1 << max(count - 1, 1).bit_length())
+def even_share(share: float, count: int) -> Int[np.ndarray, " kept"]:
+    """Indices of a share of `count` points, spread evenly: unlike every fourth one, of an image they are no columns."""
+    found = _even_share(share, 1 << max(count - 1, 1).bit_length())
     return found[: np.searchsorted(found, count)]
 
 
 @lru_cache(16)
-def _one_of(every: int, count: int) -> Int[np.ndarray, " kept"]:
-    return np.flatnonzero(np.arange(count) * GOLDEN % 1.0 < 1 / every)
+def _even_share(share: float, count: int) -> Int[np.ndarray, " kept"]:
+    return np.flatnonzero(np.arange(count) * GOLDEN % 1.0 < share)
