@@ -17,10 +17,11 @@ import pytest
 
 from tests.support.helpers import wait_for
 from tests.support.small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
+from voodoo_jax.batch.cores import own_cores
 from voodoo_jax.batch.log_job import Job
 from voodoo_jax.batch.process_pool import default_workers, in_workers, usable_cores
 from voodoo_jax.batch.replay import Outcome, replay
-from voodoo_jax.batch.worker_start import can_copy
+from voodoo_jax.batch.worker_start import can_copy, environment
 from voodoo_jax.cli.main import main
 
 FRAMES = {"a": 12, "b": 5, "c": 33, "d": 20}
@@ -405,6 +406,14 @@ def test_cores_are_counted(monkeypatch):
     )
     assert default_workers(1000) == 1
     assert 1 <= usable_cores() <= (os.cpu_count() or 1)
+    # a worker has its share, of which XLA takes one
+    share = environment(1)
+    assert set(share.values()) == {"1", share["XLA_PYTHON_CLIENT_PREALLOCATE"]} and environment(3)["PJRT_NPROC"] == "1"
+    monkeypatch.setenv("OMP_NUM_THREADS", share["OMP_NUM_THREADS"])
+    assert own_cores() == 1
+    for told in ("", "1000", "many"):
+        monkeypatch.setenv("OMP_NUM_THREADS", told)
+        assert own_cores() == usable_cores()
 
 
 @pytest.mark.parametrize(

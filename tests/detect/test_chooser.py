@@ -68,6 +68,23 @@ def test_who_comes_in_late_was_nowhere_before():
     assert not any(map(len, got[:30])) and all(map(of_person, got[36:]))
 
 
+def test_a_body_of_many_more_points_than_are_kept_is_thinned_before_all_else():
+    """Once it is known, and down to somewhat more than are kept."""
+    clouds = [figure(3.0, -0.2 + 0.04 * i) for i in range(40)]
+    some, many = replace(SETTINGS, points=450), replace(SETTINGS, points=8000)
+    single = [frame(c, i) for i, c in enumerate(clouds)]
+    # of two sensors one may see little
+    double = [replace(f, origins=np.repeat(f.origins, 2, 0)) for f in single]
+    every, one, two = (
+        [f.points for f in Chooser(SCENE, build_of(1.75), s)(frames)]
+        for s, frames in ((many, single), (some, single), (some, double))
+    )
+    assert len(every[-1]) > 4 * some.points  # else this tells nothing
+    assert some.points <= len(one[-1]) < 1.6 * some.points and len(one[0]) == len(every[0])
+    assert {tuple(p) for p in one[-1].tolist()} <= {tuple(p) for p in every[-1].tolist()}
+    assert list(map(len, two)) == list(map(len, every))
+
+
 def test_nobody_moves():
     """The likeliest is taken, as if nothing else were there; frames come out before the log ends."""
     clouds = [np.concatenate([COATS, figure(3.0, 0.6, 1.6)])] * (HELD + 5)

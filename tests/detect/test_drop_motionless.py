@@ -9,7 +9,7 @@ import pytest
 from tests.support.rooms import FLOOR
 from tests.support.still_things import block, sway, watched
 from voodoo_jax.detect.drop_motionless import NOTE, DropMotionless
-from voodoo_jax.detect.stillness import directions
+from voodoo_jax.detect.stillness import Stillness, directions
 from voodoo_jax.records.scene import Scene
 
 STAGE = DropMotionless()
@@ -17,7 +17,7 @@ STAGE = DropMotionless()
 
 def dropped(frames) -> tuple[bool, tuple[str, ...]]:
     """Whether nothing is left, and what is said."""
-    target = SimpleNamespace(finder=SimpleNamespace(scene=Scene(FLOOR, (), True)), settings=None)
+    target = SimpleNamespace(finder=SimpleNamespace(scene=Scene(FLOOR, (), True)), settings=None, stillness=Stillness())
     left = list(STAGE(iter(frames), target))
     assert len(left) == len(frames) and [f.time_ns for f in left] == [f.time_ns for f in frames]
     return not any(len(f.points) for f in left), target.finder.scene.notes
@@ -45,3 +45,11 @@ def test_nothing_is_decided_in_a_moment_or_by_a_sensor_that_moves(rng):
     assert not dropped([replace(f, T_fixed_steady=np.eye(4)) for f in frames])[0]
     assert not dropped([replace(f, part=np.zeros(len(f.points), np.int32), parts=("body",)) for f in frames])[0]
     assert dropped(frames)[0]
+
+
+def test_what_moves_is_found_once_for_the_same_frames(rng):
+    frames, one, other = watched(rng, [(block(0.45, 0.1, 1.75), sway(0.006))]), Stillness(), Stillness()
+    first = one.directions(frames)
+    assert one.directions(list(frames)) is first
+    assert other.directions(frames) is not first and one.directions(frames[1:]) is not first
+    np.testing.assert_array_equal(other.directions(frames).ratio, first.ratio)

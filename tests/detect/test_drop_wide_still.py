@@ -8,10 +8,11 @@ import pytest
 from tests.support.rooms import FLOOR
 from tests.support.still_things import block, sway, table, watched
 from voodoo_jax.detect.drop_wide_still import DropWideStill
+from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.records.scene import Scene
 
 PERSON = block(0.45, 0.76, 1.75)
-TARGET = SimpleNamespace(finder=SimpleNamespace(scene=Scene(FLOOR, (), True)), settings=None)
+TARGET = SimpleNamespace(finder=SimpleNamespace(scene=Scene(FLOOR, (), True)), settings=None, stillness=Stillness())
 
 
 def left(frames) -> np.ndarray:

@@ -13,6 +13,8 @@ RIM = ("mcap", "trimesh", "matplotlib", "rosbags", "foxglove_schemas_protobuf", 
     [
         (("kernels.correspondences", "kernels.gauss_newton", "solve.frame", "solve.scan"), RIM),
         (("records.recording", "config.options", "detect.segmentation"), (*RIM, "jax")),
+        # what every replay begins with
+        (("batch.log_job", "exporters.foxglove", "exporters.npz"), ("trimesh", "matplotlib", "scipy.optimize")),
     ],
 )
 def test_imports(modules, forbidden):

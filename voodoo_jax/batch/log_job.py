@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from voodoo_jax.batch.cores import own_cores
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.config.options import Settings, SettingsError
@@ -23,6 +24,7 @@ from voodoo_jax.storage.atomic import check_writable
 from voodoo_jax.storage.troubles import NotWritten
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, is_url, joined, log_name, opened, person_place, removed
 
+AHEAD = 4  # frames that are read while the ones before are looked at; by hand
 Progress = Callable[[float], None]  # called with the share that is done, 0..1
 Visit = Callable[..., Any]  # solve.scan.Visit, which takes long to import
 
@@ -71,6 +73,7 @@ def track_log(
     seconds if that is not 0; Unsuitable."""
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of
+    from voodoo_jax.io.ahead import ahead
     from voodoo_jax.io.container import LogError
     from voodoo_jax.trackers.base import source_of_log, tracker_of
 
@@ -92,7 +95,8 @@ def track_log(
             progress(min(1.0, done / total))
 
     def counted() -> Iterable:
-        for frame in log.frames():
+        # several workers share the cores already
+        for frame in ahead(log.frames(), AHEAD) if own_cores() > 1 else log.frames():
             more(1)
             yield frame
 

@@ -5,7 +5,6 @@ threads would have to take turns at, and two threads that run large programs at 
 can wait for each other for ever (seen with jax 0.10.2 on two cores). A worker that dies takes one log with it.
 """
 
-import os
 import pickle
 import signal
 import threading
@@ -18,6 +17,7 @@ from typing import Any
 
 import jax
 
+from voodoo_jax.batch.cores import text_of, usable_cores
 from voodoo_jax.batch.log_job import Job, do_job, out_of_time, output_places, remove_partials
 from voodoo_jax.batch.outcome import Outcome
 from voodoo_jax.batch.worker_start import Process, all_started, started
@@ -28,20 +28,11 @@ GRACE = 5.0  # seconds beyond its time in which a worker may give a log up by it
 WORKER_BYTES = 3 << 29  # what a worker may need: 1.5 GiB
 
 
-def usable_cores() -> int:
-    """Physical cores that this process may use: affinity and the container's quota are heeded."""
-    cpus = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
-    siblings = {_text(f"/sys/devices/system/cpu/cpu{n}/topology/thread_siblings_list") or str(n) for n in cpus}
-    quota = (_text("/sys/fs/cgroup/cpu.max") or "max 1").split()
-    most = int(quota[0]) // int(quota[1]) if quota[0].isdigit() else len(siblings)
-    return max(1, min(len(siblings), most))
-
-
 def default_workers(logs: int) -> int:
     """As many workers as there are logs, cores, and memory for; one where jax computes on a GPU."""
     if may_have_gpu() and jax.default_backend() != "cpu":
         return 1
-    lines = (_text("/proc/meminfo") or "").splitlines()
+    lines = (text_of("/proc/meminfo") or "").splitlines()
     free = next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), 1 << 60)
     return max(1, min(logs, usable_cores(), free // WORKER_BYTES))
 
@@ -49,13 +40,6 @@ def default_workers(logs: int) -> int:
 def may_have_gpu() -> bool:
     """Whether jax's device is worth asking for: that opens it, and a process with an open one cannot be copied."""
     return bool(find_spec("jax_plugins") or find_spec("libtpu") or entry_points(group="jax_plugins"))
-
-
-def _text(path: str) -> str:
-    try:
-        return Path(path).read_text().strip()
-    except OSError:
-        return ""
 
 
 def in_process(jobs: list[Job], report: Report) -> Results:

@@ -72,7 +72,8 @@ class DetectSettings:
     reach: float = 1.0
     """Things farther than this from where the body was are dropped, metres; grows with the body's size."""
     points: int = 1024
-    """Points per frame given to the tracker: a random choice where there are more."""
+    """Points per frame given to the tracker: a random choice where there are more. Where one person is followed by one
+    sensor that sees twice as many on them, only an even share of a frame's points is looked at from the start."""
     noise: float = 0.03
     """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
     skip: tuple[str, ...] = ()

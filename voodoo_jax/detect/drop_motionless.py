@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from voodoo_jax.detect.stage import Target, by_windows
-from voodoo_jax.detect.stillness import directions, moves, seen_long
+from voodoo_jax.detect.stillness import Stillness, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
 NOTE = (
@@ -34,7 +34,7 @@ class DropMotionless:
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            if not self.is_thing(window):
+            if not self.is_thing(window, target.stillness):
                 return window
             scene = target.finder.scene
             if NOTE not in scene.notes:
@@ -43,9 +43,9 @@ class DropMotionless:
 
         return by_windows(frames, change)
 
-    def is_thing(self, frames: list[BodyObservation]) -> bool:
+    def is_thing(self, frames: list[BodyObservation], stillness: Stillness) -> bool:
         """Whether what is seen never moves; False where too little is seen to tell."""
         if not seen_long(frames, self.frames, self.seconds):
             return False
-        found = moves(directions(frames), self.often)
+        found = moves(stillness.directions(frames), self.often)
         return len(found) >= self.fewest and bool(found.mean() < self.moving)

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.detect.stage import Target, by_windows
-from voodoo_jax.detect.stillness import NOISE, Directions, directions, moves, seen_long
+from voodoo_jax.detect.stillness import NOISE, Directions, Stillness, moves, seen_long
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components
 from voodoo_jax.records.observation import BodyObservation
@@ -50,13 +50,13 @@ class DropWideStill:
     margin: float = 0.15  # metres beyond its outline: its edges are seen in part, and together with others
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        return by_windows(frames, lambda window: self.without(window, target.finder.scene.floor))
+        return by_windows(frames, lambda window: self.without(window, target.finder.scene.floor, target.stillness))
 
-    def without(self, frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
+    def without(self, frames: list[BodyObservation], floor: Plane, stillness: Stillness) -> list[BodyObservation]:
         """The frames without such things; the same frames if there are none."""
         if not seen_long(frames, self.frames, self.seconds):
             return frames
-        found = directions(frames)
+        found = stillness.directions(frames)
         moving = moves(found, self.often)
         if not len(moving) or moving.mean() < self.moving:
             return frames

@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
+from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.detect.target_selection import LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.voxels import cells_of, touching
@@ -125,6 +126,7 @@ class Observed:
     settings: DetectSettings
     early: list[BodyObservation]  # the first frames, which need no correction any more
     frames: list[BodyObservation]  # the others
+    stillness: Stillness = field(default_factory=Stillness)
 
     @property
     def scene(self) -> Scene:

@@ -14,7 +14,15 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build, candidate
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.point_cloud import along, fair_share, point_gap, point_spacing, without_strays
+from voodoo_jax.geometry.point_cloud import (
+    along,
+    even_share,
+    fair_share,
+    picked,
+    point_gap,
+    point_spacing,
+    without_strays,
+)
 from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
@@ -36,6 +44,8 @@ SPEED = 3.0  # metres per second: so fast the body may be where it was not seen 
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
+PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
+STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
@@ -55,6 +65,8 @@ class BodySegmenter:
         self.unseen = self.last_ns = 0
         self.hidden = False  # in part, by somebody else: what seems to be apart from the body, or left by it, may be it
         self.taken = np.zeros(0, int)  # indices of the points taken from the last frame
+        self.thins = False  # whether points may be left out where the body has many more than are kept (detect.points)
+        self._steps = 0  # then: by so many the share of them is less that is looked at
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
@@ -98,10 +110,11 @@ class BodySegmenter:
         if tells:
             self.last, self.last_ns, self.unseen = points[index], frame.time_ns, 0
             self._left.clear()
+            self._thin()
         else:
             self.unseen += 1
             if self.unseen > s.forget:
-                self.last = None  # gone: look everywhere again
+                self.last, self._steps = None, 0  # gone: look everywhere again
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
@@ -112,26 +125,48 @@ class BodySegmenter:
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
         """Indices of the points that are off floor and walls, not `known` already, and near where the body was; and,
         where it is time to look at the whole room, the points that are farther off."""
-        points, s = frame.points, self.settings
+        share, s = self._looked_at(), self.settings
+        some = None if share == 1 else even_share(share, len(frame.points))
+        points = frame.points if some is None else picked(frame.points, some)
         near = np.ones(len(points), bool)
         survey = False
         if self.last is not None:
             # flat distance only: somebody who sits down or jumps is still here; of its points a share tells the middle
             level = self._axes[1:3]
             x, y = along(level, points, level @ np.median(self.last[::4], 0))
-            near = x * x + y * y < (s.reach * self.body.reach / 1.75 + self._gone_by(frame)) ** 2
+            near = (
+                np.add(np.square(x, out=x), np.square(y, out=y), out=x)
+                < (s.reach * self.body.reach / 1.75 + self._gone_by(frame)) ** 2
+            )
             self._surveyed_ns = frame.time_ns if self._surveyed_ns is None else self._surveyed_ns
             survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
         asked = np.arange(len(points)) if survey else np.flatnonzero(near)
-        height, _, _, *walls = self._places(points[asked])
-        keep = (height > s.floor_margin) & ~known[asked]
+        height, _, _, *walls = self._places(picked(points, asked))
+        keep = (height > s.floor_margin) & ~(known if some is None else known[some])[asked]
         for distance, wall in zip(walls, self.scene.walls):
             keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
         index = asked[keep]
-        if not survey:
-            return index, points[:0]
-        self._surveyed_ns = frame.time_ns
-        return index[near[index]], points[index[~near[index]]]
+        distant = points[:0]
+        if survey:
+            self._surveyed_ns = frame.time_ns
+            index, distant = index[near[index]], points[index[~near[index]]]
+        return index if some is None else some[index], distant
+
+    def _looked_at(self) -> float:
+        """The share of a frame's points that is looked at."""
+        return STEP**self._steps if self.thins and self.last is not None else 1.0
+
+    def _thin(self) -> None:
+        """Sees to it that the next frame has about as many points on the body as are kept, or somewhat more."""
+        assert self.last is not None
+        count, kept = len(self.last), self.settings.points
+        if self.thins and count >= (ENOUGH if self._steps else PLENTY) * kept:
+            steps = 1
+            while count * STEP**steps >= ENOUGH * kept:
+                steps += 1
+            self._steps, self.last = self._steps + steps, self.last[even_share(STEP**steps, count)]
+        elif count < kept:
+            self._steps = max(0, self._steps - 1)
 
     def another(self, settings: DetectSettings) -> "BodySegmenter":
         """One that follows nothing yet, for the same sensors."""
@@ -146,14 +181,14 @@ class BodySegmenter:
 
     def _without_strays(self, frame: BodyObservation, index: np.ndarray) -> np.ndarray:
         """The indices without those of flying pixels: each sensor's points are compared among themselves."""
-        kept = []
+        kept, wider = [], self._looked_at() ** -0.5
         for sensor in np.flatnonzero(np.bincount(frame.sensor[index])).tolist():
             mine = index[frame.sensor[index] == sensor]
             points, origin = frame.points[mine], frame.origins[sensor]
             spacing = self._spacing.get(sensor) or (point_spacing(points, origin) if len(points) > 4 else 0.0)
             if len(points) > 100 and sensor not in self._spacing:
                 self._spacing[sensor], self._gap[sensor] = spacing, point_gap(points, origin)
-            kept.append(mine[without_strays(points, origin, spacing)])
+            kept.append(mine[without_strays(points, origin, spacing * wider)])
         return np.sort(np.concatenate([index[:0], *kept]))
 
     def _of_body(self, frame: BodyObservation) -> Bool[np.ndarray, " point"]:

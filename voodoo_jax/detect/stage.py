@@ -15,6 +15,7 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.camera_motion import Planes, steady_scene
 from voodoo_jax.detect.segmentation import BodySegmenter
+from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -55,6 +56,8 @@ class Target(Protocol):
     def finder(self) -> BodySegmenter: ...
     @property
     def settings(self) -> DetectSettings: ...
+    @property
+    def stillness(self) -> Stillness: ...
 
 
 @runtime_checkable

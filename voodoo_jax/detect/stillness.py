@@ -40,22 +40,25 @@ def seen_long(frames: Sequence[BodyObservation], count: int, seconds: float) -> 
     return not moved and not any(assigned(f).any() for f in there)
 
 
-_last: tuple[list[ref[BodyObservation]], Directions] | None = None  # of which frames, and what was found
+class Stillness:
+    """What moves in the frames of one recording: found once where one stage after the other asks for the same frames,
+    and kept no longer than they are."""
+
+    def __init__(self):
+        self._last: tuple[list[ref[BodyObservation]], Directions] | None = None  # of which frames, and what was found
+
+    def directions(self, frames: Sequence[BodyObservation]) -> Directions:
+        """As `directions`, or what it found when it was last asked for these frames."""
+        known = self._last
+        if known is not None and len(known[0]) == len(frames) and all(a() is b for a, b in zip(known[0], frames)):
+            return known[1]
+        found = directions(frames)
+        self._last = [ref(frame) for frame in frames], found
+        return found
 
 
 def directions(frames: Sequence[BodyObservation]) -> Directions:
-    """The directions of all points, and how their distances change. Found once where one stage after the other asks for
-    the same frames."""
-    global _last
-    known = _last
-    if known is not None and len(known[0]) == len(frames) and all(a() is b for a, b in zip(known[0], frames)):
-        return known[1]
-    found = _directions(frames)
-    _last = [ref(frame) for frame in frames], found
-    return found
-
-
-def _directions(frames: Sequence[BodyObservation]) -> Directions:
+    """The directions of all points, and how their distances change."""
     sizes = [len(f.points) for f in frames]
     every = np.concatenate([f.points - f.origins[f.sensor] for f in frames]).astype(float)
     names, which = numbered(_direction(every, np.concatenate([f.sensor for f in frames])))

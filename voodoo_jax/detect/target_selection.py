@@ -15,6 +15,7 @@ from jaxtyping import Float32, Int
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.segmentation import BodySegmenter, near_taken
+from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.geometry.voxels import Cells, cells_of, touching
@@ -130,6 +131,7 @@ class Follower:
         """One that goes on from here by itself."""
         other = copy(self)
         other.finder, other.frames = deepcopy(self.finder), []
+        other.finder.thins = False
         return other
 
     def _compare(self, now: Sight) -> None:
@@ -168,7 +170,7 @@ class Chooser:
     """
 
     def __init__(self, scene: Scene, body: Build, settings: DetectSettings, ahead: bool = True):
-        self.settings, self.ahead = settings, ahead
+        self.settings, self.ahead, self.stillness = settings, ahead, Stillness()
         self._main = Follower(BodySegmenter(scene, body, settings))
         self._others: list[Follower] = []
         self._known = False
@@ -188,6 +190,8 @@ class Chooser:
     def __call__(self, frames: Iterable[Frame]) -> Iterator[BodyObservation]:
         for frame in frames:
             if self._known:
+                # nothing else is compared with it any more; of several sensors one may have few points
+                self.finder.thins = len(frame.origins) == 1
                 yield self.finder(frame)
                 continue
             self._follow(frame)

@@ -224,6 +224,7 @@ class LogReader:
         Raises LogError if not one message can be used.
         """
         scan, decoder = self._scan, Decoder()
+        scan.log.clock.restart()  # it goes by this thread, which may be another one than before
         self._counted = Counter()
         sensor_of = {name: i for i, name in enumerate(self.sensors)}
         homes, wanted_count = self._homes()

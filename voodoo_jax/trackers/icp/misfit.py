@@ -70,7 +70,8 @@ def _beside(
     frame = np.repeat(np.arange(len(clouds)), [len(f.points[_few(f)]) for f in clouds])
     nearest, limb = np.full(len(points), np.inf), np.zeros(len(points), int)
     for k, size in enumerate(np.asarray(sizes, float)):
-        local = rotations(rotation[frame, k]).inv().apply(points - translation[frame, k])
+        turn = rotations(rotation[:, k]).inv().as_matrix()[frame]  # made frame by frame: points are many more
+        local = np.einsum("nij,nj->ni", turn, points - translation[frame, k])
         off = np.abs(signed_distance(size, local))
         closer = off < nearest
         nearest[closer], limb[closer] = off[closer], k

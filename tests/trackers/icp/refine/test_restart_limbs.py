@@ -9,6 +9,7 @@ from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
@@ -51,6 +52,19 @@ def test_long_trouble_is_looked_at_in_parts():
     found = doubted(people, cost)
     assert len(found) >= 3 and max(end - start for start, end in found) == RestartLimbs.longest
     assert [b for _, b in found[:-1]] == [a for a, _ in found[1:]]
+
+
+def test_frames_that_cost_no_more_than_their_noise_are_plain_where_both_passes_agree():
+    people, segment = frames([0.02] * 60), Segment.blank(60, 3)
+    segment.cost[:], segment.passes_apart[:] = 0.018**2, 0.02
+    segment.cost[20:40] = 0.025**2
+    assert RestartLimbs().plain(people, segment).tolist() == [not 18 <= k < 42 for k in range(60)]
+    segment.passes_apart[50, 1] = 0.3  # one limb is elsewhere in the other pass
+    segment.passes_apart[55] = np.nan  # there was no other pass
+    assert np.flatnonzero(~RestartLimbs().plain(people, segment)).tolist() == [*range(18, 42), 50, 55]
+    assert not RestartLimbs().plain(frames([0.0] * 60), segment).any()  # nobody knows the noise
+    cost, plain = np.where(np.arange(60) < 30, 0.010**2, 0.018**2), np.arange(60) < 60
+    assert doubted(people, cost) and RestartLimbs().in_doubt(people, cost, plain, plain) == []
 
 
 def test_other_arms_hang_on_the_same_shoulders():

@@ -15,6 +15,7 @@ from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
@@ -58,19 +59,35 @@ class RestartLimbs:
     passes: ForwardBackward = ForwardBackward()  # by which passes are compared frame by frame
 
     def __call__(self, run: Runner, segment: Followed) -> Followed:
-        cost = pass_of(run, segment).cost
-        for start, end in self.in_doubt(run.people[segment.first : segment.end], cost, segment.tracked):
+        people, cost = run.people[segment.first : segment.end], pass_of(run, segment).cost
+        # what is not plausible is looked at however well it explains what is seen
+        plain = self.plain(people, segment) & (cost <= segment.cost)
+        for start, end in self.in_doubt(people, cost, segment.tracked, plain):
             segment = self._looked(run, segment, start, end)
         return segment
 
+    def plain(self, people: list[BodyObservation], segment: Segment) -> Bool[np.ndarray, " frame"]:
+        """In which frames nothing better can be found: both passes agree on all limbs, and what is left of the points
+        is no more than their noise, as it was measured."""
+        if not people:
+            return np.zeros(0, bool)
+        noise = np.array([f.noise for f in people]) ** 2
+        apart = np.max(segment.passes_apart, axis=1, initial=0.0)  # NaN, of one pass, does not agree
+        return (apart < self.passes.agree) & (self.passes.smoothed(segment.cost) <= self.passes.smoothed(noise))
+
     def in_doubt(
-        self, people: list[BodyObservation], cost: Float[np.ndarray, " frame"], tracked: Bool[np.ndarray, " frame"]
+        self,
+        people: list[BodyObservation],
+        cost: Float[np.ndarray, " frame"],
+        tracked: Bool[np.ndarray, " frame"],
+        plain: Bool[np.ndarray, " frame"] | bool = False,
     ) -> list[tuple[int, int]]:
-        """Begin and end of the stretches of `tracked` frames that cost more than noise and the rest of them explain."""
+        """Begin and end of the stretches of `tracked` frames that cost more than noise and the rest of them explain,
+        and are not `plain`."""
         if not tracked.any():
             return []
         cost, longest = self.passes.smoothed(cost / np.maximum([f.noise for f in people], USUAL) ** 2), self.longest
-        bad = stretches(tracked & (cost > self.worse * np.percentile(cost[tracked], self.well)))
+        bad = stretches(tracked & np.logical_not(plain) & (cost > self.worse * np.percentile(cost[tracked], self.well)))
         found = [(k, min(k + longest, end)) for start, end in bad for k in range(start, end, longest)]
         return [(start, end) for start, end in found if end - start >= self.fewest]
 
