@@ -256,6 +256,11 @@ class Config:
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Print a layout for Foxglove (Layouts, Import from file): body in a 3D panel, confidence and residual below."""
+
+
 Command = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Replay, subcommand("replay")]
@@ -267,4 +272,5 @@ Command = (
     | Annotated[FitCommand, subcommand("fit")]
     | Annotated[BodyCommand, subcommand("body")]
     | Annotated[Config, subcommand("config")]
+    | Annotated[Layout, subcommand("layout")]
 )

@@ -22,6 +22,7 @@ from voodoo_jax.cli.commands import (
     Export,
     FitCommand,
     Info,
+    Layout,
     Live,
     Replay,
     UsualSettings,
@@ -280,9 +281,14 @@ def _open_standard_files() -> None:
 
 
 def _run(
-    command: "Replay | Live | Info | Demo | Config | FitCommand | BodyCommand | View | Export | Convert",
+    command: "Replay | Live | Info | Demo | Config | FitCommand | BodyCommand | View | Export | Convert | Layout",
     base: Settings,
 ) -> int:
+    if isinstance(command, Layout):
+        from importlib.resources import files
+
+        print(files("voodoo_jax").joinpath("data", "foxglove_layout.json").read_text(), end="")
+        return 0
     if isinstance(command, Live):
         from voodoo_jax.cli.live import run_live
 
