@@ -133,7 +133,7 @@ def replay(
         settings=settings,
         smooth_seconds=smooth_seconds,
         recipe=recipe_key(body, settings, smooth_seconds),
-        parameters=_parameters(settings, smooth_seconds),
+        parameters=parameters_of(settings, smooth_seconds),
         picture=picture,
         exports=exports,
         html=html,
@@ -285,7 +285,7 @@ def _absolute(place: str | os.PathLike[str]) -> str:
         ) from problem
 
 
-def _parameters(settings: Settings, smooth_seconds: float) -> tuple[tuple[str, str], ...]:
+def parameters_of(settings: Settings, smooth_seconds: float = 0.0) -> tuple[tuple[str, str], ...]:
     """All settings as text."""
     stages = {
         stage: values for stage, values in asdict(settings).items() if stage not in ("changes", "online", "tracker")

@@ -89,6 +89,34 @@ class Replay:
 
 
 @dataclass(frozen=True)
+class Live:
+    """Track the main person (or body) while it is recorded, with the settings of --online.
+
+    Reads an MCAP file, or the folder of a ROS 2 bag, that a recorder still writes, or a Foxglove WebSocket (ws://...,
+    such as foxglove_bridge). Gives out transforms and the body frame by frame: in a growing <log>.voodoo.mcap, and with
+    --serve as a Foxglove WebSocket. Ends by Ctrl-C or when nothing more comes, and leaves the files that replay does.
+    Usual options: --help; all settings: --help-all.
+    """
+
+    source: Positional[str] = ""
+    """A growing .mcap file, the folder of a bag, or ws://HOST:PORT."""
+    out: str = "voodoo-out"
+    """Folder for the results; made if it is missing."""
+    serve: int = -1
+    """Port of a Foxglove WebSocket on this machine's own address, on which transforms and the body are given out; 0:
+    any that is free; -1: none."""
+    idle: float = 10.0
+    """A file that has not grown for so many seconds is finished."""
+    body: Annotated[str, arg(help=BODY_HELP)] = ""
+    preset: Literal["default", "knoop2007"] = "default"
+    """Settings to start from: default; knoop2007, that paper's chain and values (with its body of ten limbs)."""
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    compile_cache: str = ""
+    """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
+    settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
+
+
+@dataclass(frozen=True)
 class UsualSettings(Settings):
     """Settings of which the short help shows only those of no section."""
 
@@ -228,9 +256,15 @@ class Config:
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Print a layout for Foxglove (Layouts, Import from file): body in a 3D panel, confidence and residual below."""
+
+
 Command = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Replay, subcommand("replay")]
+    | Annotated[Live, subcommand("live")]
     | Annotated[Info, subcommand("info")]
     | Annotated[View, subcommand("view")]
     | Annotated[Export, subcommand("export")]
@@ -238,4 +272,5 @@ Command = (
     | Annotated[FitCommand, subcommand("fit")]
     | Annotated[BodyCommand, subcommand("body")]
     | Annotated[Config, subcommand("config")]
+    | Annotated[Layout, subcommand("layout")]
 )

@@ -7,7 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 from tyro.conf import arg
@@ -22,6 +22,8 @@ from voodoo_jax.cli.commands import (
     Export,
     FitCommand,
     Info,
+    Layout,
+    Live,
     Replay,
     UsualSettings,
     View,
@@ -171,20 +173,21 @@ def _flag(argv: list[str], name: str) -> str | None:
     return None
 
 
-def _parsed_replay(words: list[str], base: Settings) -> Replay:
-    """What the words after `replay` say, on top of the settings `base`; --help shows the usual ones, --help-all all."""
+def _parsed(kind: type, name: str, words: list[str], base: Settings) -> Any:
+    """What the words after a command's name say, on top of the settings `base`; --help shows the usual ones, --help-all
+    all."""
     short = not {ALL_HELP} & set(words) and bool({"-h", "--help"} & set(words))
     shown = UsualSettings(**vars(base)) if short else base
 
     @dataclass(frozen=True)
-    class Configured(Replay):
-        __doc__ = Replay.__doc__
+    class Configured(kind):
+        __doc__ = kind.__doc__
         settings: Annotated[UsualSettings if short else Settings, arg(name="")] = field(  # type: ignore[valid-type]
             default_factory=lambda: shown
         )
 
     words = ["--help" if word == ALL_HELP else word for word in words]
-    return tyro.cli(Configured, prog="voodoo-jax replay", args=words)
+    return tyro.cli(Configured, prog=f"voodoo-jax {name}", args=words)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -212,15 +215,16 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as problem:
         print(f"voodoo-jax: cannot read the settings file {path}: {problem.strerror}", file=sys.stderr)
         return 2
-    if argv[:1] == ["replay"]:
+    if argv[:1] in (["replay"], ["live"]):
         # NumPy makes no threads then, and workers can be copies of this process; its matrices are small here
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-        command = _quietly(lambda: _parsed_replay(argv[1:], base))
+        name, kind = argv[0], Replay if argv[0] == "replay" else Live
+        command = _quietly(lambda: _parsed(kind, name, argv[1:], base))
         try:
             check_settings(command.settings)
         except SettingsError as problem:
-            print(f"voodoo-jax replay: {problem}", file=sys.stderr)
+            print(f"voodoo-jax {name}: {problem}", file=sys.stderr)
             return 2
     else:
         argv = ["--help" if word == ALL_HELP else word for word in argv]
@@ -277,8 +281,18 @@ def _open_standard_files() -> None:
 
 
 def _run(
-    command: "Replay | Info | Demo | Config | FitCommand | BodyCommand | View | Export | Convert", base: Settings
+    command: "Replay | Live | Info | Demo | Config | FitCommand | BodyCommand | View | Export | Convert | Layout",
+    base: Settings,
 ) -> int:
+    if isinstance(command, Layout):
+        from importlib.resources import files
+
+        print(files("voodoo_jax").joinpath("data", "foxglove_layout.json").read_text(), end="")
+        return 0
+    if isinstance(command, Live):
+        from voodoo_jax.cli.live import run_live
+
+        return run_live(command)
     if isinstance(command, Export):
         from voodoo_jax.cli.export import run_export
 

@@ -7,7 +7,7 @@ from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.delays import offsets
 from voodoo_jax.detect.units import with_units
-from voodoo_jax.io.container import Place
+from voodoo_jax.io.container import LogFile, Place
 from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
 from voodoo_jax.records.recording import Recording
 
@@ -15,7 +15,7 @@ PERSON = Build(1.70, 0.44)  # where nobody says who is looked for: the size of t
 
 
 def open_checked(
-    path: Place,
+    path: Place | LogFile,
     settings: ReadSettings | None = None,
     build: Build = PERSON,
     detect: DetectSettings | None = None,

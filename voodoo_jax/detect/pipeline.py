@@ -52,10 +52,19 @@ def find_body(
 
     **Arguments:** `up_is_given` a user has said it: nothing else is looked for.
     """
+    chooser, seen = watched(frames, up, body, settings, up_is_given)
+    kept = spilled(seen)
+    return chooser.finder.scene, kept  # the floor may have been found with the body
+
+
+def watched(
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
+) -> tuple[Chooser, Iterator[BodyObservation]]:
+    """The points of the main person (or body), one frame after the other as they come, and who chooses them, who knows
+    floor and walls; as `find_body`. A few first frames are taken at once."""
     found = surroundings(frames, up, body, settings, up_is_given)
     chooser = Chooser(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
-    kept = spilled(_corrected(chooser(found.frames), chooser, body, settings))
-    return chooser.finder.scene, kept  # the floor may have been found with the body
+    return chooser, iter(_corrected(chooser(found.frames), chooser, body, settings))
 
 
 def find_people(

@@ -96,41 +96,77 @@ def _prefix(tracks: Tracks) -> str:
     return "voodoo/" if tracks.person == 1 else f"voodoo/{tracks.person}/"
 
 
-def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, bytes, int]]]:
-    """Channel, stamp, content and number of the messages of each frame."""
-    prefix = _prefix(tracks)
-    topics = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate, "joints": PointCloud}
-    channel = {
-        name: writer.register_channel(f"/{prefix}{name}", "protobuf", register_schema(writer, message))
-        for name, message in topics.items()
-    }
-    schema = writer.register_schema("voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode())
-    channel["quality"] = writer.register_channel(f"/{prefix}quality", "json", schema)
+TOPICS = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate, "joints": PointCloud}
 
-    entities, named = body_entities(tracks.body, tracks.person), _named(tracks)
-    next_scene, shown, confidence = None, frozenset(), tracks.confidence.tolist()
-    for i, stamp in enumerate(tracks.time_ns.tolist()):
+
+class BodyMessages:
+    """What is said of somebody, frame by frame: of successive frames of one Tracks, or of Tracks of one frame each."""
+
+    def __init__(self, person: int = 1):
+        self._prefix = "voodoo/" if person == 1 else f"voodoo/{person}/"
+        self._body: Body | None = None  # that is shown
+        self._next_scene: int | None = None
+        self._shown: frozenset[str] = frozenset()
+
+    def channels(self) -> dict[str, str]:
+        """Topics by what is said on them: the names of TOPICS, and "quality"."""
+        return {name: f"/{self._prefix}{name}" for name in (*TOPICS, "quality")}
+
+    def of(self, tracks: Tracks, i: int, confidence: float) -> dict[str, bytes]:
+        """Messages of frame `i` by what they say; `confidence` as in Tracks."""
+        if tracks.body is not self._body:
+            self._entities, self._named = body_entities(tracks.body, tracks.person), _named(tracks)
+            self._body, self._next_scene = tracks.body, None
+        stamp = int(tracks.time_ns[i])
         seconds, nanos = divmod(stamp, 1_000_000_000)
         time = Timestamp(seconds=seconds, nanos=nanos)
-        messages = {"quality": quality_of(tracks, i, confidence[i])}
-        if transforms := _transforms(tracks, i, time, named):
-            messages["tf"] = FrameTransforms(transforms=transforms).SerializeToString()
-            limbs = [t for t in transforms if not t.child_frame_id.startswith(f"{prefix}joint/")]
-            poses = [Pose(position=t.translation, orientation=t.rotation) for t in limbs]
-            if len(poses) == tracks.body.limb_count:  # a list with gaps would name the wrong limbs
-                message = PosesInFrame(timestamp=time, frame_id=tracks.fixed_frame, poses=poses)
-                messages["poses"] = message.SerializeToString()
-            messages["joints"] = _joint_cloud(tracks, i, time).SerializeToString()
-            there = frozenset(t.child_frame_id.removeprefix(prefix) for t in limbs)
-            if next_scene is None or stamp >= next_scene or there != shown:
-                next_scene = stamp + SCENE_PERIOD_NS
-                update = SceneUpdate(entities=[e for e in entities if e.id in there])
-                # a limb that was taken off, or a thing that was put down
-                update.deletions.extend(SceneEntityDeletion(id=name, timestamp=time) for name in sorted(shown - there))
-                for entity in update.entities:
-                    entity.timestamp.CopyFrom(time)
-                messages["body"], shown = update.SerializeToString(), there
-        yield [(channel[name], stamp, data, i) for name, data in messages.items()]
+        messages = {"quality": quality_of(tracks, i, confidence)}
+        transforms = _transforms(tracks, i, time, self._named)
+        if not transforms:
+            return messages
+        messages["tf"] = FrameTransforms(transforms=transforms).SerializeToString()
+        limbs = [t for t in transforms if not t.child_frame_id.startswith(f"{self._prefix}joint/")]
+        poses = [Pose(position=t.translation, orientation=t.rotation) for t in limbs]
+        if len(poses) == tracks.body.limb_count:  # a list with gaps would name the wrong limbs
+            message = PosesInFrame(timestamp=time, frame_id=tracks.fixed_frame, poses=poses)
+            messages["poses"] = message.SerializeToString()
+        messages["joints"] = _joint_cloud(tracks, i, time).SerializeToString()
+        there = frozenset(t.child_frame_id.removeprefix(self._prefix) for t in limbs)
+        if self._next_scene is None or stamp >= self._next_scene or there != self._shown:
+            messages["body"] = self._scene(there, stamp, time).SerializeToString()
+        return messages
+
+    def _scene(self, there: frozenset[str], stamp: int, time: Timestamp) -> SceneUpdate:
+        """The limbs that are there."""
+        self._next_scene = stamp + SCENE_PERIOD_NS
+        update = SceneUpdate(entities=[e for e in self._entities if e.id in there])
+        # a limb that was taken off, or a thing that was put down
+        gone = sorted(self._shown - there)
+        update.deletions.extend(SceneEntityDeletion(id=name, timestamp=time) for name in gone)
+        for entity in update.entities:
+            entity.timestamp.CopyFrom(time)
+        self._shown = there
+        return update
+
+
+def registered(writer: Writer, said: BodyMessages) -> dict[str, int]:
+    """Numbers of somebody's channels in a file, by what is said on them."""
+    numbers = {}
+    for name, topic in said.channels().items():
+        if name in TOPICS:
+            numbers[name] = writer.register_channel(topic, "protobuf", register_schema(writer, TOPICS[name]))
+        else:
+            schema = writer.register_schema("voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode())
+            numbers[name] = writer.register_channel(topic, "json", schema)
+    return numbers
+
+
+def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, bytes, int]]]:
+    """Channel, stamp, content and number of the messages of each frame."""
+    said = BodyMessages(tracks.person)
+    channel, confidence = registered(writer, said), tracks.confidence.tolist()
+    for i, stamp in enumerate(tracks.time_ns.tolist()):
+        yield [(channel[name], stamp, data, i) for name, data in said.of(tracks, i, confidence[i]).items()]
 
 
 def _joint_cloud(tracks: Tracks, frame: int, time: Timestamp) -> PointCloud:

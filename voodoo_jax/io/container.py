@@ -75,7 +75,7 @@ class LogFile:
     def __init__(self, path: str | os.PathLike[str]):
         self.path = os.fspath(path)
         self._file = self._unpacked()
-        self.size = _check(self.path, self._file)
+        self.size = check_head(self.path, self._file)
         self.clock = Clock(self.size)
         self._schema_room = limits().schemas_bytes
         self._left_out: set[tuple[int, str]] = set()  # numbers and names of schemas for which there was no room
@@ -110,7 +110,7 @@ class LogFile:
                     elif kind is Schema:
                         self._learn(record)
                     elif kind is Channel:
-                        self.channels[record.id] = _channel(record)
+                        self.channels[record.id] = clean_channel(record)
                 held.sort(key=_BY_TIME)
                 for message in held:
                     channel = self.channels.get(message.channel_id)
@@ -123,7 +123,7 @@ class LogFile:
                     self.counts[channel.id] += 1
                     schema = self.schemas.get(channel.schema_id)
                     if wanted(schema, channel):
-                        yield schema, channel, _whole(channel, message)
+                        yield schema, channel, unpacked_message(channel, message)
             if lost:
                 self.damage.append(f"Messages of no known channel, left out: {lost}.")
             if absurd:
@@ -136,7 +136,7 @@ class LogFile:
 
     def _learn(self, schema: Schema) -> None:
         """Keeps a schema, if there is room for it."""
-        schema = _named(schema)
+        schema = clean_schema(schema)
         if self.schemas.get(schema.id) == schema:
             return
         self._schema_room -= len(schema.data)
@@ -195,7 +195,7 @@ class LogFile:
         except READ_ERRORS as error:
             self._trouble = _words(error)
             return None
-        self.channels = {i: _channel(channel) for i, channel in summary.channels.items()}
+        self.channels = {i: clean_channel(channel) for i, channel in summary.channels.items()}
         for schema in summary.schemas.values():
             self._learn(schema)
         if summary.statistics is not None:
@@ -221,7 +221,7 @@ class LogFile:
                 stream.seek(index.chunk_start_offset + 9)
                 try:
                     body = stream.read(max(min(index.chunk_length - 9, self.size), 0))
-                    records, trouble = _chunk_records(body, budget)
+                    records, trouble = chunk_records(body, budget)
                     if trouble:
                         bad.append(f"at byte {index.chunk_start_offset}: {trouble}")
                 except READ_ERRORS as error:
@@ -256,7 +256,7 @@ class LogFile:
             try:
                 if opcode == Opcode.CHUNK:
                     chunks += 1
-                    records, trouble = _chunk_records(body, budget)
+                    records, trouble = chunk_records(body, budget)
                     if trouble:
                         bad.append(f"at byte {position}: {trouble}")
                     yield records
@@ -358,8 +358,9 @@ def open_files(path: Place) -> LogFile:
     return LogFile(path)
 
 
-def _check(path: str, file: str) -> int:
-    """Size of the file (itself or unpacked) in bytes; LogError unless it starts as MCAP."""
+def check_head(path: str, file: str, growing: bool = False) -> int:
+    """Size of the file (itself or unpacked) in bytes; LogError unless it starts as MCAP, or, if it is still `growing`,
+    unless it may come to do so."""
     if os.path.isdir(path):
         if not os.access(path, os.R_OK | os.X_OK):
             raise LogError(f"The folder '{path}' cannot be looked into. Check that you may read it.")
@@ -374,6 +375,8 @@ def _check(path: str, file: str) -> int:
         raise LogError(f"There is no file '{path}'. Check the name and the folder.") from None
     except OSError as error:
         raise LogError(f"'{path}' cannot be opened: {error.strerror}. Check that you may read it.") from error
+    if growing and MAGIC.startswith(head):
+        return size
     if not head:
         raise LogError(f"'{path}' is empty (0 bytes). Was the recording started, and the copy finished?")
     if head != MAGIC:
@@ -430,7 +433,7 @@ class Budget:
             )
 
 
-def _chunk_records(body: bytes, budget: Budget) -> tuple[list, str]:
+def chunk_records(body: bytes, budget: Budget) -> tuple[list, str]:
     """Schemas, channels and messages of one chunk record, and why some are missing; raises one of READ_ERRORS if its
     bytes are not as written."""
     chunk = Chunk.read(ReadDataStream(BytesIO(body)))
@@ -494,7 +497,7 @@ def _records(data: bytes) -> tuple[list, str]:
     return records, ""
 
 
-def _channel(channel: Channel) -> Channel:
+def clean_channel(channel: Channel) -> Channel:
     """A channel by whose names no terminal is harmed."""
     topic, encoding = plain_name(channel.topic), plain(channel.message_encoding)
     if (topic, encoding) == (channel.topic, channel.message_encoding) and not channel.metadata:
@@ -504,7 +507,7 @@ def _channel(channel: Channel) -> Channel:
     return replace(channel, topic=topic, message_encoding=encoding, metadata=metadata)
 
 
-def _named(schema: Schema) -> Schema:
+def clean_schema(schema: Schema) -> Schema:
     """The same of a schema."""
     name, encoding = plain_name(schema.name), plain(schema.encoding)
     if (name, encoding) == (schema.name, schema.encoding):
@@ -512,7 +515,7 @@ def _named(schema: Schema) -> Schema:
     return replace(schema, name=name, encoding=encoding)
 
 
-def _whole(channel: Channel, message: Message) -> Message:
+def unpacked_message(channel: Channel, message: Message) -> Message:
     """The message, unpacked if a bag was recorded with compression of each message."""
     if channel.message_encoding in ("cdr", "ros1") and message.data[:4] == ZSTD:
         with suppress(zstandard.ZstdError):  # what cannot be unpacked cannot be decoded, and is said to be so there

@@ -41,9 +41,10 @@ class _Placed:
 
 
 def plan_features(
-    scan: Scan, fixed: str, topics: list[str], times: Int64[np.ndarray, " frame"], weights: Parts
+    scan: Scan, fixed: str, topics: list[str], times: Int64[np.ndarray, " frame"], weights: Parts, after_ns: int = -1
 ) -> FeaturePlan:
-    """Gives each feature of the topics to the frame with the nearest stamp (`times`, increasing, nanoseconds).
+    """Gives each feature of the topics to the frame with the nearest stamp (`times`, increasing, nanoseconds), if that
+    is after `after_ns`.
 
     Of one name and topic a frame gets one: the nearest in time, then the one with the highest score.
     """
@@ -52,7 +53,7 @@ def plan_features(
     used = []
     for name in sorted(topics):
         counted: Counter[str] = Counter()
-        placed = _place(scan, fixed, name, times, counted, weights.weight(name))
+        placed = _place(scan, fixed, name, times, counted, weights.weight(name), after_ns)
         if isinstance(placed, str):
             plan.notes.append(f"'{name}' is left out: {placed}.")
             continue
@@ -84,7 +85,10 @@ def _by_frame(parts: list[_Placed]):
         yield i, tuple(names[k] for k in order[a:b]), origins[a:b], values[a:b], weight
 
 
-def _place(scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counter[str], weight: float) -> _Placed | str:
+# 7 parameters: what there is, and which of it
+def _place(
+    scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counter[str], weight: float, after_ns: int
+) -> _Placed | str:
     """The features of a topic, or why it cannot be used; counts what is left out."""
     found = scan.topics[name].gathered
     assert found is not None
@@ -98,7 +102,7 @@ def _place(scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counte
     nearest, joins = join(times, period_of(times), found.stamps)
     if not joins.all():
         counted["left out, near no frame in time"] += int((~joins).sum())
-    kept = np.flatnonzero(joins & np.isfinite(values).all(axis=1))
+    kept = np.flatnonzero(joins & np.isfinite(values).all(axis=1) & (times[nearest] > after_ns))
     number = {n: i for i, n in enumerate(dict.fromkeys(found.names))}
     key = nearest[kept] * len(number) + np.array([number[found.names[k]] for k in kept], np.int64)
     # Of equal frame and name the nearest in time comes first, then the surest, then the first read.

@@ -3,7 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from mcap.records import Channel, Schema
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.clocks import Stamps, shifts
-from voodoo_jax.io.container import LogError, Place, guarded, open_files
+from voodoo_jax.io.container import LogError, LogFile, Place, guarded, open_files
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.decode.registry import (
     DECODE_ERRORS,
@@ -28,10 +28,10 @@ from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.limits import TIME, limits
 from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
-from voodoo_jax.io.stereo_pairs import STEREO_USE, find_pairs
+from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.topic_roles import decide_uses
-from voodoo_jax.io.transforms import Moving, TransformTree
+from voodoo_jax.io.transforms import Moving, Transform, TransformTree
 from voodoo_jax.records.messages import Calibration, Features, Image, many, moved
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
@@ -39,8 +39,29 @@ from voodoo_jax.storage.urls import bag_of
 LONG = 300  # characters of an error that are kept
 
 
+@dataclass(frozen=True)
+class Known:
+    """What an earlier look at the same recording has settled: for a look at what came after."""
+
+    topics: dict[str, Topic]
+    uses: dict[str, str]
+    skin: dict[str, Calibration]
+    stereo: list[Pair]
+    shifts: dict[str, int]  # see Scan
+    transforms: list[tuple[Transform, bool]]  # those that hold without being said again, and whether they are static
+    decoder: Decoder
+
+    def bare_topics(self) -> dict[str, Topic]:
+        """The topics without their messages."""
+        emptied = {"stamps": [], "log_times": [], "features": [], "gathered": None, "count": 0, "broken": 0}
+        return {
+            name: replace(topic, **{key: value[:] if value == [] else value for key, value in emptied.items()})
+            for name, topic in self.topics.items()
+        }
+
+
 class Scan:
-    """The first pass over a log.
+    """The first pass over a log, or over what has come of one since it was first looked at (`known`).
 
     `topics` by name; `uses`: what replay takes each for, or "not used: <reason>"; `stereo`: the pairs among them;
     `skin`: calibrations of the images in which skin is looked for, by topic; `tree`: the transforms; `log_times`: first
@@ -48,14 +69,14 @@ class Scan:
     `settings` name is not in the log.
     """
 
-    def __init__(self, path: Place, settings: ReadSettings):
-        self.log = open_files(path)
-        self.topics: dict[str, Topic] = {}
+    def __init__(self, path: Place | LogFile, settings: ReadSettings, known: "Known | None" = None):
+        self.log = path if isinstance(path, LogFile) else open_files(path)
+        self.topics: dict[str, Topic] = known.bare_topics() if known else {}
         cameras = given_cameras(settings.camera)
         self.tree = TransformTree()
         self.notes: list[str] = []
         self.part_of = ""  # if others were recorded with it, what to do
-        folder, files = bag_of(self.log.path)
+        folder, files = ("", []) if known else bag_of(self.log.path)
         if folder:
             self.part_of = (
                 f"This is one of the {len(files)} files of a recording, and what was sent once may be in another: give "
@@ -64,25 +85,19 @@ class Scan:
             self.notes.append(self.part_of)
         for transform in given_transforms(settings.transform):  # first: what the log has besides is no match for it
             self.tree.add(transform, True)
+        for transform, static in known.transforms if known else ():
+            self.tree.add(transform, static)
         self.log_times: tuple[int, int] | None = None
-        self._decoder, self._too_many = Decoder(), False
+        self._decoder, self._too_many = known.decoder if known else Decoder(), False
         self._names: set[str] = set()  # of features
         self._moving: dict[tuple[str, str], Moving] = {}  # by topic and child
         self._transforms = self._features = 0  # how many there are
         self._foreign: dict[str, str] = {}  # topics whose clock is not the others', and why they cannot be used
         self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
-        # Without statistics the only way to know the number of messages is to read them all.
-        everything = self.log.declared is None
-        wanted = lambda s, c: everything or bool(self.kind(s, c))  # noqa: E731
-        for schema, channel, message in guarded(self.log, wanted):
-            first, last = self.log_times or (message.log_time, message.log_time)
-            self.log_times = min(first, message.log_time), max(last, message.log_time)
-            topic = self._topic(schema, channel)
-            topic.count += 1
-            self.log.clock.check()
-            if schema is not None and topic.kind and self.kind(schema, channel) == topic.kind:
-                self._take(topic, schema, channel, message)
-        self._bring_clocks_together(settings)
+        self._pass()
+        self.units: dict[str, float] = {}  # metres, of topics of named points
+        self.shifts: dict[str, int] = known.shifts if known else {}  # nanoseconds, by topic, or by topic and child
+        self._bring_clocks_together(settings, bool(known))
         self.tree.close()
         self._count()
         if not self.topics:
@@ -94,6 +109,29 @@ class Scan:
                 topic.gathered = gather(name, topic.features, topic.log_times, self.notes)
                 topic.features.clear()
                 self._settle_unit(name, topic.gathered, settings)
+        if known:
+            late = "not used: it came later than the beginning"
+            self.uses = {name: known.uses.get(name, late) for name in self.topics}
+            self.skin, self.stereo = known.skin, known.stereo
+        else:
+            self._decide(settings, cameras)
+
+    def _pass(self) -> None:
+        """Takes all messages that may be used."""
+        # Without statistics the only way to know the number of messages is to read them all.
+        everything = self.log.declared is None
+        wanted = lambda s, c: everything or bool(self.kind(s, c))  # noqa: E731
+        for schema, channel, message in guarded(self.log, wanted):
+            first, last = self.log_times or (message.log_time, message.log_time)
+            self.log_times = min(first, message.log_time), max(last, message.log_time)
+            topic = self._topic(schema, channel)
+            topic.count += 1
+            self.log.clock.check()
+            if schema is not None and topic.kind and self.kind(schema, channel) == topic.kind:
+                self._take(topic, schema, channel, message)
+
+    def _decide(self, settings: ReadSettings, cameras: dict[str, Calibration]) -> None:
+        """What topics are used for; `cameras` that are given by the settings."""
         for name, topic in self.topics.items():
             topic.given, topic.fallback = cameras.get(name), cameras.get("")
         for name in cameras.keys() - self.topics.keys() - {""}:
@@ -190,6 +228,8 @@ class Scan:
         """Brings 3D features to metres."""
         given = check_pairs("read.scale", settings.scale, numbers=True)
         unit = float(given.get(name, 0.0)) or unit_of(found)
+        if self.topics[name].kind == "pairs":
+            self.units[name] = unit
         if unit != 1.0 and self.topics[name].kind == "pairs":
             self.topics[name].gathered = replace(found, values=found.values * unit)
             if name not in given:
@@ -198,7 +238,7 @@ class Scan:
                     f"'{name}': its coordinates are taken for {word}, to judge by their extent. read.scale settles it."
                 )
 
-    def _bring_clocks_together(self, settings: ReadSettings) -> None:
+    def _bring_clocks_together(self, settings: ReadSettings, known: bool) -> None:
         """Shifts the stamps of measurements and transforms that are of another clock than the others'."""
         delays = {n: float(by) for n, by in check_pairs("read.delays", settings.delays, numbers=True).items()}
         for name in delays.keys() - self.topics.keys():
@@ -210,7 +250,11 @@ class Scan:
                 given.append(Stamps(name, as_array([f.stamp_ns for f in topic.features]), as_array(topic.log_times)))
         for (topic, child), samples in self._moving.items():
             given.append(Stamps(f"{topic} {child}", samples.stamps_ns, samples.log_times_ns, measured=False))
-        by, self._foreign = shifts(given, delays, self.notes)
+        if known:
+            by = {one.topic: np.full(len(one.own), self.shifts.get(one.topic, 0), np.int64) for one in given}
+        else:
+            by, self._foreign = shifts(given, delays, self.notes)
+            self.shifts = {name: int(np.median(shift)) if len(shift) else 0 for name, shift in by.items()}
         for name, topic in self.topics.items():
             if topic.stamps and by[name].any():
                 topic.stamps = (as_array(topic.stamps) + by[name]).tolist()

@@ -18,20 +18,20 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import bare, calibration_of
-from voodoo_jax.io.container import LogError, Place, guarded
+from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted
-from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.stereo_pairs import StereoReader
-from voodoo_jax.io.transforms import HOLD_NS
+from voodoo_jax.io.transforms import HOLD_NS, Transform
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
-from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Picture, Recording
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
@@ -40,7 +40,7 @@ UNREADABLE = "cannot be decoded, left out"
 TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
 
 
-def open_log(path: Place, settings: ReadSettings | None = None) -> "LogReader":
+def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "LogReader":
     """Look through a log and plan its frames; `frames()` of the result then gives them one by one.
 
     **Arguments:** `path` of a file, of a bag's folder, or those of several files that were recorded together.
@@ -105,6 +105,7 @@ class LogReader:
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
+        self._decoder = Decoder()
         self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
         given = check_pairs("read.scale", settings.scale, numbers=True)
@@ -122,6 +123,34 @@ class LogReader:
         other = copy(self)
         other.scales, other._notes, other._counted = {**self.scales, **scales}, list(self._notes), Counter()
         return other
+
+    def continued(self, scan: Scan, plan: Plan) -> "LogReader":
+        """The same log with what has come since: another look at it, and its plan."""
+        other = copy(self)
+        other._scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
+        other.sensors, other.features = plan.sensors, plan.features
+        other._plan_parts, other._notes, other._counted, other._pictures = plan.parts, [], Counter(), {}
+        return other
+
+    def settled(self, transforms: list[tuple[Transform, bool]], decoder: Decoder) -> Known:
+        """What this look at the log has settled, for `continued`; `transforms` and `decoder` see Known."""
+        s = self._scan
+        return Known(s.topics, s.uses, s.skin, s.stereo, s.shifts, transforms, decoder)
+
+    @property
+    def shifts(self) -> dict[str, int]:
+        """What was added to stamps, see Scan."""
+        return self._scan.shifts
+
+    @property
+    def units(self) -> list[str]:
+        """Units of named points that were found by their extent, as in read.scale."""
+        return [f"{name}={unit:g}" for name, unit in self._scan.units.items()]
+
+    @property
+    def losses(self) -> dict[tuple[str, str], int]:
+        """How often what happened to messages of a topic, by topic and what, since `frames` was begun."""
+        return dict(self._counted)
 
     def coarse(self, max_points: int) -> "LogReader":
         """The same log with so many points of each message only."""
@@ -188,11 +217,15 @@ class LogReader:
         return len(self._plan)
 
     @property
+    def named(self) -> list[tuple[Rays, Pairs]]:
+        """The features of each frame that has any."""
+        rays, pairs = self._whole.rays, self._whole.pairs
+        return [(rays.get(i, NO_RAYS), pairs.get(i, NO_PAIRS)) for i in rays.keys() | pairs.keys()]
+
+    @property
     def named_at_once(self) -> set[tuple[str, ...]]:
         """Names of the features of each frame that has any."""
-        rays, pairs = self._whole.rays, self._whole.pairs
-        both = ((rays.get(i, NO_RAYS), pairs.get(i, NO_PAIRS)) for i in rays.keys() | pairs.keys())
-        return {(*r.names, *p.names) for r, p in both}
+        return {(*r.names, *p.names) for r, p in self.named}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -217,13 +250,15 @@ class LogReader:
         return counted + self._plan_parts.losses()
 
     # 75 lines: one pass over the messages, which share a dozen variables
-    def frames(self, progress: Progress | None = None) -> Iterator[Frame]:
+    def frames(
+        self, progress: Progress | None = None, origins: Float[np.ndarray, "sensor 3"] | None = None
+    ) -> Iterator[Frame]:
         """Frames in the order of their stamps. `progress` gets the number of depth messages (without
-        any: frames) done, and of all.
+        any: frames) done, and of all; `origins` are where sensors were last (NaN: not known), and are kept up to date.
 
         Raises LogError if not one message can be used.
         """
-        scan, decoder = self._scan, Decoder()
+        scan, decoder = self._scan, self._decoder
         scan.log.clock.restart()  # it goes by this thread, which may be another one than before
         self._counted = Counter()
         sensor_of = {name: i for i, name in enumerate(self.sensors)}
@@ -240,7 +275,8 @@ class LogReader:
         stereo = StereoReader(scan.topics, scan.tree, [p for p in scan.stereo if p.left in sensor_of], self._settings)
         used = {*sensor_of, *stereo.rights, *(name for name, _ in extra)}
         done, made, following, error = 0, 0, 0, ""
-        origins = np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
+        if origins is None:
+            origins = self.no_origins()
         wanted = lambda s, c: c.topic in used and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
         for topic, number, item, partner in stereo.items(guarded(scan.log, wanted)):
             schema, channel, message = item
@@ -297,6 +333,10 @@ class LogReader:
             if any(what == UNREADABLE for _, what in self._counted):
                 text = f"{text}. It is damaged, or was written by another version: copy it again."
             raise LogError(damaged(scan, LogError(text)))
+
+    def no_origins(self) -> Float[np.ndarray, "sensor 3"]:
+        """Where sensors are before they have measured."""
+        return np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
 
     def _homes(self) -> tuple[list[Int64[np.ndarray, " message"]], int]:
         """Number of the frame that each message of each sensor goes to, -1 for none; how many go to one."""

@@ -1,7 +1,7 @@
 """The plan for reading a log: the fixed frame, the sensors that are connected to it, and what makes up which frame."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
@@ -54,10 +54,19 @@ class Plan:
     notes: tuple[str, ...]
     pictures: PicturePlan | None = None  # of single cameras, where images are asked for
 
+    def only(self, frames: range) -> "Plan":
+        """Some successive frames of it."""
+        again = lambda by_frame: {i - frames.start: by_frame[i] for i in frames if i in by_frame}  # noqa: E731
+        planned = self.frames[frames.start : frames.stop]
+        return replace(self, frames=planned, rays=again(self.rays), pairs=again(self.pairs))
+
 
 # 82 lines: one decision after the other, each for the next
-def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
-    """Plans the second pass. Raises LogError if there is nothing to track in it, or no way to the fixed frame.
+def make_plan(
+    scan: Scan, settings: ReadSettings, origin: Float64[np.ndarray, "3"] | None = None, after_ns: int = -1
+) -> Plan:
+    """Plans the second pass; `origin` as in Plan, if it is settled already; frames up to `after_ns` need no features.
+    Raises LogError if there is nothing to track in it, or no way to the fixed frame.
 
     Depth leads: its fastest sensor gives the frames their stamps, the next one those in its pauses. Sensors that are
     much thinner than the densest (scanners with few lines) do so in long pauses only, and clouds of one limb only where
@@ -111,9 +120,9 @@ def make_plan(scan: Scan, settings: ReadSettings) -> Plan:
         if name not in leaders:
             for frame, message in join_one(at, stamps[name]):
                 frames[frame][1].append((sensors.index(name), message))
-    origin = _near_origin(scan, fixed, leaders[0], frames[0][0], notes)
+    origin = _near_origin(scan, fixed, leaders[0], frames[0][0], notes) if origin is None else origin
     scan.tree.give_from(fixed, origin)
-    features = plan_features(scan, fixed, of["rays"] + of["pairs"], at, parts)
+    features = plan_features(scan, fixed, of["rays"] + of["pairs"], at, parts, after_ns)
     if settings.skin:
         skin = plan_skin(scan, fixed, at, parts)
         features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}

@@ -161,6 +161,11 @@ class TransformTree:
         self._cache.clear()
 
     @property
+    def known_until(self) -> dict[str, int]:
+        """Stamp of the last sample of each frame that moves, nanoseconds."""
+        return {child: int(edge.stamps[-1]) for child, edge in self._edges.items() if len(edge.stamps)}
+
+    @property
     def frames(self) -> tuple[str, ...]:
         """Names of all frames, sorted."""
         return tuple(sorted({*self._edges, *(e.parent for e in self._edges.values())}))

@@ -32,6 +32,7 @@ LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: les
 # metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
 # nothing, and so many beyond count at most
 STATURE, STATURES, USUAL, UNUSUAL = 1.70, 0.095, 2.7, 2.0
+EVERY = slice(None)
 BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
 # how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
 # limbs are bare; from experiments/trust/elsewhere.py
@@ -132,12 +133,14 @@ def _misfits(tracks: Tracks, averages: tuple[np.ndarray, ...]) -> Float[np.ndarr
 def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float[np.ndarray, "frame limb"]:
     """Mean over the AROUND frames around each that tell something, or over those before if not `ahead`."""
     origin = 0 if ahead else AROUND // 2  # the window ends with the frame
-    mean = lambda x: uniform_filter1d(x.astype(float), AROUND, mode="constant", origin=origin)  # noqa: E731
+    mean = lambda x: uniform_filter1d(x.astype(float), AROUND, 0, mode="constant", origin=origin)  # noqa: E731
     out = np.full(found.shape, np.nan)
-    for limb, column in enumerate(found.T):  # one by one: all at once take several times their memory
-        known = np.isfinite(column)
-        total, count = mean(np.where(known, column, 0.0)), mean(known)
-        out[known, limb] = (total / np.maximum(count, 1e-9))[known]
+    # one by one, if they are long: all at once take several times their memory
+    columns = [EVERY] if len(found) <= BATCH else [slice(k, k + 1) for k in range(found.shape[1])]
+    for some in columns:
+        known = np.isfinite(found[:, some])
+        total, count = mean(np.where(known, found[:, some], 0.0)), mean(known)
+        out[:, some][known] = (total / np.maximum(count, 1e-9))[known]
     return out
 
 

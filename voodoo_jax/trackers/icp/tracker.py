@@ -68,7 +68,7 @@ def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, 
     if not sensors:  # tracks of markers have points of their own
         body = with_own_sites(body, {})[0]
     run = Runner(body, options, frames, scene, settings, changes)
-    chunk = _padded(Segment.blank(0, body.limb_count), settings.track.chunk)
+    chunk = padded(Segment.blank(0, body.limb_count), settings.track.chunk)
     threads = [Thread(target=looked_at.prepare, args=(body, *chunk))]
     threads.append(Thread(target=depths.prepare, args=(body, chunk[0])))
     if sensors:  # markers alone have another program
@@ -115,7 +115,7 @@ def track_person(
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     exchanges: list[Exchange] = []
     from_markers = by_markers(people)
-    people, settings, named = _with_names(body, people, settings)
+    people, settings, named = with_names(body, people, settings)
     if from_markers:
         people = without_gaps(people)
         body, own = with_own_sites(body, named.known.places)
@@ -143,14 +143,7 @@ def track_person(
         if is_active(whole.run, stage):
             whole = stage(whole)
     run = whole.run
-    tracks = tracks_of(run, whole.segment, source, fixed_frame)
-    tracks = tracks if from_markers else with_passes(tracks)
-    for stage in PLACE:
-        if is_active(run, stage):
-            tracks = stage(run, tracks)
-    if from_markers:
-        tracks = _with_residuals(tracks, run)
-    tracks = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), from_markers)
+    tracks = finished(run, whole.segment, source, fixed_frame, from_markers)
     compiling = seconds_of_waiting() - waited
     return replace(
         tracks,
@@ -160,7 +153,20 @@ def track_person(
     )
 
 
-def _with_names(
+def finished(run: Runner, segment: Segment, source: str, fixed_frame: str, from_markers: bool = False) -> Tracks:
+    """Tracks of a whole recording, see tracks_of, with joints in their places and rated; `from_markers` alone."""
+    tracks = tracks_of(run, segment, source, fixed_frame)
+    tracks = tracks if from_markers else with_passes(tracks)
+    for stage in PLACE:
+        if is_active(run, stage):
+            tracks = stage(run, tracks)
+    if from_markers:
+        tracks = _with_residuals(tracks, run)
+    settings = run.settings
+    return rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), from_markers)
+
+
+def with_names(
     body: Body, people: list[BodyObservation], settings: Settings
 ) -> tuple[list[BodyObservation], Settings, Named]:
     """The frames with the named points of one subject, the settings with what their names mean, and who it is."""
@@ -188,7 +194,7 @@ def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> T
     to_fixed(run.people, segment.rotation, segment.translation)
     segment.residual[segment.status == Status.NO_DATA] = np.nan
     chunk = run.settings.track.chunk
-    derived = _room(run.body, segment, chunk)
+    derived = _room(run.body, segment)
     for first, end, body in spans(run.bodies, len(segment)):
         absent = ~np.asarray(body.present)
         for array in (segment.rotation, segment.translation, segment.limb_covariance):
@@ -229,21 +235,23 @@ def _up(run: Runner) -> Float32[np.ndarray, "3"]:
     return normal if T is None else (T[:3, :3] @ normal).astype(np.float32)
 
 
-def _room(body: Body, segment: Segment, chunk: int) -> Derived:
+def _room(body: Body, segment: Segment) -> Derived:
     """Arrays for what follows from the poses of a segment, without their numbers; its own for covariances of limbs."""
-    found = (np.empty((len(segment), *part.shape[1:]), np.float32) for part in _derived(body, segment[:0], chunk))
-    return Derived(*found)._replace(limb_covariance=segment.limb_covariance)
+    t = body.topology
+    rows = (len(t.centres), 3), (len(t.joints),), (len(t.limbs),), (len(t.limbs), 6, 6), (len(t.centres), 3, 3)
+    found = Derived(*(np.empty((len(segment), *row), np.float32) for row in rows))
+    return found._replace(limb_covariance=segment.limb_covariance)
 
 
 def _derived(body: Body, segment: Segment, chunk: int) -> Derived:
     """What follows from the poses of up to `chunk` frames with one body; on the host, NaN where there is no pose."""
-    found = looked_at(body, *_padded(segment, chunk))
+    found = looked_at(body, *padded(segment, chunk))
     there = np.any(np.isfinite(segment.translation), (1, 2))
     each = (np.asarray(array, np.float32)[: len(segment)] for array in found)
     return Derived(*(np.where(there.reshape(-1, *[1] * (array.ndim - 1)), array, np.float32(np.nan)) for array in each))
 
 
-def _padded(segment: Segment, chunk: int) -> tuple[Poses, jax.Array]:
+def padded(segment: Segment, chunk: int) -> tuple[Poses, jax.Array]:
     """Poses of some frames and their limbs' covariances, as looked_at takes them: one program for every length."""
     pad = ((0, chunk - len(segment)), (0, 0), (0, 0))
     poses = Poses(np.pad(segment.rotation, pad), np.pad(segment.translation, pad))

@@ -183,21 +183,25 @@ class PlaceJoints:
             return tracks
         others = [k for k, frame in enumerate(run.people) if frame.other and k > 0]
         for first, last in zip([0, *others], [*others, len(run.people)]):  # bands of one body tell nothing of another
-            for which, among in self._parts(first, last, run.settings.looks_ahead("track")):
+            for which, among in self.parts(first, last, run.settings.looks_ahead("track")):
                 tracks = self.placed(body, tracks, eyes, which, among)
         return tracks
 
-    def _parts(self, first: int, last: int, ahead: bool) -> list[tuple[slice, slice]]:
+    def parts(self, first: int, last: int, ahead: bool) -> list[tuple[slice, slice]]:
         """Parts of the frames of one body, and the frames whose bands tell of them: all of the body or, if not `ahead`,
         those up to the part's first."""
         if ahead:
             return [(slice(first, last), slice(first, last))]
         parts, begin = [], first
         while begin < last:
-            end = min(last, begin + max(1, int((self.again - 1) * (begin - first))))
+            end = min(last, self.part_end(begin, first))
             parts.append((slice(begin, end), slice(first, begin + 1)))
             begin = end
         return parts
+
+    def part_end(self, begin: int, first: int) -> int:
+        """The frame after the part that begins in frame `begin`, of a body that began in frame `first`."""
+        return begin + max(1, int((self.again - 1) * (begin - first)))
 
     def placed(
         self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"],
@@ -207,11 +211,17 @@ class PlaceJoints:
 
         **Arguments:** `body` in its usual proportions; `eyes` of sensor_places.
         """
+        return self.placed_by(body, tracks, eyes, band_gaps(body, tracks, among), which)
+
+    def placed_by(
+        self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"], gaps: dict[str, Gaps],
+        which: slice = EVERY,
+    ) -> Tracks:  # fmt: skip
+        """The same by bands that were looked at before."""
         known = np.isfinite(tracks.rotation).all((1, 2)), np.isfinite(tracks.translation).all((1, 2))
         there = np.logical_and(*known)
         frames = np.arange(len(there))[which]
         frames = frames[there[frames]]
-        gaps = band_gaps(body, tracks, among)
         joints, covariance = tracks.joints.copy(), tracks.joint_covariance
         if covariance is not None:
             covariance = covariance.copy()

@@ -1,0 +1,99 @@
+"""The command `live`: tracks while it is recorded."""
+
+import signal
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+
+from voodoo_jax.cli.commands import PRESET_BODIES, Live
+
+PORTS = 1 << 16  # of TCP
+
+
+def run_live(command: Live) -> int:
+    """0 if somebody was tracked, 1 if nobody was or the source cannot be used, 2 if nothing could be begun."""
+    from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
+    from voodoo_jax.config.limited import limited
+    from voodoo_jax.config.options import SettingsError
+    from voodoo_jax.config.presets import online
+    from voodoo_jax.io.container import LogError
+    from voodoo_jax.io.live.sources import open_source
+    from voodoo_jax.model.body_file import BodyFileError, load_on_host
+    from voodoo_jax.records.notes import SENTENCE, plain
+    from voodoo_jax.trackers.stages import check_stages
+
+    def say(text: object) -> None:
+        print(f"voodoo-jax live: {plain(str(text), SENTENCE)}", file=sys.stderr, flush=True)
+
+    if not command.source:
+        say("name a growing .mcap file, the folder of a bag, or a Foxglove WebSocket such as ws://localhost:8765")
+        return 2
+    if not -1 <= command.serve < PORTS:
+        say(f"--serve {command.serve}: must be a port, 0 (any that is free) to {PORTS - 1}")
+        return 2
+    if command.idle <= 0:
+        say(f"--idle {command.idle:g}: must be above 0 seconds")
+        return 2
+    try:
+        cache = safe_folder(command.compile_cache, say)
+        if problem := use_compile_cache(cache):
+            say(f"{problem}; it goes on without")
+        with limited(command.settings.limits):
+            body = load_on_host(command.body or PRESET_BODIES[command.preset])
+        settings = online(command.settings)
+        settings = replace(settings, detect=replace(settings.detect, people=1))
+        check_stages(settings)
+        from voodoo_jax.batch.live import LiveJob, track_live
+        from voodoo_jax.trackers.base import Unsuitable
+
+        job = LiveJob(command.source, command.out, body, settings)
+    except (CacheError, BodyFileError, SettingsError, OSError, ValueError) as problem:
+        say(problem)
+        return 2
+    try:
+        with ExitStack() as stack:
+            with limited(settings.limits):
+                source = open_source(command.source, command.idle)
+            stack.callback(source.close)
+            publishers = _publishers(command, str(job.targets[1]), stack, say)
+            if publishers is None:
+                return 2
+            _end_by_interrupt(source, stack)
+            outcome = track_live(job, source, publishers, say, say)
+    except (LogError, SettingsError, Unsuitable, OSError) as problem:
+        say(problem)
+        return 1
+    print(outcome)
+    return 0 if outcome.ok else 1
+
+
+def _publishers(command: Live, mcap: str, stack: ExitStack, say) -> list | None:
+    """Who frames are given to; None if the server cannot be begun. Raises OSError."""
+    from voodoo_jax.exporters.live import FoxgloveServer, GrowingTracks
+    from voodoo_jax.storage.atomic import made_folder
+
+    made_folder(command.out)
+    file = GrowingTracks(mcap)
+    stack.callback(file.close)
+    if command.serve < 0:
+        return [file]
+    try:
+        server = FoxgloveServer(command.serve)
+    except ImportError:
+        say('--serve needs foxglove-sdk: pip install "voodoo_jax[live]"')
+        return None
+    stack.callback(server.close)
+    say(f"open {server.url} in Foxglove (Open connection, Foxglove WebSocket)")
+    return [file, server]
+
+
+def _end_by_interrupt(source, stack: ExitStack) -> None:
+    """The first Ctrl-C ends the source, so that results are written; the second one ends all."""
+    before = signal.getsignal(signal.SIGINT)
+
+    def end(number, frame) -> None:
+        source.ended = True
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, end)
+    stack.callback(signal.signal, signal.SIGINT, before)

@@ -1,0 +1,327 @@
+"""A body followed frame by frame as they come, as with `online` through a whole recording. Host side.
+
+The steps are those of sequence.follow, in the same order and by the same programs: what is given out for a frame is
+what a replay of the finished recording says of it. Only a start waits for the frames that its trials take.
+"""
+
+import time
+from collections.abc import Iterator
+from copy import copy
+from dataclasses import fields, replace
+
+import numpy as np
+
+from voodoo_jax.compile.executable import seconds_of_waiting
+from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.detect.disk_buffer import Spill
+from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.model.attachments import prepared
+from voodoo_jax.model.body import Body
+from voodoo_jax.records.notes import as_few
+from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket
+from voodoo_jax.solve.scan import State, at_rest, options_from
+from voodoo_jax.trackers.icp.confidence import AROUND, rated
+from voodoo_jax.trackers.icp.diagnostics import notes_on
+from voodoo_jax.trackers.icp.initialise import begin, clearer
+from voodoo_jax.trackers.icp.joint_spread import with_passes
+from voodoo_jax.trackers.icp.pipeline import PLACE
+from voodoo_jax.trackers.icp.refine.place_joints import Gaps, band_gaps, persons_body, sensor_places
+from voodoo_jax.trackers.icp.refine.stage import is_active
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, THING_FRAMES, Runner
+from voodoo_jax.trackers.icp.segment import Followed, segment_of
+from voodoo_jax.trackers.icp.sequence import DOUBT, SPAN, WRONG
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
+from voodoo_jax.trackers.icp.tracker import finished, looked_at, padded, tracks_of, with_names
+
+KEPT = 64  # frames whose points stay in memory: more than a start looks back or ahead; by hand
+
+
+class LiveRunner(Runner):
+    """One recording whose frames are not all there yet, tracked one at a time."""
+
+    def __init__(self, body: Body, settings: Settings, scene: Scene, first: list[BodyObservation], features: bool):
+        """`first` frames like those that will come; `features`: whether there may be named ones that none of them
+        has."""
+        super().__init__(body, options_from(settings.solve, settings.track, settings.features), first, scene, settings)
+        self.length = THING_FRAMES * settings.start.frames  # of one program for trials and single frames
+        if features and self.names.rows:
+            self.feature_capacity = max(self.feature_capacity, bucket(1, FEATURE_BUCKETS))
+        self.by_markers, self.people = False, []
+        self.others: list[int] = []
+        self.named = self.featured = np.zeros(0, bool)
+
+    def append(self, frame: BodyObservation) -> None:
+        """One more frame."""
+        names = (*frame.rays.names, *frame.pairs.names)
+        if frame.other:
+            self.others.append(len(self.people))
+        self.people.append(frame)
+        if len(self.people) > KEPT:  # its points are no longer looked at
+            self.people[-KEPT - 1] = self.people[-KEPT - 1].only(np.zeros(0, int))
+        few = len(frame.points) < FEW_POINTS
+        known = few and any(self.names.look_up(name) is not None for name in names)
+        self.featured = np.append(self.featured, known)
+        self.named = np.append(self.named, False)
+
+    def one(self, state: State, at: int) -> tuple[State, Followed]:
+        """One frame, tracked from the state after the one before."""
+        previous = self.people[at - 1].time_ns if at else None
+        state, step, left_out = self._tracked(state, self.people[at : at + 1], previous)
+        self.left_out += left_out
+        return state, segment_of(self, step, at, 1)
+
+
+class LiveTracker:
+    """Follows the main person (or body) through frames as they come.
+
+    **Arguments:** `first` some frames of the recording, whose sensors and names stand for those to come; `features`
+    whether named features may come that none of these has. Raises SettingsError for settings that need later frames.
+    """
+
+    def __init__(
+        self, body: Body, settings: Settings, first: list[BodyObservation], scene: Scene, features: bool = False
+    ):
+        if settings.changes:
+            raise SettingsError("[[change]] in the settings: live tracking knows no changes of the body")
+        if settings.looks_ahead("track") or settings.looks_ahead("detect"):
+            raise SettingsError("live tracking needs settings.online")
+        self.seconds = 0.0  # of tracking so far, without compiling
+        self._body = body = prepared(body, ())
+        first, self.settings, self._named = with_names(body, first, settings)
+        self.run = LiveRunner(body, self.settings, scene, first, features)
+        self._others = {n for names in self._named.others.values() for n in names}
+        self._kept, self._rows = Spill(), list[Followed]()
+        self._enough, self._ended = list[bool](), False
+        self._steps = self._followed()
+        self._shown = _Shown(self.run)
+
+    def prepare(self) -> None:
+        """Compiles, or loads, what frames are tracked with."""
+        self.run.prepare()
+        blank = Followed.blank(0, self.run.body.limb_count)
+        looked_at.prepare(self.run.body, *padded(blank, 1))
+
+    def add(self, frame: BodyObservation, scene: Scene) -> list[Tracks]:
+        """Takes one frame; tracks of one frame each, of those that are settled by now, in their order. `scene` as it
+        is known now, for a start."""
+        self.run.scene = scene
+        self.run.append(frame)
+        self._kept.append(frame)
+        self._enough.append(len(frame.points) >= 3 * FEW_POINTS)
+        return self._settled()
+
+    def end(self) -> list[Tracks]:
+        """No more frames come: those that have waited for more."""
+        self._ended = True
+        return self._settled()
+
+    def whole(self, source: str, fixed_frame: str, notes: tuple[str, ...] = ()) -> Tracks:
+        """All frames as one, as replay writes them."""
+        run, people = self.run, self._kept.frames()
+        every = Runner(self._body, run.options, people, run.scene, self.settings)
+        every.body, every.bodies, every.sized, every.left_out = run.body, run.bodies, run.sized, run.left_out
+        tracks = finished(every, _joined_rows(self._rows, run.body.limb_count), source, fixed_frame)
+        told = notes_on(every, tracks, [], self._named)
+        return replace(tracks, seconds=self.seconds, notes=as_few((*notes, *told)))
+
+    def _settled(self) -> list[Tracks]:
+        began, waited = time.perf_counter(), seconds_of_waiting()
+        out = []
+        for row in self._steps:
+            if row is None:
+                break
+            self._rows.append(row)
+            out.append(self._shown(row))
+        self.seconds += time.perf_counter() - began - (seconds_of_waiting() - waited)
+        return out
+
+    # -- the steps of sequence.follow
+
+    def _until(self, at: int) -> Iterator[None]:
+        """Waits for a frame, or the end."""
+        while len(self.run.people) <= at and not self._ended:
+            yield None
+
+    def _there(self, at: int) -> bool:
+        return at < len(self.run.people)
+
+    def _blank(self, at: int, status: Status) -> Followed:
+        row = Followed.blank(1, self.run.body.limb_count)
+        row.status[:] = status
+        return replace(row, first=at)
+
+    def _start_frames(self, at: int) -> Iterator[None]:
+        """Waits for the frames that a start looks at."""
+        s = self.settings.start
+        good = lambda: sum(len(f.points) >= FEW_POINTS for f in self.run.people[at : at + 3 * s.frames])  # noqa: E731
+        yield from self._until(at + s.size_frames - 1)
+        while not self._ended and good() < s.frames and not self._there(at + 3 * s.frames - 1):
+            yield None
+
+    def _followed(self) -> Iterator[Followed | None]:
+        """What each frame comes to; None where another frame must come first."""
+        run, state, before, at = self.run, None, None, 0
+        tried, doubt = -1, False  # until that frame nothing is given up as lost
+        yield from self._until(0)
+        while self._there(at) and not self._enough[at]:
+            yield self._blank(at, Status.NOT_STARTED)
+            at += 1
+            yield from self._until(at)
+        while self._there(at):
+            if run.others and run.others[0] <= at:
+                state = before = None
+                run.another(at)
+            if state is None:
+                yield from self._start_frames(at)
+                if not run.can_start(at):
+                    yield self._blank(at, Status.NO_DATA)
+                    at += 1
+                    yield from self._until(at)
+                    continue
+                start = begin(run, at, before)
+                state = at_rest(start.poses)
+                doubt = _doubtful(start, self.settings)
+            chunk = _Chunk(at, min(DOUBT if doubt else SPAN, self.settings.track.chunk), tried < at, self.settings)
+            while self._there(at) and not chunk.over and not (run.people[at].other and at > chunk.first):
+                state, row = run.one(state, at)
+                chunk.take(row)
+                told = row.status if not doubt else np.where(row.tracked, Status.LOST, row.status).astype(np.int8)
+                yield replace(row, status=told)
+                at += 1
+                yield from self._until(at)
+            if chunk.broken:
+                state, before, tried = None, chunk.before, at + self.settings.track.patience
+                while chunk.gone and self._there(at) and not self._enough[at]:
+                    yield self._blank(at, Status.NO_DATA)
+                    at += 1
+                    yield from self._until(at)
+            elif doubt and chunk.full and self._there(at):
+                yield from self._start_frames(at)
+                if (better := clearer(run, at)) is not None:
+                    state, doubt = at_rest(better.poses), False
+
+
+def _doubtful(start: StartHypothesis, settings: Settings) -> bool:
+    return start.unexplained > WRONG * settings.start.sure
+
+
+class _Chunk:
+    """Frames that replay tracks at once: within them it is seen that the body is gone or lost."""
+
+    def __init__(self, first: int, most: int, may_be_lost: bool, settings: Settings):
+        self.first, self._most, self._may_be_lost = first, most, may_be_lost
+        self._patience, self._statuses = settings.track.patience, list[int]()
+        self._poses: list[Poses] = []
+
+    def take(self, row: Followed) -> None:
+        self._statuses.append(int(row.status[0]))
+        self._poses = [*self._poses[-self._patience :], row.pose_at(0)]
+
+    def _run_of(self, status: Status) -> bool:
+        last = self._statuses[-self._patience :]
+        return len(last) == self._patience and set(last) == {int(status)}
+
+    @property
+    def full(self) -> bool:
+        return len(self._statuses) >= self._most
+
+    @property
+    def gone(self) -> bool:
+        return not self.full and self._run_of(Status.NO_DATA)
+
+    @property
+    def broken(self) -> bool:
+        """Whether it ends early, for the body is gone or lost."""
+        return self.gone or (not self.full and self._may_be_lost and self._run_of(Status.LOST))
+
+    @property
+    def over(self) -> bool:
+        return self.full or self.broken
+
+    @property
+    def before(self) -> Poses | None:
+        """The last poses before the body was gone."""
+        return self._poses[0] if self.gone and len(self._poses) > self._patience else None
+
+
+class _Shown:
+    """What is given out of each frame: with joints in their places and rated, by what came before it."""
+
+    def __init__(self, run: LiveRunner):
+        self._run = run
+        self._places = [stage for stage in PLACE if is_active(run, stage)]
+        self._rows: list[Tracks] = []  # of the present body, for the bands: before they were rated
+        self._first = 0  # frame in which it began
+        self._until = 0  # frame of the present body until which the bands hold
+        self._gaps: dict[str, Gaps] = {}
+        self._body: Body | None = None  # the present one, and what it is in its usual proportions
+        self._usual: Body | None = None
+        self._recent: list[Tracks] = []  # in which it is looked back for confidence
+
+    def __call__(self, row: Followed) -> Tracks:
+        run, at = self._run, row.first
+        frame = run.people[at]
+        alone = copy(run)
+        alone.people, alone.bodies = [frame], [(0, run.body)]
+        alone.settings = replace(run.settings, track=replace(run.settings.track, chunk=1))
+        own = {f.name: np.array(v) if isinstance(v := getattr(row, f.name), np.ndarray) else v for f in fields(row)}
+        tracks = with_passes(tracks_of(alone, replace(row, **own | {"first": 0}), "", ""))
+        if frame.other and at > 0:
+            self._rows, self._first, self._until = [], at, 0
+        for _ in self._places:
+            tracks = self._placed(tracks, frame, at - self._first)
+        self._recent = [*self._recent[-AROUND:], tracks]
+        window = joined_tracks([replace(t, body=tracks.body) for t in self._recent])
+        return last_of(rated(window, run.settings.track.lost_confidence, False))
+
+    def _placed(self, tracks: Tracks, frame: BodyObservation, number: int) -> Tracks:
+        """With joints moved by the bands of the frames until one not long ago, as PlaceJoints does online."""
+        self._rows.append(_for_bands(tracks))
+        if tracks.body is not self._body:
+            self._body, self._usual = tracks.body, persons_body(tracks.body)
+        body, eyes = self._usual, sensor_places([frame])
+        if body is None or eyes is None:
+            return tracks
+        stage = self._places[0]
+        if number >= self._until:
+            self._until = stage.part_end(number, 0)
+            self._rows = [joined_tracks([replace(t, body=tracks.body) for t in self._rows])]
+            self._gaps = band_gaps(body, self._rows[0])
+        return stage.placed_by(body, tracks, eyes, self._gaps)
+
+
+def _for_bands(tracks: Tracks) -> Tracks:
+    """What bands are told by, without what takes memory."""
+    none = {"limb_covariance": None, "joint_covariance": None, "beyond_limits": None, "depth_inside": None}
+    return replace(tracks, **none)
+
+
+def joined_tracks(parts: list[Tracks]) -> Tracks:
+    """Successive frames of one body as one."""
+    if len(parts) == 1:
+        return parts[0]
+    arrays = {}
+    for field in fields(Tracks):
+        if isinstance(getattr(parts[0], field.name), np.ndarray) and field.name not in ("up", "marker_residual"):
+            arrays[field.name] = np.concatenate([getattr(part, field.name) for part in parts])
+    return replace(parts[-1], **arrays)
+
+
+def last_of(tracks: Tracks) -> Tracks:
+    """The last frame alone."""
+    arrays = {}
+    for field in fields(Tracks):
+        if isinstance(value := getattr(tracks, field.name), np.ndarray) and field.name not in ("up", "marker_residual"):
+            arrays[field.name] = value[-1:]
+    return replace(tracks, **arrays)
+
+
+def _joined_rows(rows: list[Followed], limbs: int) -> Followed:
+    """Rows of all frames as one segment."""
+    if not rows:
+        return Followed.blank(0, limbs)
+    names = [f.name for f in fields(Followed) if isinstance(getattr(rows[0], f.name), np.ndarray)]
+    return replace(rows[0], first=0, **{name: np.concatenate([getattr(row, name) for row in rows]) for name in names})
