@@ -20,7 +20,7 @@ def own_cores() -> int:
 
 
 def text_of(path: str) -> str:
-    """What is in a small file of the system's; None where it cannot be read."""
+    """What is in a small file of the system's; nothing where it cannot be read."""
     try:
         return Path(path).read_text().strip()
     except OSError:
