@@ -166,6 +166,19 @@ def test_a_chunk_that_is_damaged_costs_itself(tmp_path):
     assert 60 < count < 80 and any("1 chunks cannot be read" in note for note in live.notes)
 
 
+def test_what_came_before_a_broken_record_is_kept(tmp_path):
+    data = chunked(tmp_path / "whole.mcap")
+    at, _ = logs.chunks(data)[-2]
+    broken = data[: at - 8] + (1 << 60).to_bytes(8, "little") + data[at:]
+
+    class Open(Growing):  # says itself when it ends
+        ended = False
+
+    live = opened(Open(tmp_path / "grows.mcap", broken, 4096), [])
+    assert 60 < len(list(live.frames())) < 80
+    assert live.source.ended and any("impossible length" in note for note in live.notes)
+
+
 def test_what_is_missing_is_waited_for(tmp_path):
     """The calibration comes after three seconds; without one the end is an error that says so."""
     log = logs.depth_log(200)

@@ -148,7 +148,11 @@ class LiveLog:
         """Frames as they are complete, until the source ends. Only after `open`."""
         yield from self._ready()
         while not self.source.ended:
-            if self._poll():
+            try:
+                came = self._poll()
+            except (LogError, OSError) as problem:  # what was read before is tracked all the same
+                self._problem, self.source.ended, came = str(problem), True, []
+            if came:
                 yield from self._ready()
         yield from self._ready()
 
