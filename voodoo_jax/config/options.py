@@ -250,6 +250,9 @@ class FlexibleSettings:
     seen_length: bool = True
     """Scores count by the length of limb that is seen; false: means, as in the paper, which like limbs that point at
     the camera."""
+    unseen: float = 1.0
+    """What the length of limb that is not seen scores then, as a share of what hidden samples score (0: nothing, so
+    that limbs that point at the camera score least)."""
     flow: bool = True
     """Half of the particles follow the optical flow instead of their own velocity."""
     restart: float = 0.1

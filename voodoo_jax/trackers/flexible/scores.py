@@ -52,6 +52,7 @@ class Weighing(NamedTuple):
     hidden_surface: Float[Array, ""]
     colour_scale: Float[Array, ""]  # share of full brightness, summed over channels
     seen_length: Float[Array, ""]  # 1: scores weigh by the length of limb that is seen; 0: means, as in the paper
+    unseen: Float[Array, ""]  # what length that is not seen scores then, share of what hidden samples score
     cap: Float[Array, ""]  # metres: farther points tell no more
 
 
@@ -185,7 +186,7 @@ def limb_score(p: Float[Array, "3 3"], context: LimbContext, view: View, w: Weig
     shown = inside & (nearest >= at.depth[..., None] - 0.02)
     edge = jnp.where(shown, edge.astype(jnp.float32) / 255, w.hidden_edge).mean((1, 2))
     share = w.seen_length * at.seen + (1 - w.seen_length)
-    weighed = lambda s, default: jnp.mean(share * s + (1 - share) * default)  # noqa: E731
+    weighed = lambda s, default: jnp.mean(share * s + (1 - share) * w.unseen * default)  # noqa: E731
     d = jnp.minimum(jnp.min(jnp.abs(segment_distance(segments, context.points)), 1), context.others)
     near = jnp.minimum(d, w.cap) / w.cap
     points = jnp.sum(context.share * near**2) / jnp.maximum(jnp.sum(context.share), 1e-6)

@@ -89,7 +89,8 @@ def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
     f = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
     weighing = Weighing(
         f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.skin_weight),
-        f(s.hidden_edge), f(s.hidden_surface), f(0.5), f(float(s.seen_length)), f(0.2),
+        f(s.hidden_edge), f(s.hidden_surface), f(0.5), f(float(s.seen_length)), f(s.unseen),
+        f(0.2),
     )  # fmt: skip
     return Numbers(
         weighing, f(s.velocity), f(s.depth_share), f(s.depth_noise), f(s.base_noise), f(s.spread_noise),
