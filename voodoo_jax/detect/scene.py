@@ -14,7 +14,7 @@ from voodoo_jax.records.scene import Scene
 BEHIND = 0.25  # metres: what seems to be so far behind a wall is in another room
 WIDE, FILLED = 2.0, 1.3  # metres from end to end of a wall that is seen, and of these as high as all of it, at least
 SLANTED = 0.9  # cosine: a floor that is so far from where it was thought to be is looked for once more
-STEEPEST = 0.77  # cosine: a floor is no farther from where up is thought to be, 40 degrees
+STEEPEST = 0.77  # cosine: a floor is no farther from where up is thought to be, 40 degrees; by hand
 COLUMN = 0.1  # metres
 PLACE = 0.05  # metres: what is right above a place on the floor is at most so far, or twice so far, aside
 
