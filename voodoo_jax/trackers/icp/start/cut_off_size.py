@@ -16,8 +16,9 @@ from voodoo_jax.trackers.icp.start.stage import Search
 
 @dataclass(frozen=True)
 class CutOffSize:
-    """The best of starts in several sizes, each on a floor so far below the head; unusual ones must explain more.
-    Numbers were chosen by hand, but for the usual stature."""
+    """Where the floor that is supposed would make somebody unusually tall or small: the best of starts in several
+    sizes, each on a floor so far below the head; unusual ones must explain more. Numbers were chosen by hand, but for
+    the usual stature."""
 
     name: ClassVar = "cut_off_size"
     looks_ahead: ClassVar = False
@@ -25,13 +26,15 @@ class CutOffSize:
 
     usual: float = 1.70  # metres and ...
     spread: float = 0.095  # ... its standard deviation, men and women together (ANSUR II, 2012)
+    unusual: float = 2.0  # standard deviations: who is less unusual stands on the floor that is supposed
     sizes: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
     counts: float = 19.0  # logarithms of the odds for each of a cost, as for facing (confidence.SURELY)
 
     def __call__(self, run: Runner, search: Search) -> Search:
         best, scene = search.best, run.scene
         known = run.sized or run.settings.start.scale > 0 or run.body.scale_name != "stature" or scene.floor_seen
-        if known or lowest(run, run.people[best.frame]) < HIDDEN:
+        usual = abs(float(best.body.scale) - self.usual) < self.unusual * self.spread
+        if known or usual or lowest(run, run.people[best.frame]) < HIDDEN:
             return search
         found = [(best.cost * self._unlikely(float(best.body.scale)), scene, best)]
         for size in self.usual + self.spread * np.array(self.sizes):
