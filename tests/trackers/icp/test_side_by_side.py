@@ -19,7 +19,7 @@ from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import in_one_picture, simulate, truth_tracks
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.limb_distance import body_distance
-from voodoo_jax.trackers.icp.people import NEAR, close_in
+from voodoo_jax.trackers.icp.people import NEAR, close_in, touching_in
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
 
 COUNT, RATE, STOLEN = 24, 15.0, 10
@@ -34,7 +34,7 @@ def reaching(tmp_path_factory):
     swing = np.radians(np.interp(time, [0.4, 1.0], [0, -85]))
     turns = {"l_shoulder": np.outer(swing, [0.75, 0.65, 0]).astype(np.float32)}
     people = []
-    for stature, moves, x, y in ((1.82, turns, 2.85, 0.28), (1.66, {}, 3.15, -0.22)):
+    for stature, moves, x, y in ((1.82, turns, 3.02, 0.28), (1.66, {}, 3.15, -0.22)):
         body = scaled(human(), stature)
         motion = placed(motion_of_turns(body, time, moves), x, y, np.pi)
         people.append(simulate(body, motion, tof_camera(1.2, 0.0), room=None))
@@ -83,6 +83,17 @@ def test_an_arm_that_somebody_else_was_given_comes_back(reaching):
 def test_who_has_their_own_points_keeps_them(reaching):
     given, found = shared(reaching, stolen=False)
     assert np.all(given == 1) and found.mean() > 0.985
+
+
+def test_people_are_close_where_their_points_may_be_mixed_up(reaching):
+    people, frames, owner = reaching
+    subjects = [Subject(k + 1, SCENE, [f.only(m == k) for f, m in zip(frames, owner)]) for k in (0, 1)]
+    tracks = [truth_tracks(p) for p in people]
+    found = touching_in(subjects, tracks, np.ones((2, COUNT), bool))
+    np.testing.assert_array_equal(found[0], found[1])
+    assert found[0, -5:].all()  # the arm is before the other one's chest
+    alone = touching_in(subjects, tracks, np.zeros((2, COUNT), bool))
+    assert not alone.any()
 
 
 def test_who_is_far_from_the_other_is_left_alone(reaching):

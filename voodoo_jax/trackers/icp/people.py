@@ -6,11 +6,13 @@ has gained or lost some is tracked anew.
 """
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int8
 
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.people import CLOSE
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject
@@ -24,6 +26,7 @@ from voodoo_jax.trackers.icp.tracker import track_person
 
 ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; by hand
 NEAR = 0.25  # metres from somebody's surface: what is farther off is none of their points; by hand
+SOME = 4  # of somebody's points, one of so many tells whether they are near to somebody else; by hand
 CLEARLY = 0.02  # metres nearer to somebody else: who has a point keeps it else; about a depth camera's noise, by hand
 MOVED = 0.02  # of somebody's points that change hands in a frame: fewer make no difference; by hand
 FRAMES = 3  # with so many points that change hands: fewer make no difference; by hand
@@ -59,7 +62,7 @@ def track_subjects(
     for turn in range(ROUNDS if len(subjects) > 1 and shares else 0):
         close = close_in(found)
         if turn == 0 and not settings.changes:
-            frames = owned_in_turn(subjects, found, close, settings, NEAR, visit)
+            frames = owned_in_turn(subjects, found, touching_in(subjects, found, close), settings, NEAR, visit)
         else:
             frames = shared_out([s.frames for s in subjects], found, close)
         concerned = _exchanged(subjects, frames)
@@ -109,6 +112,21 @@ def close_in(tracks: list[Tracks]) -> Bool[np.ndarray, "person frame"]:
         for k in sure:
             close[k, at] = any(_meet(boxes[k], boxes[j]) for j in sure if j != k)
     return close
+
+
+def touching_in(
+    subjects: list[Subject], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"]
+) -> Bool[np.ndarray, "person frame"]:
+    """In which of the frames in which people are `close` some points of theirs are so near to another one's limbs that
+    they may be mixed up."""
+    touch = np.zeros_like(close)
+    for at in np.flatnonzero(np.sum(close, 0) > 1).tolist():
+        who = np.flatnonzero(close[:, at]).tolist()
+        for k, j in permutations(who, 2):
+            some = subjects[k].frames[at].points[::SOME]
+            if np.any(surface_distance(tracks[j], at, some, CLOSE) < CLOSE):
+                touch[[k, j], at] = True
+    return touch
 
 
 def shared_out(
