@@ -53,19 +53,19 @@ def owned_in_turn(
 ) -> list[list[BodyObservation]]:  # fmt: skip
     """Everybody's frames with the points of those who are `close` to each other given to whom they belong.
 
-    **Arguments:** `tracks` of the subjects so far, of which each stretch begins; `near` metres from somebody's surface
-    beyond which a point stays whose it was.
+    **Arguments:** `tracks` of the subjects so far, in whose poses each stretch of close frames begins; `near` metres: a
+    point that is farther from everybody's surface keeps its owner.
     """
     frames = [list(subject.frames) for subject in subjects]
     for start, end in stretches(np.sum(close, 0) > 1):
         who = [k for k in range(len(subjects)) if close[k, start:end].any()]
         who = [k for k in who if tracks[k].status[start] == Status.TRACKED]
+        if len(who) < 2:
+            continue
         # tracked alone before they are close, as long as trials are: until it is known how fast they are
         lead = max(0, start - settings.start.frames)
         while lead < start and any(tracks[k].status[lead] != Status.TRACKED for k in who):
             lead += 1
-        if len(who) < 2:
-            continue
         walkers = {k: _walker(subjects[k], frames[k], tracks[k], settings, lead, visit) for k in who}
         for at in range(lead, end):
             _walk(walkers, frames, at, near if at >= start else None)
@@ -77,8 +77,8 @@ def _walker(
 ) -> Walker:
     """Somebody at rest where they were tracked in a frame."""
     options = options_from(settings.solve, settings.track, settings.features)
-    # of points alone: whose a named point is another one knows
-    plain = [replace(f, rays=NO_RAYS, pairs=NO_PAIRS) for f in frames]
+    # by points alone, which are what changes hands; nor does the body become another one on the way
+    plain = [replace(f, rays=NO_RAYS, pairs=NO_PAIRS, other=False) for f in frames]
     run = Runner(tracks.body, options, plain, subject.scene, settings, visit=visit)
     return Walker(run, at_rest(Poses(tracks.rotation[at], tracks.translation[at])))
 

@@ -93,28 +93,27 @@ class RestartLimbs:
 
     def _looked(self, run: Runner, segment: Followed, start: int, end: int) -> Followed:
         """The segment with limbs that were started anew between two of its frames, where they cost less."""
-        first, count, cost = segment.first, len(segment), pass_of(run, segment).cost
-        at = start + int(np.argmax(self.passes.smoothed(cost)[start:end]))
+        first, low, high = segment.first, max(0, start - self.around), min(len(segment), end + self.around)
+        cost = pass_of(run, segment[low : high + run.settings.start.frames]).cost  # from frame `low` on
+        at = start + int(np.argmax(self.passes.smoothed(cost)[start - low : end - low]))
         frames = soon(run.people[first + at : segment.end], run.settings.start)
         last = at + len(frames) - 1
         poses = segment.pose_at(last)
         limbs = [starts for starts in (other_arms(run.body, poses), other_legs(run.body, poses)) if starts]
         if not limbs or any(len(f.points) < FEW_POINTS for f in frames):
             return segment
-        here = float(np.mean(cost[at : last + 1]))
+        here = float(np.mean(cost[at - low : last + 1 - low]))
         if np.mean(segment.cost[at : last + 1]) > self.lost * np.percentile(segment.cost, self.well):
             limbs.append(standing_places(run.body, frames[::-1], run.scene.floor, run.settings.start.headings))
         # not all at once: the best few after two frames might all be of one kind
         tried = [run.trials(run.body, frames, starts) for starts in limbs]
         costs = [_cost(run, each) for each in tried]
-        k = int(np.argmin([np.min(cost) for cost in costs]))
+        k = int(np.argmin([np.min(each) for each in costs]))
         trial, best = tried[k], int(np.argmin(costs[k]))
         if not costs[k][best] < self.better * here:
             return segment
-        low, high = max(0, start - self.around), min(count, end + self.around)
         other = tracked_anew(run, trial.state.poses[best], first + low, first + at, first + high)
-        costs = (pass_of(run, some).cost for some in (other, segment[low:high]))
-        return segment.spliced(low, other, self.passes.is_better(*costs))
+        return segment.spliced(low, other, self.passes.is_better(pass_of(run, other).cost, cost[: high - low]))
 
 
 def _cost(run: Runner, trial: Trial) -> Float[np.ndarray, " trial"]:
