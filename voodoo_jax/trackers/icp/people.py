@@ -19,6 +19,7 @@ from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.icp.limb_distance import body_distance
+from voodoo_jax.trackers.icp.own_features import with_own_features
 from voodoo_jax.trackers.icp.runner import FEW_POINTS
 from voodoo_jax.trackers.icp.sequence import Progress
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
@@ -49,6 +50,9 @@ def track_subjects(
 
     names = [subject.name for subject in subjects if subject.name]
     shares = any(len(frame.points) for subject in subjects for frame in subject.frames)
+
+    if len(subjects) > 1 and shares:
+        subjects = with_own_features(subjects)
 
     def tracked(subject: Subject, say: Progress | None = None) -> Tracks:
         whose = f"Named points of {len(names)} people: these are the tracks of '{subject.name}'."
