@@ -3,12 +3,18 @@
 import numpy as np
 import pytest
 
-from tests.support.rooms import FLOOR, build_of, figure, frame
+from tests.support.rooms import FLOOR, box, build_of, figure, frame
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.people import Observed, People
 from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.model.body import scaled
+from voodoo_jax.model.body_file import human
 from voodoo_jax.records.scene import Scene
+from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
 
+CAMERA = tof_camera(1.2, 0.0)
 SCENE, SETTINGS = Scene(FLOOR, (), True), DetectSettings()
 
 
@@ -56,6 +62,32 @@ def test_what_never_moves_is_nobody_and_changes_nothing():
         np.testing.assert_array_equal(points, as_before)
 
 
+@pytest.mark.parametrize("lives", [True, False])
+def test_who_stands_still_sways_and_a_thing_does_not(lives):
+    rng = np.random.default_rng(4)
+
+    def cloud(i):
+        sway = 0.006 * np.array([np.sin(i / 9), np.sin(i / 13 + 1)]) * lives
+        still = figure(3.2 + sway[0], -0.8 + sway[1], 1.7)
+        return np.concatenate([figure(3.0, 0.8 + sways(i), 1.8), still + rng.normal(0, 0.004, still.shape)])
+
+    found, _ = everybody([cloud(i) for i in range(80)])
+    assert len(found) == (2 if lives else 0)
+
+
+def test_a_cupboard_before_which_somebody_moves_is_nobody():
+    rng = np.random.default_rng(5)
+    still = box(4.2, -0.5, 0.7, 1.7)
+
+    def cloud(i):
+        person = figure(3.0, 0.1 + sways(i), 1.8)
+        edge = np.max(person[:, 1]), np.min(person[:, 1])
+        seen = still[(still[:, 1] * 3 / 4.2 > edge[0]) | (still[:, 1] * 3 / 4.2 < edge[1])]
+        return np.concatenate([person, seen + rng.normal(0, 0.004, seen.shape)])
+
+    assert not everybody([cloud(i) for i in range(80)])[0]
+
+
 @pytest.mark.parametrize("ahead", [True, False])
 def test_who_comes_in_and_leaves_is_there_meanwhile(ahead):
     def cloud(i):
@@ -84,3 +116,22 @@ def test_who_was_hidden_for_long_is_the_same_if_the_size_is(height, people):
     ]
     found, _ = everybody(clouds)
     assert len(found) == people
+
+
+def test_four_who_stand_shoulder_to_shoulder_from_the_first_frame_on_are_four():
+    rng, people = np.random.default_rng(6), []
+    for stature, y in ((1.8, 0.9), (1.65, -0.85), (1.7, 0.32), (1.9, -0.28)):
+        body = scaled(human(), stature)
+        seen = simulate(body, placed(make_motion(body, "stand", 0.1, 10.0), 4.0, y, np.pi), CAMERA, room=None)
+        depth = seen.depth[0].ravel() / 1000.0
+        points = CAMERA.rays()[depth > 0] * depth[depth > 0, None] + np.array(CAMERA.position)
+        people.append((points[points[:, 2] > 0.05], rng.uniform(0, 6, 2)))
+
+    def cloud(i):
+        sway = [[*0.012 * np.sin(i * np.array([0.11, 0.07]) + phase), 0.0] for _, phase in people]
+        here = np.concatenate([points + shift for (points, _), shift in zip(people, sway)])
+        return here + rng.normal(0, 0.003, here.shape)
+
+    found, _ = everybody([cloud(i) for i in range(70)])
+    middle = sorted(float(np.median(np.concatenate(points)[:, 1])) for points in found)
+    np.testing.assert_allclose(middle, [-0.85, -0.28, 0.32, 0.9], atol=0.05)

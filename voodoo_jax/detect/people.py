@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
-from voodoo_jax.detect.stillness import Stillness
+from voodoo_jax.detect.stillness import NOISE, Stillness, directions, filled, seen_long
 from voodoo_jax.detect.target_selection import LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.voxels import cells_of, touching
@@ -34,6 +34,10 @@ AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
 LIKE = 0.07  # metres of height: who differs by more is somebody else; by hand
 CLOSE = 0.15  # metres, and twice that: whose points are so near to each other may be mixed up; by hand
 STIRRED = 10  # frames in which an arm or so of them is where nothing was: who moves no more than that; by hand
+# as in drop_motionless: of so many directions in which they are nearly always seen, over so many frames and seconds; of
+# people who stand still 80 % move or more, of a cupboard before which somebody moves a third (measured)
+TOLD, OFTEN, FEWEST, SECONDS, SWAYING = 12, 0.8, 20, 2.0, 0.6
+WATCHED = 150  # frames, the last ones, by which it is asked whether somebody sways; five seconds, by hand
 HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
 WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
 SLOW = 0.3  # metres per second: who is slower stands; by hand
@@ -54,6 +58,7 @@ class Sighting:
     tops: list[float] = field(default_factory=list)  # heights above the floor, of each frame in which they were seen
     places: dict[int, np.ndarray] = field(default_factory=dict)  # of the first and last frames: where they were
     born_ns: int = 0
+    alive: bool = False  # known by what `sways`
     _way: deque = field(default_factory=deque)  # time in seconds, and place, while nobody hid them
 
     @property
@@ -64,7 +69,16 @@ class Sighting:
     def is_person(self) -> bool:
         """Whether they have moved as no thing does."""
         f = self.follower
-        return (f.moves or f.went >= LITTLE or f.stirred >= STIRRED) and self.seen >= BRIEF
+        return (self.alive or f.moves or f.went >= LITTLE or f.stirred >= STIRRED) and self.seen >= BRIEF
+
+    def sways(self) -> bool:
+        """Whether they move as who stands still does, by millimetres: then they are a person from now on."""
+        frames = self.frames.frames()[-WATCHED:]
+        if seen_long(frames, FEWEST, SECONDS):
+            found = directions(frames)
+            asked = filled(found) & (found.often >= OFTEN)
+            self.alive |= asked.sum() >= TOLD and float(np.mean(found.ratio[asked] < NOISE)) > SWAYING
+        return self.is_person
 
     @property
     def height(self) -> float:
@@ -189,13 +203,13 @@ class People:
             twice = any(same(sighting.follower, s.follower) and s.seen >= sighting.seen for s in others)
             if sighting.finder.last is None or twice:
                 self._end(sighting)
-            elif not sighting.is_person and frame.time_ns - sighting.born_ns > IDLE_NS:
+            elif not sighting.is_person and frame.time_ns - sighting.born_ns > IDLE_NS and not sighting.sways():
                 self._things.append(sighting.finder.last[:: max(1, len(sighting.finder.last) // SOME)])
                 self._end(sighting)
 
     def _end(self, sighting: Sighting) -> None:
         self._followed.remove(sighting)
-        if sighting.is_person:
+        if sighting.is_person or sighting.sways():
             self._left.append(sighting)
 
     def _look(self, frame: Frame, taken: list[np.ndarray]) -> None:
@@ -243,7 +257,7 @@ class People:
 
         **Arguments:** `main` the chooser's frames, corrected.
         """
-        found = [s for s in (*self._left, *self._followed) if s.is_person]
+        found = [s for s in (*self._left, *self._followed) if s.is_person or s.sways()]
         groups = linked(found, main)
         if len(groups) < 2:
             return []

@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import Build, candidate
+from voodoo_jax.detect.body_likelihood import FEWEST, Build, candidate
+from voodoo_jax.detect.heads import may_be_several, parted
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import (
@@ -45,6 +46,7 @@ FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
+HEADS = 0.6  # of its height: what is above somebody and higher is their head, if it is alone; by hand
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
@@ -213,7 +215,10 @@ class BodySegmenter:
             touched = np.bincount(label, touched) * (count >= 30)
             most[np.argmax(touched)] = touched.any()
         if self.last is None:
-            return most[label] if most.any() else label == self._candidate(seen, label)
+            if most.any():
+                return most[label]
+            label = self._parted(points, label)
+            return label == self._candidate(seen, label)
         taken = most | self._followed(points, label, count, self.last)
         far = self._gone_by(seen)
         if far > 0 and np.sum(count[taken]) < ALIKE * len(self.last):
@@ -298,7 +303,24 @@ class BodySegmenter:
         floor = self.scene.floor
         apart = np.median(thing, 0) - np.median(body, 0)
         apart -= (apart @ floor.normal) * floor.normal
-        return bool(floor.height(thing).min() > 0.6 * self.body.height and np.linalg.norm(apart) < 0.3)
+        return bool(floor.height(thing).min() > HEADS * self.body.height and np.linalg.norm(apart) < 0.3)
+
+    def _parted(self, points, label) -> Int[np.ndarray, " point"]:
+        """The labels of things, where several people hang together one for each of them."""
+        out = np.array(label)
+        height, *level = self._places(points)[:3]
+        level, flat = np.stack(level), self.scene.floor.level(points)
+        for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
+            mine = np.flatnonzero(label == k)
+            if not may_be_several(level[:, mine], self.body):
+                continue
+            # a head hangs together with its body by a neck that may not be seen
+            high = (label != k) & (height > HEADS * self.body.height)
+            above = np.flatnonzero(high)[touching(*(cells_of(flat[some], CELL) for some in (high, mine)))]
+            both = np.concatenate([mine, above])
+            who = parted(height[both], level[:, both], self.body, self.settings.min_height)
+            out[both[who > 0]] = out.max() + who[who > 0]
+        return out
 
     def _candidate(self, seen: BodyObservation, label) -> int:
         """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""

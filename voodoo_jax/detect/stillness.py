@@ -18,6 +18,7 @@ from voodoo_jax.records.observation import BodyObservation, assigned
 
 BIN = 0.035  # radians, two degrees: of the directions in which distances are averaged; by hand
 NOISE = 0.6  # measured: of von Neumann's ratio: noise alone is below in 1.4 % of the directions of 30 frames
+RARELY, ALIKE = 0.1, 0.8  # of the frames, and of the usual count of points: an edge is there; by hand
 TELLING = 30  # points in a frame, as in segmentation; by hand
 
 
@@ -89,6 +90,14 @@ def _direction(
     cells = [np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))]
     azimuth, elevation = (np.floor(cell / BIN).astype(int) + 500 for cell in cells)
     return (sensor.astype(int) * 1000 + azimuth) * 1000 + elevation
+
+
+def filled(found: Directions) -> Bool[np.ndarray, " direction"]:
+    """In which directions nearly always about as many points are seen: no edge of the thing is there, nor of anything
+    that moves before it."""
+    count = np.array([np.bincount(which, minlength=len(found.ratio)) for which in found.which])
+    least, usual, most = np.quantile(count, [RARELY, 0.5, 1 - RARELY], axis=0)
+    return (least >= ALIKE * usual) & (ALIKE * most <= usual)
 
 
 def moves(found: Directions, often: float) -> Bool[np.ndarray, " direction"]:

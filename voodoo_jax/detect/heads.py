@@ -1,0 +1,97 @@
+"""People who touch each other are told apart by their heads. Host side, NumPy.
+
+What hangs together is one thing; of people who stand shoulder to shoulder, hold hands or embrace, it is several. Seen
+from above, heads are summits with lower ground between them, and under a head there is a body, which is not so under a
+hand that is held up.
+"""
+
+import numpy as np
+from jaxtyping import Float32, Int
+from scipy.ndimage import maximum_filter
+
+from voodoo_jax.detect.body_likelihood import FEWEST, Build
+
+CELL = 0.05  # metres, of the map of heights; as wide as a hand, by hand
+BRIDGED = 2  # cells: ground that is no farther from other ground hangs together with it; by hand
+# of the body's height: so much lower is the ground between two heads. Shoulders are 0.18 below the top of the head (in
+# ANSUR II), arms around shoulders are in between; by hand
+DROP = 0.07
+APART = 0.28  # metres, level, at least, between two heads: people are deeper than that; by hand
+COLUMN = 0.16  # metres, level, around the middle of a head: what is under it; half as wide as shoulders, by hand
+BAND, LOWEST, FILLED = 0.1, 0.45, 0.85  # metres; of its top; share of the bands: how much of a body is there; by hand
+WIDE = 0.33  # of its height: what is not even so wide is one; by hand
+MOST = 4.5  # metres: what is wider is a room; by hand
+
+
+def may_be_several(level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
+    """Whether a thing with these level coordinates is as wide as several people, and nowhere near a room."""
+    wide = float(np.hypot(*np.ptp(level, axis=1))) if level.shape[1] >= 2 * FEWEST else 0.0
+    return not body.loose and WIDE * body.height <= wide <= MOST
+
+
+def parted(
+    height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], body: Build, least: float
+) -> Int[np.ndarray, " point"]:
+    """Number of the person in one thing that each of its points belongs to: all 0 unless there are several heads.
+
+    **Arguments:** `height` above the floor and `level` coordinates, metres; `least` the lowest top of a person, as a
+    share of the body's height.
+    """
+    none = np.zeros(len(height), int)
+    if not may_be_several(level, body):
+        return none
+    heads = [spot for spot in summits(height, level, DROP * body.height) if _has_body(height, level, spot, body, least)]
+    far: list[np.ndarray] = []
+    for spot in heads:  # the highest first
+        if all(np.linalg.norm(spot[:2] - other[:2]) >= APART for other in far):
+            far.append(spot)
+    if len(far) < 2:
+        return none
+    off = np.stack([np.hypot(*(level - spot[:2, None])) for spot in far])
+    return np.argmin(off, 0)
+
+
+def summits(
+    height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], drop: float
+) -> list[Float32[np.ndarray, "3"]]:
+    """Places (level coordinates and height, metres) that are higher by `drop` than the ground over which one gets from
+    there to anything higher; the highest first."""
+    corner = np.floor(level.min(1) / CELL).astype(int) - BRIDGED
+    row, column = np.floor(level / CELL).astype(int) - corner[:, None]
+    shape = (row.max() + BRIDGED + 1, column.max() + BRIDGED + 1)
+    top = np.full(shape, -np.inf, np.float32)
+    np.maximum.at(top, (row, column), height)
+    found, left = [], top.copy()
+    while np.isfinite(left).any():
+        at = np.unravel_index(np.argmax(left), shape)
+        peak = float(left[at])
+        reached = _reached(top, at, peak - drop)
+        if float(np.max(top[reached])) <= peak:
+            middle = (np.argwhere(reached & (top > peak - drop)).mean(0) + corner + 0.5) * CELL
+            found.append(np.array([*middle, peak], np.float32))
+        left[reached] = -np.inf
+    return found
+
+
+def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
+    """The cells that hang together with one over ground that is not lower than `least`."""
+    ground, reached = top >= least, np.zeros(top.shape, bool)
+    reached[start] = True
+    while True:
+        wider = np.logical_and(maximum_filter(reached, 2 * BRIDGED + 1), ground)
+        if wider.sum() == reached.sum():
+            return reached
+        reached = wider
+
+
+def _has_body(height: np.ndarray, level: np.ndarray, spot: np.ndarray, body: Build, least: float) -> bool:
+    """Whether a head is as high as a person's may be, and there is a body under it."""
+    top = float(spot[2])
+    if not least * body.height <= top <= 1.35 * body.height:
+        return False
+    under = height[np.hypot(*(level - spot[:2, None])) < COLUMN]
+    low = max(LOWEST * top, float(np.min(height)))
+    bands = np.arange(low, top - BAND / 2, BAND)
+    if len(bands) < 3:
+        return False
+    return bool(np.mean(np.histogram(under, [*bands, top + BAND])[0] > 0) >= FILLED)
