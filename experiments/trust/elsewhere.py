@@ -41,7 +41,8 @@ PLAIN = tuple(COUNTS)  # kinds with nothing before or around people: for these a
 LEAST = 0.03  # a clue counts so much for each standard deviation at least
 SUREST, FAR = 40.0, 9.0  # SURELY at most; odds beyond which nothing changes
 WEAK, WEAKER = 1e-3, 3e-5  # weights of the squared slopes: of clues by standard deviations, of misfits
-NOTHING = np.array([np.log(LEAST_SHARE), 0.0, np.log(LEAST_DISTANCE), 0.0])  # misfits of a body that fits
+# misfits of a body that fits
+NOTHING = np.array([np.log(LEAST_SHARE), 0.0, np.log(LEAST_DISTANCE), *np.zeros(len(MISFITS) - 3)])
 FRAMES = 14  # of a log, drawn at random
 ROUNDS = 2  # THERE_AND_BACK and the others are fitted in turns
 

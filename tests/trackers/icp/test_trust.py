@@ -128,8 +128,30 @@ def test_what_does_not_fit_is_not_trusted(worse):
         changed = replace(fine, body=scaled(BODY, 1.25))
     else:
         changed = replace(fine, **{worse: getattr(bad, worse)})
-    assert (joint_confidence(changed) < said - 0.02).all()
+    assert (joint_confidence(changed) < said - 0.005).all()
     assert joint_confidence(bad).max() < 0.1
+
+
+@pytest.mark.parametrize("worse", ["limb_beside", "depth_inside", "passes_apart"])
+def test_what_is_wrong_with_a_thigh_is_said_of_the_joints_where_it_ends(worse):
+    """Of its hip, too, whose centre is the pelvis'; points apart are so for half a second before and after."""
+    found = replace(fitting(40), depth_inside=np.zeros((40, LIMBS), np.float32))
+    said = joint_confidence(found)
+    changed = getattr(found, worse).copy()
+    changed[:4, TOPOLOGY.limbs.index("l_thigh")] = 0.9
+    lower = joint_confidence(replace(found, **{worse: changed})) < said - 0.01
+    first = dict(zip(TOPOLOGY.centres, lower[:4].all(0)))
+    assert first["l_hip"] and first["l_knee"] and not first["r_hip"] and not first["l_elbow"]
+    assert not lower[20:].any()
+
+
+def test_joints_beyond_their_limits_are_doubted():
+    beyond = np.zeros((6, len(TOPOLOGY.joints)), np.float32)
+    found = replace(fitting(), beyond_limits=beyond)
+    said = joint_confidence(found)[3]
+    beyond[:, TOPOLOGY.joints.index("r_elbow")] = np.radians(40)
+    lower = dict(zip(TOPOLOGY.centres, joint_confidence(found)[3] < said - 0.005))
+    assert lower["r_elbow"] and lower["r_radiocarpal"] and not lower["l_elbow"] and not lower["r_knee"]
 
 
 def test_a_limb_alone_that_is_bare_is_doubted_alone():
@@ -168,7 +190,8 @@ def test_odds_of_facing_tell_little_of_a_body_that_fits_badly(worse):
     badly = replace(fine, **{worse: np.full((6, LIMBS), 0.3, np.float32)})
     good, bad = (facing_right(tracks, ill_fit(misfits(tracks))) for tracks in (fine, badly))
     sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
-    assert (good[:, sides] > 0.95).all() and (bad[:, sides] < 0.8).all() and (bad[:, sides] > 0.5).all()
+    assert (good[:, sides] > 0.95).all() and (bad[:, sides] > 0.5).all()
+    assert (bad[:, sides] < (0.8 if worse == "limb_beside" else good[:, sides] - 0.002)).all()
     assert (bad[:, ~sides] == 1).all()
 
 

@@ -6,7 +6,8 @@ people, the other half's joints are right as often as is said.
 
 These are all recordings of people with nothing before or around them. A body that was fitted to a table or a coat, or
 that faces the wrong way, is as smooth and as near to its points: two more factors say whether it fits at all
-(misfits), and whether it faces the right way. What a body faces is told by what it is fitted to: of those that fit, all
+(misfits: points beside limbs, bare limbs, limbs in each other, joints bent too far, passes that once were apart), and
+whether it faces the right way. What a body faces is told by what it is fitted to: of those that fit, all
 of some two hundred decisions at odds of 0.1 and more (logarithms) were right, of those in skirts two of five.
 """
 
@@ -14,11 +15,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Int8
-from scipy.ndimage import uniform_filter1d
+from jaxtyping import Float, Float32, Int, Int8
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import expit
 
-from voodoo_jax.geometry.rigid import cross_matrix
+from voodoo_jax.geometry.rigid import apply, cross_matrix, on_host
+from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
 
 CLOSE = 0.10  # metres
@@ -26,9 +28,12 @@ CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
 # of a joint whose limb no marker tells of: nothing of a frame shows how far it hangs off. Of knees and ankles in a walk
 # on a treadmill 12 % were within 10 cm, of joints of a recording without its legs', arms' or shanks' markers 39 %
 UNMARKED = 0.1
-MISFITS = ("beside", "bare", "all distance", "size")
+MISFITS = ("beside", "bare", "all distance", "size", "inside", "beyond", "apart")
 AROUND = 31  # frames over which a limb's misfit is averaged, about a second; by hand
 LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: less tells nothing; by hand
+# by hand: metres in another limb that count as one, and how many count at most; radians beyond a joint's limit,
+# likewise; metres between the passes that tell nothing, and those that tell all
+DEEP, DEEPEST, BENT, MOST_BENT, TOGETHER, ASUNDER = 0.01, 8.0, float(np.radians(10)), 3.0, 0.05, 1.0
 # metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
 # nothing, and so many beyond count at most
 STATURE, STATURES, USUAL, UNUSUAL = 1.70, 0.095, 2.7, 2.0
@@ -36,7 +41,7 @@ EVERY = slice(None)
 BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
 # how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
 # limbs are bare; from experiments/trust/elsewhere.py
-SURELY, LESS_SURE = 19.2, (-3.33, -5.02)
+SURELY, LESS_SURE = 28.4, (-2.42, -0.63)
 
 
 class Trust(NamedTuple):
@@ -47,12 +52,12 @@ class Trust(NamedTuple):
 
 
 # from experiments/trust/elsewhere.py
-THERE_AND_BACK = Trust(-12.401, (-3.267, -0.124, -0.047, -0.535, 0.287, -1.020))
+THERE_AND_BACK = Trust(-12.173, (-3.734, -0.124, -0.047, -0.333, 0.522, -0.702))
 # from experiments/trust
 ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
 
 # of MISFITS; from experiments/trust/elsewhere.py
-FITS = Trust(-10.682, (-2.726, -5.503, -1.534, -3.409))
+FITS = Trust(-12.747, (-1.268, -4.126, -3.094, -2.014, -2.213, -0.596, -1.026))
 
 
 def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
@@ -96,9 +101,13 @@ def _spread(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
 
 
 def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint misfit"]:
-    """What tells that a body is on something else, of each joint centre, averaged over a second: the logarithm of the
-    share of unexplained points beside its limb or the next one towards the trunk, the share of these limbs' length that
-    is bare, the logarithm of how far points are from all limbs, metres, (see misfit.py); and how unusual the size is.
+    """What tells that a body is on something else, of each joint centre, averaged over a second.
+
+    Of its limb, the next one towards the trunk and the one that it meets there, the worst counts: the logarithm of the
+    share of unexplained points beside it; the share of its length that is bare (of the first two); log(1 + centimetres
+    in other limbs); how far joints are bent beyond their limits, in tens of degrees; and the logarithm of how far the
+    passes there and back in time were apart at most. Of the body: the logarithm of how far points are from all limbs,
+    metres (see misfit.py), and how unusual the size is.
 
     **Arguments:** `ahead` as for `clues`.
 
@@ -107,27 +116,77 @@ def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame join
     return _misfits(tracks, _averages(tracks, ahead))
 
 
-def _averages(tracks: Tracks, ahead: bool) -> tuple[np.ndarray, ...]:
-    """Misfits beside, at and along limbs [frame, limb], averaged over a second; none where they are not known."""
+class Averages(NamedTuple):
+    """What tells that limbs do not fit, over a second around each frame."""
+
+    beside: Float[np.ndarray, "frame limb"]  # means, see Tracks
+    distance: Float[np.ndarray, "frame limb"]
+    bare: Float[np.ndarray, "frame limb"]
+    inside: Float32[np.ndarray, "frame limb"]  # in other limbs, metres, mean
+    beyond: Float32[np.ndarray, "frame limb"]  # of the joint towards the trunk, beyond its limits, radians, mean
+    apart: Float32[np.ndarray, "frame limb"]  # passes, metres, the most; 0 where there was one
+
+    def some(self, span: slice) -> "Averages":
+        """Those of some frames."""
+        return Averages(*(each[span] for each in self))
+
+
+def _averages(tracks: Tracks, ahead: bool) -> Averages | None:
+    """None where it is not known how limbs fit."""
     if tracks.limb_beside is None or tracks.limb_distance is None or tracks.limb_bare is None:
-        return ()
-    return tuple(averaged(found, ahead) for found in (tracks.limb_beside, tracks.limb_distance, tracks.limb_bare))
+        return None
+    nothing = np.zeros(tracks.limb_beside.shape, np.float32)
+    known = lambda found: nothing if found is None else np.nan_to_num(found)  # noqa: E731
+    beyond, apart = nothing.copy(), known(tracks.passes_apart)
+    if tracks.beyond_limits is not None:
+        beyond[:, np.array(tracks.body.topology.children, int)] = np.nan_to_num(tracks.beyond_limits)
+    return Averages(
+        averaged(tracks.limb_beside, ahead),
+        averaged(tracks.limb_distance, ahead),
+        averaged(tracks.limb_bare, ahead),
+        averaged(known(tracks.depth_inside), ahead).astype(np.float32),
+        averaged(beyond, ahead).astype(np.float32),
+        maximum_filter1d(apart, AROUND, 0) if len(apart) else apart,
+    )
 
 
-def _misfits(tracks: Tracks, averages: tuple[np.ndarray, ...]) -> Float[np.ndarray, "frame joint misfit"]:
+def _misfits(tracks: Tracks, averages: Averages | None) -> Float[np.ndarray, "frame joint misfit"]:
     """See misfits; of tracks whose `averages` these are."""
     t, count = tracks.body.topology, len(tracks.status)
     limbs = np.array(t.centre_limbs, int)
-    if not averages:
+    if averages is None:
         return np.full((count, len(limbs), len(MISFITS)), np.nan)
     parent = np.arange(len(t.limbs))
     parent[np.array(t.children, int)] = np.array(t.parents, int)
-    beside, distance, bare = averages
-    worse = lambda found: np.fmax(found[:, limbs], found[:, parent[limbs]])  # noqa: E731
-    every = np.broadcast_to(distance.mean(1, keepdims=True), (count, len(limbs)))
+    towards, meets = parent[limbs], meeting_limbs(tracks.body)
+    worse = lambda found: np.fmax(found[:, limbs], found[:, towards])  # noqa: E731
+    worst = lambda found: np.fmax(worse(found), found[:, meets])  # noqa: E731
+    every = np.broadcast_to(averages.distance.mean(1, keepdims=True), (count, len(limbs)))
     size = np.broadcast_to(_unusual(tracks), every.shape)
     log = lambda found, least: np.log(np.clip(found, least, 1.0))  # noqa: E731
-    return np.stack([log(worse(beside), LEAST_SHARE), worse(bare), log(every, LEAST_DISTANCE), size], -1)
+    found = (
+        log(worst(averages.beside), LEAST_SHARE),
+        worse(averages.bare),
+        log(every, LEAST_DISTANCE),
+        size,
+        np.log1p(np.clip(worst(averages.inside) / DEEP, 0.0, DEEPEST)),
+        np.clip(worst(averages.beyond) / BENT, 0.0, MOST_BENT),
+        np.log(np.clip(worst(averages.apart) / TOGETHER, 1.0, ASUNDER / TOGETHER)),
+    )
+    return np.stack(found, -1)
+
+
+def meeting_limbs(body: Body) -> Int[np.ndarray, " joint"]:
+    """The limb that meets a joint centre's limb there: of the joint that is nearest to the centre in the rest pose."""
+    t, body = body.topology, on_host(body)
+    limbs, parents = np.array(t.centre_limbs, int), np.array(t.parents, int)
+    if not len(parents):
+        return limbs
+    at = joint_centres(body, body.rest)
+    joints = apply(body.rest[parents], body.parent_anchor.translation)
+    near = np.linalg.norm(at[:, None] - joints[None], axis=-1).argmin(1)
+    children = np.array(t.children, int)[near]
+    return np.where(parents[near] == limbs, children, parents[near])
 
 
 def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float[np.ndarray, "frame limb"]:
@@ -196,7 +255,7 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
         inner = slice(at - around.start, span.stop - around.start)
         found = clues(_only(tracks, around), ahead)[inner]
         twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
-        misfit = _misfits(_only(tracks, span), tuple(each[span] for each in averages))
+        misfit = _misfits(_only(tracks, span), averages and averages.some(span))
         fits, ill[span] = probability(FITS, misfit), ill_fit(misfit)
         sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
     told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))

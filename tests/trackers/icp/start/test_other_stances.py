@@ -61,3 +61,18 @@ def test_who_sat_before_the_chair_was_taken_away_sits(session, monkeypatch):
     run = session()
     run.stances = {0: STANCES[3]}
     assert begin(run, 0).cost == 11e-4 and run.stances == {0: STANCES[3]}
+
+
+@pytest.mark.parametrize(("cost", "sits"), [(6e-4, False), (1e-4, True)])
+def test_who_would_be_unusually_tall_if_they_sat_must_fit_well(session, monkeypatch, cost, sits):
+    """Somebody in a skirt: none of the starts fits; and somebody who fits well where they sit."""
+
+    def trial(run, at, body, before=None, rest=None):
+        seated = rest is not None and centre(rest, "l_knee")[0] > centre(rest, "l_hip")[0] + 0.2
+        return StartHypothesis(at, rest or body, (rest or body).rest, cost if seated else 10e-4)
+
+    for module in ("initialise", "start.other_stances"):
+        monkeypatch.setattr(f"voodoo_jax.trackers.icp.{module}.trial", trial)
+    run = session()
+    run.stances = {}
+    assert (begin(run, 0).cost == cost) == sits and bool(run.stances) == sits

@@ -28,7 +28,7 @@ class CutOffSize:
     spread: float = 0.095  # ... its standard deviation, men and women together (ANSUR II, 2012)
     unusual: float = 2.0  # standard deviations: who is less unusual stands on the floor that is supposed
     sizes: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
-    counts: float = 19.0  # logarithms of the odds for each of a cost, as for facing (confidence.SURELY)
+    counts: float = 19.0  # logarithms of the odds for each of a cost, as facing had once (confidence.SURELY)
 
     def __call__(self, run: Runner, search: Search) -> Search:
         best, scene = search.best, run.scene

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from voodoo_jax.model.body import scaled
+import numpy as np
+
+from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, sized_at, trial
@@ -12,23 +14,44 @@ from voodoo_jax.trackers.icp.start.stage import Search
 
 @dataclass(frozen=True)
 class OtherStances:
-    """The best of starts in the stances of the pose library, for a body that can take them. Numbers by hand."""
+    """The best of starts in the stances of the pose library, for a body that can take them. A skirt looks much like
+    somebody who sits, and is far taller than they seem: the worse all starts fit, the less their costs tell, and a
+    stance that makes somebody unusually tall must explain the more. Numbers by hand, but for the usual stature."""
 
     name: ClassVar = "other_stances"
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset({"points"})
 
     likelier: float = 0.8  # to stand, or what was found before, is left where another costs less than this share of it
+    fits: float = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
+    usual: float = 1.70  # metres and ...
+    spread: float = 0.095  # ... its standard deviation, men and women together (ANSUR II, 2012)
+    counts: float = 19.0  # logarithms of the odds for each of a cost, as facing had once (confidence.SURELY)
 
     def __call__(self, run: Runner, search: Search) -> Search:
         # who sat before what is at rest was taken away did not stand up by that; else people stand
         earlier = run.stances.pop(search.at, None)
         posed = in_stances(run, search.best.frame) if search.best.unexplained > run.settings.start.sure else []
-        odds = lambda found: found[0].cost * (self.likelier if found[1] is earlier else 1.0)  # noqa: E731
-        best, stance = min([(search.best, None), *posed], key=odds)
+        every = [(search.best, None), *posed]
+        unexplained = max(min(found.unexplained for found, _ in every), 1e-9)
+        fit = min(1.0, self.fits * run.settings.start.sure / unexplained)
+
+        def against(one: tuple[StartHypothesis, Stance | None]) -> float:
+            found, stance = one
+            cost = fit * float(np.log(found.cost * (self.likelier if stance is None is earlier else 1.0)))
+            if stance is not None and stance is earlier:  # it has been asked how tall they are
+                return cost + float(np.log(self.likelier))
+            return cost + max(self._tall(found.body) - self._tall(search.best.body), 0.0)
+
+        best, stance = min(every, key=against)
         if stance is not None:
             run.stances[search.at] = stance
         return search._replace(best=best, stance=stance)
+
+    def _tall(self, body: Body) -> float:
+        """What speaks against a body that is taller than usual, as a logarithm of costs."""
+        beyond = max(float(body.scale) - self.usual, 0.0) / self.spread if body.scale_name == "stature" else 0.0
+        return beyond**2 / (2 * self.counts)
 
 
 def in_stances(run: Runner, at: int) -> list[tuple[StartHypothesis, Stance]]:
