@@ -1,8 +1,8 @@
-"""Joint angles beside OpenSim's inverse kinematics: python -m experiments.opensim LOG.mcap ... (needs `opensim`)
+"""Joint angles beside OpenSim's inverse kinematics: python -m experiments.angles LOG.mcap ... (needs `opensim`)
 
 Each log of markers is tracked, and a model is built of its body: the same limbs and joint centres, the markers where
 they were on their limbs (median over the log), joints with the degrees of freedom of usual models. OpenSim's
-InverseKinematicsTool then finds that model's coordinates from the markers alone. Writes opensim.md and opensim.png.
+InverseKinematicsTool then finds that model's coordinates from the markers alone. Writes angles.md and angles.png.
 """
 
 from pathlib import Path
@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 import voodoo_jax as vj
 from experiments.common import table, write
-from experiments.opensim.model import build, solved
+from experiments.angles.model import build, solved
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.isb_angles import UPRIGHT, Convention, cardan_zxy, joint_angles
 from voodoo_jax.records.tracks import Tracks
@@ -120,7 +120,7 @@ def main(logs: tyro.conf.Positional[tuple[Path, ...]], out: Path = Path(__file__
 
     Args:
         logs: logs of markers.
-        out: folder for opensim.md and opensim.png.
+        out: folder for angles.md and angles.png.
     """
     found = {path.stem: both(path) for path in logs}
     rows = []
@@ -133,7 +133,7 @@ def main(logs: tyro.conf.Positional[tuple[Path, ...]], out: Path = Path(__file__
             row += ["-", "-", "-"] if np.isnan(spread) else [f"{spread:.1f}", offsets, f"{max(reach):.0f}"]
         rows.append(row)
     head = ["degrees", *(t for n in found for t in (f"{n}: r.m.s.", "constant, left/right", "range"))]
-    write(out, "opensim", table(head, rows), drawn(found))
+    write(out, "angles", table(head, rows), drawn(found))
 
 
 def drawn(found: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]) -> Figure:
