@@ -15,8 +15,8 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 import voodoo_jax as vj
-from experiments.common import table, write
 from experiments.angles.model import build, solved
+from experiments.common import table, write
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.isb_angles import UPRIGHT, Convention, cardan_zxy, joint_angles
 from voodoo_jax.records.tracks import Tracks
