@@ -102,6 +102,7 @@ def test_ctrl_c_ends_it_with_results(recorded, tmp_path, capsys):
         (("none.mcap", "--idle", 0), 2, "above 0"),
         (("none.mcap", "--tracker", "flexible"), 2, "icp only"),
         (("none.mcap", "--read.skin"), 2, "read.skin"),
+        (("none.mcap", "--read.pose-net", "mediapipe"), 2, "read.pose_net"),
         (("ws://127.0.0.1:9",), 1, "cannot be connected to"),
     ],
 )

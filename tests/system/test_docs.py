@@ -89,4 +89,4 @@ def test_versions_and_extras_agree():
     }
     assert {"all", "view", "mkv"} <= asked | extras and asked <= extras
     everything = re.fullmatch(r"voodoo_jax\[(.*)\]", project["optional-dependencies"]["all"][0])
-    assert everything and set(everything[1].split(",")) == extras - {"all", "ray", "dev", "docs", "fuzz"}
+    assert everything and set(everything[1].split(",")) == extras - {"all", "ray", "pose", "dev", "docs", "fuzz"}

@@ -98,9 +98,10 @@ class LiveJob:
             raise SettingsError("live tracking knows the tracker icp only")
         if self.settings.changes:
             raise SettingsError("[[change]] in the settings: live tracking knows no changes of the body")
-
         if self.settings.read.skin:
             raise SettingsError("read.skin looks at a whole log: live tracking does not know it")
+        if self.settings.read.pose_net:
+            raise SettingsError("read.pose_net follows a person through a whole log: live tracking does not know it")
 
     @property
     def targets(self) -> tuple[Path, Path]:

@@ -115,6 +115,10 @@ def replay(
         raise ValueError(f"--log-timeout {log_timeout}: must not be negative, and at most {LONGEST:g} seconds")
     check_stages(settings or Settings())
     check_changes(body or load_on_host("human"), settings or Settings())
+    if settings is not None and settings.read.pose_net:
+        from voodoo_jax.sensors.pose_net import check_pose_net
+
+        check_pose_net(settings.read.pose_net)  # here, not once for each log
     exports = check_formats(export)
     number, count = parse_shard(shard)
     summary = summary_name(number, count)

@@ -16,6 +16,9 @@ class ReadSettings:
     """Use pairs of calibrated images (topics named left and right) of rigs that have no other depth data."""
     skin: bool = False
     """Look for regions of skin colour in calibrated colour images: each is a line of sight to the feature skin."""
+    pose_net: str = ""
+    """Look for a person's key points in calibrated colour images by a network: each is a line of sight. mediapipe: the
+    one that the extra [pose] installs; or a wheel or a folder that has MediaPipe's files; empty: none."""
     images: bool = False
     """Give calibrated colour images to the tracker too: `--tracker flexible` sees to it."""
     matching: Literal["fine", "none"] = "fine"

@@ -27,6 +27,7 @@ from voodoo_jax.io.decode.registry import (
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.limits import TIME, limits
+from voodoo_jax.io.pictures import POSE_USE, camera_topics
 from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import Topic
@@ -145,6 +146,9 @@ class Scan:
         self.notes += notes
         self.uses |= {name: SKIN_USE for name in self.skin if self.uses[name].startswith("not used")}
         self.stereo = [pair for pair in pairs if self.uses[pair.left] == STEREO_USE]
+        if settings.pose_net and not self.stereo:  # else the pairs' images are looked at
+            cameras = camera_topics(self.topics, self.uses)[0]
+            self.uses |= {name: POSE_USE for name in cameras if self.uses[name].startswith("not used")}
 
     @property
     def damage(self) -> list[str]:

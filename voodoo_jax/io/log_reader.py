@@ -26,12 +26,15 @@ from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader
+from voodoo_jax.io.pose_rays import NAMES, PoseRays
 from voodoo_jax.io.read_plan import Plan, make_plan
+from voodoo_jax.io.skin_rays import add_rays
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS, Transform
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording
+from voodoo_jax.sensors.pose_net import check_pose_net
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
@@ -46,13 +49,16 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "Lo
     **Arguments:** `path` of a file, of a bag's folder, or those of several files that were recorded together.
 
     Raises LogError if the file cannot be read, holds neither usable depth data nor named features, or a name in
-    `settings` is not in the log; ValueError if `settings.max_points` is less than 1.
+    `settings` is not in the log; ValueError if `settings.max_points` is less than 1; SettingsError if the networks of
+    `settings.pose_net` are missing.
     """
     settings = settings or ReadSettings()
     if settings.max_points < 1:
         raise ValueError(
             f"max_points must be >= 1, not {settings.max_points}: it is how many points of a frame are kept"
         )
+    if settings.pose_net:
+        check_pose_net(settings.pose_net)
     scan = Scan(path, settings)
     try:
         return LogReader(scan, make_plan(scan, settings), settings)
@@ -108,6 +114,7 @@ class LogReader:
         self._decoder = Decoder()
         self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
+        self._pose: PoseRays | None = None  # of the run through the log
         given = check_pairs("read.scale", settings.scale, numbers=True)
         self.scales = {
             name: float(value) for name, value in given.items()
@@ -225,7 +232,8 @@ class LogReader:
     @property
     def named_at_once(self) -> set[tuple[str, ...]]:
         """Names of the features of each frame that has any."""
-        return {(*r.names, *p.names) for r, p in self.named}
+        net = NAMES if self._settings.pose_net else ()
+        return {(*r.names, *net, *p.names) for r, p in self.named} | ({net} if net else set())
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -271,6 +279,8 @@ class LogReader:
         for i in extra.values():
             missing[i] += 1
         self._pictures.clear()
+        net = self._settings.pose_net
+        self._pose = PoseRays(net, self._plan_parts, self._counted) if net else None
         reader = PictureReader(scan, self.fixed_frame, planned.cameras if planned is not None else {})
         stereo = StereoReader(scan.topics, scan.tree, [p for p in scan.stereo if p.left in sensor_of], self._settings)
         used = {*sensor_of, *stereo.rights, *(name for name, _ in extra)}
@@ -362,17 +372,20 @@ class LogReader:
         said = self._plan_parts
         part = np.concatenate([np.zeros(0, np.int32), *(m.part for _, m in parts)]) if said.names else None
         weights = np.array([said.weight(name) for name in self.sensors], np.float32)
+        rays, pictures = self._whole.rays.get(i, NO_RAYS), tuple(self._pictures.pop(i, ()))
+        if self._pose is not None:
+            rays = add_rays(rays, self._pose.rays(pictures))
         return Frame(
             time_ns=time_ns,
             points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see _measure
             sensor=sensor,
             origins=origins.astype(np.float32),
-            rays=self._whole.rays.get(i, NO_RAYS),
+            rays=rays,
             pairs=self._whole.pairs.get(i, NO_PAIRS),
             part=part,
             parts=said.names,
             weight=weights[sensor] if said.weighted(self.sensors) else None,
-            pictures=tuple(self._pictures.pop(i, ())),
+            pictures=pictures if self._settings.images else (),
         )
 
     def _picture_stamp(self, topic: str, number: int) -> int:

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from voodoo_jax.config.options import FeatureSettings, ReadSettings
 from voodoo_jax.io.container import LogError, Place
 from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.pictures import POSE_USE
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.skin_rays import SKIN_USE
 from voodoo_jax.model.marker_names import told_names
@@ -82,6 +83,9 @@ def survey(path: Place, settings: ReadSettings | None = None) -> LogSurvey:
         plan = make_plan(scan, settings)
         warnings = [*scan.notes, *scan.tree.notes, *plan.notes]
         said |= {name: ", skin colour" for name in scan.skin if scan.uses[name] != SKIN_USE}
+        if settings.pose_net:
+            looked = {*(plan.pictures.cameras if plan.pictures else ()), *(pair.left for pair in scan.stereo)}
+            said |= {name: f"{said[name]}, {POSE_USE}" for name in looked if scan.uses[name] != POSE_USE}
         warnings += told_names(_named(scan, plan.features), FeatureSettings())
         said |= {name: said[name] + plan.parts.say(name) for name in {*plan.sensors, *plan.features}}
     except LogError as error:

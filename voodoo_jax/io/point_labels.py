@@ -47,7 +47,9 @@ class Parts:
         self.notes: list[str] = []
         for option, named in (("parts", self._of_topic), ("weights", self._weights)):
             for name in named:
-                wanted = DEPTH_USES if option == "parts" else (*DEPTH_USES, "rays", "pairs", "skin colour")
+                wanted = (
+                    DEPTH_USES if option == "parts" else (*DEPTH_USES, "rays", "pairs", "skin colour", "key points")
+                )
                 if uses.get(name) not in wanted:
                     why = f"'{name}' is {uses[name]}" if name in uses else f"the log has no topic '{name}'"
                     self.notes.append(f"read.{option} does not count here: {why}.")

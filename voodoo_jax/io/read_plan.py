@@ -128,8 +128,10 @@ def make_plan(
         features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}
         features.topics += tuple(name for name in skin.topics if name not in features.topics)
         notes += skin.notes
-    pictures = plan_pictures(scan, fixed, at) if settings.images else None
+    pictures = plan_pictures(scan, fixed, at) if settings.images or settings.pose_net else None
     notes += pictures.notes if pictures else ()
+    if settings.pose_net and pictures is not None and not pictures.cameras and not scan.stereo:
+        notes.append("No key points are looked for (read.pose_net): the log has no calibrated colour images.")
     given = np.array(direction(settings.up), np.float32) if settings.up else None
     up = _upward(scan, fixed, leaders[0], frames[0][0]) if given is None else given
     return Plan(
