@@ -6,7 +6,8 @@ import pytest
 from tests.support.rooms import FLOOR, box, build_of, figure, frame
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.people import Observed, People
-from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.detect.segmentation import BodySegmenter
+from voodoo_jax.detect.target_selection import LOOK, Chooser
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.scene import Scene
@@ -50,6 +51,30 @@ def test_two_people_have_their_own_points(apart):
         own = [np.mean(p[:, 1]) for p in points]
         assert len(own) == 60 and (np.min(own) > 0) != (np.max(own) < 0)
         assert min(map(len, points)) > 0.75 * max(map(len, points))
+
+
+def test_nobody_is_looked_for_twice_once_two_are_people(monkeypatch):
+    """Whom the chooser follows is one of them; that goes on when both have left and one comes back."""
+    looks, look = [], BodySegmenter.__call__
+
+    def counted(self, seen, *args, **more):
+        looks.append(seen.time_ns)
+        return look(self, seen, *args, **more)
+
+    monkeypatch.setattr(BodySegmenter, "__call__", counted)
+    wall = np.stack([np.full(400, 9.0), *np.random.default_rng(0).uniform(-1, 1, (2, 400))], 1).astype(np.float32)
+    one, other = ([figure(3.0, side + sways(i), 1.8) for i in range(140)] for side in (0.8, -0.8))
+    clouds = [
+        np.concatenate([wall, *([one[i]] if i < 60 or i >= 110 else []), *([other[i]] if i < 90 else [])])
+        for i in range(140)
+    ]
+    found, main = everybody(clouds)
+    count = np.unique(looks, return_counts=True)[1]
+    usual = np.delete(np.arange(40, 60), np.arange(0, 20, LOOK))  # not those in which somebody else is looked for
+    np.testing.assert_array_equal(count[usual], 2)
+    assert len(found) == 2 and len(main) == 140
+    ends = sorted(max(k for k, p in enumerate(points) if len(p) > 100) for points in found)
+    assert ends == [59, 139] and len(main[-1]) > 100  # who comes last is taken for who left last, of the same height
 
 
 def test_what_never_moves_is_nobody_and_changes_nothing():

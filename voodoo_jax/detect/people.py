@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Bool, Float32, Int, Int8
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
@@ -20,7 +20,8 @@ from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
 from voodoo_jax.detect.stillness import NOISE, Stillness, directions, filled, seen_long
 from voodoo_jax.detect.target_selection import LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
-from voodoo_jax.geometry.voxels import cells_of, touching
+from voodoo_jax.geometry.point_cloud import picked
+from voodoo_jax.geometry.voxels import cells_of, touching, within
 from voodoo_jax.records.observation import BodyObservation, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -55,6 +56,7 @@ class Sighting:
     count: int = 0  # of the frames
     last: int = -1  # frame in which they were seen for the last time
     seen: int = 0  # frames in which they were
+    now: BodyObservation | None = None  # what was seen of them in the last frame
     tops: list[float] = field(default_factory=list)  # heights above the floor, of each frame in which they were seen
     places: dict[int, np.ndarray] = field(default_factory=dict)  # of the first and last frames: where they were
     born_ns: int = 0
@@ -115,10 +117,17 @@ class Sighting:
         walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
         return (speed if walks else 0 * speed).astype(np.float32)
 
+    def see(self, frame: BodyObservation, mine: Bool[np.ndarray, " point"], number: int) -> None:
+        """Follows them in the next frame, among the points that may be theirs (`mine`)."""
+        if self.is_person:  # and remains one: nothing is compared any more
+            self.add(self.finder(frame, mine=mine), number)
+        else:
+            self.add(self.follower.see(frame, mine), number)
+
     def add(self, frame: BodyObservation, number: int) -> None:
         """What was seen of them in the next frame."""
         self.frames.append(frame)
-        self.count += 1
+        self.now, self.count = frame, self.count + 1
         if len(frame.points) >= TELLING:
             floor = self.finder.scene.floor
             self.last, self.seen = number, self.seen + 1
@@ -160,19 +169,36 @@ class People:
         self._continued: Sighting | None = None  # that one
         self._before: list[BodyObservation] = []  # what waited of them then
         self._number = self._last_ns = 0  # of the frame
+        self._several = False  # whether there are two people, for certain
+        self._done = -1  # number of the last frame that was gone through
+        chooser.beside = self._of_main
 
     def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The frames, one by one, for the chooser; it is done with each before the next one is asked for."""
         for frame in frames:
             yield frame
-            self._see(frame)
+            if self._done < self._number:
+                self._see(frame)
             self._number += 1
+
+    def _of_main(self, frame: Frame) -> BodyObservation | None:
+        """What is seen of whom the chooser follows, in its place: they need not be looked for twice, once it is certain
+        that they are not alone."""
+        main = self._continued
+        if main is None or not self._several or main not in self._followed or self.chooser.main is not self._origin:
+            return None
+        self._see(frame)
+        self._done = self._number
+        finder, own = self.chooser.finder, main.finder
+        finder.last, finder.last_ns, finder.unseen = own.last, own.last_ns, own.unseen  # if they are alone again
+        return main.now
 
     # -- frame by frame
 
     def _see(self, frame: Frame) -> None:
         if self._followed or self._left:
             self._follow(frame)
+            self._several = self._several or _are_several(self._followed)
         taken = [s.finder.last for s in self._followed if s.finder.last is not None]
         if not self._followed and self.chooser.finder.last is not None:
             taken = [self.chooser.finder.last]
@@ -183,24 +209,24 @@ class People:
     def _follow(self, frame: Frame) -> None:
         """Shares the points out among those who are followed, the nearer ones to the sensors first."""
         self._followed.sort(key=lambda s: s.finder.unseen)
-        owner = _owners(frame.points, [s.finder for s in self._followed], self.settings.move)
+        seen = whole(frame)
+        owner = _owners(seen, [s.finder for s in self._followed], self.settings.move)
         before = [s.finder.last for s in self._followed]
         seconds, self._last_ns = max(0.0, (frame.time_ns - self._last_ns) / 1e9), frame.time_ns
         for k, sighting in enumerate(self._followed):
-            index = np.flatnonzero((owner == k) | (owner < 0))
             mine = sighting.finder.last
             others = [p for j, p in enumerate(before) if j != k and p is not None]
             # by an arm alone somebody is known who stands still else, unless it may be another one's
             sighting.follower.alone = mine is not None and not sighting.is_person and not _beside(mine, others)
-            sighting.add(sighting.follower.see(frame, whole(frame).only(index)), self._number)
-            owner[index[sighting.finder.taken]] = k
+            sighting.see(seen, (owner == k) | (owner < 0), self._number)
+            owner[sighting.finder.taken] = k
+        owned = np.flatnonzero(owner >= 0)
+        whose, nearest = owner[owned], Nearest.shared(seen.points[owned], seen.sensor[owned], seen.origins)
         for k, sighting in enumerate(self._followed):
-            theirs = np.flatnonzero((owner >= 0) & (owner != k))
-            around = Nearest.of(frame.points[theirs], frame.sensor[theirs], frame.origins)
-            sighting.keep_hidden(before[k], around, seconds)
+            sighting.keep_hidden(before[k], nearest(whose != k), seconds)
         for sighting in list(self._followed):
-            others = [s for s in self._followed if s is not sighting]
-            twice = any(same(sighting.follower, s.follower) and s.seen >= sighting.seen for s in others)
+            others = [s for s in self._followed if s is not sighting and s.seen >= sighting.seen]
+            twice = any(same(sighting.follower, s.follower) for s in others)
             if sighting.finder.last is None or twice:
                 self._end(sighting)
             elif not sighting.is_person and frame.time_ns - sighting.born_ns > IDLE_NS and not sighting.sways():
@@ -275,23 +301,47 @@ class People:
         return sorted(people, key=lambda p: -sum(len(f.points) >= TELLING for f in (*p.early, *p.frames)))
 
 
-def _owners(
-    points: Float32[np.ndarray, "point 3"], finders: list[BodySegmenter], reach: float
-) -> Int[np.ndarray, " point"]:
-    """Who was nearest to each point in the frame before; -1 where nobody was nearer than `reach` metres. Who is hidden
-    has what is left."""
-    owner, nearest = np.full(len(points), -1), np.full(len(points), np.inf)
-    for k, finder in enumerate(finders):
-        if finder.last is None:
-            continue
-        some = finder.last[:: len(finder.last) // SOME + 1]
-        near = np.flatnonzero(touching(cells_of(points, reach), cells_of(some, reach)))
+def _are_several(followed: list[Sighting]) -> bool:
+    """Whether two are people, and were seen at one time: they will never be taken for one."""
+    people = sorted((s for s in followed if s.is_person), key=lambda s: s.first)
+    return any(one.last >= other.first for one, other in zip(people, people[1:]))
+
+
+def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) -> Int8[np.ndarray, " point"]:
+    """Who was nearest to each point in the frame before; -1 where nobody was nearer than `reach` metres, and on floor
+    and walls. Who is hidden has what is left."""
+    points = frame.points
+    owner = np.full(len(points), -1, np.int8)
+    known = [(k, f, f.last[:: len(f.last) // SOME + 1]) for k, f in enumerate(finders) if f.last is not None]
+    near = [_around(points, some, reach) for _, _, some in known]
+    if frame.part is None:  # what is said to be somebody's may be anywhere
+        near = [index[f.off_planes(picked(points, index))] for index, (_, f, _) in zip(near, known)]
+    many, nearest = np.zeros(len(points), np.int8), np.full(len(points), np.inf)
+    for index in near:
+        many[index] += 1
+    for (k, finder, some), index in zip(known, near):
+        alone = index[many[index] == 1]  # how near does not matter
+        owner[alone[within(points[alone], some, reach)]] = k
+        index = index[many[index] > 1]
         if finder.unseen:
-            near = near[owner[near] < 0]
-        distance = KDTree(some).query(points[near], distance_upper_bound=reach)[0]
-        mine = distance < nearest[near]
-        owner[near[mine]], nearest[near[mine]] = k, distance[mine]
+            index = index[owner[index] < 0]
+        if not len(index):
+            continue
+        distance = KDTree(some).query(points[index], distance_upper_bound=reach)[0]
+        mine = distance < nearest[index]
+        owner[index[mine]], nearest[index[mine]] = k, distance[mine]
     return owner
+
+
+def _around(
+    points: Float32[np.ndarray, "point 3"], some: Float32[np.ndarray, "some 3"], reach: float
+) -> Int[np.ndarray, " near"]:
+    """Indices of points that may be nearer than `reach` metres to some others."""
+    inside = np.ones(len(points), bool)
+    for along, low, high in zip(points.T, some.min(0) - reach, some.max(0) + reach):
+        inside &= (along >= low) & (along <= high)
+    index = np.flatnonzero(inside)
+    return index[touching(cells_of(points[index], reach), cells_of(some, reach))]
 
 
 def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) -> bool:

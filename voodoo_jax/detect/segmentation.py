@@ -80,19 +80,23 @@ class BodySegmenter:
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
 
     def __call__(
-        self, frame: Frame | BodyObservation, taken: Sequence[Float32[np.ndarray, "_ 3"]] = ()
+        self,
+        frame: Frame | BodyObservation,
+        taken: Sequence[Float32[np.ndarray, "_ 3"]] = (),
+        mine: Bool[np.ndarray, " point"] | None = None,
     ) -> BodyObservation:
-        """What is seen of the body in a frame, but for what is near points that are `taken` by others."""
+        """What is seen of the body in a frame, but for what is near points that are `taken` by others; `mine`: which
+        points may be its own, None: all."""
         s, frame = self.settings, whole(frame)
         if len(taken) and frame.part is not None:
             frame, taken = frame.only(~near_taken(frame.points, taken)), ()
         points = frame.points
-        known = assigned(frame)
+        known = assigned(frame) if mine is None else assigned(frame) & mine
         sure = points[known]
         if self.last is not None and len(sure):
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
-        index, distant = self._free(frame, known)
+        index, distant = self._free(frame, known, mine)
         if len(taken):  # here, where fewer are left to ask
             index, distant = index[~near_taken(points[index], taken)], distant[~near_taken(distant, taken)]
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
@@ -107,7 +111,7 @@ class BodySegmenter:
         self.others = found[~chosen]
         self._learn(np.concatenate([self.others, distant]), np.concatenate([body, sure]))
         # the points of a limb or two do not tell where the others are
-        tells = len(body) >= 30 or self._of_body(frame).sum() >= 30
+        tells = len(body) >= 30 or self._of_body(frame, known).sum() >= 30
         index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)])) if len(sure) else index[chosen]
         if tells:
             self.last, self.last_ns, self.unseen = points[index], frame.time_ns, 0
@@ -123,10 +127,10 @@ class BodySegmenter:
         return frame.only(index)
 
     def _free(
-        self, frame: BodyObservation, known: Bool[np.ndarray, " point"]
+        self, frame: BodyObservation, known: Bool[np.ndarray, " point"], mine: Bool[np.ndarray, " point"] | None
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
-        """Indices of the points that are off floor and walls, not `known` already, and near where the body was; and,
-        where it is time to look at the whole room, the points that are farther off."""
+        """Indices of the points that may be its own (`mine`), are off floor and walls, not `known` already, and near
+        where the body was; and, where it is time to look at the whole room, the points that are farther off."""
         share, s = self._looked_at(), self.settings
         some = None if share == 1 else even_share(share, len(frame.points))
         points = frame.points if some is None else picked(frame.points, some)
@@ -142,17 +146,24 @@ class BodySegmenter:
             )
             self._surveyed_ns = frame.time_ns if self._surveyed_ns is None else self._surveyed_ns
             survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
-        asked = np.arange(len(points)) if survey else np.flatnonzero(near)
-        height, _, _, *walls = self._places(picked(points, asked))
-        keep = (height > s.floor_margin) & ~(known if some is None else known[some])[asked]
-        for distance, wall in zip(walls, self.scene.walls):
-            keep &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
-        index = asked[keep]
+        asked = np.ones(len(points), bool) if survey else near
+        if mine is not None:
+            asked = asked & (mine if some is None else mine[some])
+        asked = np.flatnonzero(asked)
+        index = asked[self.off_planes(picked(points, asked)) & ~(known if some is None else known[some])[asked]]
         distant = points[:0]
         if survey:
             self._surveyed_ns = frame.time_ns
             index, distant = index[near[index]], points[index[~near[index]]]
         return index if some is None else some[index], distant
+
+    def off_planes(self, points: Float32[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
+        """Which points are off floor and walls."""
+        height, _, _, *walls = self._places(points)
+        off = height > self.settings.floor_margin
+        for distance, wall in zip(walls, self.scene.walls):
+            off &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
+        return off
 
     def _looked_at(self) -> float:
         """The share of a frame's points that is looked at."""
@@ -193,14 +204,15 @@ class BodySegmenter:
             kept.append(mine[without_strays(points, origin, spacing * wider)])
         return np.sort(np.concatenate([index[:0], *kept]))
 
-    def _of_body(self, frame: BodyObservation) -> Bool[np.ndarray, " point"]:
-        """Which points are assigned to the body as a whole, or to one of so many limbs that it makes no difference."""
+    def _of_body(self, frame: BodyObservation, known: Bool[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:
+        """Which of the `known` points are assigned to the body as a whole, or to one of so many limbs that it makes no
+        difference."""
         if frame.part is None:
             return np.zeros(len(frame.points), bool)
-        present = np.unique(frame.part[frame.part >= 0])
+        present = np.unique(frame.part[known])
         if len(present) >= 4:
-            return frame.part >= 0
-        return (frame.part >= 0) & np.array([*(name == "body" for name in frame.parts), False])[frame.part]
+            return known
+        return known & np.array([*(name == "body" for name in frame.parts), False])[frame.part]
 
     def _choose(self, seen: BodyObservation, sure) -> Bool[np.ndarray, " point"]:
         """Which points belong to the body. `sure`: those that are known to be on it."""

@@ -4,13 +4,13 @@ A wardrobe looks like a body to a sensor, and is there before it. Until what is 
 the body is followed, too.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from copy import copy, deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Bool, Float32, Int
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
@@ -107,14 +107,14 @@ class Follower:
         self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
     def __call__(self, frame: Frame | BodyObservation) -> BodyObservation:
-        seen = self.see(frame, frame)
+        seen = self.see(frame)
         self.frames.append(seen)
         return seen
 
-    def see(self, frame: Frame | BodyObservation, mine: Frame | BodyObservation) -> BodyObservation:
-        """What is seen of it in a frame, among the points that are not another one's (`mine`)."""
+    def see(self, frame: Frame | BodyObservation, mine: Bool[np.ndarray, " point"] | None = None) -> BodyObservation:
+        """What is seen of it in a frame, among the points that are not another one's (`mine`, None: all)."""
         anew = self.finder.last is None
-        seen = self.finder(mine)
+        seen = self.finder(frame) if mine is None else self.finder(frame, mine=mine)
         self.note(seen, frame, anew)
         return seen
 
@@ -158,7 +158,10 @@ def same(one: Follower, other: Follower) -> bool:
     """Whether two are at the same thing by now."""
     if one.finder.last is None or other.finder.last is None:
         return False
-    cells = cells_of(one.finder.last, CELL), cells_of(other.finder.last, CELL)
+    mine, theirs = one.finder.last, other.finder.last
+    if (mine.min(0) > theirs.max(0) + 2 * CELL).any() or (theirs.min(0) > mine.max(0) + 2 * CELL).any():
+        return False  # far apart, as most are
+    cells = cells_of(mine, CELL), cells_of(theirs, CELL)
     return bool(touching(*cells).mean() > 0.5)
 
 
@@ -176,6 +179,8 @@ class Chooser:
         self._known = False
         self._seen = 0  # frames
         self._given: Follower | None = None  # what was last given as the body
+        # says what is seen of the body where others follow it, too; else None
+        self.beside: Callable[[Frame], BodyObservation | None] = lambda frame: None
 
     @property
     def main(self) -> Follower:
@@ -192,7 +197,8 @@ class Chooser:
             if self._known:
                 # nothing else is compared with it any more; of several sensors one may have few points
                 self.finder.thins = len(frame.origins) == 1
-                yield self.finder(frame)
+                seen = self.beside(frame)
+                yield self.finder(frame) if seen is None else seen
                 continue
             self._follow(frame)
             full = len(self._main.frames) >= HELD

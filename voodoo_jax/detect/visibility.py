@@ -1,5 +1,6 @@
 """What hides what: a thing that comes out from behind another one has not moved. Host side, NumPy."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -24,10 +25,24 @@ class Nearest(NamedTuple):
         origins: Float32[np.ndarray, "sensor 3"],
     ) -> "Nearest":
         """From the points that each sensor sees, metres."""
-        found = np.full(len(origins) * AZIMUTHS * ELEVATIONS, np.inf, np.float32)
+        return cls.shared(points, sensor, origins)(slice(None))
+
+    @classmethod
+    def shared(
+        cls,
+        points: Float32[np.ndarray, "point 3"],
+        sensor: Int[np.ndarray, " point"],
+        origins: Float32[np.ndarray, "sensor 3"],
+    ) -> "Callable[[Bool[np.ndarray, ' point'] | slice], Nearest]":
+        """The same of some of the points, again and again: which ones, says a mask."""
         distance, bins = _directions(points, sensor, origins)
-        np.minimum.at(found, bins, distance)
-        return cls(origins, found)
+
+        def of_some(some: Bool[np.ndarray, " point"] | slice) -> Nearest:
+            found = np.full(len(origins) * AZIMUTHS * ELEVATIONS, np.inf, np.float32)
+            np.minimum.at(found, bins[some], distance[some])
+            return cls(origins, found)
+
+        return of_some
 
     def hides(
         self, points: Float32[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"]

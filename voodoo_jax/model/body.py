@@ -138,14 +138,18 @@ def tree_order(topology: Topology) -> list[int]:
 def with_rest_from_joints(body: Body) -> Body:
     """The body with every limb but the root moved in the rest pose to where its joint holds it; no limb is turned."""
     body = on_host(body)
-    t, turn = body.topology, body.rest.rotation
+    return on_device(eqx.tree_at(lambda b: b.rest.translation, body, places_from_joints(body, body.rest)))
+
+
+def places_from_joints(body: Body, rest: Poses) -> Float[Any, "limb 3"]:
+    """Where its joint holds every limb of a body on the host, turned as in `rest`; the root is where it is there."""
+    t, turn = body.topology, rest.rotation
     ends = [rotate(turn[np.array(limbs, int)], anchor.translation) for limbs, anchor in (
         (t.parents, body.parent_anchor), (t.children, body.child_anchor))]  # fmt: skip
-    at = {0: body.rest.translation[0]}
+    at = {0: rest.translation[0]}
     for j in tree_order(t):
         at[t.children[j]] = at[t.parents[j]] + ends[0][j] - ends[1][j]
-    places = (np if isinstance(turn, np.ndarray) else jnp).stack([at[limb] for limb in range(body.limb_count)])
-    return on_device(eqx.tree_at(lambda b: b.rest.translation, body, places))
+    return (np if isinstance(turn, np.ndarray) else jnp).stack([at[limb] for limb in range(body.limb_count)])
 
 
 def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.0) -> Body:

@@ -6,6 +6,7 @@ multiple of the key `scale`. A file that does not describe a body is refused wit
 
 import json
 import os
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -70,11 +71,17 @@ def load_on_host(name_or_path: str | os.PathLike) -> Body:
     """As load_body, of NumPy arrays: jax's device is left alone."""
     text = str(name_or_path)
     if text in BUILT_IN:
-        resource = resources.files("voodoo_jax.model.bodies") / f"{text}.toml"
-        return _parsed(resource.read_text(encoding="utf-8"), f"{text}.toml")
+        return _built_in(text)
     if not Path(text).exists() and Path(text).suffix == "" and Path(text).name == text:
         raise BodyFileError(text, None, f"no such file, and no built-in body of that name{nearest(text, BUILT_IN)}")
     return _read(name_or_path)
+
+
+@cache
+def _built_in(name: str) -> Body:
+    """Read once: to parse it takes a tenth of a second, and several ask for it."""
+    resource = resources.files("voodoo_jax.model.bodies") / f"{name}.toml"
+    return _parsed(resource.read_text(encoding="utf-8"), f"{name}.toml")
 
 
 def human() -> Body:

@@ -160,9 +160,9 @@ def _prefixed(subject: str, names: Mapping[str, str]) -> dict[str, dict[str, str
 
 def _numbered(names: Mapping[str, str]) -> dict[str, dict[str, str]]:
     """Bodies whose joints a set numbers: 100 times the body's number, and the joint's."""
-    table = next((s.numbered for s in marker_sets() if s.numbered), ())
     if len(names) < SUBJECT or not all(rest.isdigit() for rest in names.values()):
         return {}
+    table = next((s.numbered for s in marker_sets() if s.numbered), ())
     found: dict[str, dict[str, str]] = {}
     for name, rest in names.items():
         body, joint = divmod(int(rest), 100)
@@ -178,6 +178,8 @@ def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[s
     **Arguments:** `names` full name and the name without the subject's, see `subjects`; `points`, `limbs` of the body:
     places that it does not have are left out.
     """
+    if not names:  # as in most logs: the sets, which take long to read, are not needed
+        return Known()
     there = {*points, *limbs}
     named = {full: name for full, name in names.items() if not nobodys(name)}
     found: dict[str, dict[str, str]] = {}

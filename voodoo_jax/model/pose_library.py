@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import Poses, on_device, on_host
-from voodoo_jax.model.body import Body, tree_order, with_rest_from_joints
+from voodoo_jax.model.body import Body, places_from_joints, tree_order
 
 SHOULDERS, HIPS = ("l_shoulder", "r_shoulder"), ("l_hip", "r_hip")
 Turn = tuple[str, str, float]  # joint, axis, degrees
@@ -41,21 +41,27 @@ STANCES = (
 
 def in_stance(body: Body, stance: Stance) -> Body | None:
     """The body with a stance as its rest pose, its lowest limb as high; None if it is nobody's or lacks a joint."""
+    rest = rest_in_stance(on_host(body), stance)
+    return None if rest is None else on_device(eqx.tree_at(lambda b: b.rest, body, rest))
+
+
+def rest_in_stance(body: Body, stance: Stance) -> Poses | None:
+    """The rest pose of `in_stance` alone, of a body on the host: bodies go to the device and back slowly."""
     t = body.topology
     if body.scale_name != "stature" or not {joint for joint, *_ in stance.turns} <= set(t.joints):
         return None
-    turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True)
+    turn = Rotation.from_quat(body.rest.rotation, scalar_first=True)
     for joint, axis, degrees in stance.turns:
         limbs = beyond(body, t.joints.index(joint))
         quats = turn.as_quat(scalar_first=True)
         moved = Rotation.from_euler(axis, degrees, degrees=True) * Rotation.from_quat(quats[limbs], scalar_first=True)
         quats[limbs] = moved.as_quat(scalar_first=True)
         turn = Rotation.from_quat(quats, scalar_first=True)
-    new = turn.as_quat(scalar_first=True).astype(np.float32)
-    moved = on_host(with_rest_from_joints(eqx.tree_at(lambda b: b.rest.rotation, body, new)))
+    new = Poses(turn.as_quat(scalar_first=True).astype(np.float32), body.rest.translation)
+    places = places_from_joints(body, new)
     lower = np.zeros(3, np.float32)
-    lower[2] = np.min(np.asarray(body.rest.translation)[:, 2]) - np.min(moved.rest.translation[:, 2])
-    return on_device(eqx.tree_at(lambda b: b.rest.translation, moved, moved.rest.translation + lower))
+    lower[2] = np.min(body.rest.translation[:, 2]) - np.min(places[:, 2])
+    return Poses(new.rotation, places + lower)
 
 
 def beyond(body: Body, joint: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
 from voodoo_jax.model.body import Body
-from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, in_stance
+from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, rest_in_stance
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.stretches import stretches
@@ -137,19 +137,20 @@ def _others(
     body: Body, poses: Poses, turned: tuple[tuple[Turn, ...], ...], sides: tuple[tuple[str, ...], ...]
 ) -> list[Poses]:
     """The poses with the limbs on some joints as each of the stances holds them; nothing for a body without these."""
-    stances = [stance for turns in turned if (stance := in_stance(body, Stance(turns, (1.0,)))) is not None]
-    if len(stances) < len(turned):
+    body = on_host(body)
+    rests = [rest for turns in turned if (rest := rest_in_stance(body, Stance(turns, (1.0,)))) is not None]
+    if len(rests) < len(turned):
         return []
-    return [_with_limbs(stance, poses, some) for stance in stances for some in sides]
+    return [_with_limbs(body, rest, poses, some) for rest in rests for some in sides]
 
 
-def _with_limbs(stance: Body, poses: Poses, joints: tuple[str, ...]) -> Poses:
-    """The poses with what hangs on some joints as the stance holds it against the limb before them."""
-    t, rest = stance.topology, on_host(stance.rest)
+def _with_limbs(body: Body, rest: Poses, poses: Poses, joints: tuple[str, ...]) -> Poses:
+    """The poses with what hangs on some joints as a stance, the `rest` pose, holds it against the limb before them."""
+    t = body.topology
     rotation, translation = np.array(poses.rotation), np.array(poses.translation)
     for name in joints:
         joint = t.joints.index(name)
-        limbs, parent = beyond(stance, joint), t.parents[joint]
+        limbs, parent = beyond(body, joint), t.parents[joint]
         held = compose(compose(poses[parent], inverse(rest[parent])), rest[limbs])
         rotation[limbs], translation[limbs] = held.rotation, held.translation
     return Poses(rotation, translation)
