@@ -8,7 +8,7 @@ import pytest
 
 import voodoo_jax as vj
 from voodoo_jax.trackers.base import Unsuitable
-from voodoo_jax.trackers.flexible.cylinders import closest
+from voodoo_jax.trackers.flexible.cylinders import surface_distance
 from voodoo_jax.trackers.flexible.filters import refined
 from voodoo_jax.trackers.flexible.flexible_body import ENDS, LIMBS, SPRINGS, flexible_body, rest_points
 from voodoo_jax.trackers.flexible.physics import (
@@ -23,6 +23,7 @@ from voodoo_jax.trackers.flexible.physics import (
     stiff_trunk,
     verlet,
 )
+from voodoo_jax.trackers.flexible.vectors import vectors
 
 GRAVITY = np.array([0.0, 0.0, -9.81], np.float32)
 PULL = jnp.broadcast_to(jnp.asarray(GRAVITY), (16, 3))
@@ -127,8 +128,8 @@ def test_points_pull_a_displaced_body_back_and_gradients_pass():
     """Points on the body's own surface; the gradient of the result by the stature agrees with differences."""
     rng = np.random.default_rng(3)
     cloud = np.asarray(BODY.rest)[rng.integers(0, 16, 3000)] + rng.normal(0, 0.12, (3000, 3))
-    d = np.asarray(closest(BODY, BODY.rest, jnp.asarray(cloud, jnp.float32)).distance)
-    points = jnp.asarray(cloud[np.abs(d).min(1) < 0.006], jnp.float32)
+    d = np.asarray(surface_distance(BODY, BODY.rest, vectors(np.float32(cloud))))
+    points = jnp.asarray(cloud[np.abs(d).min(0) < 0.006], jnp.float32)
     assert len(points) > 100
     share = jnp.ones(len(points))
     begin = BODY.rest + jnp.array([0.06, 0.0, 0.03])

@@ -2,15 +2,25 @@
 feet, the two parts of the torso as rounded patches, the head. Distances of points to it, and which points carry them.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, LOWER, NECK, UPPER, FlexibleBody
-from voodoo_jax.trackers.flexible.physics import frames, length, unit
+from voodoo_jax.trackers.flexible.flexible_body import (
+    HEAD,
+    IS_ARM,
+    LIMBS,
+    LOWER,
+    NECK,
+    UPPER,
+    FlexibleBody,
+    bone_lengths,
+)
+from voodoo_jax.trackers.flexible.physics import frames
+from voodoo_jax.trackers.flexible.vectors import Vector, vectors
 
 # of the paper, with hands and feet: 12 of the limbs (limb by limb), the head, upper and lower torso
 PARTS = 15
@@ -19,53 +29,55 @@ _FOOT_DOWN = 0.25  # how much a foot points down, share of how much it points fo
 _UPPER_SPAN, _LOWER_SPAN = (0.28, 0.72), (0.15, 0.85)
 
 
-class Segments(NamedTuple):
-    """Axes of cylinders, ends `a` and `b`, with radii at both; leading axes free. Metres."""
+class Segment(NamedTuple):
+    """Axes of cylinders, ends `a` and `b`, with radii at both; of any shape. Metres."""
 
-    a: Float[Array, "*n 3"]
-    b: Float[Array, "*n 3"]
-    radii: Float[Array, "*n 2"]
+    a: Vector
+    b: Vector
+    begin: Any  # radius at a
+    end: Any  # radius at b
 
 
-class Closest(NamedTuple):
-    """For each point and each part of the body where it is nearest, and which body points carry that place."""
+class Nearest(NamedTuple):
+    """For each point where it is nearest to a part of the body, and which body points carry that place."""
 
-    distance: Float[Array, "point part"]  # to the surface, metres; negative inside
-    away: Float[Array, "point part 3"]  # unit, from the axis or patch to the point
-    carriers: Int[Array, "part 4"]  # of the body's 16 points
-    weights: Float[Array, "point part 4"]  # how far the place moves with each
+    distance: Float[Array, " point"]  # to the surface, metres; negative inside
+    away: Vector  # unit, from the axis or patch to the point
+    carriers: Int[Array, "4 point"]  # of the body's 16 points
+    weights: Float[Array, "4 point"]  # how far the place moves with each
 
 
 def limb_segments(
-    p: Float[Array, "3 3"], forward: Float[Array, "3"], is_arm: Float[Array, ""], radii: Float[Array, "3 2"],
-    tip: Float[Array, ""],
-) -> Segments:  # fmt: skip
-    """The three cylinders of a limb: hands go on from forearms, feet point forward."""
-    bone = unit(p[2] - p[1])
-    ahead = unit(forward - jnp.sum(forward * bone) * bone + _FOOT_DOWN * bone)
-    end = p[2] + tip * jnp.where(is_arm > 0, bone, ahead)
-    return Segments(jnp.stack([p[0], p[1], p[2]]), jnp.stack([p[1], p[2], end]), radii)
+    p: tuple[Vector, Vector, Vector], forward: Vector, is_arm: Any, radii: Float[Array, "*limb 3 2"], tip: Any
+) -> tuple[Segment, Segment, Segment]:
+    """The three cylinders of limbs: hands go on from forearms, feet point forward. All of shapes that go together."""
+    bone = (p[2] - p[1]).unit()
+    ahead = (forward - bone * forward.dot(bone) + bone * _FOOT_DOWN).unit()
+    end = p[2] + bone.where(is_arm > 0, ahead) * tip
+    places = ((p[0], p[1]), (p[1], p[2]), (p[2], end))
+    first, second, third = (Segment(*place, radii[..., n, 0], radii[..., n, 1]) for n, place in enumerate(places))
+    return first, second, third
 
 
-def segment_distance(s: Segments, q: Float[Array, "point 3"]) -> Float[Array, "point segment"]:
-    """Distances of points to the surfaces of cylinders with round ends, metres."""
+def segment_distance(s: Segment, q: Vector) -> Float[Array, "*n"]:
+    """Distances of points to the surfaces of cylinders with round ends, metres; inside negative."""
     d = s.b - s.a
-    t = jnp.clip(jnp.sum((q[:, None] - s.a) * d, -1) / (jnp.sum(d * d, -1) + 1e-9), 0, 1)
-    off = q[:, None] - s.a - t[..., None] * d
-    return length(off)[..., 0] - (s.radii[:, 0] + t * (s.radii[:, 1] - s.radii[:, 0]))
+    x, y, z = q.x - s.a.x, q.y - s.a.y, q.z - s.a.z
+    t = jnp.clip((x * d.x + y * d.y + z * d.z) * (1 / (d.dot(d) + 1e-9)), 0, 1)
+    x, y, z = x - d.x * t, y - d.y * t, z - d.z * t
+    return jnp.sqrt(x * x + y * y + z * z + 1e-9) - (s.begin + t * (s.end - s.begin))
 
 
-def _patch(corners, span, q):
+def _patch(corners: list[Vector], span: tuple[float, float], q: Vector) -> tuple[Vector, list[Array]]:
     """Of points the nearest place on a torso patch: offset from it and bilinear weights of its corners."""
     a, b, c, d = corners  # left and right above, left and right below
-    top, down = (a + b) / 2, (c + d) / 2 - (a + b) / 2
-    v = jnp.clip((q - top) @ down / (jnp.sum(down * down) + 1e-9), 0, 1)[:, None]
-    left, right = a + v * (c - a), b + v * (d - b)
-    across = left - right
-    u = jnp.sum((q - right) * across, -1, keepdims=True) / (jnp.sum(across**2, -1, keepdims=True) + 1e-9)
-    u = jnp.clip(u, span[0], span[1])
-    weights = jnp.concatenate([u * (1 - v), (1 - u) * (1 - v), u * v, (1 - u) * v], -1)
-    return q - right - u * across, weights
+    top = (a + b) * 0.5
+    down = (c + d) * 0.5 - top
+    v = jnp.clip((q - top).dot(down) / (down.dot(down) + 1e-9), 0, 1)
+    right = b + (d - b) * v
+    across = a + (c - a) * v - right
+    u = jnp.clip((q - right).dot(across) / (across.dot(across) + 1e-9), span[0], span[1])
+    return q - right - across * u, [u * (1 - v), (1 - u) * (1 - v), u * v, (1 - u) * v]
 
 
 def _carriers() -> np.ndarray:
@@ -79,45 +91,52 @@ def _carriers() -> np.ndarray:
 CARRIERS = _carriers()
 
 
-def skull_segment(body: FlexibleBody, x: Float[Array, "16 3"]) -> Segments:
-    """The head as a cylinder with round ends, from the middle of the neck on."""
-    up = unit(x[HEAD] - x[NECK])
-    radius = jnp.stack([body.skull[0], body.skull[0]])
-    return Segments(x[HEAD] - 0.2 * (x[HEAD] - x[NECK]), x[HEAD] + body.skull[1] * up, radius)
+def body_segments(body: FlexibleBody, x: Vector) -> Segment:
+    """Of the whole body: the three of each limb, and the head as a cylinder with round ends from the middle of the neck
+    on; axis: part."""
+    forward = vectors(frames(x.stacked()).lower[0])
+    points = x[LIMBS[:, 0]], x[LIMBS[:, 1]], x[LIMBS[:, 2]]
+    limbs = limb_segments(points, forward, jnp.asarray(IS_ARM, x.v.dtype), body.radii, body.tips)
+    neck = x[HEAD] - x[NECK]
+    skull = Segment(x[HEAD] - neck * 0.2, x[HEAD] + neck.unit() * body.skull[1], body.skull[0], body.skull[0])
+
+    def row(last: Array, *own: Array) -> Array:
+        flat = jnp.stack(own, -1)
+        return jnp.concatenate([flat.reshape(*flat.shape[:-2], -1), last[..., None]], -1)
+
+    return jax.tree.map(row, skull, *limbs)
 
 
-def all_limb_segments(body: FlexibleBody, x: Float[Array, "16 3"]) -> Segments:
-    """Of all limbs, leading axes limb, cylinder."""
-    forward = frames(x).lower[0]
-    return jax.vmap(limb_segments, (0, None, 0, 0, 0))(
-        x[LIMBS], forward, jnp.asarray(IS_ARM, x.dtype), body.radii, body.tips
-    )
+def surface_distance(body: FlexibleBody, x: Float[Array, "16 3"], q: Vector) -> Float[Array, "part *n"]:
+    """Distances of points to the surfaces of all parts of the body, metres; inside negative."""
+    at = vectors(x)
+    segments = jax.tree.map(lambda a: a.reshape(*a.shape, *[1] * q.ndim), body_segments(body, at))
+    patches = [
+        _patch([at[i] for i in corners], span, q)[0].length() - body.torso[1]
+        for corners, span in ((UPPER, _UPPER_SPAN), (LOWER, _LOWER_SPAN))
+    ]
+    return jnp.concatenate([segment_distance(segments, q[None]), jnp.stack(patches)])
 
 
-def closest(body: FlexibleBody, x: Float[Array, "16 3"], q: Float[Array, "point 3"]) -> Closest:
-    """Distances of points to all parts of the body."""
-    limbs, skull = all_limb_segments(body, x), skull_segment(body, x)
-    a = jnp.concatenate([limbs.a.reshape(12, 3), skull.a[None]])
-    b = jnp.concatenate([limbs.b.reshape(12, 3), skull.b[None]])
-    radii = jnp.concatenate([limbs.radii.reshape(12, 2), skull.radii[None]])
-    d = b - a
-    t = jnp.clip(jnp.sum((q[:, None] - a) * d, -1) / (jnp.sum(d * d, -1) + 1e-9), 0, 1)
-    off = q[:, None] - a - t[..., None] * d
-    radius = radii[:, 0] + t * (radii[:, 1] - radii[:, 0])
+def nearest_places(body: FlexibleBody, x: Float[Array, "16 3"], q: Vector, part: Int[Array, " point"]) -> Nearest:
+    """Where points are nearest to one part of the body each."""
+    at, segments = vectors(x), body_segments(body, vectors(x))
+    s = jax.tree.map(lambda a: a[..., jnp.minimum(part, 12)], segments)  # patches follow
+    d, off = s.b - s.a, q - s.a
+    t = jnp.clip(off.dot(d) * (1 / (d.dot(d) + 1e-9)), 0, 1)
     # how a place on an axis moves with the points: hands as the forearm's continuation, feet with the ankle
-    reach = body.tips / jnp.maximum(body.lengths[:8].reshape(4, 2)[:, 1], 1e-3)
-    hand = jnp.asarray(IS_ARM, x.dtype) * reach
-    last = t[:, 2:12:3] * hand
-    share = t.at[:, 2:12:3].set(1 + last).at[:, 12].set(1.0)
-    weights = jnp.stack([1 - share, share, jnp.zeros_like(share), jnp.zeros_like(share)], -1)
-    upper, upper_weights = _patch([x[i] for i in UPPER], _UPPER_SPAN, q)
-    lower, lower_weights = _patch([x[i] for i in LOWER], _LOWER_SPAN, q)
-    off = jnp.concatenate([off, upper[:, None], lower[:, None]], 1)
-    thick = jnp.broadcast_to(body.torso[1], (len(q), 2))
-    far = length(off)
-    return Closest(
-        far[..., 0] - jnp.concatenate([radius, thick], 1),
-        off / far,
-        jnp.asarray(CARRIERS),
-        jnp.concatenate([weights, upper_weights[:, None], lower_weights[:, None]], 1),
-    )
+    reach = jnp.asarray(IS_ARM, x.dtype) * body.tips / jnp.maximum(bone_lengths(body)[:, 1], 1e-3)
+    base = np.zeros(PARTS, np.float32)
+    base[2:12:3] = base[12] = 1
+    slope = jnp.asarray(1 - base).at[2:12:3].set(reach)
+    share, zero = jnp.asarray(base)[part] + slope[part] * t, jnp.zeros_like(t)
+    off, weights = off - d * t, [1 - share, share, zero, zero]
+    radius = s.begin + t * (s.end - s.begin)
+    for number, corners, span in ((13, UPPER, _UPPER_SPAN), (14, LOWER, _LOWER_SPAN)):
+        own, own_weights = _patch([at[i] for i in corners], span, q)
+        here = part == number
+        off = own.where(here, off)
+        weights = [jnp.where(here, a, b) for a, b in zip(own_weights, weights)]
+        radius = jnp.where(here, body.torso[1], radius)
+    far = off.length()
+    return Nearest(far - radius, off * (1 / far), jnp.asarray(CARRIERS.T)[:, part], jnp.stack(weights))

@@ -2,6 +2,7 @@
 (Hecht et al. 2009, sec. III), then measured points pull the body onto themselves. Compiled.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -11,10 +12,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.compile.executable import program
-from voodoo_jax.trackers.flexible.cylinders import PARTS, closest
+from voodoo_jax.trackers.flexible.cylinders import PARTS, nearest_places, surface_distance
 from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, FlexibleBody, bone_lengths
 from voodoo_jax.trackers.flexible.image_features import COARSE
 from voodoo_jax.trackers.flexible.physics import (
+    Limb,
     LimbSpace,
     frames,
     inverse_masses,
@@ -38,7 +40,9 @@ from voodoo_jax.trackers.flexible.scores import (
     project,
     read,
     systematic,
+    worthwhile,
 )
+from voodoo_jax.trackers.flexible.vectors import Vector, kept, turned, vector, vectors
 
 _PROJECTIONS = 3  # sweeps over a particle's constraints: more change little, by hand
 _DAMPING = 0.6  # share of the dangling body's velocity lost in a frame: it is overwritten by the filters, by hand
@@ -53,6 +57,8 @@ _FACE = 0.11  # of the stature: skin so near the head point may be the face's, m
 _BARE_WEIGHT = 3.0  # points of skin weigh so much more for arms: a hand has few, by hand
 _ANKLE, _STANCE = 0.041, 0.1  # height of an ankle, share of stature (the study's rest pose); metres, by hand
 _UNEXPLAINED = 0.06  # metres, by hand: points nearer to the rest of the body than this are no other limb's
+# share of a frame's points that a limb's particles look at: a leg has a fifth of a person's surface, by hand
+_WORTHWHILE = 1 / 3
 _EXPLAINED = 0.06  # metres, on real people's surface by cylinders: by hand
 
 
@@ -142,8 +148,9 @@ def track_chunk(
     """Some frames, one after the other; leading axis of `inputs` and of what is seen: frame."""
 
     def one(state, given):
-        after, seen = frame(body, state, given, jax.random.fold_in(key, given.index), numbers, shape)
-        return jax.tree.map(lambda a, b: jnp.where(given.valid, a, b), after, state), seen
+        run = lambda: frame(body, state, given, jax.random.fold_in(key, given.index), numbers, shape)  # noqa: E731
+        blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(run)[1])
+        return lax.cond(given.valid, run, lambda: (state, blank))
 
     return lax.scan(one, state, inputs)
 
@@ -155,7 +162,7 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     x = settled(body, _moved(body, state, given, n), body.masses, shape.refine // 2, given, n, shape)
     space, context = limb_spaces(body, x, n.legs_apart, n.floor), _context(body, state, x, given, shape)
     origin = state.particles
-    ahead = _ahead(keys[0], state, view, n, shape)
+    ahead = _ahead(state, view, n, shape)
     if shape.restarts:
         new = restarted(keys[1], body, x, context, given, n.floor, shape)
         ahead = ahead.at[:, -shape.restarts :].set(
@@ -164,15 +171,17 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
         origin = origin.at[:, -shape.restarts :].set(
             jnp.where(new[1][:, :, None, None], new[0], origin[:, -shape.restarts :])
         )
-    p, origin, mean, spread = _layers(keys[2], ahead, origin, state.spread, space, context, view, n, shape)
+    near = jax.vmap(lambda one: worthwhile(one, round(_WORTHWHILE * len(given.points)), n.weighing))(context)
+    p, origin, mean, spread = _layers(keys[2], ahead, origin, state.spread, space, near, view, n, shape)
     masses = body.masses.at[LIMBS.ravel()].set((n.masses[0] + n.masses[1] * jnp.exp(-n.masses[2] * spread)).ravel())
     x = settled(body, x.at[LIMBS.ravel()].set(mean.reshape(12, 3)), masses, shape.refine, given, n, shape)
     shift = (x[LIMBS] - mean)[:, None] if shape.refine else jnp.zeros((4, 1, 3, 3))
     sure = jnp.exp(-n.masses[2] * spread)
     rate = given.learn * jnp.stack([sure[:, :2].mean(1), sure[:, 1:].mean(1)], 1)
-    colours, learnt = learn(body, x, frames(x), view, state.colours, state.learnt, rate)
+    more = lambda: learn(body, x, frames(x), view, context.hidden, state.colours, state.learnt, rate)  # noqa: E731
+    colours, learnt = lax.cond(given.learn > 0, more, lambda: (state.colours, state.learnt))
     after = State(x, state.x, p + shift, origin + shift, spread, colours, learnt)
-    return after, _seen(body, x, spread, masses, given, context, n)
+    return after, _seen(body, x, spread, masses, given, near, n)
 
 
 def _moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers) -> Float[Array, "16 3"]:
@@ -206,38 +215,39 @@ def settled(
 
 def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape) -> LimbContext:
     hidden = occlusion(body, x, given.view)
+    used = len(given.points) if shape.points or shape.restarts else 0
     if shape.points:
-        d = jnp.abs(closest(body, x, given.points).distance) + _clothed(given.bare)
-        own = jnp.asarray(np.concatenate([np.repeat(np.eye(4, dtype=bool), 3, 1), np.zeros((4, 3), bool)], 1))
-        others = jnp.min(jnp.where(own[:, None], 10.0, d), -1)
+        d = jnp.abs(surface_distance(body, x, vectors(given.points))) + _clothed(given.bare)
+        own = np.concatenate([np.repeat(np.eye(4, dtype=bool), 3, 1), np.zeros((4, 3), bool)], 1)
+        others = kept(given.view.focal[0] > 0, lambda d: jnp.min(jnp.where(own[..., None], 10.0, d), 1), d)
     else:
-        others = jnp.full((4, len(given.points)), 10.0)
+        others = jnp.full((4, used), 10.0)
     each = lambda v: jnp.broadcast_to(v, (4, *v.shape))  # noqa: E731
     more = jnp.where(jnp.asarray(IS_ARM)[:, None], 1 + _BARE_WEIGHT * given.bare, 1.0)
     return LimbContext(
-        hidden, state.colours, state.learnt, each(given.points), others, given.share * more, each(frames(x).lower[0]),
+        hidden, state.colours, state.learnt, each(given.points[:used]), others, (given.share * more)[:, :used],
+        jnp.zeros((4, 2)), each(frames(x).lower[0]),
         jnp.asarray(IS_ARM, x.dtype), body.radii, body.tips, each(jnp.append(x[HEAD], _FACE * body.stature)),
     )  # fmt: skip
 
 
-def _clothed(bare: Float[Array, " point"]) -> Float[Array, "point part"]:
+def _clothed(bare: Float[Array, " point"]) -> Float[Array, "part point"]:
     """By how much farther bare skin is from what is clothed than it seems to be: it is of a face, an arm or a hand."""
-    covered = np.ones(PARTS, np.float32)
+    covered = np.ones((PARTS, 1), np.float32)
     covered[:6] = covered[12] = 0
-    return _NOT_CLOTHES * bare[:, None] * covered
+    return _NOT_CLOTHES * jnp.asarray(covered) * bare
 
 
-def _ahead(key: Array, state: State, view: View, n: Numbers, shape: Shape) -> Float[Array, "4 particle 3 3"]:
+def _ahead(state: State, view: View, n: Numbers, shape: Shape) -> Float[Array, "4 particle 3 3"]:
     """Where the particles are expected: damped constant velocity, every second one by the optical flow."""
     p = state.particles
     by_velocity = p + n.velocity * (p - state.previous)
     if not shape.flow:
         return by_velocity
-    at, z = project(view, p)
-    flow, inside = read(view.flow, (at - (COARSE - 1) / 2) / COARSE)
-    flow = jnp.where(inside[..., None], flow, 0.0)
-    across = jnp.concatenate([flow / view.focal[:2] * z[..., None], jnp.zeros_like(z)[..., None]], -1)
-    by_flow = p + across @ view.turn
+    at = project(view, vectors(p))
+    flow, inside = read(view.flow, at, COARSE)
+    u, v = (jnp.where(inside, flow[..., k], 0.0) / view.focal[k] * at.z for k in range(2))
+    by_flow = p + turned(view.turn.T, vector(u, v, 0.0)).stacked()
     return jnp.where((jnp.arange(p.shape[1]) % 2 == 0)[:, None, None], by_flow, by_velocity)
 
 
@@ -289,41 +299,54 @@ def _layers(
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     """Spreads, weighs and draws the particles anew, in each layer finer: particles, where they came from, their
     weighted mean and standard deviation [limb, point]."""
-    count = shape.layers
+    count, particles = shape.layers, shape.particles
+    keys = jax.random.split(key, 3)
+    # all at once: a draw costs as much for few numbers as for many
+    normal = jax.random.normal(keys[0], (count, 4, 4, 3, particles))
+    pick = jax.random.uniform(keys[1], (count, 4, particles))
+    offset = jax.random.uniform(keys[2], (count, 4))
     scales = jnp.asarray([0.5**k for k in range(count)], jnp.float32)
     powers = jnp.asarray([(k + 1) / count for k in range(count)], jnp.float32)
+    camera = -view.shift @ view.turn
 
     # 8 parameters: model, state and measurements of a limb, traced each
-    def limb_layer(key, p, origin, spread, space, context, scale, power):
-        keys = jax.random.split(key, 5)
-        at, _ = project(view, p)
-        motion, inside = read(view.motion, (at - (COARSE - 1) / 2) / COARSE)
-        motion = jnp.where(inside, motion.astype(jnp.float32) / 255, 0.0)
-        sigma = n.base_noise + n.spread_noise * jnp.minimum(spread, 0.2) + n.motion_noise * motion
-        plain = sigma[..., None] * jax.random.normal(keys[0], p.shape)
-        ray = unit(p + view.shift @ view.turn)  # from the camera's centre, -shift in its own frame
-        deep = (n.depth_noise * jax.random.normal(keys[1], p.shape[:2]))[..., None] * ray
-        pick = jax.random.uniform(keys[2], (len(p), 1, 1)) < n.depth_share
-        p = p + scale * jnp.where(pick, deep, plain)
-        p = jax.vmap(project_limb, (0, None, None, None))(p, jnp.ones(3), space, _PROJECTIONS)
-        logs = log_weight(jax.vmap(limb_score, (0, None, None, None))(p, context, view, n.weighing), n.weighing)
-        w = jnp.exp(power * (logs - jnp.max(logs)))
-        w = w / jnp.sum(w)
-        mean = jnp.einsum("n,nij->ij", w, p)
-        deviation = jnp.sqrt(jnp.einsum("n,nij->i", w, (p - mean) ** 2) + 1e-9)
-        again = systematic(keys[3], w)
-        return p[again], origin[again], mean, deviation
+    def limb_layer(noise, p, origin, spread, space, context, scale, power):
+        normal, pick, offset = noise
+        space = jax.tree.map(lambda a: a[..., None], space)
+        points = []
+        for i in range(3):
+            own = Vector(p[i])
+            motion, inside = read(view.motion, project(view, own), COARSE)
+            motion = jnp.where(inside, motion.astype(jnp.float32) / 255, 0.0)
+            sigma = n.base_noise + n.spread_noise * jnp.minimum(spread[i], 0.2) + n.motion_noise * motion
+            plain = Vector(normal[:3, i]) * sigma
+            deep = (own - Vector(camera)).unit() * (n.depth_noise[i] * normal[3, i])
+            points.append(own + deep.where(pick < n.depth_share, plain) * scale)
+        moved = project_limb((points[0], points[1], points[2]), jnp.ones((3, 1)), space, _PROJECTIONS)
+
+        def drawn_again(points: Limb) -> tuple[Array, ...]:
+            logs = log_weight(limb_score(points, context, view, n.weighing), n.weighing)
+            w = jnp.exp(power * (logs - jnp.max(logs)))
+            w = w / jnp.sum(w)
+            p = jnp.stack([v.v for v in points])  # [point, axis, particle]
+            mean = p @ w
+            deviation = jnp.sqrt((jnp.sum((p - mean[..., None]) ** 2, 1) @ w) + 1e-9)
+            again = systematic(offset, w)
+            return p[..., again], origin[..., again], mean, deviation
+
+        return kept(view.focal[0] > 0, drawn_again, moved)
 
     def layer(carry, given):
-        number, scale, power = given
+        noise, scale, power = given
         p, origin, _, spread = carry
-        keys = jax.random.split(jax.random.fold_in(key, number), 4)
-        return jax.vmap(limb_layer, (0, 0, 0, 0, 0, 0, None, None))(
-            keys, p, origin, spread, space, context, scale, power
+        return jax.vmap(limb_layer, (0, 0, 0, 0, -1, 0, None, None))(
+            noise, p, origin, spread, space, context, scale, power
         ), None
 
-    first = p, origin, jnp.zeros((4, 3, 3)), spread
-    return lax.scan(layer, first, (jnp.arange(count), scales, powers))[0]
+    last = lambda a: jnp.moveaxis(a, 1, -1)  # noqa: E731
+    first = last(p), last(origin), jnp.zeros((4, 3, 3)), spread
+    p, origin, mean, deviation = lax.scan(layer, first, ((normal, pick, offset), scales, powers))[0]
+    return jnp.moveaxis(p, -1, 1), jnp.moveaxis(origin, -1, 1), mean, deviation
 
 
 # 7 parameters: model, state and measurements, traced each
@@ -347,16 +370,16 @@ def pulled(
     bare: Float[Array, "point"] | None = None,
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """The body's points moved to where measured points pull the nearest axes and patches."""
-    found = closest(body, x, points)
-    farther = 0.0 if bare is None else _clothed(bare)
-    best = lax.stop_gradient(jnp.argmin(jnp.abs(found.distance) + farther, 1))
-    pick = lambda a: jnp.take_along_axis(a, best.reshape(-1, *[1] * (a.ndim - 1)), 1)[:, 0]  # noqa: E731
-    d, away, weights = pick(found.distance), pick(found.away), pick(found.weights)
-    carriers = found.carriers[best]
+    q = vectors(points)
+    distance = jnp.abs(surface_distance(body, x, q)) + (0.0 if bare is None else _clothed(bare))
+    best = kept(body.stature > 0, partial(jnp.argmin, axis=0), lax.stop_gradient(distance))
+    near = nearest_places(body, x, q, best)
+    d = near.distance
     use = share * (jnp.abs(d) < _REACH) / (1 + (d / 0.08) ** 2)
-    full = jnp.sum(weights[..., None] * jax.nn.one_hot(carriers, 16), 1)  # [point, body point]
-    pull = (full * use[:, None]).T @ (d[:, None] * away)
-    norm = jnp.abs(full * use[:, None]).sum(0)
+    held = near.carriers[:, None] == np.arange(16)[:, None]  # [carrier, body point, point]
+    full = sum(jnp.where(at, w, 0.0) for at, w in zip(held, near.weights * use))
+    pull = full @ (near.away * d).stacked()
+    norm = jnp.abs(full).sum(1)
     return x + _PULL * pull / (norm + _HOLD)[:, None]
 
 
@@ -365,11 +388,12 @@ def _seen(
     body: FlexibleBody, x: Float[Array, "16 3"], spread: Array, masses: Array, given: Inputs, context: LimbContext,
     n: Numbers,
 ) -> Seen:  # fmt: skip
-    score = jax.vmap(limb_score, (0, 0, None, None))(x[LIMBS], context, given.view, n.weighing)
-    d = closest(body, x, given.points).distance
-    best = jnp.argmin(jnp.abs(d), 1)
-    nearest = jnp.take_along_axis(d, best[:, None], 1)[:, 0]
-    near = given.share * (jnp.abs(nearest) < _EXPLAINED)
+    one, two, three = (vectors(x[LIMBS[:, k], None]) for k in range(3))
+    limb = jax.vmap(limb_score, (1, 0, None, None))
+    score = jax.tree.map(lambda a: a[:, 0], limb((one, two, three), context, given.view, n.weighing))
+    d = jnp.abs(surface_distance(body, x, vectors(given.points)))
+    best, nearest = jnp.argmin(d, 0), jnp.min(d, 0)
+    near = given.share * (nearest < _EXPLAINED)
     total = jnp.maximum(jnp.sum(given.share), 1e-6)
     residual = jnp.sqrt(jnp.sum(near * nearest**2) / jnp.maximum(jnp.sum(near), 1e-6))
     mine = jax.nn.one_hot(best, PARTS) * given.share[:, None]

@@ -72,8 +72,8 @@ class FlexibleBody(eqx.Module):
 class Colouring(NamedTuple):
     """Springs in groups without common points, so that each group is relaxed at once (Gauss-Seidel by groups)."""
 
-    incidence: Float[np.ndarray, "group slot 16"]  # +1 at a spring's second point, -1 at its first; 0: unused slot
-    springs: np.ndarray  # [group, slot] number of the spring; unused slots have 0
+    partner: np.ndarray  # [group, point] the point at the other end of its spring; itself if it has none in the group
+    spring: np.ndarray  # [group, point] number of that spring; 0 if it has none
 
 
 def _colour() -> Colouring:
@@ -85,13 +85,12 @@ def _colour() -> Colouring:
                 break
         else:
             groups.append([number])
-    most = max(map(len, groups))
-    incidence, springs = np.zeros((len(groups), most, 16), np.float32), np.zeros((len(groups), most), int)
+    partner, spring = np.tile(np.arange(16), (len(groups), 1)), np.zeros((len(groups), 16), int)
     for g, group in enumerate(groups):
-        for slot, number in enumerate(group):
+        for number in group:
             i, j, _ = SPRINGS[number]
-            incidence[g, slot, i], incidence[g, slot, j], springs[g, slot] = -1, 1, number
-    return Colouring(incidence, springs)
+            partner[g, [i, j]], spring[g, [i, j]] = (j, i), number
+    return Colouring(partner, spring)
 
 
 COLOURING = _colour()

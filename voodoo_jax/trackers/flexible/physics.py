@@ -4,7 +4,7 @@ Everything is pure and takes arrays of fixed shapes, so that it is compiled once
 recordings; gradients flow through positions, lengths and stiffnesses.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from voodoo_jax.trackers.flexible.flexible_body import (
     FlexibleBody,
     bone_lengths,
 )
+from voodoo_jax.trackers.flexible.vectors import Vector, vectors
 
 # least cosines of the first bone's direction with an axis of the torso (forward, outward, up; signs as in the rows);
 # ranges of motion of shoulders and hips, set by hand: backward, across, and for legs outward and up
@@ -53,25 +54,38 @@ class Frames(NamedTuple):
     top: Float[Array, "3"]  # of the shoulders, metres
 
 
+class _Axes(NamedTuple):
+    forward: Vector
+    left: Vector
+    up: Vector
+
+
 def length(v: Float[Array, "*b 3"]) -> Float[Array, "*b 1"]:
     """Lengths, kept as an axis; smooth at zero."""
-    return jnp.sqrt(jnp.sum(v * v, -1, keepdims=True) + _TINY)
+    return vectors(v).length()[..., None]
 
 
 def unit(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     return v / length(v)
 
 
-def _frame(left: Float[Array, "3"], up: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    up = unit(up)
-    left = unit(left - up * jnp.sum(left * up))
-    return jnp.stack([jnp.cross(left, up), left, up])
+def _axes(left: Vector, up: Vector) -> _Axes:
+    up = up.unit()
+    left = (left - up * left.dot(up)).unit()
+    return _Axes(left.cross(up), left, up)
+
+
+def _torso(x: Vector) -> tuple[_Axes, _Axes, Vector, Vector]:
+    """Upper and lower axes, the middle of the hips, that of the shoulders."""
+    shoulders, waist, hips = ((x[i] + x[j]) * 0.5 for i, j in ((2, 5), (8, 9), (10, 13)))
+    return _axes(x[2] - x[5], shoulders - waist), _axes(x[10] - x[13], waist - hips), hips, shoulders
 
 
 def frames(x: Float[Array, "16 3"]) -> Frames:
     """The torso's frames: limits of shoulders hold in the upper one, of hips in the lower one."""
-    shoulders, waist, hips = (x[2] + x[5]) / 2, (x[8] + x[9]) / 2, (x[10] + x[13]) / 2
-    return Frames(_frame(x[2] - x[5], shoulders - waist), _frame(x[10] - x[13], waist - hips), hips, shoulders)
+    upper, lower, hips, shoulders = _torso(vectors(x))
+    rows = lambda axes: jnp.stack([axis.v for axis in axes])  # noqa: E731
+    return Frames(rows(upper), rows(lower), hips.v, shoulders.v)
 
 
 def verlet(
@@ -87,38 +101,53 @@ def inverse_masses(masses: Float[Array, " 16"]) -> Float[Array, " 16"]:
     return jnp.where(jnp.isinf(masses), 0.0, 1 / jnp.where(jnp.isinf(masses), 1.0, masses))
 
 
+class _Pulls(NamedTuple):
+    """Of each group of springs, what happens to each point: it belongs to one of the group's springs or to none."""
+
+    rest: Float[Array, "group 16"]  # metres
+    share: Float[Array, "group 16"]  # of the spring's error that the point takes; 0: it belongs to none
+
+
+def _pulls(body: FlexibleBody, inverse: Float[Array, " 16"]) -> _Pulls:
+    spring, partner = COLOURING.spring, COLOURING.partner
+    both = jnp.maximum(inverse + inverse[partner], 1e-6)
+    share = jnp.where(partner == np.arange(16), 0.0, body.stiffness[spring] * inverse / both)
+    return _Pulls(body.lengths[spring], share)
+
+
+def _sprung(x: Vector, pulls: _Pulls) -> Vector:
+    """One Gauss-Seidel sweep over the springs, group by group."""
+    for group, partner in enumerate(COLOURING.partner):
+        d = x[partner] - x
+        now = d.length()
+        x = x + d * (pulls.share[group] * (now - pulls.rest[group]) / now)
+    return x
+
+
 def relax_springs(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Array, " 16"]) -> Float[Array, "16 3"]:
     """One Gauss-Seidel sweep over the springs, group by group; no spring moves a point of inverse mass 0."""
-    lengths, stiffness = body.lengths[COLOURING.springs], body.stiffness[COLOURING.springs]
-
-    def group(x, given):
-        incidence, rest, stiff = given
-        d = incidence @ x
-        weight = jnp.abs(incidence) @ inverse
-        now = length(d)[:, 0]
-        pull = stiff * (now - rest) / now / jnp.maximum(weight, 1e-6)
-        return x - inverse[:, None] * (incidence.T @ (pull[:, None] * d)), None
-
-    return lax.scan(group, x, (jnp.asarray(COLOURING.incidence), lengths, stiffness))[0]
+    return _sprung(vectors(x), _pulls(body, inverse)).stacked()
 
 
 class LimbSpace(NamedTuple):
-    """What the limits of one limb refer to. All but the limb itself stays where it is."""
+    """What the limits of limbs refer to. All but the limbs themselves stays where it is. Axis of each: limb."""
 
-    frame: Float[Array, "3 3"]  # rows: forward, outward, up of the limb's part of the torso
-    limits: Float[Array, "4 4"]  # direction in that frame and least cosine
-    bones: Float[Array, "2"]  # lengths, metres
-    is_arm: Float[Array, ""]  # 1 or 0
-    middle: Float[Array, "3"]  # of the hips, metres
-    outward: Float[Array, "3"]
-    trunk: Float[Array, "3 3"]  # forward, left, up of the whole torso
-    size: Float[Array, "3"]  # half depth, half width and height of the torso, metres
-    apart: Float[Array, ""]  # least distance of knee and ankle from the plane between the legs, metres
-    anchors: Float[Array, "5 3"]  # points that springs join to the limb's root
-    anchor_lengths: Float[Array, "5"]  # metres
-    anchor_stiffness: Float[Array, "5"]  # 0: no such spring
-    floor: Float[Array, "4"]  # normal upwards, and its offset: nothing of a limb is below; metres
-    over: Float[Array, ""]  # so high above it are the points at least, metres
+    forward: Vector  # of the limb's part of the torso
+    limits: tuple[Vector, ...]  # directions against which the first bone's
+    least: Float[Array, "limit limb"]  # cosines are at least these
+    bones: Float[Array, "2 limb"]  # lengths, metres
+    is_arm: Float[Array, " limb"]  # 1 or 0
+    middle: Vector  # of the hips, metres
+    outward: Vector
+    trunk: _Axes  # of the whole torso
+    size: Float[Array, "3 limb"]  # half depth, half width and height of the torso, metres
+    apart: Float[Array, " limb"]  # least distance of knee and ankle from the plane between the legs, metres
+    anchors: Vector  # points that springs join to the limb's root; axes anchor (5), limb
+    anchor_lengths: Float[Array, "5 limb"]  # metres
+    anchor_stiffness: Float[Array, "5 limb"]  # 0: no such spring
+    up: Vector  # normal of the floor: nothing of a limb is below
+    floor: Float[Array, " limb"]  # its offset, metres
+    over: Float[Array, " limb"]  # so high above it are the points at least, metres
 
 
 def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -142,98 +171,144 @@ def limb_spaces(
     **Arguments:** `apart` least distance of knees and ankles from the plane between the legs, a share of the stature;
     `floor` normal and offset, metres; None: there is none.
     """
-    f = frames(x)
-    arm, side = jnp.asarray(IS_ARM), jnp.asarray(SIDE, x.dtype)[:, None]
-    frame = jnp.where(arm[:, None, None], f.upper, f.lower)
-    outward = side * frame[:, 1]
-    frame = frame.at[:, 1].set(outward)
-    trunk = _frame(f.upper[1] + f.lower[1], f.top - f.middle)
-    high = length(f.top - f.middle)[0]
-    size = jnp.stack([0.9 * body.torso[0], 0.085 * body.stature, high])
-    each = lambda v: jnp.broadcast_to(v, (4, *v.shape))  # noqa: E731
+    return _spaces(body, vectors(x), apart, floor)
+
+
+def _spaces(body: FlexibleBody, x: Vector, apart: Any, floor: Float[Array, "4"] | None) -> LimbSpace:
+    upper, lower, middle, top = _torso(x)
+    arm, side = jnp.asarray(IS_ARM), jnp.asarray(SIDE, x.v.dtype)
+    forward, outward, up = (a.where(arm, b) for a, b in zip(upper, lower))
+    outward = outward * side
+    rows = np.swapaxes(_LIMITS, 0, 1)
+    limits = tuple(forward * row[:, 0] + outward * row[:, 1] + up * row[:, 2] for row in rows)
+    line = top - middle
+    trunk = _axes(upper.left + lower.left, line)
+    size = jnp.stack([0.9 * body.torso[0], 0.085 * body.stature, line.length()])
+    ground = jnp.asarray(_NO_FLOOR) if floor is None else floor
+    each = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a[..., None], (*a.shape, 4)), v)  # noqa: E731
     return LimbSpace(
-        frame, jnp.asarray(_LIMITS), bone_lengths(body), arm.astype(x.dtype), each(f.middle), side * f.lower[1],
-        each(trunk), each(size), each(apart * body.stature), x[_ANCHOR_POINTS], body.lengths[_ANCHOR_SPRINGS],
-        body.stiffness[_ANCHOR_SPRINGS] * _ANCHOR_USED,
-        each(jnp.asarray(_NO_FLOOR) if floor is None else floor), each(_OVER * body.stature),
+        forward, limits, jnp.asarray(rows[:, :, 3]), bone_lengths(body).T, arm.astype(x.v.dtype), each(middle),
+        lower.left * side, each(trunk), each(size), each(apart * body.stature), x[_ANCHOR_POINTS.T],
+        body.lengths[_ANCHOR_SPRINGS.T], body.stiffness[_ANCHOR_SPRINGS.T] * _ANCHOR_USED.T,
+        each(vectors(ground[:3])), each(ground[3]), each(_OVER * body.stature),
     )  # fmt: skip
 
 
-def limb_bones(p: Float[Array, "3 3"], inverse: Float[Array, "3"], space: LimbSpace) -> Float[Array, "3 3"]:
-    """Springs of a limb alone: its two bones, and those that hold its root to the rest, which does not move."""
+Limb = tuple[Vector, Vector, Vector]  # of many limbs at once; last axis: limb
+
+
+def limb_bones(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> Limb:
+    """Springs of limbs alone: their two bones, and those that hold their roots to the rest, which does not move."""
     d = p[0] - space.anchors
-    now = length(d)[:, 0]
+    now = d.length()
     pull = space.anchor_stiffness * (now - space.anchor_lengths) / now
-    stiff = jnp.maximum(jnp.sum(space.anchor_stiffness), 1e-6)
-    p = p.at[0].add(-jnp.where(inverse[0] > 0, 1.0, 0.0) * jnp.sum(pull[:, None] * d, 0) / jnp.maximum(stiff, 1.0))
-    for bone in (0, 1):
-        d = p[bone + 1] - p[bone]
-        now, weight = length(d)[0], jnp.maximum(inverse[bone] + inverse[bone + 1], 1e-6)
-        move = d * (now - space.bones[bone]) / now / weight
-        p = p.at[bone].add(inverse[bone] * move).at[bone + 1].add(-inverse[bone + 1] * move)
-    return p
+    stiff = jnp.maximum(jnp.sum(space.anchor_stiffness, 0), 1.0)
+    whole = sum(((d * pull)[n] for n in range(1, len(pull))), (d * pull)[0])
+    root, middle, end = p
+    root = root - whole * (jnp.where(inverse[0] > 0, 1.0, 0.0) / stiff)
+    d = middle - root
+    move = d * _share(d, space.bones[0], inverse[0] + inverse[1])
+    root, middle = root + move * inverse[0], middle - move * inverse[1]
+    d = end - middle
+    move = d * _share(d, space.bones[1], inverse[1] + inverse[2])
+    return root, middle + move * inverse[1], end - move * inverse[2]
 
 
-def limb_limits(p: Float[Array, "3 3"], inverse: Float[Array, "3"], space: LimbSpace) -> Float[Array, "3 3"]:
-    """Projects a limb to where its limits and collisions allow it to be: points of inverse mass 0 stay."""
+def _share(d: Vector, rest: Array, weight: Array) -> Array:
+    now = d.length()
+    return (now - rest) / now / jnp.maximum(weight, 1e-6)
+
+
+def limb_limits(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace) -> Limb:
+    """Projects limbs to where their limits and collisions allow them to be: points of inverse mass 0 stay."""
+    root, middle, end = p
     free = jnp.where(inverse > 0, 1.0, 0.0)
     # the first bone's direction
-    d = p[1] - p[0]
-    over = jnp.maximum(space.limits[:, 3] * length(d)[0] - (space.limits[:, :3] @ space.frame) @ d, 0.0)
-    push = over @ (space.limits[:, :3] @ space.frame)
-    p = p + free[:, None] * jnp.array([0.0, 1.0, 1.0])[:, None] * push
+    d = middle - root
+    now = d.length()
+    over = [jnp.maximum(least * now - n.dot(d), 0.0) for n, least in zip(space.limits, space.least)]
+    push = sum((n * o for n, o in zip(space.limits[1:], over[1:])), space.limits[0] * over[0])
+    middle, end = middle + push * free[1], end + push * free[2]
     # two bones never fold flat on each other
-    a, b = space.bones[0], space.bones[1]
+    a, b = space.bones
     least = jnp.sqrt(a * a + b * b - 2 * a * b * jnp.cos(_SHARPEST))
-    d = p[2] - p[0]
-    now = length(d)[0]
-    p = p.at[2].add(free[2] * unit(d) * jnp.maximum(least - now, 0.0))
+    d = end - root
+    now = d.length()
+    end = end + d * (free[2] / now * jnp.maximum(least - now, 0.0))
     # knees bend forward
-    line = p[2] - p[0]
-    at = jnp.clip(jnp.sum((p[1] - p[0]) * line) / jnp.sum(line * line + _TINY), 0.0, 1.0)
-    behind = -jnp.sum((p[1] - p[0] - at * line) * space.frame[0]) - _KNEE_BACK
-    back = (1 - space.is_arm) * jnp.maximum(behind, 0.0) * space.frame[0]
-    p = p + free[:, None] * jnp.array([0.0, 1.0, -0.5])[:, None] * back
-    p = p.at[1:].set(_apart(p[1:], free[1:], space))
-    up = space.floor[:3]
-    return p + (free * jnp.maximum(space.over - (p @ up - space.floor[3]), 0.0))[:, None] * up
+    line, own = end - root, middle - root
+    at = jnp.clip(own.dot(line) / (line.dot(line) + 3 * _TINY), 0.0, 1.0)
+    behind = -(own - line * at).dot(space.forward) - _KNEE_BACK
+    back = space.forward * ((1 - space.is_arm) * jnp.maximum(behind, 0.0))
+    middle, end = middle + back * free[1], end - back * (0.5 * free[2])
+    middle, end = _apart(middle, free[1], space), _apart(end, free[2], space)
+    out = [p + space.up * (f * jnp.maximum(space.over - (p.dot(space.up) - space.floor), 0.0))
+           for p, f in zip((root, middle, end), free)]  # fmt: skip
+    return out[0], out[1], out[2]
 
 
-def _apart(p: Float[Array, "2 3"], free: Float[Array, "2"], space: LimbSpace) -> Float[Array, "2 3"]:
+def _apart(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vector:
     """Elbows and wrists out of the torso (an anisotropically scaled cylinder), knees and ankles on their own side."""
-    local = (p - space.middle) @ space.trunk.T
-    scaled = local[:, :2] / space.size[:2]
-    r = jnp.sqrt(jnp.sum(scaled**2, -1) + _TINY)
-    inside = (r < 1) & (local[:, 2] > 0) & (local[:, 2] < space.size[2])
-    out = scaled * (1 / jnp.maximum(r, 0.05) - 1)[:, None] * space.size[:2]
-    push = jnp.where(inside[:, None], out, 0.0) @ space.trunk[:2]
-    across = jnp.maximum(space.apart - (p - space.middle) @ space.outward, 0.0)
-    return p + free[:, None] * (space.is_arm * push + (1 - space.is_arm) * across[:, None] * space.outward)
+    local = p - space.middle
+    deep, wide, high = (local.dot(v) for v in space.trunk)
+    deep, wide = deep / space.size[0], wide / space.size[1]
+    r = jnp.sqrt(deep**2 + wide**2 + _TINY)
+    inside = (r < 1) & (high > 0) & (high < space.size[2])
+    out = jnp.where(inside, space.is_arm * (1 / jnp.maximum(r, 0.05) - 1), 0.0)
+    push = space.trunk.forward * (deep * out * space.size[0]) + space.trunk.left * (wide * out * space.size[1])
+    across = (1 - space.is_arm) * jnp.maximum(space.apart - local.dot(space.outward), 0.0)
+    return p + (push + space.outward * across) * free
+
+
+def _put(x: Vector, rows: np.ndarray, new: Vector) -> Vector:
+    """With points at these numbers replaced: as a choice, for XLA writes few numbers slowly."""
+    order = np.arange(16)
+    order[rows.ravel()] = 16 + np.arange(rows.size)
+    return Vector(jnp.concatenate([x.v, new.v.reshape(3, -1)], 1)[:, order])
 
 
 def stiff_trunk(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Array, " 16"]) -> Float[Array, "16 3"]:
     """Neck and hips moved apart as far as a bowed spine holds them: the flat torso's springs alone let it fold at the
     waist (the paper's waist is relatively stiff, sec. IV-B)."""
-    hips = np.array([LOWER[2], LOWER[3]])
-    span = lambda points: points[NECK] - points[hips].mean(0)  # noqa: E731
-    d, least = span(x), _BOWED * length(span(body.rest))[0]
-    own, others = inverse[NECK], inverse[hips].mean()
-    move = jnp.maximum(least - length(d)[0], 0.0) * unit(d) / jnp.maximum(own + others, 1e-6)
-    return x.at[NECK].add(own * move).at[hips].add(-others * move)
+    return _stiffened(vectors(x), inverse, _least_span(body)).stacked()
+
+
+def _least_span(body: FlexibleBody) -> Float[Array, ""]:
+    return _BOWED * _span(vectors(body.rest)).length()
+
+
+def _span(x: Vector) -> Vector:
+    return x[NECK] - (x[LOWER[2]] + x[LOWER[3]]) * 0.5
+
+
+def _stiffened(x: Vector, inverse: Float[Array, " 16"], least: Float[Array, ""]) -> Vector:
+    d = _span(x)
+    now = d.length()
+    own, others = inverse[NECK], (inverse[LOWER[2]] + inverse[LOWER[3]]) / 2
+    size = jnp.maximum(least - now, 0.0) / now / jnp.maximum(own + others, 1e-6)
+    moved = np.zeros((2, 16), np.float32)
+    moved[0, NECK] = moved[1, LOWER[2:]] = 1
+    by = size * (own * moved[0] - others * moved[1])
+    return x + d * by
 
 
 def separate_legs(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Array, " 16"]) -> Float[Array, "16 3"]:
     """Knees and ankles moved apart, along the hips' line, to where two legs have room: else a leg that another one
     hides is drawn into it. Legs one before the other may cross."""
+    return _separated(vectors(x), inverse, jnp.asarray(_LEGS_NEAR) * body.stature).stacked()
+
+
+def _separated(x: Vector, inverse: Float[Array, " 16"], near: Float[Array, "2"]) -> Vector:
     left, right = np.array(LIMBS[2][1:]), np.array(LIMBS[3][1:])
-    d, outward = x[left] - x[right], unit(x[LIMBS[2][0]] - x[LIMBS[3][0]])
-    along = d @ outward
-    across = d - along[:, None] * outward
-    room = (_LEGS_NEAR * body.stature) ** 2 - jnp.sum(across**2, -1)
+    d, outward = x[left] - x[right], (x[LIMBS[2][0]] - x[LIMBS[3][0]]).unit()
+    along = d.dot(outward)
+    across = d - outward * along
+    room = near**2 - across.dot(across)
     short = jnp.where(room > 0, jnp.maximum(jnp.sqrt(jnp.maximum(room, _TINY)) - along, 0.0), 0.0)
     one, other = inverse[left], inverse[right]
-    move = (short / jnp.maximum(one + other, 1e-6))[:, None] * outward
-    return x.at[left].add(one[:, None] * move).at[right].add(-other[:, None] * move)
+    move = outward * (short / jnp.maximum(one + other, 1e-6))
+    first, second = x[left] + move * one, x[right] - move * other
+    return _put(x, np.stack([left, right]), first.stack(second))
 
 
 # 7 parameters: the body, its state and what acts on it, traced each
@@ -247,24 +322,25 @@ def relax(
         `floor` see limb_spaces.
     """
     inverse = inverse_masses(masses)
+    pulls, least, near = _pulls(body, inverse), _least_span(body), jnp.asarray(_LEGS_NEAR) * body.stature
+    rows = np.ascontiguousarray(LIMBS.T)  # roots, middles, ends
 
     def sweep(_, x):
-        x = relax_springs(body, x, inverse)
+        x = _sprung(x, pulls)
         if not limits:
             return x
-        x = separate_legs(body, stiff_trunk(body, x, inverse), inverse)
-        moved = jax.vmap(limb_limits)(x[LIMBS], inverse[LIMBS], limb_spaces(body, x, apart, floor))
-        return x.at[LIMBS.ravel()].set(moved.reshape(12, 3))
+        x = _separated(_stiffened(x, inverse, least), inverse, near)
+        moved = limb_limits((x[rows[0]], x[rows[1]], x[rows[2]]), inverse[rows], _spaces(body, x, apart, floor))
+        return _put(x, rows, moved[0].stack(*moved[1:]))
 
     if isinstance(iterations, int) and not iterations:
         return x
-    return lax.fori_loop(0, iterations, sweep, x)
+    return lax.fori_loop(0, iterations, sweep, vectors(x)).stacked()
 
 
-def project_limb(
-    p: Float[Array, "3 3"], inverse: Float[Array, "3"], space: LimbSpace, iterations: int
-) -> Float[Array, "3 3"]:
-    """A particle moved to where the active constraints let a limb be, all other points fixed (sec. III-A)."""
+def project_limb(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace, iterations: int) -> Limb:
+    """Particles moved to where the active constraints let a limb be, all other points fixed (sec. III-A). `space` of
+    one limb, broadcast to them."""
     step = lambda _, p: limb_limits(limb_bones(p, inverse, space), inverse, space)  # noqa: E731
     return limb_bones(lax.fori_loop(0, iterations, step, p), inverse, space)
 

@@ -1,21 +1,18 @@
 """How well a limb fits an image: edge and surface scores, points, occlusion (Hecht et al. 2009, sec. III-B)."""
 
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt8
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
-from voodoo_jax.trackers.flexible.cylinders import (
-    Segments,
-    all_limb_segments,
-    limb_segments,
-    segment_distance,
-    skull_segment,
-)
+from voodoo_jax.trackers.flexible.cylinders import Segment, body_segments, limb_segments, segment_distance
 from voodoo_jax.trackers.flexible.flexible_body import IS_ARM, LIMBS, LOWER, UPPER, FlexibleBody
-from voodoo_jax.trackers.flexible.physics import Frames, length
+from voodoo_jax.trackers.flexible.physics import Frames, Limb
+from voodoo_jax.trackers.flexible.vectors import Vector, kept, turned, vectors
 
 RINGS = 10  # reference colours along a cylinder, by the paper
 ALONG, ACROSS = 6, 3  # samples of a cylinder's surface: set by hand, the study's
@@ -29,8 +26,7 @@ _NEVER = 1e6  # metres, by hand: nothing is so far
 class View(NamedTuple):
     """Features of one frame as a program takes them; see image_features.Features."""
 
-    colour: UInt8[Any, "row column 3"]
-    edge: UInt8[Any, "row column"]
+    pixels: UInt32[Any, "row column"]  # bytes, lowest first: blue, green, red, edge: looked up at once
     motion: UInt8[Any, "coarse_row coarse_column"]
     flow: Float[Any, "coarse_row coarse_column 2"]
     depth: Float[Any, "row column"]
@@ -56,19 +52,38 @@ class Weighing(NamedTuple):
     cap: Float[Array, ""]  # metres: farther points tell no more
 
 
-def project(view: View, p: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 2"], Float[Array, "*n"]]:
-    """Pixels of the features and depth, metres."""
-    q = p @ view.turn.T + view.shift
-    z = jnp.maximum(q[..., 2], 0.1)
-    return q[..., :2] / z[..., None] * view.focal[:2] + view.focal[2:], z
+class Place(NamedTuple):
+    """Places in an image, pixels of the features, with their depths along the optical axis, metres."""
+
+    u: Float[Array, "*n"]
+    v: Float[Array, "*n"]
+    z: Float[Array, "*n"]
 
 
-def read(image: Any, at: Float[Array, "*n 2"]) -> tuple[Array, Bool[Array, "*n"]]:
-    """The nearest pixels, and whether they are inside of the image."""
+def project(view: View, p: Vector) -> Place:
+    """Where points in the fixed frame are in the image."""
+    return _seen_at(view, turned(view.turn, p) + Vector(view.shift))
+
+
+def _seen_at(view: View, q: Vector) -> Place:
+    z = jnp.maximum(q.z, 0.1)
+    return Place(q.x / z * view.focal[0] + view.focal[2], q.y / z * view.focal[1] + view.focal[3], z)
+
+
+def read(image: Any, at: Place, shrunk: int = 1) -> tuple[Array, Bool[Array, "*n"]]:
+    """The nearest pixels of an image that is so many times smaller than the features, and whether they are inside."""
     rows, columns = image.shape[:2]
-    u, v = jnp.round(at[..., 0]).astype(int), jnp.round(at[..., 1]).astype(int)
+    u, v = ((n - (shrunk - 1) / 2) / shrunk for n in at[:2])
+    u, v = jnp.round(u).astype(jnp.int32), jnp.round(v).astype(jnp.int32)
     inside = (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
-    return jnp.asarray(image)[jnp.clip(v, 0, rows - 1), jnp.clip(u, 0, columns - 1)], inside
+    number = jnp.clip(v, 0, rows - 1) * columns + jnp.clip(u, 0, columns - 1)
+    flat = jnp.asarray(image).reshape(rows * columns, *image.shape[2:])
+    return flat.at[number].get(mode="promise_in_bounds"), inside
+
+
+def channels(pixels: UInt32[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
+    """Blue, green, red and edge of pixels, 0..1."""
+    return tuple(((pixels >> (8 * n)) & 255).astype(jnp.float32) / 255 for n in range(4))
 
 
 def occlusion(body: FlexibleBody, x: Float[Array, "16 3"], view: View) -> Float[Array, "4 row column"]:
@@ -76,57 +91,73 @@ def occlusion(body: FlexibleBody, x: Float[Array, "16 3"], view: View) -> Float[
 
     The parts are convex quadrilaterals: projected cylinders and torso patches, each with its least depth along it.
     """
-    limbs, skull = all_limb_segments(body, x), skull_segment(body, x)
-    a = jnp.concatenate([limbs.a[:, :2].reshape(8, 3), skull.a[None]])
-    b = jnp.concatenate([limbs.b[:, :2].reshape(8, 3), skull.b[None]])
-    radii = jnp.concatenate([limbs.radii[:, :2].reshape(8, 2), skull.radii[None]])
-    (pa, za), (pb, zb) = project(view, a), project(view, b)
-    line = pb - pa
-    side = jnp.stack([-line[:, 1], line[:, 0]], -1) / jnp.maximum(jnp.linalg.norm(line, axis=-1, keepdims=True), 1e-3)
-    f = view.focal[0]
-    ra, rb = (f * radii[:, 0] / za)[:, None], (f * radii[:, 1] / zb)[:, None]
-    quads = jnp.stack([pa + side * ra, pb + side * rb, pb - side * rb, pa - side * ra], 1)
-    near = jnp.minimum(za - radii[:, 0], zb - radii[:, 1])
-    patches = jnp.stack([x[jnp.array([c[0], c[2], c[3], c[1]])] for c in (UPPER, LOWER)])
-    pc, zc = project(view, patches)
-    quads, near = jnp.concatenate([quads, pc]), jnp.concatenate([near, zc.min(-1) - body.torso[1]])
+    cylinders = body_segments(body, vectors(x))
+    shown = np.array([0, 1, 3, 4, 6, 7, 9, 10, 12])  # without hands and feet
+    a, b = project(view, cylinders.a[shown]), project(view, cylinders.b[shown])
+    begin, end = cylinders.begin[shown], cylinders.end[shown]
+    line_u, line_v = b.u - a.u, b.v - a.v
+    scale = view.focal[0] / jnp.maximum(jnp.sqrt(line_u**2 + line_v**2), 1e-3)
+    ra, rb = scale * begin / a.z, scale * end / b.z
+    near = jnp.minimum(a.z - begin, b.z - end)
+    corner = project(view, vectors(x[np.array([[c[0], c[2], c[3], c[1]] for c in (UPPER, LOWER)])]))
+    sides = ((a, ra, 1), (b, rb, 1), (b, rb, -1), (a, ra, -1))
+    quad_u = jnp.stack([at.u - side * r * line_v for at, r, side in sides], 1)
+    quad_v = jnp.stack([at.v + side * r * line_u for at, r, side in sides], 1)
+    quad_u, quad_v = jnp.concatenate([quad_u, corner.u]), jnp.concatenate([quad_v, corner.v])
+    near = jnp.concatenate([near, corner.z.min(-1) - body.torso[1]])
     rows, columns = view.depth.shape[0] // SHRINK, view.depth.shape[1] // SHRINK
-    v, u = jnp.mgrid[:rows, :columns]
-    grid = (jnp.stack([u, v], -1) + 0.5) * SHRINK - 0.5
-    edge = jnp.roll(quads, -1, 1) - quads
-    off = grid[None, None] - quads[:, :, None, None]
-    cross = edge[:, :, None, None, 0] * off[..., 1] - edge[:, :, None, None, 1] * off[..., 0]
-    inside = jnp.all(cross >= 0, 1) | jnp.all(cross <= 0, 1)  # [part, row, column]
-    depth = jnp.where(inside, near[:, None, None], _NEVER)
-    owner = jnp.concatenate([jnp.repeat(jnp.arange(4), 2), jnp.array([-1, -1, -1])])
-    return jnp.stack([jnp.min(jnp.where((owner == limb)[:, None, None], _NEVER, depth), 0) for limb in range(4)])
+    v, u = ((np.arange(n, dtype=np.float32) + 0.5) * SHRINK - 0.5 for n in (rows, columns))
+    # on which side of an edge a pixel is: by_u u + by_v v + constant, as a cross product
+    by_u, by_v = quad_v - jnp.roll(quad_v, -1, 1), jnp.roll(quad_u, -1, 1) - quad_u
+    constant = -(by_u * quad_u + by_v * quad_v)
+    level = by_v[..., None] * v + constant[..., None]  # [part, edge, row]
+    inside = partial(_inside, u)
+    depth = lax.map(lambda part: jnp.where(inside(*part[:2]), part[2], _NEVER), (level, by_u, near))
+    own = np.arange(4)[:, None] == np.arange(len(near)) // 2  # the last parts, head and torso, are of no limb
+    return jnp.min(jnp.where(own[..., None, None], _NEVER, depth), 1)
+
+
+def _inside(
+    u: Float[Any, " column"], level: Float[Array, "4 row"], by_u: Float[Array, "4"]
+) -> Bool[Array, "row column"]:
+    side = [level[k][:, None] + by_u[k] * u for k in range(4)]
+    low, high = (of(of(side[0], side[1]), of(side[2], side[3])) for of in (jnp.minimum, jnp.maximum))
+    return (low >= 0) | (high <= 0)
 
 
 class Samples(NamedTuple):
-    """Places on the projected cylinders of a limb. Axes: cylinder (2), along, across (or the two borders)."""
+    """Places on the projected cylinders of limbs. Axes: cylinder (2), along, across (or the two borders), and those of
+    the limbs."""
 
-    surface: Float[Array, "2 along across 2"]  # pixels
-    border: Float[Array, "2 along 2 2"]
-    depth: Float[Array, "2 along"]  # of the surface, metres
-    seen: Float[Array, "2"]  # length that is seen, share of the cylinder's whole length
+    surface: Place  # its z: depth of the surface
+    border: Place
+    seen: Float[Array, "2 *n"]  # length that is seen, share of the cylinder's whole length
 
 
-def samples(view: View, s: Segments) -> Samples:
-    """The regular grid on the simplified projection of a limb's first two cylinders."""
-    t = (jnp.arange(ALONG) + 0.5) / ALONG
-    axis = s.a[:2, None] + t[:, None] * (s.b[:2] - s.a[:2])[:, None]
-    radius = s.radii[:2, :1] + t * (s.radii[:2, 1:] - s.radii[:2, :1])
-    at, z = project(view, axis)
-    line = at[:, -1] - at[:, 0]
-    along = jnp.sqrt(jnp.sum(line**2, -1, keepdims=True) + 1e-6)
-    side = (jnp.stack([-line[:, 1], line[:, 0]], -1) / along)[:, None]
-    wide = (view.focal[0] * radius / z)[..., None]
-    across = jnp.linspace(-0.7, 0.7, ACROSS)
-    surface = at[:, :, None] + across[:, None] * (side * wide)[:, :, None]
-    border = jnp.stack([at + side * wide, at - side * wide], 2)
-    whole = length(s.b[:2] - s.a[:2])[:, 0]
-    seen = along[:, 0] / (1 - 1 / ALONG) / view.focal[0] * z.mean(1) / whole
-    return Samples(surface, border, z - radius, jnp.clip(seen, 0.0, 1.0))
+def samples(view: View, segments: tuple[Segment, Segment, Segment]) -> Samples:
+    """The regular grid on the simplified projection of limbs' first two cylinders."""
+    first, second, _ = segments
+    begin, end = jnp.stack([first.begin, second.begin]), jnp.stack([first.end, second.end])
+    a, b = (turned(view.turn, v) + Vector(view.shift) for v in (first.a.stack(second.a), first.b.stack(second.b)))
+    d = b - a
+    more = lambda n: np.reshape(n, (-1, *[1] * (a.ndim - 1)))  # noqa: E731
+    begin, end = (r.reshape(*r.shape, *[1] * (a.ndim - r.ndim)) for r in (begin, end))
+    t = more((np.arange(ALONG, dtype=np.float32) + 0.5) / ALONG)
+    at = _seen_at(view, a[:, None] + d[:, None] * t)
+    radius = begin[:, None] + t * (end - begin)[:, None]
+    line_u, line_v = at.u[:, -1] - at.u[:, 0], at.v[:, -1] - at.v[:, 0]
+    along = jnp.sqrt(line_u**2 + line_v**2 + 1e-6)
+    wide = view.focal[0] * radius / at.z
+    aside_u, aside_v = -(line_v / along)[:, None] * wide, (line_u / along)[:, None] * wide
+    near = (at.z - radius)[:, :, None]
+
+    def across(shares: np.ndarray) -> Place:
+        return Place(at.u[:, :, None] + shares * aside_u[:, :, None], at.v[:, :, None] + shares * aside_v[:, :, None],
+                     jnp.broadcast_to(near, (2, ALONG, len(shares), *at.u.shape[2:])))  # fmt: skip
+
+    seen = along * (1 / (1 - 1 / ALONG)) / view.focal[0] * at.z.mean(1) / d.length()
+    surface = across(more(np.linspace(-0.7, 0.7, ACROSS, dtype=np.float32)))
+    return Samples(surface, across(more(np.array([1, -1], np.float32))), jnp.clip(seen, 0.0, 1.0))
 
 
 class LimbContext(NamedTuple):
@@ -138,6 +169,7 @@ class LimbContext(NamedTuple):
     points: Float[Array, "point 3"]
     others: Float[Array, "point"]  # distance of each point to the other parts, metres
     share: Float[Array, "point"]  # what each point weighs; 0: none
+    beyond: Float[Array, "2"]  # of points that are left out: sum of their shares, and of these times their cost
     forward: Float[Array, "3"]  # of the lower torso
     is_arm: Float[Array, ""]
     radii: Float[Array, "3 2"]
@@ -164,51 +196,88 @@ def expected(colours: Float[Array, "2 ring 3"]) -> Float[Array, "2 along 3"]:
     return colours[:, low] * (1 - share) + colours[:, low + 1] * share
 
 
-def limb_score(p: Float[Array, "3 3"], context: LimbContext, view: View, w: Weighing) -> Score:
-    """How well a limb's three points fit what is seen."""
-    segments = limb_segments(p, context.forward, context.is_arm, context.radii, context.tip)
-    at = samples(view, segments)
-    # a sample is hidden where another part of the body is nearer, or outside of the image
-    nearest, _ = read(context.hidden, (at.surface - (SHRINK - 1) / 2) / SHRINK)
-    behind = nearest < at.depth[..., None] - 0.02
-    depth, inside = read(view.depth, at.surface)
-    covered = (depth > 0) & (depth < at.depth[..., None] - _BEHIND)
-    visible = inside & ~behind & ~covered
-    colour, _ = read(view.colour, at.surface)
-    off = jnp.sum(jnp.abs(colour.astype(jnp.float32) / 255 - expected(context.colours)[:, :, None]), -1)
-    known = jnp.minimum(context.learnt.mean(1), 1.0)[:, None, None]
-    alike = known * jnp.exp(-off / w.colour_scale) + (1 - known) * w.hidden_surface
-    surface = jnp.where(visible, alike, w.hidden_surface).mean((1, 2))
-    there = jnp.where(depth > at.depth[..., None] + _BEHIND, 0.0, 1.0)
-    solid = jnp.where(inside & ~behind & (depth > 0), jnp.where(covered, 0.6, there), 0.6).mean((1, 2))
-    edge, inside = read(view.edge, at.border)
-    nearest, _ = read(context.hidden, (at.border - (SHRINK - 1) / 2) / SHRINK)
-    shown = inside & (nearest >= at.depth[..., None] - 0.02)
-    edge = jnp.where(shown, edge.astype(jnp.float32) / 255, w.hidden_edge).mean((1, 2))
+def limb_score(p: Limb, context: LimbContext, view: View, w: Weighing) -> Score:
+    """How well the points of many particles of one limb fit what is seen."""
+    there = view.focal[0] > 0
+    return kept(there, lambda p, context: _limb_score(p, context, view, w), p, context)
+
+
+def _limb_score(p: Limb, context: LimbContext, view: View, w: Weighing) -> Score:
+    segments = limb_segments(p, vectors(context.forward), context.is_arm, context.radii, context.tip)
+    at, there = samples(view, segments), view.focal[0] > 0
+    surface, solid = kept(there, lambda at: _surface_scores(at, context, view, w), at.surface)
+    pixels, inside = read(view.pixels, at.border)
+    nearest, _ = read(context.hidden, at.border, SHRINK)
+    shown = inside & (nearest >= at.border.z - 0.02)
+    edge = jnp.where(shown, channels(pixels)[3], w.hidden_edge).mean((1, 2))
     share = w.seen_length * at.seen + (1 - w.seen_length)
-    weighed = lambda s, default: jnp.mean(share * s + (1 - share) * w.unseen * default)  # noqa: E731
-    d = jnp.minimum(jnp.min(jnp.abs(segment_distance(segments, context.points)), 1), context.others)
-    near = jnp.minimum(d, w.cap) / w.cap
-    points = jnp.sum(context.share * near**2) / jnp.maximum(jnp.sum(context.share), 1e-6)
+    weighed = lambda s, default: jnp.mean(share * s + (1 - share) * w.unseen * default, 0)  # noqa: E731
     return Score(
-        weighed(edge, w.hidden_edge), weighed(surface, w.hidden_surface), weighed(solid, 0.6), points,
-        context.is_arm * _hand_score(segments, context, view),
+        weighed(edge, w.hidden_edge), weighed(surface, w.hidden_surface), weighed(solid, 0.6),
+        _points_score(segments, context, w), context.is_arm * _hand_score(segments[2], context, view),
     )  # fmt: skip
 
 
-def _hand_score(s: Segments, context: LimbContext, view: View) -> Float[Array, ""]:
+def _surface_scores(
+    at: Place, context: LimbContext, view: View, w: Weighing
+) -> tuple[Float[Array, "2 particle"], Float[Array, "2 particle"]]:
+    """Of each cylinder: how much its colours are alike, and how much of it is where depth is measured."""
+    # a sample is hidden where another part of the body is nearer, or outside of the image
+    nearest, _ = read(context.hidden, at, SHRINK)
+    behind = nearest < at.z - 0.02
+    depth, inside = read(view.depth, at)
+    covered = (depth > 0) & (depth < at.z - _BEHIND)
+    visible = inside & ~behind & ~covered
+    pixels, _ = read(view.pixels, at)
+    reference = expected(context.colours)[:, :, None, None]
+    off = sum(jnp.abs(value - reference[..., n]) for n, value in enumerate(channels(pixels)[:3]))
+    known = jnp.minimum(context.learnt.mean(1), 1.0)[:, None, None, None]
+    alike = known * jnp.exp(-off / w.colour_scale) + (1 - known) * w.hidden_surface
+    surface = jnp.where(visible, alike, w.hidden_surface).mean((1, 2))
+    there = jnp.where(depth > at.z + _BEHIND, 0.0, 1.0)
+    solid = jnp.where(inside & ~behind & (depth > 0), jnp.where(covered, 0.6, there), 0.6).mean((1, 2))
+    return surface, solid
+
+
+def _points_score(
+    segments: tuple[Segment, Segment, Segment], context: LimbContext, w: Weighing
+) -> Float[Array, " particle"]:
+    q = vectors(context.points)[:, None]
+    distances = [jnp.abs(segment_distance(s, q)) for s in segments]
+    d = reduce(jnp.minimum, distances, context.others[:, None])
+    near = jnp.minimum(d, w.cap) / w.cap
+    share, cost = context.beyond
+    return (context.share @ near**2 + cost) / jnp.maximum(jnp.sum(context.share) + share, 1e-6)
+
+
+def worthwhile(context: LimbContext, count: int, w: Weighing) -> LimbContext:
+    """With only those points of which a limb can explain most: those that the rest of the body explains tell nothing
+    of where the limb is."""
+    if len(context.others) <= count:
+        return context
+    cost = context.share * (jnp.minimum(context.others, w.cap) / w.cap) ** 2
+    best = lax.top_k(cost, count)[1]
+    share = context.share[best]
+    beyond = context.beyond + jnp.stack([jnp.sum(context.share) - jnp.sum(share), jnp.sum(cost) - jnp.sum(cost[best])])
+    return context._replace(
+        points=context.points[best], others=context.others[best], share=share, beyond=jnp.maximum(beyond, 0.0)
+    )
+
+
+def _hand_score(s: Segment, context: LimbContext, view: View) -> Float[Array, " particle"]:
     """Share of skin on a hand as far as it is seen, and not before the face."""
-    t = (jnp.arange(_HAND_SAMPLES) + 0.5)[:, None] / _HAND_SAMPLES
-    hand = s.a[2] + t * (s.b[2] - s.a[2])
-    at, z = project(view, hand)
-    z = z - s.radii[2, 1]
-    nearest, _ = read(context.hidden, (at - (SHRINK - 1) / 2) / SHRINK)
+    t = (np.arange(_HAND_SAMPLES, dtype=np.float32) + 0.5)[:, None] / _HAND_SAMPLES
+    hand = s.a[None] + (s.b - s.a)[None] * t
+    at = project(view, hand)
+    z = at.z - s.end
+    nearest, _ = read(context.hidden, at, SHRINK)
     depth, inside = read(view.depth, at)
     seen = inside & (nearest >= z - 0.02) & ~((depth > 0) & (depth < z - _BEHIND))
     away = (depth > 0) & (depth > z + _BEHIND)  # of the room behind
     skin = jnp.where(away, 0.0, read(view.skin, at)[0].astype(jnp.float32) / 255)
-    seen &= length(hand - context.head[:3])[:, 0] > context.head[3]  # else the face draws hands that are not seen
-    return jnp.where(seen, skin, _HIDDEN_SKIN).mean()
+    # else the face draws hands that are not seen
+    seen &= (hand - vectors(context.head[:3])).length() > context.head[3]
+    return jnp.where(seen, skin, _HIDDEN_SKIN).mean(0)
 
 
 def log_weight(score: Score, w: Weighing) -> Float[Array, "*n"]:
@@ -219,30 +288,30 @@ def log_weight(score: Score, w: Weighing) -> Float[Array, "*n"]:
     )  # fmt: skip
 
 
-# 7 parameters: model, state and measurements, traced each
+# 8 parameters: model, state and measurements, traced each
 def learn(
-    body: FlexibleBody, x: Float[Array, "16 3"], frames: Frames, view: View, colours: Float[Array, "4 2 ring 3"],
-    learnt: Float[Array, "4 2 ring"], rate: Float[Array, "4 2"],
+    body: FlexibleBody, x: Float[Array, "16 3"], frames: Frames, view: View, hidden: Float[Array, "4 row column"],
+    colours: Float[Array, "4 2 ring 3"], learnt: Float[Array, "4 2 ring"], rate: Float[Array, "4 2"],
 ) -> tuple[Array, Array]:  # fmt: skip
     """Reference colours with one more image: a running average over the pixels of each ring that are the person's.
 
-    **Arguments:** `rate` what the image counts on each cylinder, from the local confidence; 0: nothing is learnt.
+    **Arguments:** `hidden` see occlusion; `rate` what the image counts on each cylinder, from the local confidence; 0:
+    nothing is learnt.
     """
     arm = jnp.asarray(IS_ARM, x.dtype)
-    segments = jax.vmap(limb_segments, (0, None, 0, 0, 0))(x[LIMBS], frames.lower[0], arm, body.radii, body.tips)
-    at = jax.vmap(samples, (None, 0))(view, segments)
-    hidden = occlusion(body, x, view)
-    nearest = jax.vmap(lambda image, place: read(image, (place - (SHRINK - 1) / 2) / SHRINK)[0])(hidden, at.surface)
-    depth, inside = read(view.depth, at.surface)
-    good = inside & (nearest >= at.depth[..., None] - 0.02) & (depth > 0)
-    good &= jnp.abs(depth - at.depth[..., None]) < _BEHIND
-    colour = read(view.colour, at.surface)[0].astype(jnp.float32) / 255
+    points = [vectors(x[LIMBS[:, n]]) for n in range(3)]
+    segments = limb_segments((points[0], points[1], points[2]), vectors(frames.lower[0]), arm, body.radii, body.tips)
+    at = samples(view, segments).surface
+    nearest = jax.vmap(lambda image, place: read(image, place, SHRINK)[0], (0, -1), -1)(hidden, at)
+    depth, inside = read(view.depth, at)
+    good = inside & (nearest >= at.z - 0.02) & (depth > 0) & (jnp.abs(depth - at.z) < _BEHIND)
+    colour = jnp.stack(channels(read(view.pixels, at)[0])[:3], -1)
     to_ring = np.zeros((ALONG, RINGS), np.float32)
     # each ring takes from the nearest sample along the limb
     to_ring[np.clip(np.round((np.arange(RINGS) + 0.5) / RINGS * ALONG - 0.5).astype(int), 0, ALONG - 1),
             np.arange(RINGS)] = 1  # fmt: skip
-    count = good.sum(-1).astype(jnp.float32) @ to_ring
-    total = jnp.einsum("lsac,ar->lsrc", jnp.sum(jnp.where(good[..., None], colour, 0.0), -2), to_ring)
+    count = jnp.einsum("sal,ar->lsr", good.sum(2).astype(jnp.float32), to_ring)
+    total = jnp.einsum("salc,ar->lsrc", jnp.sum(jnp.where(good[..., None], colour, 0.0), 2), to_ring)
     mean = total / jnp.maximum(count, 1.0)[..., None]
     step = jnp.where(count > 0, rate[..., None], 0.0)
     now = learnt + step
@@ -257,9 +326,9 @@ def drawn(key: Array, weights: Float[Any, "n"], count: int) -> Int[Array, " coun
     return jnp.searchsorted(total, jax.random.uniform(key, (count,)) * total[-1]).clip(0, len(weights) - 1)
 
 
-def systematic(key: Array, weights: Float[Array, "n"]) -> Int[Array, " n"]:
-    """Systematic resampling."""
+def systematic(offset: Float[Array, ""], weights: Float[Array, "n"]) -> Int[Array, " n"]:
+    """Systematic resampling. `offset` random, 0..1."""
     n = len(weights)
     total = jnp.cumsum(weights)
-    places = (jnp.arange(n) + jax.random.uniform(key)) / n * total[-1]
-    return jnp.searchsorted(total, places).clip(0, n - 1)
+    places = (jnp.arange(n) + offset) / n * total[-1]
+    return jnp.searchsorted(total, places, method="compare_all").clip(0, n - 1)

@@ -267,7 +267,7 @@ def _inputs(
         share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
-            View(*f, bare), points, share, _at_points(bare, f, points) * share, heads.place[i],
+            _view(f, bare), points, share, _at_points(bare, f, points) * share, heads.place[i],
             _number(float(heads.seen[i])), up, _number(min(dt, 0.2)), np.asarray(i, np.int32),
             _number(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
         ))  # fmt: skip
@@ -382,6 +382,12 @@ def _at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "poin
     inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows) & (q[:, 2] > 0.1)
     value = image[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)].astype(np.float32) / 255
     return np.where(inside, value, np.float32(0))
+
+
+def _view(f: Features, skin: np.ndarray) -> View:
+    """What a program takes of features."""
+    pixels = np.ascontiguousarray(np.dstack([f.colour, f.edge])).view("<u4")[..., 0]
+    return View(pixels, f.motion, f.flow, f.depth, f.focal, f.turn, f.shift, skin)
 
 
 def _number(value: float) -> np.ndarray:
