@@ -38,6 +38,7 @@ STIRRED = 10  # frames in which an arm or so of them is where nothing was: who m
 # as in drop_motionless: of so many directions in which they are nearly always seen, over so many frames and seconds; of
 # people who stand still 80 % move or more, of a cupboard before which somebody moves a third (measured)
 TOLD, OFTEN, FEWEST, SECONDS, SWAYING = 12, 0.8, 20, 2.0, 0.6
+MOSTLY = 0.5  # of the frames in which they were seen: who moves in so many is a person, however few they are; by hand
 WATCHED = 150  # frames, the last ones, by which it is asked whether somebody sways; five seconds, by hand
 HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
 WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
@@ -74,8 +75,10 @@ class Sighting:
         return (self.alive or f.moves or f.went >= LITTLE or f.stirred >= STIRRED) and self.seen >= BRIEF
 
     def sways(self) -> bool:
-        """Whether they move as who stands still does, by millimetres: then they are a person from now on."""
-        frames = self.frames.frames()[-WATCHED:]
+        """Whether they move as who stands still does, by millimetres, or in most of the few frames that there are: then
+        they are a person from now on."""
+        frames, moved = self.frames.frames()[-WATCHED:], self.follower.moved
+        self.alive |= moved >= max(LITTLE, MOSTLY * self.follower.there)
         if seen_long(frames, FEWEST, SECONDS):
             found = directions(frames)
             asked = filled(found) & (found.often >= OFTEN)
