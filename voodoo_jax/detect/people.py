@@ -18,7 +18,7 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
 from voodoo_jax.detect.stillness import NOISE, Stillness, directions, filled, seen_long
-from voodoo_jax.detect.target_selection import LIKELY, LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
+from voodoo_jax.detect.target_selection import LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import picked
 from voodoo_jax.geometry.voxels import cells_of, touching, within
@@ -32,6 +32,7 @@ IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the t
 BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
 PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
 AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
+LIKELY = 0.06  # of what is likeliest to be a body: a child of 1.1 m is so much less so than an adult; by hand
 LIKE = 0.07  # metres of height: who differs by more is somebody else; by hand
 CLOSE = 0.15  # metres, and twice that: whose points are so near to each other may be mixed up; by hand
 STIRRED = 10  # frames in which an arm or so of them is where nothing was: who moves no more than that; by hand

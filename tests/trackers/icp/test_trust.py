@@ -132,6 +132,12 @@ def test_what_does_not_fit_is_not_trusted(worse):
     assert joint_confidence(bad).max() < 0.1
 
 
+def test_a_child_is_no_misfit_and_a_giant_is():
+    said = joint_confidence(fitting())
+    child, giant = (joint_confidence(replace(fitting(), body=scaled(BODY, s))) for s in (1.15, 2.25))
+    assert (child < said).all() and child.min() > 0.9 and giant.max() < 0.4
+
+
 @pytest.mark.parametrize("worse", ["limb_beside", "depth_inside", "passes_apart"])
 def test_what_is_wrong_with_a_thigh_is_said_of_the_joints_where_it_ends(worse):
     """Of its hip, too, whose centre is the pelvis'; points apart are so for half a second before and after."""

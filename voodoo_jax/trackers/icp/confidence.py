@@ -35,8 +35,9 @@ LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.009  # of a limb's points, and metres: les
 # likewise; metres between the passes that tell nothing, and those that tell all
 DEEP, DEEPEST, BENT, MOST_BENT, TOGETHER, ASUNDER = 0.01, 8.0, float(np.radians(10)), 3.0, 0.05, 1.0
 # metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
-# nothing, and so many beyond count at most
-STATURE, STATURES, USUAL, UNUSUAL = 1.70, 0.095, 2.7, 2.0
+# nothing, and so many beyond count at most: of who is small less, for children are people, too (by hand: in the nine
+# kinds of logs there are none)
+STATURE, STATURES, USUAL, UNUSUAL, SMALL = 1.70, 0.095, 2.7, 2.0, 0.9
 EVERY = slice(None)
 BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
 # how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
@@ -207,7 +208,8 @@ def _unusual(tracks: Tracks) -> float:
     """How unusual the body's size is: the square of standard deviations beyond USUAL of them."""
     if tracks.body.scale_name != "stature":
         return 0.0
-    return min(max(abs(float(tracks.body.scale) - STATURE) / STATURES - USUAL, 0.0), UNUSUAL) ** 2
+    off = (float(tracks.body.scale) - STATURE) / STATURES
+    return min(max(abs(off) - USUAL, 0.0), UNUSUAL if off > 0 else SMALL) ** 2
 
 
 def facing_right(tracks: Tracks, ill: Float[np.ndarray, "frame 2"]) -> Float[np.ndarray, "frame joint"]:
