@@ -15,6 +15,7 @@ import numpy as np
 
 from voodoo_jax.config.bounds import SIZES
 from voodoo_jax.config.limited import limits
+from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.model.body import Body, Mode, Topology, without_side
 from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
@@ -71,15 +72,15 @@ def load_on_host(name_or_path: str | os.PathLike) -> Body:
     """As load_body, of NumPy arrays: jax's device is left alone."""
     text = str(name_or_path)
     if text in BUILT_IN:
-        return _built_in(text)
+        return _built_in(text, limits())
     if not Path(text).exists() and Path(text).suffix == "" and Path(text).name == text:
         raise BodyFileError(text, None, f"no such file, and no built-in body of that name{nearest(text, BUILT_IN)}")
     return _read(name_or_path)
 
 
 @cache
-def _built_in(name: str) -> Body:
-    """Read once: to parse it takes a tenth of a second, and several ask for it."""
+def _built_in(name: str, _: LimitSettings) -> Body:
+    """Read once for the limits that hold: to parse it takes a tenth of a second, and several ask for it."""
     resource = resources.files("voodoo_jax.model.bodies") / f"{name}.toml"
     return _parsed(resource.read_text(encoding="utf-8"), f"{name}.toml")
 

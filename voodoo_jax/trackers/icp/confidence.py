@@ -120,9 +120,9 @@ def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame join
 class Averages(NamedTuple):
     """What tells that limbs do not fit, over a second around each frame."""
 
-    beside: Float[np.ndarray, "frame limb"]  # means, see Tracks
-    distance: Float[np.ndarray, "frame limb"]
-    bare: Float[np.ndarray, "frame limb"]
+    beside: Float32[np.ndarray, "frame limb"]  # means, see Tracks
+    distance: Float32[np.ndarray, "frame limb"]
+    bare: Float32[np.ndarray, "frame limb"]
     inside: Float32[np.ndarray, "frame limb"]  # in other limbs, metres, mean
     beyond: Float32[np.ndarray, "frame limb"]  # of the joint towards the trunk, beyond its limits, radians, mean
     apart: Float32[np.ndarray, "frame limb"]  # passes, metres, the most; 0 where there was one
@@ -145,8 +145,8 @@ def _averages(tracks: Tracks, ahead: bool) -> Averages | None:
         averaged(tracks.limb_beside, ahead),
         averaged(tracks.limb_distance, ahead),
         averaged(tracks.limb_bare, ahead),
-        averaged(known(tracks.depth_inside), ahead).astype(np.float32),
-        averaged(beyond, ahead).astype(np.float32),
+        averaged(known(tracks.depth_inside), ahead),
+        averaged(beyond, ahead),
         maximum_filter1d(apart, AROUND, 0) if len(apart) else apart,
     )
 
@@ -190,11 +190,11 @@ def meeting_limbs(body: Body) -> Int[np.ndarray, " joint"]:
     return np.where(parents[near] == limbs, children, parents[near])
 
 
-def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float[np.ndarray, "frame limb"]:
+def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float32[np.ndarray, "frame limb"]:
     """Mean over the AROUND frames around each that tell something, or over those before if not `ahead`."""
     origin = 0 if ahead else AROUND // 2  # the window ends with the frame
     mean = lambda x: uniform_filter1d(x.astype(float), AROUND, 0, mode="constant", origin=origin)  # noqa: E731
-    out = np.full(found.shape, np.nan)
+    out = np.full(found.shape, np.nan, np.float32)
     # one by one, if they are long: all at once take several times their memory
     columns = [EVERY] if len(found) <= BATCH else [slice(k, k + 1) for k in range(found.shape[1])]
     for some in columns:
