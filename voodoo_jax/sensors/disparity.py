@@ -3,6 +3,8 @@
 Lucas and Kanade 1981; the images' disparities against each other: Hirschmueller 2008, doi:10.1109/TPAMI.2007.1166.
 """
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -36,8 +38,15 @@ def mirror(image: np.ndarray) -> np.ndarray:
 
 
 def places(image: np.ndarray) -> Float32[np.ndarray, "2 row column"]:
-    """Row and column of each pixel."""
-    return np.mgrid[0 : image.shape[0], 0 : image.shape[1]].astype(np.float32)
+    """Row and column of each pixel. Not to be written into: images of the same size share them."""
+    return _places(image.shape[0], image.shape[1])
+
+
+@lru_cache(maxsize=4)
+def _places(rows: int, columns: int) -> Float32[np.ndarray, "2 row column"]:
+    out = np.mgrid[0:rows, 0:columns].astype(np.float32)
+    out.flags.writeable = False
+    return out
 
 
 def brightness(left: Grey, right: Grey, raw: Pixels) -> tuple[float, float]:

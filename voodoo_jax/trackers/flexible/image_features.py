@@ -161,9 +161,11 @@ def cloud_depth(
 
 def depth_points(f: Features) -> tuple[Float32[np.ndarray, "point 3"], np.ndarray]:
     """Points of the pixels with depth in the fixed frame, metres, and their pixel numbers."""
-    at = np.flatnonzero(f.depth.ravel() > 0)
-    v, u = np.divmod(at, f.depth.shape[1])
-    z = f.depth.ravel()[at]
+    at = np.flatnonzero(f.depth)
+    rows, columns = f.depth.shape
     fx, fy, cx, cy = f.focal
-    p = np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], -1)
-    return ((p - f.shift) @ f.turn).astype(np.float32), at
+    # what points per metre of depth are: a sum by row and column, far cheaper than a product for each point
+    level = ((np.arange(columns, dtype=np.float32) - cx) / fx)[:, None] * f.turn[0]
+    upright = ((np.arange(rows, dtype=np.float32) - cy) / fy)[:, None] * f.turn[1] + f.turn[2]
+    ray = (upright[:, None] + level).reshape(-1, 3)
+    return ray[at] * f.depth.ravel()[at, None] - f.shift @ f.turn, at
