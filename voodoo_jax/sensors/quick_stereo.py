@@ -20,15 +20,33 @@ def quick_depth(
     focal_baseline: float,
     shift: float,
     nearest: float,
+    window: tuple[int, int, int, int] | None = None,
 ) -> Float32[np.ndarray, "some_row some_column"]:
     """Depth of every second row and column of the left image, metres; 0 where there is none.
 
-    **Arguments:** `focal_baseline` pixels times metres; `shift` see Rig; `nearest` metres: what is nearer is not found.
+    **Arguments:** `focal_baseline` pixels times metres; `shift` see Rig; `nearest` metres: what is nearer is not found;
+    `window` the first row and column of the left image that are looked at, and those behind the last; None: all.
     """
-    grey = [cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0) for image in (left, right)]
     least = int(np.floor(-shift))
     most = min(focal_baseline / max(nearest, 1e-3), left.shape[1] / 5) - shift
     count = max(_STEP, int(np.ceil((most - least) / _STEP)) * _STEP)
+    if window is None:
+        return _matched(left, right, focal_baseline, shift, least, count)
+    v0, u0, v1, u1 = window
+    # as many columns more as the right image is shifted by: what has no partner there is not found
+    v0, u0 = (max(at, 0) // EVERY * EVERY for at in (v0, u0 - least - count))
+    z = _matched(left[v0:v1, u0:u1], right[v0:v1, u0:u1], focal_baseline, shift, least, count)
+    out = np.zeros([-(-size // EVERY) for size in left.shape[:2]], np.float32)
+    out[v0 // EVERY :, u0 // EVERY :][: z.shape[0], : z.shape[1]] = z
+    return out
+
+
+# 6 parameters: those of `quick_depth`
+def _matched(
+    left: np.ndarray, right: np.ndarray, focal_baseline: float, shift: float, least: int, count: int
+) -> Float32[np.ndarray, "some_row some_column"]:
+    """`quick_depth` with `count` disparities from `least` on."""
+    grey = [cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0) for image in (left, right)]
     matcher = cv2.StereoSGBM.create(
         minDisparity=least, numDisparities=count, blockSize=_BLOCK, P1=8 * _BLOCK**2, P2=32 * _BLOCK**2,
         disp12MaxDiff=1, uniquenessRatio=5, speckleWindowSize=100, speckleRange=2, mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
