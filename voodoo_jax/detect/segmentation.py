@@ -157,6 +157,13 @@ class BodySegmenter:
             index, distant = index[near[index]], points[index[~near[index]]]
         return index if some is None else some[index], distant
 
+    def near_only(self, time_ns: int) -> Float32[np.ndarray, "point 3"] | None:
+        """The body's points when it was last seen, where in a frame of that time nothing else is looked at than what is
+        near them; None: the whole room is."""
+        if self.last is None or self.unseen or self._surveyed_ns is None:
+            return None
+        return None if time_ns - self._surveyed_ns >= SURVEY_NS else self.last
+
     def off_planes(self, points: Float32[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
         """Which points are off floor and walls."""
         height, _, _, *walls = self._places(points)

@@ -192,6 +192,10 @@ class Chooser:
         """That of what is taken for the body by now."""
         return self._main.finder
 
+    def near_only(self, time_ns: int) -> Float32[np.ndarray, "point 3"] | None:
+        """As that of the segmenter; None too for as long as other things are compared with the body."""
+        return self.finder.near_only(time_ns) if self._known else None
+
     def __call__(self, frames: Iterable[Frame]) -> Iterator[BodyObservation]:
         for frame in frames:
             if self._known:

@@ -37,7 +37,10 @@ def mirror(image: np.ndarray) -> np.ndarray:
 
 def places(image: np.ndarray) -> Float32[np.ndarray, "2 row column"]:
     """Row and column of each pixel."""
-    return np.mgrid[0 : image.shape[0], 0 : image.shape[1]].astype(np.float32)
+    rows, columns = image.shape
+    out = np.empty((2, rows, columns), np.float32)  # np.mgrid takes ten times as long
+    out[0], out[1] = np.arange(rows)[:, None], np.arange(columns)
+    return out
 
 
 def brightness(left: Grey, right: Grey, raw: Pixels) -> tuple[float, float]:

@@ -14,7 +14,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.compile.executable import seconds_of_waiting
 from voodoo_jax.config.options import FlexibleSettings, Settings
-from voodoo_jax.detect.pipeline import find_body
+from voodoo_jax.detect.disk_buffer import spilled
+from voodoo_jax.detect.pipeline import watched
+from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
@@ -37,7 +39,7 @@ from voodoo_jax.trackers.flexible.flexible_body import (
     rest_points,
 )
 from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
-from voodoo_jax.trackers.flexible.image_features import Extractor, Features, SkinModel, depth_points
+from voodoo_jax.trackers.flexible.image_features import Extractor, Features, Near, SkinModel, depth_points
 from voodoo_jax.trackers.flexible.poses import centres_of, directions, limb_poses
 from voodoo_jax.trackers.flexible.scores import View, Weighing, log_weight
 
@@ -55,6 +57,7 @@ _OTHER_LIMB = np.array([1, 0, 3, 2])  # of each of the paper's filters, that of 
 _OTHER_PART = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8, 12, 13, 14])  # of each of the paper's cylinders
 _TRUNK = np.unique([*UPPER, *LOWER])
 _LIMB_OF = np.array([next((n for n, rows in enumerate(LIMBS) if p in rows), -1) for p in range(16)])
+_BESIDE, _FASTEST = 0.25, 2.5  # metres from a person's points, and per second: so far hands may be next, by hand
 _FEWEST = 120  # points of a person from which on tracking starts, by hand
 
 
@@ -129,6 +132,7 @@ def observe(
     """Reads features and finds the person's points. Raises Unsuitable."""
     s, store, extract = settings.flexible, FeatureStore(), Extractor()
     pictures: list[Picture] = []
+    chooser: Chooser | None = None
     times, stamps = [], []
 
     def seen() -> Iterator[Frame]:
@@ -139,7 +143,7 @@ def observe(
                     raise _without_images(source)
                 continue
             dense = uses_dense(s) or len(store) < s.learn_frames
-            f = extract(frame, dense, s.flow)
+            f = extract(frame, dense, s.flow, None if chooser is None else _near(chooser, frame.time_ns))
             store.add(f)
             pictures.append(replace(frame.pictures[0]))
             stamps.append(number)
@@ -151,13 +155,22 @@ def observe(
             yield replace(frame, points=points, sensor=sensor, origins=origins, rays=Rays(), pictures=(), weight=None)
 
     try:
-        scene, people = find_body(seen(), up, body, settings)
+        chooser, found = watched(seen(), up, body, settings)
+        people = spilled(found)
         if not len(store):
             raise _without_images(source)
     except BaseException:
         store.close()
         raise
+    scene = chooser.finder.scene  # now, for the floor may have been found with the body
     return Observed(store, pictures, people, scene, np.array(times, np.int64), np.array(stamps, int), len(times))
+
+
+def _near(chooser: Chooser, time_ns: int) -> Near | None:
+    """Where depth is needed in a frame of that time; None: everywhere."""
+    points = chooser.near_only(time_ns)
+    seconds = (time_ns - chooser.finder.last_ns) / 1e9
+    return None if points is None else Near(points, _BESIDE + _FASTEST * max(seconds, 0.0))
 
 
 def _without_images(source: str) -> Unsuitable:
