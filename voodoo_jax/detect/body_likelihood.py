@@ -14,6 +14,7 @@ NEAR = 4.0  # metres from the sensor: who is farther away is less likely to be m
 # that its lower end may be, of its top, and how long it is at least, metres; by hand
 PART, UPPER, LEAST = 0.3, 0.75, 0.45
 SPREAD, SQUAT = 0.8, 0.75  # of its height: what is wider and lower is a counter or a sofa; by hand
+TALLEST = 1.35  # of its height: what is higher is not the body; by hand
 BROAD = 1.5  # times that area: what is even broader at the top is less likely to be the body
 
 
@@ -56,7 +57,7 @@ def candidate(
         extent = np.ptp(np.percentile(points[mine], [2, 98], axis=0), axis=0)
         own = np.clip(top / body.height, 1 - body.loose, 1 + body.loose)
         high, wide = own * body.height, own * body.width
-        tall = least * high <= top <= 1.35 * high
+        tall = least * high <= top <= TALLEST * high
         # as large as the body, or larger: hardly more likely
         likely = areas[k] / (areas[k] + 0.5 * wide * high)
         likely *= min(np.hypot(*np.ptp(places[1:, mine], axis=1)) / (SLIM * wide), 1) ** 2

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 from scipy.ndimage import maximum_filter
 
-from voodoo_jax.detect.body_likelihood import FEWEST, Build
+from voodoo_jax.detect.body_likelihood import FEWEST, TALLEST, Build
 
 CELL = 0.05  # metres, of the map of heights; as wide as a hand, by hand
 BRIDGED = 2  # cells: ground that is no farther from other ground hangs together with it; by hand
@@ -32,21 +32,19 @@ def may_be_several(level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
 def parted(
     height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], body: Build, least: float
 ) -> Int[np.ndarray, " point"]:
-    """Number of the person in one thing that each of its points belongs to: all 0 unless there are several heads.
+    """Number of the person in a thing that each of its points belongs to: all 0 unless there are several heads. For
+    what `may_be_several`.
 
     **Arguments:** `height` above the floor and `level` coordinates, metres; `least` the lowest top of a person, as a
     share of the body's height.
     """
-    none = np.zeros(len(height), int)
-    if not may_be_several(level, body):
-        return none
     heads = [spot for spot in summits(height, level, DROP * body.height) if _has_body(height, level, spot, body, least)]
     far: list[np.ndarray] = []
     for spot in heads:  # the highest first
         if all(np.linalg.norm(spot[:2] - other[:2]) >= APART for other in far):
             far.append(spot)
     if len(far) < 2:
-        return none
+        return np.zeros(len(height), int)
     off = np.stack([np.hypot(*(level - spot[:2, None])) for spot in far])
     return np.argmin(off, 0)
 
@@ -67,7 +65,7 @@ def summits(
         peak = float(left[at])
         reached = _reached(top, at, peak - drop)
         if float(np.max(top[reached])) <= peak:
-            middle = (np.argwhere(reached & (top > peak - drop)).mean(0) + corner + 0.5) * CELL
+            middle = (np.argwhere(reached).mean(0) + corner + 0.5) * CELL
             found.append(np.array([*middle, peak], np.float32))
         left[reached] = -np.inf
     return found
@@ -87,7 +85,7 @@ def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
 def _has_body(height: np.ndarray, level: np.ndarray, spot: np.ndarray, body: Build, least: float) -> bool:
     """Whether a head is as high as a person's may be, and there is a body under it."""
     top = float(spot[2])
-    if not least * body.height <= top <= 1.35 * body.height:
+    if not least * body.height <= top <= TALLEST * body.height:
         return False
     under = height[np.hypot(*(level - spot[:2, None])) < COLUMN]
     low = max(LOWEST * top, float(np.min(height)))

@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
+from voodoo_jax.detect.drop_motionless import DropMotionless
 from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
 from voodoo_jax.detect.stillness import NOISE, Stillness, directions, filled, seen_long
 from voodoo_jax.detect.target_selection import LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
@@ -36,9 +37,9 @@ LIKELY = 0.06  # of what is likeliest to be a body: a child of 1.1 m is so much 
 LIKE = 0.07  # metres of height: who differs by more is somebody else; by hand
 CLOSE = 0.15  # metres, and twice that: whose points are so near to each other may be mixed up; by hand
 STIRRED = 10  # frames in which an arm or so of them is where nothing was: who moves no more than that; by hand
-# as in drop_motionless: of so many directions in which they are nearly always seen, over so many frames and seconds; of
-# people who stand still 80 % move or more, of a cupboard before which somebody moves a third (measured)
-TOLD, OFTEN, FEWEST, SECONDS, SWAYING = 12, 0.8, 20, 2.0, 0.6
+ASKS = DropMotionless()  # of which directions it is asked whether they move, and when
+# of these: of people who stand still 80 % move or more, of a cupboard before which somebody moves a third (measured)
+SWAYING = 0.6
 MOSTLY = 0.5  # of the frames in which they were seen: who moves in so many is a person, however few they are; by hand
 WATCHED = 150  # frames, the last ones, by which it is asked whether somebody sways; five seconds, by hand
 HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
@@ -80,10 +81,10 @@ class Sighting:
         they are a person from now on."""
         frames, moved = self.frames.frames()[-WATCHED:], self.follower.moved
         self.alive |= moved >= max(LITTLE, MOSTLY * self.follower.there)
-        if seen_long(frames, FEWEST, SECONDS):
+        if seen_long(frames, ASKS.frames, ASKS.seconds):
             found = directions(frames)
-            asked = filled(found) & (found.often >= OFTEN)
-            self.alive |= asked.sum() >= TOLD and float(np.mean(found.ratio[asked] < NOISE)) > SWAYING
+            asked = filled(found) & (found.often >= ASKS.often)
+            self.alive |= asked.sum() >= ASKS.fewest and float(np.mean(found.ratio[asked] < NOISE)) > SWAYING
         return self.is_person
 
     @property
@@ -235,7 +236,7 @@ class People:
                 self._end(sighting)
             elif not sighting.is_person and frame.time_ns - sighting.born_ns > IDLE_NS and not sighting.sways():
                 self._things.append(sighting.finder.last[:: max(1, len(sighting.finder.last) // SOME)])
-                self._end(sighting)
+                self._followed.remove(sighting)
 
     def _end(self, sighting: Sighting) -> None:
         self._followed.remove(sighting)

@@ -328,14 +328,14 @@ class BodySegmenter:
         """The labels of things, where several people hang together one for each of them."""
         out = np.array(label)
         height, *level = self._places(points)[:3]
-        level, flat = np.stack(level), self.scene.floor.level(points)
+        level, flat = np.stack(level), self.scene.floor.level
         for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
             mine = np.flatnonzero(label == k)
             if not may_be_several(level[:, mine], self.body):
                 continue
             # a head hangs together with its body by a neck that may not be seen
             high = (label != k) & (height > HEADS * self.body.height)
-            above = np.flatnonzero(high)[touching(*(cells_of(flat[some], CELL) for some in (high, mine)))]
+            above = np.flatnonzero(high)[touching(*(cells_of(flat(points[some]), CELL) for some in (high, mine)))]
             both = np.concatenate([mine, above])
             who = parted(height[both], level[:, both], self.body, self.settings.min_height)
             out[both[who > 0]] = out.max() + who[who > 0]

@@ -27,10 +27,10 @@ from voodoo_jax.io.decode.registry import (
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.limits import TIME, limits
-from voodoo_jax.io.pictures import POSE_USE, camera_topics
-from voodoo_jax.io.skin_rays import SKIN_USE, skin_topics
+from voodoo_jax.io.pictures import camera_topics
+from voodoo_jax.io.skin_rays import skin_topics
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
-from voodoo_jax.io.topic import Topic
+from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
 from voodoo_jax.records.messages import Calibration, Features, Image, many, moved

@@ -7,9 +7,8 @@ from datetime import UTC, datetime
 from voodoo_jax.config.options import FeatureSettings, ReadSettings
 from voodoo_jax.io.container import LogError, Place
 from voodoo_jax.io.log_index import Scan
-from voodoo_jax.io.pictures import POSE_USE
 from voodoo_jax.io.read_plan import make_plan
-from voodoo_jax.io.skin_rays import SKIN_USE
+from voodoo_jax.io.topic import POSE_USE, SKIN_USE
 from voodoo_jax.model.marker_names import told_names
 from voodoo_jax.records.notes import NAME, as_few, plain
 

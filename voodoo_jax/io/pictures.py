@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from voodoo_jax.sensors.stereo_rig import Rig
 
 _GREY = ("mono8", "8uc1")
-POSE_USE = "key points"  # of images, where read.pose_net looks at them
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from voodoo_jax.io.log_index import Scan
 
 SKIN = "skin"  # name of the feature
-SKIN_USE = "skin colour"
 _STILL = 1.5  # pixels of an image 640 wide: a standing head sways more within a few seconds
 _OFTEN, _SECONDS = 0.8, 3.0  # furniture is there in this share of the images; shorter logs do not tell
 _GREY = ("mono8", "8uc1")

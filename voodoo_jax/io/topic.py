@@ -7,6 +7,7 @@ from voodoo_jax.io.landmark_table import Gathered
 from voodoo_jax.records.messages import Calibration, Features
 
 DEPTH_USES = ("depth image", "point cloud", "stereo pair", "laser scan")
+SKIN_USE, POSE_USE = "skin colour", "key points"  # of images that read.skin and read.pose_net look at
 
 
 @dataclass

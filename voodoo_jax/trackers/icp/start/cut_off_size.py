@@ -9,8 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from voodoo_jax.model.body import scaled
+from voodoo_jax.trackers.icp.confidence import STATURE, STATURES
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.start.hypothesis import HIDDEN, lowest, trial
+from voodoo_jax.trackers.icp.start.hypothesis import HIDDEN, TELLS, lowest, trial
 from voodoo_jax.trackers.icp.start.stage import Search
 
 
@@ -24,11 +25,11 @@ class CutOffSize:
     looks_ahead: ClassVar = False
     needs: ClassVar = frozenset({"points"})
 
-    usual: float = 1.70  # metres and ...
-    spread: float = 0.095  # ... its standard deviation, men and women together (ANSUR II, 2012)
+    usual: float = STATURE  # metres and ...
+    spread: float = STATURES  # ... its standard deviation
     unusual: float = 2.0  # standard deviations: who is less unusual stands on the floor that is supposed
     sizes: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
-    counts: float = 19.0  # logarithms of the odds for each of a cost, as facing had once (confidence.SURELY)
+    counts: float = TELLS  # odds for each of a cost
 
     def __call__(self, run: Runner, search: Search) -> Search:
         best, scene = search.best, run.scene

@@ -7,8 +7,9 @@ import numpy as np
 
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
+from voodoo_jax.trackers.icp.confidence import STATURE, STATURES
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, sized_at, trial
+from voodoo_jax.trackers.icp.start.hypothesis import TELLS, StartHypothesis, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
 
 
@@ -24,9 +25,9 @@ class OtherStances:
 
     likelier: float = 0.8  # to stand, or what was found before, is left where another costs less than this share of it
     fits: float = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
-    usual: float = 1.70  # metres and ...
-    spread: float = 0.095  # ... its standard deviation, men and women together (ANSUR II, 2012)
-    counts: float = 19.0  # logarithms of the odds for each of a cost, as facing had once (confidence.SURELY)
+    usual: float = STATURE  # metres and ...
+    spread: float = STATURES  # ... its standard deviation
+    counts: float = TELLS  # odds for each of a cost
 
     def __call__(self, run: Runner, search: Search) -> Search:
         # who sat before what is at rest was taken away did not stand up by that; else people stand
