@@ -136,6 +136,66 @@ def test_exported_points_come_back(ending, tmp_path):
     np.testing.assert_allclose(np.diff(times)[:30], 33_333_333, atol=2000)
 
 
+def c3d_of(path: Path, names: list[str], points: np.ndarray, **parameters: list) -> Path:
+    """A C3D file of points [frame, point, 3] at 100 Hz; `parameters` of its group POINT."""
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    for key, value in {"LABELS": names, "UNITS": ["mm"], **parameters}.items():
+        file.add_parameter("POINT", key, value)
+    file["data"]["points"] = np.concatenate([points.transpose(2, 1, 0), np.ones((1, *points.shape[1::-1]))])
+    file.write(str(path))
+    return path
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1000.0, "mm"), (1.0, "m"), (100.0, "cm")])
+def test_points_without_a_unit_are_as_large_as_a_body(scale, unit, tmp_path):
+    points = np.random.default_rng(0).uniform([0, 0, 0.05], [0.5, 0.4, 1.7], (20, 30, 3))
+    source = c3d_of(tmp_path / "a.c3d", [f"m{k}" for k in range(30)], points * scale, UNITS=[])
+    (note,) = convert(source, tmp_path / "a.mcap")
+    assert f"names no unit: by the size of what was recorded it is {unit}" in note
+    np.testing.assert_allclose(vj.read_log(tmp_path / "a.mcap").frames[3].pairs.points, points[3], atol=1e-4)
+    with pytest.raises(ConvertError, match="names no unit"):
+        convert(c3d_of(tmp_path / "b.c3d", ["a", "b", "c"], points[:, :3] * 1e6, UNITS=[]), tmp_path / "b.mcap")
+
+
+def test_what_a_model_computed_is_no_marker(tmp_path):
+    names = ["LASI", "LFEO", "LFEA", "LFEL", "LFEP", "LKneeAngles", "CentreOfMass", "RFEO"]
+    points = np.random.default_rng(0).uniform(1, 2000, (4, len(names), 3))
+    groups = {"TYPE_GROUPS": ["ANGLES", "ANGLE", "MODELED_MARKERS", "MODELED_MARKER"]}
+    listed = {"ANGLES": ["LKneeAngles"], "MODELED_MARKERS": ["CentreOfMass"]}
+    notes = convert(c3d_of(tmp_path / "a.c3d", names, points, **groups, **listed), tmp_path / "a.mcap")
+    assert notes == ["5 outputs of a model were left out (angles, forces, axes of bones): they are no markers"]
+    assert set(vj.read_log(tmp_path / "a.mcap").frames[0].pairs.names) == {"LASI", "CentreOfMass", "RFEO"}
+
+
+def test_names_that_were_cut_to_the_same_letters_are_told_apart_by_their_descriptions(tmp_path):
+    names, described = ["RKNE", "RKNE", "LASI"], ["R.Knee", "R.Knee.Medial", "L.ASIS"]
+    points = np.arange(1.0, 37.0).reshape(4, 3, 3) * 20
+    convert(c3d_of(tmp_path / "a.c3d", names, points, DESCRIPTIONS=described), tmp_path / "a.mcap")
+    pairs = vj.read_log(tmp_path / "a.mcap").frames[0].pairs
+    at = dict(zip(pairs.names, pairs.points))
+    assert set(at) == {"R.Knee", "R.Knee.Medial", "LASI"}
+    np.testing.assert_allclose(at["R.Knee.Medial"], points[0, 1] / 1000, atol=1e-6)
+
+
+def test_a_header_with_two_tabs_between_values_is_read(tmp_path):
+    lines = [
+        "PathFileType  4\t(X/Y/Z) C:\\a.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        "  100.0\t\t  100.0\t\t    2\t\t     1\t\t mm\t  100.0\t      1\t    2",
+        "Frame#\tTime\tR.Knee\t\t\t",
+        "\t\tX1\tY1\tZ1",
+        "",
+        "1\t0.00000\t410.290\t1568.444\t-313.711\t",
+        "2\t0.01000\t410.180\t1568.395\t-313.297\t",
+    ]
+    (tmp_path / "a.trc").write_text("\n".join(lines))
+    convert(tmp_path / "a.trc", tmp_path / "a.mcap")
+    frames = vj.read_log(tmp_path / "a.mcap").frames
+    assert len(frames) == 2
+    np.testing.assert_allclose(frames[1].pairs.points, [[0.41018, 1.568395, -0.313297]], atol=1e-6)
+
+
 def test_points_in_inches_with_gaps(tmp_path):
     file = ezc3d.c3d()
     point = file["parameters"]["POINT"]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from voodoo_jax.io.decode.registry import DEPTH_KINDS
 from voodoo_jax.io.topic import Topic
-from voodoo_jax.records.messages import Calibration, Image
+from voodoo_jax.records.messages import RAYS, Calibration, Image
 
 
 def bare(topic: str) -> str:
@@ -66,5 +66,5 @@ def frame_of(topics: dict[str, Topic], name: str) -> str:
     if topic.gathered is None:
         return topic.sample.frame
     frame = topic.gathered.frames[0]
-    found = camera_of(topics, name, frame) if topic.kind == "rays" else None
+    found = camera_of(topics, name, frame) if topic.kind == RAYS else None
     return frame or (found.frame if found else "")

@@ -15,7 +15,7 @@ from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.point_labels import Parts
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.model.marker_names import net_key_points
-from voodoo_jax.records.messages import Calibration
+from voodoo_jax.records.messages import PAIRS, RAYS, Calibration
 from voodoo_jax.records.recording import Pairs, Rays
 
 
@@ -49,7 +49,7 @@ def plan_features(
     Of one name and topic a frame gets one: the nearest in time, then the one with the highest score.
     """
     plan = FeaturePlan()
-    found: dict[str, list[_Placed]] = {"rays": [], "pairs": []}
+    found: dict[str, list[_Placed]] = {RAYS: [], PAIRS: []}
     used = []
     for name in sorted(topics):
         counted: Counter[str] = Counter()
@@ -61,9 +61,9 @@ def plan_features(
         if placed.names:
             used.append(name)
             found[scan.uses[name]].append(placed)
-    for i, names, origins, directions, weight in _by_frame(found["rays"]):
+    for i, names, origins, directions, weight in _by_frame(found[RAYS]):
         plan.rays[i] = Rays(names, origins, directions, weight)
-    for i, names, _, points, weight in _by_frame(found["pairs"]):
+    for i, names, _, points, weight in _by_frame(found[PAIRS]):
         plan.pairs[i] = Pairs(names, points, weight)
     plan.topics = tuple(used)
     return plan
@@ -93,7 +93,7 @@ def _place(
     found = scan.topics[name].gathered
     assert found is not None
     sources, values = np.array(found.frames, object), found.values
-    if scan.uses[name] == "rays":
+    if scan.uses[name] == RAYS:
         sources, values = _rays(scan, name, counted)
     known = sorted(set(sources))
     connected = [frame for frame in known if scan.tree.connected(frame, fixed)]
@@ -121,7 +121,7 @@ def _place(
             continue
         there[rows] = True
         origins[rows] = pose[1]
-        turned[rows] = values[kept[rows]] @ pose[0].T + (0.0 if scan.uses[name] == "rays" else pose[1])
+        turned[rows] = values[kept[rows]] @ pose[0].T + (0.0 if scan.uses[name] == RAYS else pose[1])
     kept = kept[there]
     names, weights = tuple(found.names[k] for k in kept), weight * _sure(found)[kept]
     return _Placed(nearest[kept], names, weights, origins[there], turned[there])

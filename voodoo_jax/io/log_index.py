@@ -33,7 +33,7 @@ from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
-from voodoo_jax.records.messages import Calibration, Features, Image, many, moved
+from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, many, moved
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
 
@@ -232,9 +232,9 @@ class Scan:
         """Brings 3D features to metres."""
         given = check_pairs("read.scale", settings.scale, numbers=True)
         unit = float(given.get(name, 0.0)) or unit_of(found)
-        if self.topics[name].kind == "pairs":
+        if self.topics[name].kind == PAIRS:
             self.units[name] = unit
-        if unit != 1.0 and self.topics[name].kind == "pairs":
+        if unit != 1.0 and self.topics[name].kind == PAIRS:
             self.topics[name].gathered = replace(found, values=found.values * unit)
             if name not in given:
                 word = {0.001: "millimetres", 0.01: "centimetres"}.get(unit, "")

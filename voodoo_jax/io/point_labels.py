@@ -9,7 +9,7 @@ from jaxtyping import Int32
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.topic import DEPTH_USES, POSE_USE, SKIN_USE, Topic
-from voodoo_jax.records.messages import Cloud
+from voodoo_jax.records.messages import PAIRS, RAYS, Cloud
 
 FREE, BODY = "free", "body"
 _LABEL_NAME = re.compile(r"(\w+_)?(label|class|segment)(s|_?ids?)?", re.IGNORECASE)
@@ -47,7 +47,7 @@ class Parts:
         self.notes: list[str] = []
         for option, named in (("parts", self._of_topic), ("weights", self._weights)):
             for name in named:
-                wanted = DEPTH_USES if option == "parts" else (*DEPTH_USES, "rays", "pairs", SKIN_USE, POSE_USE)
+                wanted = DEPTH_USES if option == "parts" else (*DEPTH_USES, RAYS, PAIRS, SKIN_USE, POSE_USE)
                 if uses.get(name) not in wanted:
                     why = f"'{name}' is {uses[name]}" if name in uses else f"the log has no topic '{name}'"
                     self.notes.append(f"read.{option} does not count here: {why}.")

@@ -20,6 +20,7 @@ from voodoo_jax.io.reference_sensors import dense
 from voodoo_jax.io.skin_rays import add_rays, plan_skin
 from voodoo_jax.io.stereo_pairs import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
+from voodoo_jax.records.messages import PAIRS, RAYS
 from voodoo_jax.records.recording import Pairs, Rays
 
 PAUSE = 3.0  # seconds without a frame that a user should know of
@@ -73,9 +74,9 @@ def make_plan(
     nothing else is. Without depth the fastest topic of pairs leads, else a laser scanner, else rays. All others join
     the frames that are there.
     """
-    of = {use: sorted(n for n in scan.uses if scan.uses[n] == use) for use in (*DEPTH_USES, "rays", "pairs")}
+    of = {use: sorted(n for n in scan.uses if scan.uses[n] == use) for use in (*DEPTH_USES, RAYS, PAIRS)}
     lasers, depth = of["laser scan"], sorted(of["depth image"] + of["point cloud"] + of[STEREO_USE])
-    sources = depth + lasers if depth else lasers + of["pairs"] or of["rays"]
+    sources = depth + lasers if depth else lasers + of[PAIRS] or of[RAYS]
     if not sources:
         raise LogError(_no_depth(scan, settings.features))
     notes = []
@@ -99,7 +100,7 @@ def make_plan(
     notes += parts.notes
     whole = [n for n in depth if n in kept and parts.of_topic(n) in (FREE, BODY)]
     good = dense(scan.topics, whole, settings.max_points)
-    groups = (good, depth, of["pairs"], lasers, of["rays"])
+    groups = (good, depth, of[PAIRS], lasers, of[RAYS])
     leaders = next(k for group in groups if (k := [n for n in group if n in kept]))
     sensors = [name for name in kept if scan.uses[name] in DEPTH_USES]
     stamps = {n: clean_stamps(n, scan.topics[n].stamps, scan.topics[n].log_times, notes) for n in sensors}
@@ -122,7 +123,7 @@ def make_plan(
                 frames[frame][1].append((sensors.index(name), message))
     origin = _near_origin(scan, fixed, leaders[0], frames[0][0], notes) if origin is None else origin
     scan.tree.give_from(fixed, origin)
-    features = plan_features(scan, fixed, of["rays"] + of["pairs"], at, parts, after_ns)
+    features = plan_features(scan, fixed, of[RAYS] + of[PAIRS], at, parts, after_ns)
     if settings.skin:
         skin = plan_skin(scan, fixed, at, parts)
         features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}
@@ -247,7 +248,7 @@ def _upward(scan: Scan, fixed: str, sensor: str, time_ns: int) -> np.ndarray:
     """Up in the fixed frame: the root frame's z (REP 103), or -y for a camera that is the root itself."""
     tree = scan.tree
     root = tree.root(fixed)
-    cameras = ("depth image", STEREO_USE, "rays")
+    cameras = ("depth image", STEREO_USE, RAYS)
     if "optical" in root.lower() or (root not in tree.frames and scan.uses[sensor] in cameras):
         up = np.array([0.0, -1.0, 0.0])
     else:

@@ -10,7 +10,7 @@ from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import label_field
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
-from voodoo_jax.records.messages import DEPTH_ENCODINGS, Colour, Image
+from voodoo_jax.records.messages import DEPTH_ENCODINGS, RAYS, Colour, Image
 
 
 def decide_uses(
@@ -98,7 +98,7 @@ def _feature_use(topics: dict[str, Topic], name: str) -> str:
         return empty
     if found is None or not found.names:
         return "not used: nothing is named in its messages"
-    if topic.kind == "rays":
+    if topic.kind == RAYS:
         cameras = {frame: camera_of(topics, name, frame) for frame in sorted(set(found.frames))}
         if not any(cameras.values()):
             frames = ", ".join(f"frame '{f}'" if f else "its topic" for f in cameras)

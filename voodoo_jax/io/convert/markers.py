@@ -1,12 +1,17 @@
 """C3D and TRC: named points over time, in the axes of the file, metres, from one second on."""
 
+import re
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from voodoo_jax.io.convert.target import START_NS, ConvertError, new_log, putter, scene_of_points
 
 TOPIC, FRAME = "/markers", "lab"
+QUANTITIES = "ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS"  # parameters of POINT that list what is no place
+PLACES = "MARKERS", "MODELED_MARKERS"  # that list what is one
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "dm": 0.1, "in": 0.0254, "inches": 0.0254}
 
 
@@ -19,27 +24,77 @@ def convert_c3d(source: Path, target: Path) -> list[str]:
     try:
         file = ezc3d.c3d(str(source))
         point = file["parameters"]["POINT"]
-        names = [name for key in sorted(k for k in point if k.startswith("LABELS")) for name in point[key]["value"]]
+        names = _names(point)
         rate = float(point["RATE"]["value"][0])
-        unit = _unit(str(point["UNITS"]["value"][0]) if point.get("UNITS", {}).get("value") else "", source)
-        points = np.asarray(file["data"]["points"][:3], float).transpose(2, 1, 0) * unit
+        points = np.asarray(file["data"]["points"][:3], float).transpose(2, 1, 0)
         residual = np.asarray(file["data"]["meta_points"]["residuals"], float)[0].T
     except (OSError, RuntimeError, KeyError, IndexError, ValueError) as problem:
-        if isinstance(problem, ConvertError):
-            raise
-        raise ConvertError(f"'{source}' cannot be read as C3D: {problem}") from problem
+        raise ConvertError(f"'{source}' cannot be read as C3D; ezc3d says: {problem}") from problem
     names = names[: points.shape[1]]
+    points, residual = points[:, : len(names)], residual[:, : len(names)]
     missing = (residual < 0) | ~np.isfinite(points).all(2) | (points == 0).all(2)
-    points = np.where(missing[:, : points.shape[1], None], np.nan, points)
-    _write(target, source, names, points, np.arange(len(points)) / rate if rate > 0 else np.zeros(len(points)))
-    return []
+    points = np.where(missing[..., None], np.nan, points)
+    computed = _computed(point, names)
+    kept = [k for k, name in enumerate(names) if name not in computed]
+    left_out = len(names) - len(kept)
+    names, points, notes = [names[k] for k in kept], points[:, kept], []
+    if left_out:
+        notes.append(
+            f"{left_out} outputs of a model were left out (angles, forces, axes of bones): they are no markers"
+        )
+    unit = next(iter(_listed(point, "UNITS")), "")
+    if not unit:
+        unit = _unit_by_size(points, source)
+        notes.append(f"'{source}' names no unit: by the size of what was recorded it is {unit}")
+    _write(
+        target,
+        source,
+        names,
+        points * _unit(unit, source),
+        np.arange(len(points)) / rate if rate > 0 else np.zeros(len(points)),
+    )
+    return notes
+
+
+def _listed(point: dict[str, Any], key: str) -> list[str]:
+    """A parameter of the group POINT and what goes on in `key`2, `key`3, ...: each of these holds 255 names."""
+    parts = {int(found[1] or 1): k for k in point if (found := re.fullmatch(f"{key}(\\d*)", k))}
+    return [str(name).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
+
+
+def _names(point: dict[str, Any]) -> list[str]:
+    """Of all points. Names of four letters may stand for several points: those are named by their description."""
+    names, described = _listed(point, "LABELS"), _listed(point, "DESCRIPTIONS")
+    often, told = Counter(names), Counter(described)
+    described += [""] * (len(names) - len(described))
+    return [d if often[n] > 1 and d and told[d] == 1 else n for n, d in zip(names, described)]
+
+
+def _computed(point: dict[str, Any], names: list[str]) -> set[str]:
+    """What stands among the points and is none: what Vicon's software lists under the name of a quantity, and its
+    bones, of which each is four points, the origin and an end of each axis: LFEO, LFEA, LFEL, LFEP."""
+    quantities = _listed(point, "TYPE_GROUPS")[::2] or list(QUANTITIES)
+    listed = {name for key in quantities if key not in PLACES for name in _listed(point, key)}
+    ends = Counter(name[:-1] for name in {*names} if re.fullmatch(r"(.*:)?[A-Z]{3}[OALP]", name))
+    bones = {bone + end for bone, count in ends.items() if count == 4 for end in "OALP"}
+    return listed | bones
+
+
+def _unit_by_size(points: np.ndarray, source: Path) -> str:
+    """That in which all points of a frame together are as large as what is recorded with markers may be."""
+    seen = points[np.isfinite(points).all(2).sum(1) >= 3]
+    extent = np.median(np.linalg.norm(np.nanmax(seen, 1) - np.nanmin(seen, 1), axis=1)) if len(seen) else np.nan
+    for unit in ("mm", "m", "cm"):  # by how often they are meant
+        if 0.3 < extent * METRES[unit] < 10:
+            return unit
+    raise ConvertError(f"'{source}' names no unit, and its points are not as large as a body in mm, cm or m")
 
 
 def convert_trc(source: Path, target: Path) -> list[str]:
     """Points of a TRC file; empty fields and NaN are missing. Raises ConvertError, OSError."""
     lines = source.read_text(encoding="utf-8", errors="replace").splitlines()
     try:
-        header = dict(zip(lines[1].split("\t"), lines[2].split("\t")))
+        header = dict(zip(*_fields(lines[1], lines[2])))
         names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
         unit = _unit(header["Units"].strip(), source)
         rows = [line.split("\t") for line in lines[5:] if line.strip() and line.split("\t")[0].strip().isdigit()]
@@ -53,6 +108,12 @@ def convert_trc(source: Path, target: Path) -> list[str]:
         raise ConvertError(f"'{source}' cannot be read as TRC: it names no marker, or rows have no time")
     _write(target, source, names, table[:, 2:].reshape(len(table), -1, 3) * unit, table[:, 1])
     return []
+
+
+def _fields(names: str, values: str) -> tuple[list[str], list[str]]:
+    """Of a header: by white space, for some programs put two tabs between values; by tabs where a value is missing."""
+    by_space = names.split(), values.split()
+    return by_space if len(by_space[0]) == len(by_space[1]) else (names.split("\t"), values.split("\t"))
 
 
 def _number(text: str) -> float:

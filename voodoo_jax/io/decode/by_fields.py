@@ -10,7 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from voodoo_jax.io.decode import depth
-from voodoo_jax.records.messages import Cloud, Features, Image, Named, features, frame_name, ros_stamp, xyz
+from voodoo_jax.records.messages import PAIRS, Cloud, Features, Image, Named, features, frame_name, ros_stamp, xyz
 
 IMAGE, CLOUD, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo"
 HEADER = "std_msgs/msg/Header"
@@ -81,7 +81,7 @@ def _found(store: Typestore, name: str) -> tuple[str, Callable[[Any], Any] | Non
         own = {"x", "y", "z"} <= _numbers(store, kind)
         if names and (place or own):
             marker = next((s for s in names if "marker" in s), names[0])
-            return "pairs", partial(_named, items=field, name=marker, place=place)
+            return PAIRS, partial(_named, items=field, name=marker, place=place)
         if own:
             return "point cloud", partial(_cloud, points=field)
     return "", None

@@ -20,6 +20,7 @@ from voodoo_jax.io.decode import colour, depth, landmarks
 from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.limits import limits, too_large
+from voodoo_jax.records.messages import PAIRS, RAYS
 
 KINDS = {
     "sensor_msgs/msg/PointCloud2": "point cloud",
@@ -28,11 +29,11 @@ KINDS = {
     "sensor_msgs/msg/LaserScan": "laser scan",
     "sensor_msgs/msg/CameraInfo": "calibration",
     "tf2_msgs/msg/TFMessage": "transforms",
-    "vision_msgs/msg/Detection2DArray": "rays",
-    "geometry_msgs/msg/PointStamped": "pairs",
-    "geometry_msgs/msg/PoseStamped": "pairs",
-    "visualization_msgs/msg/Marker": "pairs",
-    "visualization_msgs/msg/MarkerArray": "pairs",
+    "vision_msgs/msg/Detection2DArray": RAYS,
+    "geometry_msgs/msg/PointStamped": PAIRS,
+    "geometry_msgs/msg/PoseStamped": PAIRS,
+    "visualization_msgs/msg/Marker": PAIRS,
+    "visualization_msgs/msg/MarkerArray": PAIRS,
     "foxglove.PointCloud": "point cloud",
     "foxglove.RawImage": "image",
     "foxglove.CompressedImage": COLOUR_KIND,
@@ -40,14 +41,14 @@ KINDS = {
     "foxglove.CameraCalibration": "calibration",
     "foxglove.FrameTransform": "transforms",
     "foxglove.FrameTransforms": "transforms",
-    "foxglove.ImageAnnotations": "rays",
-    "foxglove.Point3InFrame": "pairs",
-    "foxglove.PoseInFrame": "pairs",
-    "foxglove.PosesInFrame": "pairs",
-    "foxglove.SceneUpdate": "pairs",
+    "foxglove.ImageAnnotations": RAYS,
+    "foxglove.Point3InFrame": PAIRS,
+    "foxglove.PoseInFrame": PAIRS,
+    "foxglove.PosesInFrame": PAIRS,
+    "foxglove.SceneUpdate": PAIRS,
 }
 DEPTH_KINDS = ("image", "point cloud", "laser scan")
-FEATURE_KINDS = ("rays", "pairs")
+FEATURE_KINDS = (RAYS, PAIRS)
 _CONVERTERS: dict[str, Callable[[Any], Any]] = {
     **depth.CONVERTERS,
     **colour.CONVERTERS,

@@ -24,6 +24,7 @@ from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.io.transforms import Transform
+from voodoo_jax.records.messages import PAIRS, RAYS
 from voodoo_jax.records.recording import Frame
 
 SECOND = 1_000_000_000
@@ -231,7 +232,7 @@ class LiveLog:
                 stamps = np.array(topic.stamps, np.int64)
                 if stamps.max() < t + half and np.abs(stamps - t).min() > 2 * NEAR * half:
                     return False
-            elif use in ("rays", "pairs") and topic.gathered is not None and len(topic.gathered.message_stamps):
+            elif use in (RAYS, PAIRS) and topic.gathered is not None and len(topic.gathered.message_stamps):
                 if topic.gathered.message_stamps.max() < t + half:
                     return False
         return True
