@@ -236,7 +236,8 @@ def test_points_poses_and_scenes(tmp_path):
         "toe/0": [1, 0, 0],
         "toe/1": [1.5, 0, 0],
     }
-    assert {t.use for t in survey(tmp_path / "a.mcap").topics} == {"calibration", "depth image", "named points", "transforms"}
+    uses = {t.use for t in survey(tmp_path / "a.mcap").topics}
+    assert uses == {"calibration", "depth image", "named points", "transforms"}
 
 
 def test_nearest_in_time_and_one_per_name(tmp_path):

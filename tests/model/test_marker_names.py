@@ -90,6 +90,19 @@ def test_what_is_one_word_in_two_systems_is_told_by_the_others():
     assert net_key_points(points) and not net_key_points(markers)
 
 
+def test_of_two_names_for_one_place_the_longer_one_is_meant():
+    """R.Ulna is near the elbow where R.Wrist.Uln is there; alone it is the wrist's."""
+    names = [
+        f"{s}.{n}" for n in ("ASIS", "Knee.Lat", "Ankle.Lat", "Epi.Lat", "GT", "TTA", "Fibula", "Ulna") for s in "LR"
+    ]
+    known = places_of({n: n for n in names}, POINTS, T.limbs)
+    assert known.places["R.Ulna"] == "r_ulnar_styloid" and not known.unknown
+    for more in (["L.Wrist.Uln", "R.Wrist.Uln", *names], [*names, "L.Wrist.Uln", "R.Wrist.Uln"]):
+        known = places_of({n: n for n in more}, POINTS, T.limbs)
+        assert known.places["R.Wrist.Uln"] == "r_ulnar_styloid" and set(known.unknown) == {"L.Ulna", "R.Ulna"}
+        assert known.places["L.TTA"] == "l_tibial_tuberosity" and known.places["L.GT"] == "l_trochanterion"
+
+
 def test_chance_is_no_set():
     assert not places_of({n: n for n in ("head", "LHip", "cup", "door", "table", "box")}, POINTS, T.limbs).places
 

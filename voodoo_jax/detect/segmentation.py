@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import FEWEST, Build, candidate
-from voodoo_jax.detect.heads import may_be_several, parted
+from voodoo_jax.detect.body_likelihood import FEWEST, LEAST, Build, candidate
+from voodoo_jax.detect.heads import has_shoulders, may_be_several, parted
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import (
@@ -39,7 +39,7 @@ USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that h
 LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
 WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
-CUT_OFF = 0.5  # of its height: so much must be in the picture then
+CUT_OFF = 0.5  # of its height: so much must be in the picture then, or an upper body
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
 SPEED = 3.0  # metres per second: so fast the body may be where it was not seen for a moment ...
 FARTHEST = 1.5  # metres, but not farther
@@ -349,10 +349,21 @@ class BodySegmenter:
         area = (distance * angle) ** 2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
         places = self._places(points)[:3]
-        best, top, self.likely = candidate(points, label, area, distance, places, self.body, least)
+
+        def likeliest(some, least: float) -> tuple[int, float, float]:
+            return candidate(points[some], label[some], area[some], distance[some], places[:, some], self.body, least)
+
+        best, top, self.likely = likeliest(slice(None), least)
+        if best < 0 and self.scene.floor_open:
+            upper = [k for k in range(label.max() + 1) if self._is_upper_body(places[:, label == k])]
+            best, top, self.likely = likeliest(np.isin(label, upper), LEAST / self.body.height)
         if self.scene.floor_open and 0 < top < WHOLE * self.body.height:
             self._lower_floor(self.body.height - top)
         return best
+
+    def _is_upper_body(self, places) -> bool:
+        """Whether a thing of which nobody sees where it ends below looks like one."""
+        return places.shape[1] >= FEWEST and has_shoulders(places[0], places[1:], self.body)
 
     def _lower_floor(self, by: float) -> None:
         """From now on the floor is lower: the feet of who seems so small are not in the picture."""

@@ -200,12 +200,14 @@ def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[s
         new = {full: place for full, place in found[title].items() if full not in chosen.places}
         if used and (len(found[title]) < SHARE * len(named) or (weights[title] is None) != (weights[used[0]] is None)):
             continue
+        exact = {f: split_place(p)[0] for f, p in new.items() if split_place(p)[1] is None and p not in set(limbs)}
         for full, place in new.items():
-            point, metres = split_place(place)
-            exact = metres is None and point not in set(limbs)
-            if exact and point in taken:
-                continue  # two names for one place: not what this set meant
-            taken |= {point} if exact else set()
+            if full in exact:
+                same = [other for other in exact if exact[other] == exact[full]]
+                # two names for one place: the longer says more ("wrist ulna", "ulna"), the other means something else
+                if exact[full] in taken or full != max(same, key=lambda n: len(names[n])):
+                    continue
+                taken.add(exact[full])
             chosen.places[full] = place
             if weights[title] is not None:
                 chosen.weights[full] = weights[title]
