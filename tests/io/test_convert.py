@@ -23,6 +23,7 @@ from voodoo_jax.batch.converted import as_mcap
 from voodoo_jax.cli.main import main
 from voodoo_jax.exporters.formats import export
 from voodoo_jax.io.container import LogError
+from voodoo_jax.io.convert.clouds import read_pcd
 from voodoo_jax.io.convert.sources import convert
 from voodoo_jax.io.convert.target import ConvertError
 from voodoo_jax.model.body_file import load_body
@@ -249,7 +250,60 @@ def test_folders_of_depth_images(log, tmp_path):
         assert abs(int(np.diff([f.time_ns for f in found])[0]) - (stamps[1] - stamps[0])) < 2000
 
 
-@pytest.mark.parametrize("kind", ["ascii", "binary", "ply"])
+def lzf(data: bytes) -> bytes:
+    """Packs bytes as LibLZF does: repetitions of 3 to 264 bytes up to 8192 back, and up to 32 bytes as they are."""
+    out, plain, at = bytearray(), bytearray(), 0
+
+    def flush() -> None:
+        for k in range(0, len(plain), 32):
+            out.extend([len(plain[k : k + 32]) - 1, *plain[k : k + 32]])
+        plain.clear()
+
+    seen: dict[bytes, int] = {}
+    while at < len(data):
+        start = seen.get(data[at : at + 3], -1)
+        seen[data[at : at + 3]] = at
+        length, back = 0, at - start - 1
+        while start >= 0 and back < 8192 and length < 264 and at + length < len(data):
+            if data[start + length] != data[at + length]:
+                break
+            length += 1
+        if length < 3:
+            plain.append(data[at])
+            at += 1
+            continue
+        flush()
+        long = [7 << 5 | back >> 8, length - 9] if length > 8 else [length - 2 << 5 | back >> 8]
+        out.extend([*long, back & 255])
+        at += length
+    flush()
+    return bytes(out)
+
+
+def test_packed_clouds_that_are_damaged_are_said(tmp_path):
+    head = b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA binary_compressed\n"
+    good = lzf(bytes(24))
+    assert len(good) < 10  # a repetition that overlaps itself
+    cases = {
+        "good": struct.pack("<II", len(good), 24) + good,
+        "cut": struct.pack("<II", len(good), 24) + good[:-1],
+        "other size": struct.pack("<II", len(good), 36) + good,
+        "bomb": struct.pack("<II", len(good), 2**31) + good,
+        "before its beginning": struct.pack("<II", 3, 24) + bytes([7 << 5, 15, 9]),
+        "too short": struct.pack("<II", 2, 24) + bytes([0, 1]),
+        "nothing": b"",
+    }
+    for k, (name, data) in enumerate(cases.items()):
+        (tmp_path / "a.pcd").write_bytes(head + data)
+        if not k:
+            assert read_pcd(tmp_path / "a.pcd").tolist() == [[0, 0, 0]] * 2
+            continue
+        with pytest.raises(ConvertError, match="cannot be read as PCD"):
+            read_pcd(tmp_path / "a.pcd")
+            raise AssertionError(name)
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary", "binary_compressed", "ply"])
 def test_folders_of_clouds(kind, tmp_path):
     rng = np.random.default_rng(0)
     clouds = [rng.normal(0, 1, (50 + i, 3)).astype(np.float32) for i in range(5)]
@@ -264,6 +318,11 @@ def test_folders_of_clouds(kind, tmp_path):
         table["p"] = points
         text = "\n".join(f"0 0 0 {x:.9g} {y:.9g} {z:.9g} 7 0 0 1" for x, y, z in points) + "\n"
         body = table.tobytes() if kind == "binary" else text.encode()
+        if kind == "binary_compressed":
+            columns = b"".join(np.ascontiguousarray(table[name]).tobytes() for name, *_ in row if name != "p")
+            axes = np.ascontiguousarray(points.T).tobytes()  # after the three bytes of each row of "_"
+            packed = lzf(columns[: 3 * len(points)] + axes + columns[3 * len(points) :])
+            body = struct.pack("<II", len(packed), table.nbytes) + packed
         (tmp_path / f"{i + 8}.pcd").write_bytes(head.encode() + body)
     with pytest.raises(ConvertError, match="--rate"):
         convert(tmp_path, tmp_path / "out.mcap")

@@ -1,4 +1,4 @@
-"""Folders of point clouds, a file for each frame: PCD (ASCII or binary, not compressed) and PLY; metres."""
+"""Folders of point clouds, a file for each frame: PCD and PLY; metres."""
 
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from voodoo_jax.io.convert.target import ConvertError, named_times, new_log, put
 TOPIC, FRAME = "/points", "sensor"
 ENDINGS = (".pcd", ".ply")
 AXES = ("x", "y", "z")
+MOST = 88  # bytes that a byte of LZF can become: 264 for a repetition of 3
 
 
 def convert(source: Path, target: Path, rate: float) -> list[str]:
@@ -67,14 +68,54 @@ def read_pcd(path: Path) -> np.ndarray:
             starts = np.cumsum([0, *widths])
             table = np.array([line.split() for line in data[at:].decode().splitlines() if line.strip()], float)
             return table[:count, [starts[i] for i in where]].reshape(-1, 3)
-        if header["DATA"] != ["binary"]:
+        if header["DATA"] == ["binary_compressed"]:
+            table = _columns(data[at:], row, count)
+        elif header["DATA"] == ["binary"]:
+            table = np.frombuffer(data, row, count, at)
+        else:
             raise ConvertError(f"'{path.name}': PCD data of the kind '{' '.join(header['DATA'])}' are not read")
-        table = np.frombuffer(data, row, count, at)
         return np.stack([table[f"{names[i]}.{i}"][:, 0].astype(float) for i in where], 1)
     except (KeyError, IndexError, ValueError) as problem:
         if isinstance(problem, ConvertError):
             raise
         raise ConvertError(f"'{path.name}' cannot be read as PCD: {type(problem).__name__}: {problem}") from problem
+
+
+def _columns(data: bytes, row: np.dtype, count: int) -> np.ndarray:
+    """Rows of compressed data: two sizes, then all values of the first field, of the second, ... Raises ValueError."""
+    packed, size = (int(n) for n in np.frombuffer(data, "<u4", 2))
+    if size != count * row.itemsize or size > MOST * packed or len(data) < 8 + packed:
+        raise ValueError(f"{packed} bytes for {count} points of {row.itemsize} bytes")
+    plain, at = _unpacked(data[8 : 8 + packed], size), 0
+    table = np.empty(count, row)
+    for name in row.names or ():
+        field = row[name]
+        table[name] = np.frombuffer(plain, field.base, count * field.shape[0], at).reshape(count, -1)
+        at += count * field.itemsize
+    return table
+
+
+def _unpacked(data: bytes, size: int) -> bytes:
+    """Bytes that were packed by LZF (M. Lehmann's LibLZF, as PCL has it): its packages on PyPI come without wheels, and
+    it is this loop. Raises ValueError."""
+    out, at = bytearray(), 0
+    while at < len(data):
+        control, at = data[at], at + 1
+        if control < 32:  # so many bytes and one as they are
+            out += data[at : at + control + 1]
+            at += control + 1
+            continue
+        length = (control >> 5) + 2
+        if control >> 5 == 7:
+            length, at = length + data[at], at + 1
+        back, at = ((control & 31) << 8) + data[at] + 1, at + 1
+        if back > len(out):
+            raise ValueError("damaged data")
+        piece = bytes(out[-back:])  # may be shorter than what is written: it repeats itself
+        out += (piece * (length // back + 1))[:length]
+    if len(out) != size:
+        raise ValueError(f"{len(out)} bytes in place of {size}")
+    return bytes(out)
 
 
 def _read_ply(path: Path) -> np.ndarray:
