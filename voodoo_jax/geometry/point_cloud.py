@@ -11,6 +11,7 @@ ASKED, FEWER = 2000, 300  # points whose nearest neighbours are looked at, and w
 # image (Knuth 1973, The Art of Computer Programming 3, sec. 6.4)
 GOLDEN = (5**0.5 - 1) / 2
 ROW = 3  # points before and after in a list are looked at first: as many neighbours as no flying pixel has
+PAYS = 600  # points without enough of them, of which so many are found in the picture that it takes less time; measured
 PICTURE = 1_000_000  # cells of a picture: to fill a larger one takes longer than a search tree; by hand
 AROUND = 100  # neighbours of a point among which the nearest in every direction is looked for
 
@@ -57,7 +58,8 @@ def without_strays(
         others[:-step] += far < near[:-step]
         along += apart @ (far < near[step:])
     rest = np.flatnonzero(others < 3)
-    others[rest] += _in_next_rows(xyz, to, along, spacing, rest, near)
+    if len(rest) >= PAYS:
+        others[rest] += _in_next_rows(xyz, to, along, spacing, rest, near)
     kept = others >= 3
     rest = np.flatnonzero(~kept)
     tree = KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # sooner made than it is asked
