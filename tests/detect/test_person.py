@@ -170,6 +170,23 @@ def test_flying_pixels_are_those_that_a_search_tree_finds(rng):
     np.testing.assert_array_equal(found, expected)
 
 
+def test_what_was_gone_through_is_not_gone_through_again_and_who_comes_is_found():
+    """A cupboard, a look at it that finds nobody, and one with somebody before it."""
+    cupboard = box(3.0, -1.0, 0.6, 0.6)
+    scene, person = Scene(FLOOR, (), True), figure(2.2, 0.3)
+    first = BodySegmenter(scene, build_of(1.75), DetectSettings())
+    assert not len(first(frame(cupboard)).points) and len(first.asked) > 100
+
+    def looked(points) -> tuple[BodySegmenter, int]:
+        finder = first.another(DetectSettings())
+        finder.passed = first.asked
+        return finder, len(finder(frame(points)).points)
+
+    finder, count = looked(cupboard + [0.01, 0, 0])
+    assert count == 0 and not finder.others.size and finder.likely == 0.0  # nothing was weighed
+    assert looked(np.concatenate([cupboard, person]))[1] > 0.8 * len(person)
+
+
 @pytest.mark.parametrize("link", [0.06, 0.12, 0.3])
 def test_components_against_brute_force(rng, link):
     """Cells make the limit fuzzy: nearer than half of `link` is always one thing, farther than twice the cell's

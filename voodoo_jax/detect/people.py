@@ -17,18 +17,18 @@ from scipy.spatial import KDTree
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.drop_motionless import DropMotionless
-from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
+from voodoo_jax.detect.segmentation import SPEED, STILL, TELLING, BodySegmenter
 from voodoo_jax.detect.stillness import NOISE, Stillness, directions, filled, seen_long
 from voodoo_jax.detect.target_selection import LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import picked
-from voodoo_jax.geometry.voxels import cells_of, touching, within
+from voodoo_jax.geometry.voxels import cells_of, touching, unique_cells, within
 from voodoo_jax.records.observation import BodyObservation, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
 SOME = 2000  # points of somebody by which it is told who is nearer; by hand
-TELLING = 30  # points of somebody in a frame, at least, as in segmentation: fewer are not them; by hand
+AGAIN = 6  # looks for others, of which one goes through all that is there: about two seconds; by hand
 IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
 BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
 PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
@@ -169,6 +169,7 @@ class People:
         self._followed: list[Sighting] = []
         self._left: list[Sighting] = []
         self._things: list[np.ndarray] = []  # points of what has not moved for long
+        self._passed = np.zeros((0, 3), np.int32)  # where things are among which nobody was found: see BodySegmenter
         self._recent: deque[tuple[Frame, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
         self._origin: Follower | None = None  # of the chooser, whom the first one continues
         self._continued: Sighting | None = None  # that one
@@ -245,10 +246,14 @@ class People:
 
     def _look(self, frame: Frame, taken: list[np.ndarray]) -> None:
         """Begins to follow somebody else, if there is anybody of a body's shape."""
+        if self._number % (AGAIN * LOOK) == 0:
+            self._passed = self._passed[:0]
         for _ in range(MOST):
             finder = self.chooser.finder.another(self.settings)
+            finder.passed = self._passed
             seen = finder(frame, taken + self._things)
             if len(seen.points) < TELLING or finder.likely < LIKELY * self.chooser.finder.likely:
+                self._passed = unique_cells(np.concatenate([self._passed, finder.asked]))[0]
                 return
             if not self._followed:
                 self._followed.append(self._main(frame))

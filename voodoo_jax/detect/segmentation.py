@@ -40,6 +40,7 @@ LOW = 0.2  # of its points: so much a thing counts that is lower than half the b
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
 WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
 CUT_OFF = 0.5  # of its height: so much must be in the picture then, or an upper body
+TELLING = 30  # points of somebody in a frame, at least: fewer are not them; by hand
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
 SPEED = 3.0  # metres per second: so fast the body may be where it was not seen for a moment ...
 FARTHEST = 1.5  # metres, but not farther
@@ -71,6 +72,9 @@ class BodySegmenter:
         self._steps = 0  # then: by so many the share of them is less that is looked at
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
+        # where things are among which a body is looked for, and where earlier looks have found none: where hardly
+        # anything else is seen there is still none
+        self.asked = self.passed = np.zeros((0, 3), np.int32)
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
         self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
         self._spacing: dict[int, float] = {}  # of each sensor: angle between neighbouring points, radians,
@@ -92,7 +96,7 @@ class BodySegmenter:
             frame, taken = frame.only(~near_taken(frame.points, taken)), ()
         points = frame.points
         known = assigned(frame) if mine is None else assigned(frame) & mine
-        sure = points[known]
+        sure = points[known] if frame.part is not None else points[:0]
         if self.last is not None and len(sure):
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
@@ -102,6 +106,11 @@ class BodySegmenter:
         index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
         # not where something else than the body was seen before
         index = index[self._background.at(points[index]) < 3]
+        if self.last is None:
+            self.asked = cells_of(points[index], CELL)
+            if len(self.passed) and not len(sure) and np.sum(~touching(self.asked, self.passed)) < TELLING:
+                self.taken = index[:0]
+                return frame.only(self.taken)
         seen = frame.only(index)
         found, chosen = seen.points, self._choose(seen, sure)
         body = found[chosen]
@@ -111,7 +120,7 @@ class BodySegmenter:
         self.others = found[~chosen]
         self._learn(np.concatenate([self.others, distant]), np.concatenate([body, sure]))
         # the points of a limb or two do not tell where the others are
-        tells = len(body) >= 30 or self._of_body(frame, known).sum() >= 30
+        tells = len(body) >= TELLING or self._of_body(frame, known).sum() >= TELLING
         index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)])) if len(sure) else index[chosen]
         if tells:
             self.last, self.last_ns, self.unseen = points[index], frame.time_ns, 0
@@ -146,11 +155,13 @@ class BodySegmenter:
             )
             self._surveyed_ns = frame.time_ns if self._surveyed_ns is None else self._surveyed_ns
             survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
-        asked = np.ones(len(points), bool) if survey else near
-        if mine is not None:
-            asked = asked & (mine if some is None else mine[some])
-        asked = np.flatnonzero(asked)
-        index = asked[self.off_planes(picked(points, asked)) & ~(known if some is None else known[some])[asked]]
+        free = ~known if mine is None else mine & ~known
+        free = free if some is None else free[some]
+        if survey or self.last is None:
+            index = np.flatnonzero(self.off_planes(points) & free)
+        else:
+            asked = np.flatnonzero(near & free)
+            index = asked[self.off_planes(picked(points, asked))]
         distant = points[:0]
         if survey:
             self._surveyed_ns = frame.time_ns
@@ -166,7 +177,9 @@ class BodySegmenter:
 
     def off_planes(self, points: Float32[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
         """Which points are off floor and walls."""
-        height, _, _, *walls = self._places(points)
+        planes = (self.scene.floor, *self.scene.walls)
+        offsets = np.array([plane.offset for plane in planes], np.float32)
+        height, *walls = along(self._axes[[0, *range(3, len(self._axes))]], points, offsets)
         off = height > self.settings.floor_margin
         for distance, wall in zip(walls, self.scene.walls):
             off &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
@@ -224,7 +237,7 @@ class BodySegmenter:
     def _choose(self, seen: BodyObservation, sure) -> Bool[np.ndarray, " point"]:
         """Which points belong to the body. `sure`: those that are known to be on it."""
         points = seen.points
-        if len(points) < 30:
+        if len(points) < TELLING:
             return np.zeros(len(points), bool)
         label = components(points, self._link(seen))
         count = np.bincount(label)

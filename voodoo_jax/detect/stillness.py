@@ -11,7 +11,7 @@ from typing import NamedTuple
 from weakref import ref
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Int
 
 from voodoo_jax.geometry.voxels import numbered
 from voodoo_jax.records.observation import BodyObservation, assigned
@@ -61,12 +61,13 @@ class Stillness:
 def directions(frames: Sequence[BodyObservation]) -> Directions:
     """The directions of all points, and how their distances change."""
     sizes = [len(f.points) for f in frames]
-    every = np.concatenate([f.points - f.origins[f.sensor] for f in frames]).astype(float)
-    names, which = numbered(_direction(every, np.concatenate([f.sensor for f in frames])))
+    # frame by frame: all at once are many times as much as the processor's caches hold
+    numbers, far = map(np.concatenate, zip(*map(_seen, frames)))
+    names, which = numbered(numbers)
     at = which * len(frames) + np.repeat(np.arange(len(frames)), sizes)
     shape = (len(names), len(frames))
     count = np.bincount(at, minlength=shape[0] * shape[1]).reshape(shape)
-    total = np.bincount(at, np.linalg.norm(every, axis=1), shape[0] * shape[1]).reshape(shape)
+    total = np.bincount(at, far, shape[0] * shape[1]).reshape(shape)
     there = count > 0
     mean = np.where(there, total / np.maximum(count, 1), 0.0)
     both = there[:, 1:] & there[:, :-1]
@@ -75,18 +76,23 @@ def directions(frames: Sequence[BodyObservation]) -> Directions:
     middle = mean.sum(1) / seen
     spread = np.sum(np.where(there, mean - middle[:, None], 0) ** 2, 1) / seen
     ratio = np.where(spread > 0, step / np.maximum(2 * spread, 1e-18), 1.0)
-    points = np.concatenate([f.points for f in frames]).astype(float)
-    place = np.stack([np.bincount(which, points[:, k], len(names)) for k in range(3)], 1) / count.sum(1)[:, None]
+    points = (np.concatenate([f.points[:, axis] for f in frames]) for axis in range(3))
+    place = np.stack([np.bincount(which, along, len(names)) for along in points], 1) / count.sum(1)[:, None]
     telling = np.array([size >= TELLING for size in sizes])
     often = there[:, telling].sum(1) / max(int(telling.sum()), 1)
     return Directions(np.split(which, np.cumsum(sizes)[:-1]), ratio, often, place)
 
 
-def _direction(
-    ray: Float[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"] | Float32[np.ndarray, " point"]
-) -> Int[np.ndarray, " point"]:
+def _seen(frame: BodyObservation) -> tuple[Int[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+    """The direction of each point and its distance from its sensor, metres."""
+    ray = np.ascontiguousarray((frame.points - frame.origins[frame.sensor]).T, float)
+    x, y, z = ray
+    return _direction(ray, frame.sensor), np.sqrt(x * x + y * y + z * z)
+
+
+def _direction(ray: Float[np.ndarray, "3 point"], sensor: Int[np.ndarray, " point"]) -> Int[np.ndarray, " point"]:
     """A number for each direction from each sensor."""
-    x, y, z = ray.T
+    x, y, z = ray
     cells = [np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))]
     azimuth, elevation = (np.floor(cell / BIN).astype(int) + 500 for cell in cells)
     return (sensor.astype(int) * 1000 + azimuth) * 1000 + elevation
