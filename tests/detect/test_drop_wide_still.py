@@ -1,6 +1,7 @@
 """A table before somebody goes; somebody, and what is no wider than they are, stays."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ PERSON = block(0.45, 0.76, 1.75)
 def left(frames, beside: np.ndarray = NOTHING) -> np.ndarray:
     """[frame] How many points are left; `beside` those that were seen beside the body."""
     finder = SimpleNamespace(scene=Scene(FLOOR, (), True), beside=lambda: beside.astype(np.float32))
-    target = SimpleNamespace(finder=finder, settings=None, stillness=Stillness())
+    target: Any = SimpleNamespace(finder=finder, settings=None, stillness=Stillness())
     return np.array([len(f.points) for f in DropWideStill()(iter(frames), target)])
 
 
