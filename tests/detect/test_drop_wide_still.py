@@ -1,23 +1,25 @@
 """A table before somebody goes; somebody, and what is no wider than they are, stays."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.support.rooms import FLOOR
 from tests.support.still_things import block, sway, table, watched
-from voodoo_jax.detect.drop_wide_still import DropWideStill
+from voodoo_jax.detect.drop_wide_still import NOTHING, DropWideStill
 from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.records.scene import Scene
 
 PERSON = block(0.45, 0.76, 1.75)
-TARGET = SimpleNamespace(finder=SimpleNamespace(scene=Scene(FLOOR, (), True)), settings=None, stillness=Stillness())
 
 
-def left(frames) -> np.ndarray:
-    """[frame] How many points are left."""
-    return np.array([len(f.points) for f in DropWideStill()(iter(frames), TARGET)])
+def left(frames, beside: np.ndarray = NOTHING) -> np.ndarray:
+    """[frame] How many points are left; `beside` those that were seen beside the body."""
+    finder = SimpleNamespace(scene=Scene(FLOOR, (), True), beside=lambda: beside.astype(np.float32))
+    target: Any = SimpleNamespace(finder=finder, settings=None, stillness=Stillness())
+    return np.array([len(f.points) for f in DropWideStill()(iter(frames), target)])
 
 
 @pytest.mark.parametrize("width, goes", [(1.6, True), (0.6, False)])
@@ -41,3 +43,22 @@ def test_nothing_goes_where_nobody_moves_or_for_a_moment(rng):
     assert (left(frames) == [len(f.points) for f in frames]).all()
     frames = watched(rng, [(PERSON, sway(0.02)), (table(1.6), sway(0.0))], 10)
     assert (left(frames) == [len(f.points) for f in frames]).all()
+
+
+@pytest.mark.parametrize("why", ["", "narrow", "high", "few points", "a slice of something high"])
+def test_the_middle_of_a_counter_goes_where_its_sides_were_seen(rng, why):
+    """Something moves behind it, so that it is not known to be at rest, and it is no wider than the body."""
+    top = table(1.8, 0.9)
+    middle = top[np.abs(top[:, 1]) < 0.25]
+    sides = top[np.abs(top[:, 1]) > 0.25]
+    beside = {
+        "narrow": sides[np.abs(sides[:, 1]) < 0.4],
+        "high": sides + [0, 0, 0.6],
+        "few points": np.concatenate([sides[::8], block(0.4, 0.0, 0.8, 3.0, 1.2), block(0.4, 0.0, 0.8, 3.0, -1.2)]),
+        "a slice of something high": np.concatenate([sides + [0, 0, h] for h in np.arange(0, 0.8, 0.08)]),
+    }.get(why, sides)
+    count = left(watched(rng, [(PERSON, sway(0.02)), (middle, sway(0.02))]), beside)
+    if why:
+        assert (count == len(PERSON) + len(middle)).all()
+    else:
+        assert (count <= len(PERSON) + 0.2 * len(middle)).all() and (count >= 0.93 * len(PERSON)).all()

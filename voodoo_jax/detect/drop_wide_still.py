@@ -19,6 +19,9 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components
 from voodoo_jax.records.observation import BodyObservation
 
+NOTHING = np.zeros((0, 3), np.float32)
+STRAYS = 5  # percent of a top's points at each of its ends that may be of something else; by hand
+
 
 class Top(NamedTuple):
     """A level top, as a rectangle."""
@@ -46,14 +49,32 @@ class DropWideStill:
     wide: float = 0.9  # metres, level: shoulders are half as wide, and who spreads their arms moves them
     link: float = 0.35  # metres between directions that hang together: rows of a table's top are so far apart
     deep: float = 0.2  # metres, level, of a table's top, at least
+    # of tops that were seen beside the body:
+    dense: float = 0.07  # of the points seen beside the body: so many are on a top
+    bare: float = 0.3  # of its points: so many there may be above it, or it is a slice of something high
+    highest: float = 1.3  # metres: of a counter's top
     thick: float = 0.03  # metres from its height: what lies there, too, is on it
     margin: float = 0.15  # metres beyond its outline: its edges are seen in part, and together with others
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        return by_windows(frames, lambda window: self.without(window, target.finder.scene.floor, target.stillness))
+        def change(window: list[BodyObservation]) -> list[BodyObservation]:
+            finder = target.finder
+            return self.without(window, finder.scene.floor, target.stillness, finder.beside())
 
-    def without(self, frames: list[BodyObservation], floor: Plane, stillness: Stillness) -> list[BodyObservation]:
-        """The frames without such things; the same frames if there are none."""
+        return by_windows(frames, change)
+
+    def without(
+        self,
+        frames: list[BodyObservation],
+        floor: Plane,
+        stillness: Stillness,
+        beside: Float32[np.ndarray, "beside 3"] = NOTHING,
+    ) -> list[BodyObservation]:
+        """The frames without such things; the same frames if there are none.
+
+        **Arguments:** `beside` points that were seen beside the body: of a table behind which somebody stands only the
+        middle is among the body's points.
+        """
         if not seen_long(frames, self.frames, self.seconds):
             return frames
         found = stillness.directions(frames)
@@ -62,14 +83,15 @@ class DropWideStill:
             return frames
         still = np.flatnonzero((found.often >= self.often) & (found.ratio >= NOISE))
         place = found.place[still].astype(np.float32)
-        tops = self._tops(place, floor)
+        tops = [*self._tops(place, floor), *self._tops(beside, floor, self.dense)]
         drop = np.zeros(len(found.ratio), bool)
         drop[still[self._wide(place, floor)]] = True
         for top in tops:
             drop[still[self._on(place, top, floor)]] = True
-        if not drop.any():
+        if drop.any():
+            drop = self._and_beside(found, np.flatnonzero(drop))
+        elif not tops:
             return frames
-        drop = self._and_beside(found, np.flatnonzero(drop))
         out = []
         for f, which in zip(frames, found.which):
             keep = ~drop[which]
@@ -97,25 +119,38 @@ class DropWideStill:
         drop[things] = True
         return drop
 
-    def _tops(self, place: Float32[np.ndarray, "some 3"], floor: Plane) -> list[Top]:
-        """Level tops among some places: somebody before it may hide the middle of one."""
+    def _tops(self, place: Float32[np.ndarray, "some 3"], floor: Plane, dense: float = 0.0) -> list[Top]:
+        """Level tops among some places, each with the share `dense` of them at least: somebody before it may hide the
+        middle of one."""
         height, level = floor.height(place), floor.level(place)
         slab = np.abs(height[:, None] - height) < self.thick
         found: list[Top] = []
         for k in np.argsort(-slab.sum(1), kind="stable"):
             mine = level[slab[k]]
-            if len(mine) < 3 or any(abs(height[k] - top.height) < 2 * self.thick for top in found):
+            few = len(mine) < max(3, dense * len(place)) or (dense and height[k] > self.highest)
+            if few or any(abs(height[k] - top.height) < 2 * self.thick for top in found):
                 continue
             middle = mine.mean(0)
             axes = np.linalg.svd(mine - middle, full_matrices=False)[2][:2]
             along = (mine - middle) @ axes.T
-            if np.all(np.ptp(along, axis=0) >= (self.wide, self.deep)):
-                low, high = along.min(0) - self.margin, along.max(0) + self.margin
-                found.append(Top(float(height[k]), middle, axes, low, high))
+            strays = STRAYS if dense else 0  # places at rest are means of many points
+            low, high = np.percentile(along, (strays, 100 - strays), axis=0)
+            level_of = np.percentile(height[slab[k]], 80) if dense else height[k]  # its front is in the slab, too
+            top = Top(float(level_of), middle, axes, low - self.margin, high + self.margin)
+            bare = not dense or self._over(place, top, floor).sum() <= self.bare * len(mine)
+            if bare and np.all(high - low >= (self.wide, self.deep)):
+                found.append(top)
         return found
 
     def _on(self, points: Float32[np.ndarray, "point 3"], top: Top, floor: Plane) -> Bool[np.ndarray, " point"]:
         """Which points lie on a level top, also where something moves behind it."""
+        return self._within(points, top, floor) & (np.abs(floor.height(points) - top.height) < self.thick)
+
+    def _over(self, points: Float32[np.ndarray, "point 3"], top: Top, floor: Plane) -> Bool[np.ndarray, " point"]:
+        """Which points are higher than a level top, above it."""
+        return self._within(points, top, floor) & (floor.height(points) - top.height > 2 * self.thick)
+
+    def _within(self, points: Float32[np.ndarray, "point 3"], top: Top, floor: Plane) -> Bool[np.ndarray, " point"]:
+        """Which points are above or below a level top, at any height."""
         along = (floor.level(points) - top.middle) @ top.axes.T
-        inside = np.all((along > top.low) & (along < top.high), 1)
-        return inside & (np.abs(floor.height(points) - top.height) < self.thick)
+        return np.all((along > top.low) & (along < top.high), 1)

@@ -13,6 +13,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.body_likelihood import LOOSE, Build
 from voodoo_jax.detect.camera_motion import steady_scene
 from voodoo_jax.detect.disk_buffer import spilled
+from voodoo_jax.detect.drop_garment import DropGarment
 from voodoo_jax.detect.drop_motionless import DropMotionless
 from voodoo_jax.detect.drop_planar_furniture import DropPlanarFurniture
 from voodoo_jax.detect.drop_seen_apart import DropSeenApart
@@ -35,7 +36,7 @@ from voodoo_jax.records.subject import Subject
 SCENE: tuple[SceneStage, ...] = (FindGravity(), RaiseFloor(), SteadySensors())
 # once the body is followed through the frames
 POINTS: tuple[PointStage, ...] = (
-    WeighByNoise(), DropMotionless(), DropSeenApart(), DropWideStill(), DropPlanarFurniture(),
+    WeighByNoise(), DropGarment(), DropMotionless(), DropSeenApart(), DropWideStill(), DropPlanarFurniture(),
 )  # fmt: skip
 
 

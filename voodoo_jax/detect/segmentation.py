@@ -49,6 +49,7 @@ BESIDE = 0.12  # metres: what is nearer to something that is followed is not ano
 PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
 HEADS = 0.6  # of its height: what is above somebody and higher is their head, if it is alone; by hand
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
+MANY_BESIDE, SOME_BESIDE = 600, 200  # points beside the body that are kept in all, and of one frame; by hand
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
@@ -82,6 +83,7 @@ class BodySegmenter:
         self._background = Counted(CELL)
         self._learns = False  # in this frame, from what is beside the body: in every other one
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
+        self._beside: list[np.ndarray] = []  # some points of what was first seen beside the body
 
     def __call__(
         self,
@@ -409,6 +411,12 @@ class BodySegmenter:
                 return
             far, times = ~within(others, mine, 0.25), 2.0
         self._background.add(cells_of(others[far], CELL), times)
+        if self.last is not None and sum(map(len, self._beside)) < MANY_BESIDE:
+            self._beside.append(others[far][:: far.sum() // SOME_BESIDE + 1])
+
+    def beside(self) -> Float32[np.ndarray, "point 3"]:
+        """Some points of what was seen beside the body at first: it is not looked at any more once that is known."""
+        return np.concatenate([np.zeros((0, 3), np.float32), *self._beside])
 
 
 def near_taken(points: Float32[np.ndarray, "point 3"], taken: Sequence[np.ndarray]) -> Bool[np.ndarray, " point"]:
