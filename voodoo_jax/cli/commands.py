@@ -228,6 +228,8 @@ class FitCommand:
     overwrite: bool = False
     """Replace files that exist."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
+    tracker: Literal["", "icp", "flexible"] = ""
+    """icp: fitted to depth; flexible: to the images of stereo or colour and depth cameras. Empty: that of --config."""
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     fit: Annotated[FitSettings, arg(name="")] = field(default_factory=FitSettings)
 

@@ -12,6 +12,7 @@ from tests.support.logs import PERIOD, START, Log, depth_log
 from voodoo_jax.batch.log_job import track_log
 from voodoo_jax.config.options import FlexibleSettings, ReadSettings, Settings
 from voodoo_jax.io.log_reader import read_log
+from voodoo_jax.model.body import with_proportions
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.sensors.quick_stereo import quick_depth
 from voodoo_jax.simulate.colour import simulate_colour
@@ -21,7 +22,7 @@ from voodoo_jax.simulate.sensor import NO_NOISE, Camera
 from voodoo_jax.trackers.base import Unsuitable
 
 CAMERA = Camera(160, 120, 145.0, 145.0, 79.5, 59.5, (0.0, 0.0, 1.2), 0.08)
-FRAMES = 14
+FRAMES = 28
 # a program of its own size: few particles and rounds, for the test's time
 SMALL = FlexibleSettings(particles=30, layers=2, refine=4, points=128, backwards=False)
 
@@ -76,8 +77,24 @@ def test_what_it_cannot_take_is_refused(waving, tmp_path):
         vj.track(vj.load_body("dog"), recording, tracker="flexible")
     with pytest.raises(Unsuitable, match="no images.*--tracker icp"):
         track_log(depth_log().write(tmp_path / "d.mcap"), vj.human(), Settings(tracker="flexible"))
-    with pytest.raises(ValueError, match="icp"):
-        vj.fit(vj.human(), [recording], Settings(tracker="flexible"))
+    for free, folds in (("bands", 0), ("lengths", 2)):
+        options = vj.FitSettings(free=(free,), folds=folds)
+        with pytest.raises(ValueError, match="tracker.* icp"):
+            vj.fit(vj.human(), [recording] * 2, Settings(tracker="flexible"), options)
+
+
+def test_sizes_are_fitted(waving):
+    """The right body is found to be right, one with arms too short by a tenth gets longer ones."""
+    recording, _ = waving
+    arms = {f"{side}_{part}": 0.9 for side in "lr" for part in ("upper_arm", "forearm")}
+    short = with_proportions(vj.human(), arms)
+    settings = Settings(tracker="flexible", flexible=SMALL)
+    options = vj.FitSettings(free=("lengths.*arm",), frames=9, points=128, iterations=4, noise=0.015)
+    right, wrong = (vj.fit(body, [recording], settings, options) for body in (vj.human(), short))
+    assert not right.better and np.abs(right.x).max() < 0.05
+    assert wrong.x[wrong.names.index("lengths.upper_arm")] > 0.02
+    assert np.isfinite(wrong.sd).all() and wrong.losses[-1] < wrong.losses[0]
+    assert any(size.name == "upper_arm" and size.after > size.before for size in wrong.sizes[0])
 
 
 K = np.array([[400.0, 0.0, 159.5], [0.0, 400.0, 119.5], [0.0, 0.0, 1.0]])
