@@ -194,10 +194,15 @@ class View:
 
 @dataclass(frozen=True)
 class Demo:
-    """Track the person in the recording that comes with the package, and compare with the truth."""
+    """Track the person in the recording that comes with the package, and compare with the truth.
+
+    With --tracker flexible it is a stereo recording, which is simulated first.
+    """
 
     out: Path = Path("demo-out")
     """Folder for the results; made if it is missing."""
+    tracker: Literal["icp", "flexible"] = "icp"
+    """icp: a depth camera; flexible: a stereo camera's images."""
 
 
 @dataclass(frozen=True)
@@ -223,6 +228,8 @@ class FitCommand:
     overwrite: bool = False
     """Replace files that exist."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
+    tracker: Literal["", "icp", "flexible"] = ""
+    """icp: fitted to depth; flexible: to the images of stereo or colour and depth cameras. Empty: that of --config."""
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     fit: Annotated[FitSettings, arg(name="")] = field(default_factory=FitSettings)
 

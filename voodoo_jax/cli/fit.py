@@ -1,6 +1,7 @@
 """`voodoo-jax fit`: logs in, a report and, if it is better, a body file out."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from tqdm.auto import tqdm
@@ -30,6 +31,7 @@ def outputs(out: Path, persons: int) -> list[Path]:
 def run_fit(command: FitCommand, settings: Settings) -> int:
     """0 if the fit was made, whether it found a better body or not; 1 if it failed, 2 if it could not begin, 130 if it
     was interrupted."""
+    settings = replace(settings, tracker=command.tracker) if command.tracker else settings
     try:
         logs = [path for place in command.logs for path in expanded(place)]
     except ValueError as problem:

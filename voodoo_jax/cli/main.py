@@ -151,11 +151,11 @@ def run_info(command: Info) -> int:
 
 
 def run_demo(command: Demo) -> int:
-    """Replays the shipped recording; 0 if it was tracked."""
-    from voodoo_jax.cli.demo import demo
+    """Replays the shipped recording, or a simulated one; 0 if it was tracked."""
+    from voodoo_jax.cli.demo import demo, demo_flexible
 
     try:
-        return demo(command.out)
+        return (demo if command.tracker == "icp" else demo_flexible)(command.out)
     except (OSError, ValueError) as problem:
         if _of_printing(problem):
             raise

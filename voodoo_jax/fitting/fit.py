@@ -81,8 +81,6 @@ def fit(
     settings, options = settings or Settings(), options or FitSettings()
     options = replace(options, free=tuple(free)) if free else options
     check_fit(options)
-    if settings.tracker != "icp":
-        raise FitError(f"bodies are fitted with the ICP tracker: set tracker to icp, not {settings.tracker}")
     if not logs:
         raise FitError("name at least one log to fit to")
     if options.folds:
@@ -93,6 +91,12 @@ def fit(
         folds_of(len(logs), options.folds)  # before anything is tracked
     if truths and len(truths) != len(logs):
         raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
+    if settings.tracker == "flexible":
+        from voodoo_jax.fitting.flexible_fit import fit_flexible  # which takes what stands here
+
+        if loss is not None:
+            raise FitError("a loss of your own is fitted with the ICP tracker: set tracker to icp, or leave it out")
+        return fit_flexible(body, logs, settings, options, truths, state, say)
     if truths:  # joints are where the fit puts them: what was learned of other people would move them again
         settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
     tell = say or (lambda what, progress: None)
@@ -200,7 +204,7 @@ def searched(
 ) -> Found:
     """The search alone; arguments of `fit`."""
     tell = say or (lambda what, progress: None)
-    chosen = [chosen_frames(s.tracks, s.people, options.frames) for s in seen]
+    chosen = [chosen_frames(s.tracks, _points(s), options.frames) for s in seen]
     search = _stiff(search_of(seen, settings, options, truths, chosen), options)
     size = len(search.sd)
     mark = _fingerprint(search, options)
@@ -251,6 +255,11 @@ def _stiffer(settings: Settings, times: float) -> Settings:
     return replace(settings, solve=replace(settings.solve, ratio=settings.solve.ratio * times))
 
 
+def _points(seen: Seen) -> Int[np.ndarray, " frame"]:
+    """How many points on the person each frame has."""
+    return np.array([len(frame.points) for frame in seen.people], int)
+
+
 def track_again(seen: Seen, body: Body, settings: Settings) -> Seen:
     """A recording tracked with a body of known size."""
     from voodoo_jax.trackers.icp.tracker import track_person
@@ -292,7 +301,7 @@ def search_of(
     chosen: Sequence[Int[np.ndarray, " chosen"]] = (),
 ) -> Search:
     """What is free, and the frames that are looked at: `chosen` ones of each recording, or well tracked ones."""
-    chosen = chosen or [chosen_frames(s.tracks, s.people, options.frames) for s in seen]
+    chosen = chosen or [chosen_frames(s.tracks, _points(s), options.frames) for s in seen]
     body = seen[0].tracks.body
     names = tuple(sorted({n for s in seen for n in feature_names(s.people, body.topology, settings.features)}))
     free = parameters(body, options.free, names, options.mirrored)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float64, Int, Int64
+from jaxtyping import Bool, Float, Float64, Int, Int64
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import FeatureSettings
@@ -80,10 +80,13 @@ def held_back(count: int) -> Bool[np.ndarray, " frame"]:
     return runs(count) % EVERY > 0
 
 
-def chosen_frames(tracks: Tracks, people: list[BodyObservation], count: int) -> np.ndarray:
-    """Up to `count` well tracked frames that are not held back, evenly spread. Raises ValueError if there are few."""
+def chosen_frames(tracks: Tracks, points: Int[np.ndarray, " frame"], count: int) -> np.ndarray:
+    """Up to `count` well tracked frames that are not held back, evenly spread. Raises ValueError if there are few.
+
+    **Arguments:** `points` how many each frame has.
+    """
     residual = np.where(tracks.tracked, tracks.residual, np.inf)
-    seen = np.array([len(f.points) >= 60 for f in people], bool) & ~held_back(len(people))
+    seen = (points >= 60) & ~held_back(len(points))
     good = (
         np.flatnonzero((residual <= WELL * np.median(residual[tracks.tracked])) & seen) if tracks.tracked.any() else []
     )
@@ -142,7 +145,8 @@ def fit_frames(
     for row, name in enumerate(names, 1):
         numbered.weights[numbered.plain(name)] = float(row)
     rows = pad_features([_unweighted(f) for f in solve], count, room, numbered, choices)
-    known = None if truth is None else _truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
+    known = None if truth is None else truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
+    origins = np.stack([people[i].origins.mean(0) for i in at])
     poses = _padded(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)
     return FitFrames(
         points=pad_frames(solve, capacity, count, None, sensors).points,
@@ -155,22 +159,23 @@ def fit_frames(
         known=None if known is None else jnp.asarray(np.isfinite(known).all(-1)),
         log=jnp.full(count, log, jnp.int32),
         weight=jnp.asarray(np.arange(count) < len(at), jnp.float32),
-        news=jnp.asarray(news(tracks, people, at, count), jnp.float32),
+        news=jnp.asarray(news(tracks, origins, at, count), jnp.float32),
     )
 
 
 def news(
-    tracks: Tracks, people: list[BodyObservation], at: Int[np.ndarray, " chosen"], count: int
+    tracks: Tracks, origins: Float[np.ndarray, "chosen 3"], at: Int[np.ndarray, " chosen"], count: int
 ) -> Float64[np.ndarray, "frame limb"]:
     """What each chosen frame says of each limb that the others do not say, 0..1; zero for padding.
 
     Where a person differs from cylinders, she does so again in every frame in which the limb is seen alike: such frames
     share one vote. Alike: the same angles to the limbs it hangs together with and to the line of sight.
+
+    **Arguments:** `origins` from where each chosen frame was seen, metres.
     """
     t = tracks.body.topology
     axes = Rotation.from_quat(tracks.rotation[at].reshape(-1, 4), scalar_first=True).apply([0.0, 0.0, 1.0])
     axes = axes.reshape(len(at), -1, 3)
-    origins = np.stack([people[i].origins.mean(0) for i in at])
     sight = origins[:, None] - tracks.translation[at]
     sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
     between = lambda a, b: np.arccos(np.clip(np.sum(a * b, -1), -1, 1))  # noqa: E731
@@ -183,7 +188,7 @@ def news(
     return out
 
 
-def _truth_at(truth: Truth, stamps: list[int], topology: Topology, count: int) -> np.ndarray:
+def truth_at(truth: Truth, stamps: list[int], topology: Topology, count: int) -> np.ndarray:
     """Joint centres of the body at some times [count, centre, 3], metres; NaN where nothing is known."""
     out = np.full((count, len(topology.centres), 3), np.nan)
     for i, stamp in enumerate(stamps):

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -59,7 +59,7 @@ class Place:
     at_rest: tuple[np.ndarray, ...]  # [frame] of each recording
     costs: tuple[np.ndarray, ...]  # [frame] of each recording, half the squared deviations; 0 where not at rest
     poses: tuple[Poses, ...]
-    found: tuple[Placed, ...]
+    found: tuple[Any, ...]  # what the search's own steps need
 
 
 class Step(NamedTuple):
@@ -67,6 +67,19 @@ class Step(NamedTuple):
 
     slope: Float64[np.ndarray, " all"]  # priors included
     curve: Float64[np.ndarray, "all all"]  # of the data alone
+
+
+@runtime_checkable
+class Searched(Protocol):
+    """What is searched over: the parameters' priors, and what a place costs."""
+
+    @property
+    def sd(self) -> Float64[np.ndarray, " all"]: ...
+    @property
+    def held(self) -> Bool[np.ndarray, " all"]: ...
+    def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Poses, ...] = ()) -> Place: ...
+    def step(self, x: Float64[np.ndarray, " all"], here: Place, without: int = -1) -> Step: ...
+    def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float: ...
 
 
 class FitError(ValueError):
@@ -97,7 +110,7 @@ def compiled_normals() -> Callable[..., Normals]:
 
 
 @eqx.filter_jit
-def _height_off(body: Body, x, maps) -> tuple[Array, Array]:
+def height_off(body: Body, x, maps) -> tuple[Array, Array]:
     """Logarithm of the changed body's height over what was measured, and its derivative."""
     free = Parameters((), np.zeros(0), maps, True)
     measured = height_ratio(body) * body.scale
@@ -128,7 +141,7 @@ class Search:
     def height(self, x: Float64[np.ndarray, " all"], part: Part) -> tuple[float, Float64[np.ndarray, " free"]]:
         """How far a recording's body is from the height that was measured, in standard deviations, and its slope."""
         maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
-        off, slope = _height_off(part.body, jnp.asarray(x[self.rows[part.person]], jnp.float32), maps)
+        off, slope = height_off(part.body, jnp.asarray(x[self.rows[part.person]], jnp.float32), maps)
         return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
 
     def _prior(self, x: Float64[np.ndarray, " all"]) -> float:
@@ -217,7 +230,7 @@ class Search:
 
 
 def run_search(
-    search: Search, progress: Progress, most: int, say: Callable[[Progress], None] | None = None
+    search: Searched, progress: Progress, most: int, say: Callable[[Progress], None] | None = None
 ) -> tuple[Progress, Place]:
     """Steps until the loss falls no more, or `most` were taken; `say` hears of each one, and may raise to stop."""
     place = search.place(progress.x)
@@ -252,7 +265,7 @@ def run_search(
 
 
 def along(
-    search: Search, x: np.ndarray, step: np.ndarray, here: Place, starts: tuple[Poses, ...]
+    search: Searched, x: np.ndarray, step: np.ndarray, here: Place, starts: tuple[Poses, ...]
 ) -> tuple[float, float, Place]:
     """Share of the step that gains most, what it gains, and what was found there.
 
@@ -276,13 +289,13 @@ def along(
     return best
 
 
-def covariance(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, "all all"]:
+def covariance(search: Searched, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, "all all"]:
     """Covariance of the parameters after the fit, from the Gauss-Newton matrix and the priors; of what is held as if it
     were free."""
     return np.linalg.inv(search.step(x, place).curve + np.diag(1 / search.sd**2))
 
 
-def spread(search: Search, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:
+def spread(search: Searched, x: Float64[np.ndarray, " all"], place: Place) -> Float64[np.ndarray, " all"]:
     """How much every parameter hangs on the part of the recordings that it is found from: standard deviation by
     leaving out each part in turn (jackknife), by one step from x."""
     found = []

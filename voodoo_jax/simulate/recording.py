@@ -36,17 +36,22 @@ def render(
     radii = np.hypot(sizes[:, :4].max(1), sizes[:, 4] / 2)
     for limb in np.flatnonzero(np.asarray(body.present)):
         size, r, t, centre, radius = sizes[limb], rotation[limb], translation[limb], centres[limb], radii[limb]
-        # only the rays that meet the limb's bounding sphere
-        along = rays @ centre
-        near = np.nonzero((along > 0) & (along**2 > (centre @ centre - radius**2) * (rays**2).sum(1)))[0]
-        keep_nearest(depth, cosine, near, *_hit_frustum(size, (origin - t) @ r, rays[near] @ r))
+        near = rays_near(rays, centre, radius)
+        keep_nearest(depth, cosine, near, *hit_frustum(size, (origin - t) @ r, rays[near] @ r)[:2])
     return depth.reshape(camera.height, camera.width), cosine.reshape(camera.height, camera.width)
 
 
-def _hit_frustum(size, o, d) -> tuple[np.ndarray, np.ndarray]:
-    """First hit t [ray] (inf: none) of o + t d with a closed elliptic frustum in its own frame, and |cos| there."""
+def rays_near(rays: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
+    """Numbers of the rays from the origin that meet a sphere before it."""
+    along = rays @ centre
+    return np.nonzero((along > 0) & (along**2 > (centre @ centre - radius**2) * (rays**2).sum(1)))[0]
+
+
+def hit_frustum(size, o, d) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First hit t [ray] (inf: none) of o + t d with a closed elliptic frustum in its own frame, |cos| there, and the
+    surface's normal [ray, 3], of any length and sign."""
     a0, b0, a1, b1, length = size
-    t, cosine = np.full(len(d), np.inf), np.ones(len(d))
+    t, cosine, normals = np.full(len(d), np.inf), np.ones(len(d)), np.zeros((len(d), 3))
     # the part of the ray within the end planes and the straight cylinder around the frustum
     wide = np.array([max(a0, a1), max(b0, b1)])
     p, q = o[:2] / wide, d[:, :2] / wide
@@ -86,8 +91,8 @@ def _hit_frustum(size, o, d) -> tuple[np.ndarray, np.ndarray]:
     on_cap = (first == 0) & (np.minimum(hit[:, 2], length - hit[:, 2]) < 1e-9)
     normal = np.where(on_cap[:, None], [0.0, 0.0, 1.0], normal)
     facing = np.abs((normal * d).sum(1)) / np.linalg.norm(normal, axis=1) / np.linalg.norm(d, axis=1)
-    t[some], cosine[some] = np.where(found, high, np.inf), facing
-    return t, cosine
+    t[some], cosine[some], normals[some] = np.where(found, high, np.inf), facing, normal
+    return t, cosine, normals
 
 
 # A whole recording

@@ -6,7 +6,7 @@ Optical frame: z forward, x right, y down. Host side, NumPy.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, UInt16
+from jaxtyping import Float64, Int, UInt16
 from scipy.spatial.transform import Rotation
 
 
@@ -34,9 +34,10 @@ class Camera:
         level = np.stack([right, np.cross(forward, right), forward], -1)
         return level @ Rotation.from_euler("z", self.roll).as_matrix() if self.roll else level
 
-    def rays(self) -> Float64[np.ndarray, "pixel 3"]:
-        """Directions through the pixel centres, row by row, in the fixed frame; one metre of optical z long."""
-        v, u = np.mgrid[: self.height, : self.width].reshape(2, -1)
+    def rays(self, pixels: Int[np.ndarray, " pixel"] | None = None) -> Float64[np.ndarray, "pixel 3"]:
+        """Directions through the centres of pixels (numbers; none given: all), row by row, in the fixed frame; one
+        metre of optical z long."""
+        v, u = np.divmod(np.arange(self.width * self.height) if pixels is None else pixels, self.width)
         return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones(u.size)], -1) @ self.rotation.T
 
 

@@ -2,7 +2,6 @@
 and what it cannot take is refused in a sentence."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,58 +10,36 @@ import voodoo_jax as vj
 from tests.support.colour_logs import Board, picture, ros_compressed, ros_info
 from tests.support.logs import PERIOD, START, Log, depth_log
 from voodoo_jax.batch.log_job import track_log
-from voodoo_jax.config.options import DetectSettings, FlexibleSettings, ReadSettings, Settings
+from voodoo_jax.config.options import FlexibleSettings, ReadSettings, Settings
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.records.recording import Frame, Picture, Recording
+from voodoo_jax.model.body import with_proportions
+from voodoo_jax.records.recording import Recording
 from voodoo_jax.sensors.quick_stereo import quick_depth
+from voodoo_jax.simulate.colour import simulate_colour
+from voodoo_jax.simulate.mcap import write_colour
 from voodoo_jax.simulate.motion import make_motion, placed
-from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import NO_NOISE, Camera
 from voodoo_jax.trackers.base import Unsuitable
 
 CAMERA = Camera(160, 120, 145.0, 145.0, 79.5, 59.5, (0.0, 0.0, 1.2), 0.08)
-FRAMES = 14
+FRAMES = 28
 # a program of its own size: few particles and rounds, for the test's time
 SMALL = FlexibleSettings(particles=30, layers=2, refine=4, points=128, backwards=False)
 
 
-def painted(depth: np.ndarray, points: np.ndarray, person: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A picture of what the camera sees: face, shirt and trousers before a grey room, with some texture."""
-    height = points[..., 2]
-    image = np.full((*depth.shape, 3), 150.0)
-    image[person & (height < 0.9)] = 60, 40, 30
-    image[person & (height >= 0.9)] = 160, 90, 40
-    image[person & (height > 1.48)] = 110, 150, 205
-    image += np.random.default_rng(0).normal(0, 6, image.shape)
-    return (np.clip(image, 0, 255).astype(np.uint8),)
-
-
 @pytest.fixture(scope="module")
-def waving() -> tuple[Recording, np.ndarray]:
+def waving(tmp_path_factory) -> tuple[Recording, np.ndarray]:
     """A person who waves before a colour and depth camera, and the true joint centres."""
     body = vj.human()
-    sim = simulate(body, placed(make_motion(body, "wave", FRAMES / 15, 15.0), 2.6, 0.0, np.pi), CAMERA, NO_NOISE)
-    bare = simulate(body, placed(make_motion(body, "wave", 1 / 15, 15.0), 60.0, 0.0, np.pi), CAMERA, NO_NOISE).depth[0]
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = CAMERA.rotation, CAMERA.position
-    K = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
-    frames = []
-    for stamp, image in zip(sim.time_ns.tolist(), sim.depth):
-        points = (CAMERA.rays() * (image.ravel() / 1000)[:, None] + pose[:3, 3]).astype(np.float32)
-        person = np.abs(image.astype(float) - bare) > 40
-        unpack = partial(painted, image, points.reshape(*image.shape, 3), person)
-        seen = points[image.ravel() > 0]
-        shot = Picture("/rgb", stamp, K, pose, unpack)
-        origins = pose[None, :3, 3].astype(np.float32)
-        frames.append(Frame(stamp, seen, np.zeros(len(seen), np.int32), origins, pictures=(shot,)))
-    up = np.array([0, 0, 1], np.float32)
-    return Recording("waving", "base", up, ("/depth",), tuple(frames)), sim.joints
+    motion = placed(make_motion(body, "wave", FRAMES / 15, 15.0), 2.6, 0.0, np.pi)
+    sim = simulate_colour(body, motion, (CAMERA,), CAMERA, noise=NO_NOISE)
+    path = write_colour(sim, tmp_path_factory.mktemp("colour") / "waving.mcap")
+    return read_log(path, vj.preset("flexible").read), sim.joints
 
 
 def test_it_follows_a_person_and_the_same_seed_gives_the_same_bits(waving):
     recording, truth = waving
-    # the built-in body has nothing between chest and head
-    settings = Settings(tracker="flexible", flexible=SMALL, detect=DetectSettings(link=0.2))
+    settings = Settings(tracker="flexible", flexible=SMALL)
     tracks = vj.track(vj.human(), recording, settings)
     error = np.linalg.norm(tracks.joints - truth, axis=-1)
     assert np.nanmean(error[3:]) < 0.08 and np.isfinite(error).all()
@@ -81,7 +58,7 @@ def test_it_follows_a_person_and_the_same_seed_gives_the_same_bits(waving):
 def test_recordings_of_one_batch_are_as_each_alone(waving):
     """To the last bit, whatever is beside it."""
     recording, _ = waving
-    settings = Settings(tracker="flexible", flexible=SMALL, detect=DetectSettings(link=0.2))
+    settings = Settings(tracker="flexible", flexible=SMALL)
     shorter = replace(recording, frames=recording.frames[:10])
     together = vj.track_many(vj.human(), [recording, shorter], settings, quiet=True)
     for own, tracks in zip((recording, shorter), together):
@@ -100,8 +77,24 @@ def test_what_it_cannot_take_is_refused(waving, tmp_path):
         vj.track(vj.load_body("dog"), recording, tracker="flexible")
     with pytest.raises(Unsuitable, match="no images.*--tracker icp"):
         track_log(depth_log().write(tmp_path / "d.mcap"), vj.human(), Settings(tracker="flexible"))
-    with pytest.raises(ValueError, match="icp"):
-        vj.fit(vj.human(), [recording], Settings(tracker="flexible"))
+    for free, folds in (("bands", 0), ("lengths", 2)):
+        options = vj.FitSettings(free=(free,), folds=folds)
+        with pytest.raises(ValueError, match="tracker.* icp"):
+            vj.fit(vj.human(), [recording] * 2, Settings(tracker="flexible"), options)
+
+
+def test_sizes_are_fitted(waving):
+    """The right body is found to be right, one with arms too short by a tenth gets longer ones."""
+    recording, _ = waving
+    arms = {f"{side}_{part}": 0.9 for side in "lr" for part in ("upper_arm", "forearm")}
+    short = with_proportions(vj.human(), arms)
+    settings = Settings(tracker="flexible", flexible=SMALL)
+    options = vj.FitSettings(free=("lengths.*arm",), frames=9, points=128, iterations=4, noise=0.015)
+    right, wrong = (vj.fit(body, [recording], settings, options) for body in (vj.human(), short))
+    assert not right.better and np.abs(right.x).max() < 0.05
+    assert wrong.x[wrong.names.index("lengths.upper_arm")] > 0.02
+    assert np.isfinite(wrong.sd).all() and wrong.losses[-1] < wrong.losses[0]
+    assert any(size.name == "upper_arm" and size.after > size.before for size in wrong.sizes[0])
 
 
 K = np.array([[400.0, 0.0, 159.5], [0.0, 400.0, 119.5], [0.0, 0.0, 1.0]])

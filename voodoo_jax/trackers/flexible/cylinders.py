@@ -128,7 +128,7 @@ def nearest_places(body: FlexibleBody, x: Float[Array, "16 3"], q: Vector, part:
     reach = jnp.asarray(IS_ARM, x.dtype) * body.tips / jnp.maximum(bone_lengths(body)[:, 1], 1e-3)
     base = np.zeros(PARTS, np.float32)
     base[2:12:3] = base[12] = 1
-    slope = jnp.asarray(1 - base).at[2:12:3].set(reach)
+    slope = jnp.asarray(1 - base, reach.dtype).at[2:12:3].set(reach)
     share, zero = jnp.asarray(base)[part] + slope[part] * t, jnp.zeros_like(t)
     off, weights = off - d * t, [1 - share, share, zero, zero]
     radius = s.begin + t * (s.end - s.begin)

@@ -217,7 +217,7 @@ def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: I
     hidden = occlusion(body, x, given.view)
     used = len(given.points) if shape.points or shape.restarts else 0
     if shape.points:
-        d = jnp.abs(surface_distance(body, x, vectors(given.points))) + _clothed(given.bare)
+        d = jnp.abs(surface_distance(body, x, vectors(given.points))) + clothed(given.bare)
         own = np.concatenate([np.repeat(np.eye(4, dtype=bool), 3, 1), np.zeros((4, 3), bool)], 1)
         others = kept(given.view.focal[0] > 0, lambda d: jnp.min(jnp.where(own[..., None], 10.0, d), 1), d)
     else:
@@ -231,7 +231,7 @@ def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: I
     )  # fmt: skip
 
 
-def _clothed(bare: Float[Array, " point"]) -> Float[Array, "part point"]:
+def clothed(bare: Float[Array, " point"]) -> Float[Array, "part point"]:
     """By how much farther bare skin is from what is clothed than it seems to be: it is of a face, an arm or a hand."""
     covered = np.ones((PARTS, 1), np.float32)
     covered[:6] = covered[12] = 0
@@ -371,7 +371,7 @@ def pulled(
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """The body's points moved to where measured points pull the nearest axes and patches."""
     q = vectors(points)
-    distance = jnp.abs(surface_distance(body, x, q)) + (0.0 if bare is None else _clothed(bare))
+    distance = jnp.abs(surface_distance(body, x, q)) + (0.0 if bare is None else clothed(bare))
     best = kept(body.stature > 0, partial(jnp.argmin, axis=0), lax.stop_gradient(distance))
     near = nearest_places(body, x, q, best)
     d = near.distance

@@ -4,14 +4,16 @@ The paper's figure is not in its text: this is the completion of its four limbs 
 two-part flat torso that has exactly 24 springs.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from voodoo_jax.model.body import Body, joint_centres
+from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.trackers.base import Unsuitable
 
 POINTS = (
@@ -53,6 +55,14 @@ _ARM_RADII, _LEG_RADII = (
 )
 _HAND, _FOOT = 0.095, 0.11  # lengths beyond wrist and ankle, shares of stature, measured on rendered people
 _MASS_TORSO, _MASS_LIMB = 4.0, 1.0  # relative; the paper says heavier and lighter, the numbers are set by hand
+
+
+_LIMB_NAMES = tuple(
+    f"{side}_{part}"
+    for parts in (("upper_arm", "forearm", "hand"), ("thigh", "shank", "foot"))
+    for side in "lr"
+    for part in parts
+)  # of the paper's filters' cylinders
 
 
 class FlexibleBody(eqx.Module):
@@ -97,46 +107,67 @@ COLOURING = _colour()
 ENDS = np.array([s[:2] for s in SPRINGS])  # points of the paper's 24 springs
 
 
-def rest_points(body: Body) -> Float[np.ndarray, "16 3"]:
-    """The points at rest, metres in the body frame, of a body that has a person's joint centres. Raises Unsuitable."""
+def rest_points(body: Body) -> Float[Any, "16 3"]:
+    """The points at rest, metres in the body frame, of a body that has a person's joint centres. Differentiable. Raises
+    Unsuitable."""
     names = body.topology.centres
     if missing := [name for name in CENTRES.values() if name not in names]:
         raise Unsuitable(
             f"the flexible tracker follows people: the body '{body.name}' has no joint centre {', '.join(missing)}; "
             "use --tracker icp"
         )
-    centres = np.asarray(joint_centres(body, body.rest), np.float64)
-    found = np.zeros((16, 3))
-    for i, name in enumerate(POINTS):
-        if name in CENTRES:
-            found[i] = centres[names.index(CENTRES[name])]
-        else:
-            found[i] = 0.0, _WAIST[0] * (1 if name[0] == "l" else -1), _WAIST[1]
-            found[i, 1:] *= float(body.scale)
-    found[:, 0] = 0.0  # all in one plane: shifts of the reported centres are added when tracks are made
-    return found
+    here, centres = _traced_or_not(joint_centres(body, body.rest))
+    scale = body.scale if here is jnp else float(body.scale)
+    waist = lambda name: here.asarray([0.0, _WAIST[0] * (1 if name[0] == "l" else -1), _WAIST[1]]) * scale  # noqa: E731
+    found = [centres[names.index(CENTRES[n])] if n in CENTRES else waist(n) for n in POINTS]
+    # all in one plane: shifts of the reported centres are added when tracks are made
+    return here.stack(found) * np.array([0.0, 1.0, 1.0]) + 0.0  # and no zero has a sign
 
 
-def flexible_body(body: Body, stature: float) -> FlexibleBody:
-    """The flexible body of a person of this stature (metres) with the proportions of `body`. Raises Unsuitable."""
-    scale = stature / float(body.scale)
-    rest = (rest_points(body) * scale).astype(np.float32)
+def _traced_or_not(value: Any) -> tuple[Any, Any]:
+    """What computes with a value, and the value: outside of programs NumPy, more exactly and without compiling."""
+    return (jnp, value) if isinstance(value, Tracer) else (np, np.asarray(value, np.float64))
+
+
+def flexible_body(body: Body, stature: Float[Any, ""] | float) -> FlexibleBody:
+    """The flexible body of a person of this stature (metres) with the proportions of `body`; who has other girths than
+    the built-in human has other radii, too. Differentiable. Raises Unsuitable."""
+    here, rest = _traced_or_not(rest_points(body))
+    rest = (rest * (stature / (body.scale if here is jnp else float(body.scale)))).astype(np.float32)
     # people hold their arms a little out when they stand (Hecht's relaxed state hangs straight down)
     ends = rest[ENDS]
     masses = np.full(16, _MASS_LIMB, np.float32)
     masses[[1, 2, 5, 8, 9, 10, 13]] = _MASS_TORSO
     masses[HEAD] = np.inf
+    thick, long = zip(*(_beside_human(body, limb) for limb in _LIMB_NAMES))
+    radii = np.array([_ARM_RADII] * 2 + [_LEG_RADII] * 2, np.float32) * here.stack(thick).reshape(4, 3, 2)
+    tips = np.array([_HAND, _HAND, _FOOT, _FOOT], np.float32) * here.stack(long[2::3])
+    trunk, skull = (_beside_human(body, limb)[0].mean() for limb in ("chest", "head"))
     return FlexibleBody(
         rest=jnp.asarray(rest),
-        lengths=jnp.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)),
+        lengths=jnp.asarray(here.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)),
         stiffness=jnp.asarray(np.array([s[2] for s in SPRINGS], np.float32)),
         masses=jnp.asarray(masses),
-        radii=jnp.asarray(np.array([_ARM_RADII] * 2 + [_LEG_RADII] * 2, np.float32) * stature),
-        tips=jnp.asarray(np.array([_HAND, _HAND, _FOOT, _FOOT], np.float32) * stature),
-        torso=jnp.asarray(np.array([0.055, 0.053], np.float32) * stature),
-        skull=jnp.asarray(np.array([0.052, 0.045], np.float32) * stature),
+        radii=jnp.asarray(radii * stature, jnp.float32),
+        tips=jnp.asarray(tips * stature, jnp.float32),
+        torso=jnp.asarray(np.array([0.055, 0.053], np.float32) * (trunk * stature), jnp.float32),
+        skull=jnp.asarray(np.array([0.052, 0.045], np.float32) * (skull * stature), jnp.float32),
         stature=jnp.asarray(stature, jnp.float32),
     )
+
+
+def _beside_human(body: Body, limb: str) -> tuple[Float[Any, "2"], Float[Any, ""]]:
+    """How thick a limb is at both ends, and how long, relative to the built-in human of that stature, of which the
+    radii here were measured; 1 for a limb that the body does not have."""
+    usual = load_on_host("human")
+    here, sizes = _traced_or_not(body.sizes)
+    if limb not in body.topology.limbs:
+        return here.ones(2, np.float32), here.ones((), np.float32)
+    own = sizes[body.topology.limbs.index(limb)] / (body.scale if here is jnp else float(body.scale))
+    usual = np.asarray(usual.sizes, np.float64)[usual.topology.limbs.index(limb)] / float(usual.scale)
+    share = (own / usual.astype(own.dtype)).astype(np.float32)
+    thick = here.stack([own[0] + own[1], own[2] + own[3]]) / np.array([usual[0] + usual[1], usual[2] + usual[3]])
+    return thick.astype(np.float32), share[4]
 
 
 def bone_lengths(body: FlexibleBody) -> Float[Array, "4 2"]:

@@ -188,7 +188,7 @@ def cloud_depth(
     share = max(float(np.isfinite(out).mean()), 1e-3)
     reach = int(np.clip(np.ceil(0.5 / np.sqrt(share)), 0, 4))
     if reach and share < 0.9:
-        filled = cv2.erode(out, np.ones((2 * reach + 1,) * 2, np.uint8))
+        filled = cv2.erode(out, np.ones((2 * reach + 1,) * 2, np.uint8), borderType=cv2.BORDER_REPLICATE)
         out = np.where(np.isfinite(out), out, filled)
     return np.where(np.isfinite(out), out, 0.0).astype(np.float32)
 

@@ -103,7 +103,7 @@ def _spans() -> dict[str, tuple[str, str | None, str, bool]]:
         out[f"{side}_forearm"] = f"{side}_elbow", f"{side}_wrist", "upper", True
         out[f"{side}_thigh"] = f"{side}_hip", f"{side}_knee", "lower", True
         out[f"{side}_shank"] = f"{side}_knee", f"{side}_ankle", "lower", True
-        out[f"{side}_hand"] = f"{side}_wrist", None, "upper", False
+        out[f"{side}_hand"] = f"{side}_wrist", f"{side}_elbow", "upper", False  # goes on from the forearm
         out[f"{side}_foot"] = f"{side}_ankle", None, "lower", False
     return out
 

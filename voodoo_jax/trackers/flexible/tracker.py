@@ -193,12 +193,30 @@ def track_frames(
         seen.features.close()
 
 
+class Followed(NamedTuple):
+    """What was found of a recording, for those who look closer than tracks do."""
+
+    tracks: Tracks
+    found: Seen | None  # of frames with features, from number `first` on; None: nobody
+    first: int
+    skin: SkinModel
+
+
 # 8 parameters: those of the program that it is
 def follow(
     body: Body, seen: Observed, settings: Settings, source: str, fixed_frame: str, notes: tuple[str, ...] = (),
     progress: Progress | None = None, began: float | None = None,
 ) -> Tracks:  # fmt: skip
     """Tracks of what was observed."""
+    return followed(body, seen, settings, source, fixed_frame, notes, progress, began).tracks
+
+
+# 8 parameters: those of `follow`
+def followed(
+    body: Body, seen: Observed, settings: Settings, source: str, fixed_frame: str, notes: tuple[str, ...] = (),
+    progress: Progress | None = None, began: float | None = None,
+) -> Followed:  # fmt: skip
+    """Tracks of what was observed, and what they were made of."""
     s, waited = settings.flexible, seconds_of_waiting()
     began = time.perf_counter() if began is None else began
     skin, first, begin = SkinModel(), 0, None
@@ -208,7 +226,7 @@ def follow(
             begin = find_start(seen.features[first], points, seen.scene.floor, skin, settings.start.scale)
             break
     if begin is None:
-        return _nobody(body, seen, source, fixed_frame, notes)
+        return Followed(_nobody(body, seen, source, fixed_frame, notes), None, first, skin)
     model = flexible_body(body, begin.stature)
     floor_up = seen.scene.floor.normal.astype(np.float32)
     x = first_pose(np.asarray(model.rest), begin, floor_up)
@@ -233,7 +251,8 @@ def follow(
             tracks, notes=(*tracks.notes, "No face was seen at the start: it was taken to be turned here.")
         )
     tracks = rated(tracks, found, seen.row[first:], s.lost_confidence)
-    return replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
+    tracks = replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
+    return Followed(tracks, found, first, skin)
 
 
 class Heads(NamedTuple):
@@ -265,22 +284,31 @@ def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: Flexibl
     return out
 
 
+def chosen_points(
+    seen: Observed, i: int, s: FlexibleSettings
+) -> tuple[Float32[np.ndarray, "point 3"], Float32[np.ndarray, " point"]]:
+    """The points on the person in a frame that are used, metres, and what each counts (0: there is none)."""
+    person = seen.people[i]
+    points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
+    good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
+    chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
+    points[: len(chosen)] = person.points[chosen]
+    share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
+    return points, share
+
+
 # 7 parameters: what a chunk of frames is made of
 def _inputs(
     seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int, skin: SkinModel
 ) -> Inputs:
     rows = []
     for k, i in enumerate(at):
-        f, person = seen.features[i], seen.people[i]
+        f = seen.features[i]
         bare = skin.on_person(f.colour) if s.skin_weight > 0 else np.zeros(f.depth.shape, np.uint8)
-        points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
-        good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
-        chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
-        points[: len(chosen)] = person.points[chosen]
-        share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
+        points, share = chosen_points(seen, i, s)
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
-            _view(f, bare), points, share, _at_points(bare, f, points) * share, heads.place[i],
+            _view(f, bare), points, share, at_points(bare, f, points) * share, heads.place[i],
             _number(float(heads.seen[i])), up, _number(min(dt, 0.2)), np.asarray(i, np.int32),
             _number(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
         ))  # fmt: skip
@@ -387,7 +415,7 @@ def smoothed(x: Float32[np.ndarray, "frame 16 3"], time_ns: np.ndarray) -> Float
     return gaussian_filter1d(x, sigma, axis=0, mode="nearest")
 
 
-def _at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point"]:
+def at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point"]:
     """What an image says at points, 0..1; 0 outside of it."""
     q = points @ f.turn.T + f.shift
     at = np.round(q[:, :2] / np.maximum(q[:, 2:], 0.1) * f.focal[:2] + f.focal[2:]).astype(int)

@@ -1,0 +1,370 @@
+"""Fits of a body's sizes with the flexible tracker, to images with depth.
+
+As in fitting.fit, half of a frame's points hold the pose and the other half judge the sizes; here the pose is what the
+refinement makes of the tracked one: points pull, springs and limits hold. Particles are held fixed: through drawing
+them anew there is no useful derivative (docs/flexible.md). Derivatives are taken forward, one tangent a parameter.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Float64
+
+from voodoo_jax.compile.xla_options import quickly
+from voodoo_jax.config.fit_options import FitSettings
+from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.opening import open_checked
+from voodoo_jax.detect.pipeline import build_of
+from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
+from voodoo_jax.fitting.frames import Truth, chosen_frames, news, read_truth, truth_at
+from voodoo_jax.fitting.gauss_newton import PARTS as LEFT_OUT
+from voodoo_jax.fitting.gauss_newton import FitError, Place, Step, covariance, height_off, run_search, spread
+from voodoo_jax.fitting.gauss_newton import undetermined as not_told
+from voodoo_jax.fitting.judge import is_size, judged_by, verdict_on
+from voodoo_jax.fitting.objective import FEW, JOINT_SD, PER_LIMB, POINT_SD, ROBUST, Objective
+from voodoo_jax.fitting.parameters import HEIGHT, Parameters, changed, parameters, usual_lengths
+from voodoo_jax.fitting.result import Fit
+from voodoo_jax.fitting.sizes import sizes_after
+from voodoo_jax.geometry.robust import geman_mcclure_root
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.records.recording import Recording
+from voodoo_jax.trackers.base import source_of, source_of_log, tracker_of
+from voodoo_jax.trackers.flexible.cylinders import PARTS, surface_distance
+from voodoo_jax.trackers.flexible.filters import clothed, refined
+from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS, FlexibleBody, flexible_body
+from voodoo_jax.trackers.flexible.poses import centres_of
+from voodoo_jax.trackers.flexible.tracker import (
+    Followed,
+    Observed,
+    at_points,
+    chosen_points,
+    followed,
+    numbers,
+    observe,
+)
+from voodoo_jax.trackers.flexible.vectors import vectors
+
+ROUNDS = 16  # of the refinement: twice those of tracking, for sizes change on the way; by hand
+SIZES = ("scale", "shape", "lengths", "radii", "anchors")  # what of a body the flexible one has
+_LIMBS = [f"{s}_{n}" for ns in (("upper_arm", "forearm", "hand"), ("thigh", "shank", "foot")) for s in "lr" for n in ns]
+PART_LIMBS = (*_LIMBS, "head", "chest", "pelvis")  # of the flexible body's parts the limbs of a person's body
+
+
+class FlexibleFrames(eqx.Module):
+    """Frames to fit to; leading axis: frame."""
+
+    x: Float[Array, "frame 16 3"]  # as tracked, metres
+    points: Float[Array, "frame point 3"]
+    solve: Float[Array, "frame point"]  # what each counts for the pose
+    held: Float[Array, "frame point"]  # what it counts as a judge: points do one of both
+    bare: Float[Array, "frame point"]  # how likely each is skin, 0..1
+    news: Float[Array, "frame part"]  # what the frame says of a part that no other frame says, 0..1
+    truth: Float[Array, "frame centre 3"] | None  # joint centres, metres
+    known: Bool[Array, "frame centre"] | None
+    shift: Float[Array, "frame centre 3"]  # from the point of its name to each joint centre, metres
+    floor: Float[Array, "frame 4"]  # normal upwards and offset, metres
+    weight: Float[Array, " frame"]  # 0: padding
+
+
+class Sums(NamedTuple):
+    """Of each frame half the squared deviations, and what a Gauss-Newton step needs."""
+
+    cost: Float[Array, " frame"]
+    slope: Float[Array, "frame free"]
+    curve: Float[Array, "frame free free"]
+
+
+def frame_residuals(
+    body: FlexibleBody, frame: FlexibleFrames, centres: tuple[str, ...], legs_apart: float, objective: Objective
+) -> Float[Array, " residual"]:
+    """Residuals of one frame (no leading axes) in standard deviations: of points held back, or true joint centres."""
+    x = refined(body, frame.x, frame.points, frame.solve, ROUNDS, legs_apart, frame.floor, frame.bare)
+    if objective == "truth":
+        assert frame.truth is not None and frame.known is not None
+        named = {centre: POINTS.index(point) for point, centre in CENTRES.items()}
+        at = x[np.array([named.get(centre, 0) for centre in centres])] + frame.shift
+        return (jnp.where(frame.known[:, None], at - frame.truth, 0.0) / JOINT_SD).reshape(-1)
+    off = surface_distance(body, x, vectors(frame.points))
+    best = jnp.argmin(jax.lax.stop_gradient(jnp.abs(off) + clothed(frame.bare)), 0)
+    off = jnp.take_along_axis(off, best[None], 0)[0]
+    count = jax.ops.segment_sum(frame.held, best, PARTS)
+    share = jnp.sqrt((PER_LIMB * frame.news / (count + FEW))[best] * frame.held)
+    return off * jnp.sqrt(geman_mcclure_root(off**2, ROBUST)) * share / POINT_SD
+
+
+# 6 parameters: those of the program that it is
+def _sums(body: Body, frames: FlexibleFrames, x, maps, legs_apart: float, objective: Objective) -> Sums:
+    free = Parameters((), np.zeros(0), maps, True)  # the names are not needed here
+
+    def one(frame: FlexibleFrames) -> Sums:
+        def residuals(x):
+            new = changed(body, free.changes(x))
+            r = frame_residuals(flexible_body(new, new.scale), frame, body.topology.centres, legs_apart, objective)
+            return r, r
+
+        by_x, r = jax.jacfwd(residuals, has_aux=True)(x)
+        r, by_x = frame.weight * r, frame.weight * by_x
+        return Sums(jnp.sum(r * r) / 2, r @ by_x, by_x.T @ by_x)
+
+    return jax.lax.map(one, frames)
+
+
+@cache
+def compiled_sums() -> Callable[..., Sums]:
+    return quickly(_sums)
+
+
+class FlexiblePart(NamedTuple):
+    """One recording in a fit."""
+
+    name: str
+    body: Body  # before the fit
+    frames: FlexibleFrames
+    person: int
+
+
+@dataclass(frozen=True)
+class FlexibleSearch:
+    """What is fitted to what; as gauss_newton.Search, which runs it."""
+
+    free: Parameters  # of one person
+    parts: tuple[FlexiblePart, ...]
+    objective: Objective
+    rows: tuple[np.ndarray, ...]
+    sd: Float64[np.ndarray, " all"]
+    centre: Float64[np.ndarray, " all"]
+    held: Bool[np.ndarray, " all"]
+    noise: float
+    legs_apart: float
+
+    def place(self, x: Float64[np.ndarray, " all"], starts: tuple[Any, ...] = ()) -> Place:
+        """The loss at x."""
+        loss, found = 0.5 * float(np.sum(((x - self.centre) / self.sd) ** 2)), []
+        maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
+        for part in self.parts:
+            here = jnp.asarray(x[self.rows[part.person]], jnp.float32)
+            sums = compiled_sums()(part.body, part.frames, here, maps, self.legs_apart, self.objective)
+            found.append(jax.tree.map(lambda a: np.asarray(a, np.float64), sums))
+            loss += self._share() * float(found[-1].cost.sum())
+            if self.objective == "held":
+                loss += 0.5 * self._height(x, part)[0] ** 2
+        if not np.isfinite(loss):
+            raise FitError("the sizes on the way are no body any more; fewer may be free (--free)")
+        good = tuple(np.ones(len(sums.cost), bool) for sums in found)
+        return Place(loss, good, tuple(sums.cost for sums in found), (), tuple(found))
+
+    def step(self, x: Float64[np.ndarray, " all"], here: Place, without: int = -1) -> Step:
+        """What a step from x needs; `without` one of the parts of every recording that spreads are found by."""
+        slope, curve = (x - self.centre) / self.sd**2, np.zeros((len(x), len(x)))
+        for part, sums in zip(self.parts, here.found):
+            rows, there = self.rows[part.person], np.arange(len(sums.cost)) * LEFT_OUT // len(sums.cost) != without
+            share = self._share() * len(there) / there.sum()
+            slope[rows] += share * sums.slope[there].sum(0)
+            curve[np.ix_(rows, rows)] += share * sums.curve[there].sum(0)
+            if self.objective == "held":
+                off, by_x = self._height(x, part)
+                slope[rows] += off * by_x
+                curve[np.ix_(rows, rows)] += np.outer(by_x, by_x)
+        return Step(slope, curve)
+
+    def gain(self, x: np.ndarray, other: np.ndarray, here: Place, there: Place) -> float:
+        """By how much the loss is smaller at `other`."""
+        return here.loss - there.loss
+
+    def body(self, x: Float64[np.ndarray, " all"], part: FlexiblePart) -> Body:
+        """A recording's body at x."""
+        return changed(part.body, self.free.changes(jnp.asarray(x[self.rows[part.person]], jnp.float32)))
+
+    def _share(self) -> float:
+        return (POINT_SD / self.noise) ** 2 if self.objective == "held" else 1.0
+
+    def _height(self, x: np.ndarray, part: FlexiblePart) -> tuple[float, np.ndarray]:
+        maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
+        off, slope = height_off(part.body, jnp.asarray(x[self.rows[part.person]], jnp.float32), maps)
+        return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
+
+
+class Watched(NamedTuple):
+    """One recording, tracked."""
+
+    name: str
+    fixed_frame: str
+    observed: Observed
+    followed: Followed
+
+
+# 7 parameters: what `fit` hands on
+def fit_flexible(
+    body: Body,
+    logs: Sequence[Any],
+    settings: Settings,
+    options: FitSettings,
+    truths: Sequence[Any] = (),
+    state: str | os.PathLike[str] | None = None,
+    say: Callable[[str, Progress | None], None] | None = None,
+) -> Fit:
+    """`fit` with the flexible tracker; arguments and errors as there."""
+    tell = say or (lambda what, progress: None)
+    if options.folds:
+        raise FitError("folds tune what the ICP tracker has: set tracker to icp, or leave folds out")
+    free = parameters(body, options.free, (), options.mirrored)
+    if others := [name for name in free.names if not name.startswith(SIZES)]:
+        raise FitError(f"the flexible tracker has no {others[0]}: fit it with the ICP tracker (tracker icp)")
+    known = [read_truth(t) if isinstance(t, (str, os.PathLike)) else t for t in truths] or [None] * len(logs)
+    with ExitStack() as opened:
+        seen = [watched(body, log, settings, opened, tell) for log in logs]
+        search = search_of(body, seen, settings, options, free, known)
+        progress, place = _searched(search, options, state, tell)
+        cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
+        stays = not_told(np.sqrt(np.diag(cov)), search.sd) | (np.abs(progress.x) < 2 * apart)
+        if stays.any():  # what the recordings do not tell stays, and the others are found anew beside it
+            progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
+            progress, _ = run_search(replace(search, held=stays), progress, progress.step + 4)
+        tell("judging", progress)
+        judged = []
+        for one, part, truth in zip(seen, search.parts, known):
+            new = part.body if stays.all() else search.body(progress.x, part)
+            before, after = (_again(one, body, settings) for body in (part.body, new))
+            judged.append(judged_by(before, after, part.person, truth))
+    sizes = is_size(free.names * len(search.rows)) & ~stays
+    usual = search.sd / options.looseness
+    verdict = verdict_on(judged, progress.x / usual, sizes, bool(truths), bool(stays.all()))
+    first = [next(p for p in search.parts if p.person == k) for k in range(len(search.rows))]
+    starts, fitted = tuple(p.body for p in first), tuple(search.body(progress.x, p) for p in first)
+    bodies = fitted if verdict.better else starts
+    tape = tuple(
+        sizes_after(p.body, free, progress.x[rows], cov[np.ix_(rows, rows)]) for p, rows in zip(first, search.rows)
+    )
+    names = tuple(n if len(first) == 1 else f"{n} ({k + 1})" for k in range(len(first)) for n in free.names)
+    return Fit(
+        bodies[0], bodies, fitted, starts, verdict, names, progress.x, np.sqrt(np.diag(cov)), apart, search.sd, stays,
+        tape, progress.losses, progress.done, tuple(judged), options, settings,
+    )  # fmt: skip
+
+
+def watched(
+    body: Body, log: Any, settings: Settings, opened: ExitStack, tell: Callable[[str, Progress | None], None]
+) -> Watched:
+    """A log tracked; its images wait on disk until `opened` is closed."""
+    if isinstance(log, Recording):
+        source, frames = source_of(log), iter(log)
+    else:
+        read = tracker_of(settings).reads(settings.read)
+        reader = open_checked(log, read, build_of(body, settings.start.scale), settings.detect)
+        source, frames = source_of_log(reader), reader.frames()
+    tell(f"tracking {Path(source.path).name}", None)
+    observed = observe(frames, source.up, body, settings, source.path)
+    opened.callback(observed.features.close)
+    found = followed(body, observed, settings, source.path, source.fixed_frame, source.notes())
+    if found.found is None:
+        raise FitError(f"{Path(source.path).name}: nobody was found; look at the log with voodoo-jax replay --picture")
+    return Watched(source.path, source.fixed_frame, observed, found)
+
+
+def _again(one: Watched, body: Body, settings: Settings):
+    """A recording tracked with a body of known size."""
+    known = replace(settings, start=replace(settings.start, scale=float(body.scale)))
+    return followed(body, one.observed, known, one.name, one.fixed_frame).tracks
+
+
+# 6 parameters: what `fit` hands on
+def search_of(
+    body: Body, seen: Sequence[Watched], settings: Settings, options: FitSettings, free: Parameters,
+    truths: Sequence[Truth | None],
+) -> FlexibleSearch:  # fmt: skip
+    """What is free, and well tracked frames to fit it to."""
+    persons = [0 if options.persons == "one" else k for k in range(len(seen))]
+    scale = {
+        k: np.median([float(s.followed.tracks.body.scale) for s, p in zip(seen, persons) if p == k]) for k in persons
+    }
+    parts = tuple(
+        FlexiblePart(Path(one.name).name, own, frames_of(one, own, settings, options, truth), person)
+        for one, person, truth in zip(seen, persons, truths)
+        for own in [scaled(body, float(scale[person]))]
+    )
+    count, size = len(scale), len(free.names)
+    rows = tuple(np.arange(size) + k * size for k in range(count))
+    sd = np.tile(free.sd * options.looseness, count)
+    centre = np.tile(usual_lengths(body, free), count)
+    s = settings.flexible
+    objective: Objective = "truth" if any(t is not None for t in truths) else "held"
+    return FlexibleSearch(
+        free, parts, objective, rows, sd, centre, np.zeros(len(sd), bool), options.noise, s.legs_apart - s.legs_cross
+    )  # fmt: skip
+
+
+def frames_of(
+    one: Watched, body: Body, settings: Settings, options: FitSettings, truth: Truth | None
+) -> FlexibleFrames:
+    """Well tracked frames of a recording, padded to `options.frames`, their points in two halves."""
+    tracks, found, first, skin = one.followed
+    observed, s = one.observed, replace(settings.flexible, points=2 * options.points)
+    assert found is not None
+    row, counts = observed.row, np.zeros(len(tracks.time_ns), int)
+    counts[row] = [len(p.points) for p in observed.people]
+    at = chosen_frames(tracks, counts, options.frames)
+    numbers_of = {int(r): k for k, r in enumerate(row)}
+    places = [numbers_of[int(r)] for r in at]
+    x = np.asarray(found.x, np.float32)[[k - first for k in places]]
+    points, share, bare, cameras = [], [], [], []
+    for k in places:
+        f = observed.features[k]
+        mine, counting = chosen_points(observed, k, s)
+        there = at_points(skin.on_person(f.colour), f, mine) if s.skin_weight > 0 else np.zeros(len(mine), np.float32)
+        for values, value in (
+            (points, mine),
+            (share, counting),
+            (bare, there * counting),
+            (cameras, -f.shift @ f.turn),
+        ):
+            values.append(value)
+    half = np.arange(s.points) % 2 == 0
+    shift = centres_of(body, x.astype(float), float(body.scale), np.stack(cameras).astype(float))
+    named = {centre: POINTS.index(point) for point, centre in CENTRES.items()}
+    shift -= x[:, [named.get(c, 0) for c in body.topology.centres]]
+    of_limb = news(tracks, np.stack(cameras), at, len(at))
+    order = [body.topology.limbs.index(n) if n in body.topology.limbs else -1 for n in PART_LIMBS]
+    of_part = np.where(np.array(order) < 0, 1.0, of_limb[:, order])
+    joints = None if truth is None else truth_at(truth, tracks.time_ns[at].tolist(), body.topology, len(at))
+    floor = np.broadcast_to(np.asarray(numbers(s, observed.scene.floor).floor), (len(at), 4))
+
+    def padded(a: np.ndarray) -> Array:
+        whole = np.concatenate([a, np.repeat(a[-1:], options.frames - len(a), 0)])
+        return jnp.asarray(whole if whole.dtype == bool else whole.astype(np.float32))
+
+    return FlexibleFrames(
+        padded(x), padded(np.stack(points)), padded(np.stack(share) * half), padded(np.stack(share) * ~half),
+        padded(np.stack(bare)), padded(of_part), None if joints is None else padded(np.nan_to_num(joints)),
+        None if joints is None else padded(np.asarray(np.isfinite(joints).all(-1))), padded(np.nan_to_num(shift)),
+        padded(floor),
+        jnp.asarray(np.arange(options.frames) < len(at), jnp.float32),
+    )  # fmt: skip
+
+
+def _searched(
+    search: FlexibleSearch, options: FitSettings, state: str | os.PathLike[str] | None,
+    tell: Callable[[str, Progress | None], None],
+) -> tuple[Progress, Place]:  # fmt: skip
+    """The search, saved in `state` after each step and gone on with from there."""
+    told = [repr(replace(options, iterations=0)).encode(), "\n".join(search.free.names).encode()]
+    arrays = [np.asarray(v).tobytes() for p in search.parts for v in jax.tree.leaves((p.body, p.frames))]
+    mark = hashlib.sha256(b"".join([*arrays, *told])).hexdigest()
+    progress = (load_progress(state, mark) if state is not None else None) or Progress(np.zeros(len(search.sd)))
+    tell("fitting", progress)
+
+    def step_done(now: Progress) -> None:
+        if state is not None:
+            save_progress(now, state, mark)
+        tell("fitting", now)
+
+    return run_search(search, progress, options.iterations, step_done)
