@@ -14,11 +14,12 @@ from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
-from voodoo_jax.fitting.fit import fit
+from voodoo_jax.fitting.fit import fit, untold
 from voodoo_jax.fitting.folds import check_common, folds_of, with_bands
 from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
 from voodoo_jax.fitting.gauss_newton import FitError, undetermined
 from voodoo_jax.fitting.judge import ERROR, Judged, verdict_on
+from voodoo_jax.fitting.objective import as_distances
 from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths
 from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.fitting.tuned_options import tuned_settings
@@ -401,6 +402,23 @@ def test_bands_found_on_one_body_are_another_ones():
     np.testing.assert_allclose(axis / other.axes[t.joints.index("waist")], [1.5, 1.0], rtol=1e-5)
     np.testing.assert_array_equal(moved.axes == 0, other.axes == 0)
     np.testing.assert_array_equal(moved.sizes, other.sizes)
+
+
+def test_what_recordings_do_not_tell_stays_if_it_is_a_size():
+    """Bands and weights are kept as found, however little is told: where the fit began is no better known."""
+    names = ("lengths.thigh", "radii.chest.top", "lengths.shank", "bands.waist.weight", "features.face.weight")
+    found, prior = np.full(5, 0.1), np.full(5, 0.1)
+    sd = np.array([0.01, 0.099, 0.01, 0.099, 0.099])  # of the second, fourth and fifth hardly anything is told
+    apart = np.array([0.04, 0.01, 0.06, 0.06, 0.01])  # the third and fourth differ between parts of the recordings
+    assert untold(names, found, sd, prior, apart).tolist() == [False, True, True, False, False]
+
+
+def test_joints_far_off_count_by_their_distance():
+    gap = jnp.array([[0.001, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, -0.2], [0.0, 0.0, 0.0]])
+    cost = np.asarray(jnp.sum(as_distances(gap) ** 2, -1))
+    assert cost[0] == pytest.approx(1e-6, rel=0.01) and cost[3] == 0
+    assert cost[2] / cost[1] == pytest.approx(2.0, rel=0.12)  # of squares it were four times
+    assert np.isfinite(jax.jacfwd(as_distances)(gap)).all()
 
 
 def test_folds_are_for_what_people_have_in_common():

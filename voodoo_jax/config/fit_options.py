@@ -58,7 +58,7 @@ class FitSettings:
     """How far a person's surface is from the body's cylinders (standard deviation, metres); smaller trusts the log more
     and the priors less. The default is what lengths of rendered people of known sizes ask for (experiments/fit)."""
     looseness: float = 1.0
-    """Widens all priors by this factor."""
+    """Widens all priors by this factor; with folds, where logs left out judge, by four times as much."""
     stiffness: float = 20.0
     """How many times stiffer than in tracking the bands are while sizes are fitted: soft ones give way to a wrong
     length, so that the points hardly tell. 1 where bands or solve are free."""

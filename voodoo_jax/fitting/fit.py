@@ -234,11 +234,29 @@ def searched(
         parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
         search, progress = replace(search, parts=parts), replace(progress, done=False)
     # what the recordings do not tell stays, and the others are found anew beside it
-    stays = undetermined(np.sqrt(np.diag(cov)), search.sd) | (np.abs(progress.x) < SURE * apart)
+    stays = untold(_all_names(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
     if stays.any():
         progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
         progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
     return Found(search, progress, cov, apart, stays)
+
+
+def untold(
+    names: tuple[str, ...],
+    x: Float64[np.ndarray, " all"],
+    sd: Float64[np.ndarray, " all"],
+    prior: Float64[np.ndarray, " all"],
+    apart: Float64[np.ndarray, " all"],
+) -> Bool[np.ndarray, " all"]:
+    """Which sizes the recordings do not tell: they stay as they were.
+
+    Bands and settings never do. They have no true value that the start might be near to: what is found is held by the
+    priors and judged by tracking with it.
+
+    **Arguments:** `x` what was found, `sd` its deviations, `prior` those of the priors, `apart` by how much it differs
+    between parts of the recordings.
+    """
+    return is_size(names) & (undetermined(sd, prior) | (np.abs(x) < SURE * apart))
 
 
 def _stiff(search: Search, options: FitSettings) -> Search:

@@ -19,17 +19,7 @@ from jaxtyping import Array, Bool, Float64
 
 from voodoo_jax.compile.xla_options import quickly
 from voodoo_jax.fitting.checkpoint import Progress
-from voodoo_jax.fitting.objective import (
-    JOINT_SD,
-    PER_LIMB,
-    POINT_SD,
-    FitFrames,
-    Normals,
-    Objective,
-    Placed,
-    normals,
-    placed,
-)
+from voodoo_jax.fitting.objective import POINT_SD, FitFrames, Normals, Objective, Placed, normals, placed
 from voodoo_jax.fitting.parameters import HEIGHT, Changes, Parameters, changed, height_of, height_ratio
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
@@ -131,12 +121,6 @@ class Search:
     held: Bool[np.ndarray, " all"]  # what stays where it is: the recordings do not tell
     noise: float = POINT_SD  # standard deviation of a point, metres
     features: tuple[str, ...] = ()  # names of the measured features
-
-    def unit(self, part: Part) -> float:
-        """Root mean square distance, metres, where a frame's squared deviations add up to one."""
-        if self.objective == "truth" and part.frames.known is not None:
-            return JOINT_SD / float(np.sqrt(np.asarray(part.frames.known).sum(1).mean()))
-        return POINT_SD / float(np.sqrt(PER_LIMB * part.body.limb_count))
 
     def height(self, x: Float64[np.ndarray, " all"], part: Part) -> tuple[float, Float64[np.ndarray, " free"]]:
         """How far a recording's body is from the height that was measured, in standard deviations, and its slope."""

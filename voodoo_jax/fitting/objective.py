@@ -30,6 +30,7 @@ POINT_SD, PER_LIMB = 0.02, 1.0  # metres; independent measurements of each limb 
 FEW = 10.0  # points of a limb with which it counts half
 RAY_SD = 0.03  # metres: a detector's point from the body's, across the line of sight
 JOINT_SD = 0.03  # metres: tracked joints from the truth
+JOINT_NEAR = 0.01  # metres, by hand: below it a joint's squared distance counts, beyond it the distance
 NEWTON = 3  # Newton steps after the ICP steps; with fewer a third of the frames is not at rest
 SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) count nothing
 ROBUST = 0.06  # metres at which a residual begins to count less
@@ -73,8 +74,8 @@ def frame_residuals(
     """
     if objective == "truth":
         assert frame.truth is not None and frame.known is not None
-        gap = jnp.where(frame.known[:, None], joint_centres(body, poses) - frame.truth, 0.0) / JOINT_SD
-        return gap.reshape(-1)
+        gap = jnp.where(frame.known[:, None], joint_centres(body, poses) - frame.truth, 0.0)
+        return (as_distances(gap) / JOINT_SD).reshape(-1)
     parts = [_point_residuals(body, options, frame, poses)]
     if frame.held_features is not None:
         parts.append(_ray_residuals(body, frame.held_features, poses))
@@ -84,6 +85,15 @@ def frame_residuals(
 def _robust(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
     """Vectors whose square is Geman and McClure's loss of the given ones."""
     return gap * jnp.sqrt(geman_mcclure_root(jnp.sum(gap * gap, -1, keepdims=True), scale))
+
+
+def as_distances(gap: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Vectors whose squares grow as the lengths of the given ones do beyond JOINT_NEAR (pseudo-Huber).
+
+    Tracks are judged by the mean distance of joints; of squares one limb that is lost for some frames would be most.
+    """
+    over = jnp.sum(gap * gap, -1, keepdims=True) / JOINT_NEAR**2
+    return gap * jnp.sqrt(2 / (1 + jnp.sqrt(1 + over)))
 
 
 def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: Poses) -> Float[Array, " residual"]:
