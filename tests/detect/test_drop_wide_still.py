@@ -8,16 +8,18 @@ import pytest
 
 from tests.support.rooms import FLOOR
 from tests.support.still_things import block, sway, table, watched
-from voodoo_jax.detect.drop_wide_still import NOTHING, DropWideStill
+from voodoo_jax.detect.drop_wide_still import DropWideStill
 from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.records.scene import Scene
 
 PERSON = block(0.45, 0.76, 1.75)
 
 
-def left(frames, beside: np.ndarray = NOTHING) -> np.ndarray:
+def left(frames, *beside: np.ndarray) -> np.ndarray:
     """[frame] How many points are left; `beside` those that were seen beside the body."""
-    finder = SimpleNamespace(scene=Scene(FLOOR, (), True), beside=lambda: beside.astype(np.float32))
+    finder = SimpleNamespace(
+        scene=Scene(FLOOR, (), True), beside=lambda: np.concatenate([np.zeros((0, 3)), *beside]).astype(np.float32)
+    )
     target: Any = SimpleNamespace(finder=finder, settings=None, stillness=Stillness())
     return np.array([len(f.points) for f in DropWideStill()(iter(frames), target)])
 

@@ -200,7 +200,7 @@ def test_weights_per_source(tmp_path):
     assert "read.weights does not count here: the log has no topic '/gone'." in recording.notes
     assert "read.weights does not count here: '/tf_static' is transforms." in recording.notes
     found = uses(path, settings)
-    assert found["/cloud"] == "point cloud, weight 0.25" and found["/cam2/found"] == "rays, weight 3"
+    assert found["/cloud"] == "point cloud, weight 0.25" and found["/cam2/found"] == "2D features, weight 3"
     some = read_log(path, ReadSettings(weights=("/marker=2",))).frames[0]
     assert some.weight is None and some.rays.weights is None and some.pairs.weights is not None
 

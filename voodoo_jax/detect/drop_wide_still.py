@@ -19,7 +19,6 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components
 from voodoo_jax.records.observation import BodyObservation
 
-NOTHING = np.zeros((0, 3), np.float32)
 STRAYS = 5  # percent of a top's points at each of its ends that may be of something else; by hand
 
 
@@ -68,7 +67,7 @@ class DropWideStill:
         frames: list[BodyObservation],
         floor: Plane,
         stillness: Stillness,
-        beside: Float32[np.ndarray, "beside 3"] = NOTHING,
+        beside: Float32[np.ndarray, "beside 3"] | None = None,
     ) -> list[BodyObservation]:
         """The frames without such things; the same frames if there are none.
 
@@ -83,7 +82,8 @@ class DropWideStill:
             return frames
         still = np.flatnonzero((found.often >= self.often) & (found.ratio >= NOISE))
         place = found.place[still].astype(np.float32)
-        tops = [*self._tops(place, floor), *self._tops(beside, floor, self.dense)]
+        tops = self._tops(place, floor)
+        tops += [] if beside is None else self._tops(beside, floor, self.dense)
         drop = np.zeros(len(found.ratio), bool)
         drop[still[self._wide(place, floor)]] = True
         for top in tops:

@@ -23,7 +23,7 @@ WIDE = 0.33  # of its height: what is not even so wide is one; by hand
 # metres: shoulders are broader than a head is, and so broad at least, also from the side; of the body's height below
 # its top: where they are (0.18 in ANSUR II, where nobody lifts them); by hand
 BROADER, SHOULDERS, BELOW = 1.25, 0.26, (0.16, 0.26)
-BESIDE = 0.35  # metres, level: what is so near to the middle of a head may be its shoulders; half of 0.45 and an arm
+BESIDE = 0.35  # metres, level: what is so near to the middle of a head may be its shoulders and upper arms; by hand
 MOST = 4.5  # metres: what is wider is a room; by hand
 
 
