@@ -47,10 +47,10 @@ def test_nothing_goes_where_nobody_moves_or_for_a_moment(rng):
     assert (left(frames) == [len(f.points) for f in frames]).all()
 
 
-@pytest.mark.parametrize("why", ["", "narrow", "high", "few points", "a slice of something high"])
+@pytest.mark.parametrize("why", ["", "narrow", "high", "few points", "a slice of something high", "the floor"])
 def test_the_middle_of_a_counter_goes_where_its_sides_were_seen(rng, why):
     """Something moves behind it, so that it is not known to be at rest, and it is no wider than the body."""
-    top = table(1.8, 0.9)
+    top = table(1.8, 0.05 if why == "the floor" else 0.9)
     middle = top[np.abs(top[:, 1]) < 0.25]
     sides = top[np.abs(top[:, 1]) > 0.25]
     beside = {

@@ -51,6 +51,7 @@ class DropWideStill:
     # of tops that were seen beside the body:
     dense: float = 0.07  # of the points seen beside the body: so many are on a top
     bare: float = 0.3  # of its points: so many there may be above it, or it is a slice of something high
+    lowest: float = 0.3  # metres: of a bench's top; what is lower is the floor, with its noise
     highest: float = 1.3  # metres: of a counter's top
     thick: float = 0.03  # metres from its height: what lies there, too, is on it
     margin: float = 0.15  # metres beyond its outline: its edges are seen in part, and together with others
@@ -127,8 +128,9 @@ class DropWideStill:
         found: list[Top] = []
         for k in np.argsort(-slab.sum(1), kind="stable"):
             mine = level[slab[k]]
-            few = len(mine) < max(3, dense * len(place)) or (dense and height[k] > self.highest)
-            if few or any(abs(height[k] - top.height) < 2 * self.thick for top in found):
+            few = len(mine) < max(3, dense * len(place))
+            other = dense and not self.lowest < height[k] < self.highest
+            if few or other or any(abs(height[k] - top.height) < 2 * self.thick for top in found):
                 continue
             middle = mine.mean(0)
             axes = np.linalg.svd(mine - middle, full_matrices=False)[2][:2]
