@@ -13,6 +13,7 @@ import tyro
 
 import voodoo_jax as vj
 from experiments.common import table, write
+from voodoo_jax.io.convert.markers import listed
 from voodoo_jax.io.convert.sources import convert
 from voodoo_jax.io.convert.target import START_NS
 from voodoo_jax.records.tracks import Tracks
@@ -26,9 +27,7 @@ def centres(path: Path) -> tuple[float, dict[str, np.ndarray]]:
     not."""
     file = ezc3d.c3d(str(path))
     point = file["parameters"]["POINT"]
-    names = [
-        n.rpartition(":")[2] for k in sorted(k for k in point if k.startswith("LABELS")) for n in point[k]["value"]
-    ]
+    names = [name.rpartition(":")[2] for name in listed(point, "LABELS")]
     places = np.asarray(file["data"]["points"][:3], float).transpose(2, 1, 0) / 1000
     places[(places == 0).all(2)] = np.nan
     sides = ((end, joint, side) for end, joint in ENDS.items() for side in "LR")

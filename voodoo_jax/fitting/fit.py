@@ -18,7 +18,17 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.custom_loss import minimised
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
-from voodoo_jax.fitting.gauss_newton import FitError, Part, Search, covariance, run_search, spread, undetermined
+from voodoo_jax.fitting.gauss_newton import (
+    FEW_MORE,
+    SURE,
+    FitError,
+    Part,
+    Search,
+    covariance,
+    run_search,
+    spread,
+    undetermined,
+)
 from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, verdict_on
 from voodoo_jax.fitting.objective import UserLoss
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
@@ -33,11 +43,9 @@ from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.scan import options_from
 
 SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
-SURE = 2.0  # a size that moved by less than so many of its spreads between parts of the recordings stays
 # Bands are so many times stiffer than in tracking where points judge sizes: tracks with lengths 8 % too long and with
 # the usual ones then differ beyond noise in 16 of 18 recordings, in 15 with the bands of tracking (experiments/fit).
 JUDGED = 4.0
-FEW_MORE = 4  # steps beside what stays
 MOVED = 0.2  # deviations of what was found: a round that changes nothing by more is the last
 
 

@@ -27,12 +27,22 @@ from voodoo_jax.detect.opening import open_checked
 from voodoo_jax.detect.pipeline import build_of
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.frames import Truth, chosen_frames, news, read_truth, truth_at
+from voodoo_jax.fitting.gauss_newton import (
+    FEW_MORE,
+    SURE,
+    FitError,
+    Place,
+    Step,
+    covariance,
+    height_misfit,
+    run_search,
+    spread,
+)
 from voodoo_jax.fitting.gauss_newton import PARTS as LEFT_OUT
-from voodoo_jax.fitting.gauss_newton import FitError, Place, Step, covariance, height_off, run_search, spread
 from voodoo_jax.fitting.gauss_newton import undetermined as not_told
 from voodoo_jax.fitting.judge import is_size, judged_by, verdict_on
 from voodoo_jax.fitting.objective import FEW, JOINT_SD, PER_LIMB, POINT_SD, ROBUST, Objective
-from voodoo_jax.fitting.parameters import HEIGHT, Parameters, changed, parameters, usual_lengths
+from voodoo_jax.fitting.parameters import Parameters, changed, parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.geometry.robust import geman_mcclure_root
@@ -157,7 +167,7 @@ class FlexibleSearch:
             found.append(jax.tree.map(lambda a: np.asarray(a, np.float64), sums))
             loss += self._share() * float(found[-1].cost.sum())
             if self.objective == "held":
-                loss += 0.5 * self._height(x, part)[0] ** 2
+                loss += 0.5 * height_misfit(part.body, self.free, x[self.rows[part.person]])[0] ** 2
         if not np.isfinite(loss):
             raise FitError("the sizes on the way are no body any more; fewer may be free (--free)")
         good = tuple(np.ones(len(sums.cost), bool) for sums in found)
@@ -172,7 +182,7 @@ class FlexibleSearch:
             slope[rows] += share * sums.slope[there].sum(0)
             curve[np.ix_(rows, rows)] += share * sums.curve[there].sum(0)
             if self.objective == "held":
-                off, by_x = self._height(x, part)
+                off, by_x = height_misfit(part.body, self.free, x[rows])
                 slope[rows] += off * by_x
                 curve[np.ix_(rows, rows)] += np.outer(by_x, by_x)
         return Step(slope, curve)
@@ -187,11 +197,6 @@ class FlexibleSearch:
 
     def _share(self) -> float:
         return (POINT_SD / self.noise) ** 2 if self.objective == "held" else 1.0
-
-    def _height(self, x: np.ndarray, part: FlexiblePart) -> tuple[float, np.ndarray]:
-        maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
-        off, slope = height_off(part.body, jnp.asarray(x[self.rows[part.person]], jnp.float32), maps)
-        return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
 
 
 class Watched(NamedTuple):
@@ -226,10 +231,10 @@ def fit_flexible(
         search = search_of(body, seen, settings, options, free, known)
         progress, place = _searched(search, options, state, tell)
         cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
-        stays = not_told(np.sqrt(np.diag(cov)), search.sd) | (np.abs(progress.x) < 2 * apart)
+        stays = not_told(np.sqrt(np.diag(cov)), search.sd) | (np.abs(progress.x) < SURE * apart)
         if stays.any():  # what the recordings do not tell stays, and the others are found anew beside it
             progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
-            progress, _ = run_search(replace(search, held=stays), progress, progress.step + 4)
+            progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE)
         tell("judging", progress)
         judged = []
         for one, part, truth in zip(seen, search.parts, known):

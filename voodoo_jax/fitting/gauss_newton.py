@@ -27,6 +27,8 @@ from voodoo_jax.solve.frame import IcpOptions
 from voodoo_jax.solve.implicit import Rest
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
+SURE = 2.0  # a size that moved by less than so many of its spreads between parts of the recordings stays
+FEW_MORE = 4  # steps beside what stays
 PARTS = 4  # parts of a recording that the spread of the sizes is looked at over
 KNOWN = 0.1  # information of the data over that of data and prior: with less a size is not determined
 FEWEST = 6  # frames of a log that must be at rest
@@ -100,11 +102,20 @@ def compiled_normals() -> Callable[..., Normals]:
 
 
 @eqx.filter_jit
-def height_off(body: Body, x, maps) -> tuple[Array, Array]:
+def _height_off(body: Body, x, maps) -> tuple[Array, Array]:
     """Logarithm of the changed body's height over what was measured, and its derivative."""
     free = Parameters((), np.zeros(0), maps, True)
     measured = height_ratio(body) * body.scale
     return jax.value_and_grad(lambda x: jnp.log(height_of(changed(body, free.changes(x))) / measured))(x)
+
+
+def height_misfit(
+    body: Body, free: Parameters, x: Float64[np.ndarray, " free"]
+) -> tuple[float, Float64[np.ndarray, " free"]]:
+    """How far a body changed by x is from the height that was measured, in standard deviations, and its slope."""
+    maps = tuple(jnp.asarray(m, jnp.float32) for m in free.maps)
+    off, slope = _height_off(body, jnp.asarray(x, jnp.float32), maps)
+    return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
 
 
 @dataclass(frozen=True)
@@ -123,10 +134,8 @@ class Search:
     features: tuple[str, ...] = ()  # names of the measured features
 
     def height(self, x: Float64[np.ndarray, " all"], part: Part) -> tuple[float, Float64[np.ndarray, " free"]]:
-        """How far a recording's body is from the height that was measured, in standard deviations, and its slope."""
-        maps = tuple(jnp.asarray(m, jnp.float32) for m in self.free.maps)
-        off, slope = height_off(part.body, jnp.asarray(x[self.rows[part.person]], jnp.float32), maps)
-        return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT
+        """That of a recording's body at x, see height_misfit."""
+        return height_misfit(part.body, self.free, x[self.rows[part.person]])
 
     def _prior(self, x: Float64[np.ndarray, " all"]) -> float:
         return 0.5 * float(np.sum(((x - self.centre) / self.sd) ** 2))

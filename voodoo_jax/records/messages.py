@@ -11,10 +11,8 @@ from jaxtyping import Float, Int64
 from voodoo_jax.records.notes import plain_name
 
 DEPTH_ENCODINGS = {"16UC1": ("u2", 0.001), "MONO16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # pixels, metres per unit
-RAYS, PAIRS = (
-    "2D features",
-    "named points",
-)  # what topics of Features are used as: lines of sight, and markers and the like
+# what topics of Features are used as: lines of sight, and markers and the like
+RAYS, PAIRS = "2D features", "named points"
 
 
 @dataclass(frozen=True)

@@ -36,22 +36,20 @@ def write_simulation(simulation: Simulation, path: str | os.PathLike[str], forma
     FrameTransform on /tf. Depth in millimetres. Truth: time_ns [frame], joints [frame, centre, 3] metres, names, dims
     (JSON, metres). Files appear under their names only when complete. Raises OSError, ValueError for another format.
     """
-    if format not in ("ros2", "foxglove"):
-        raise ValueError(f"format is 'ros2' or 'foxglove', not '{format}'")
-    path = Path(path)
-    fill = _ros2 if format == "ros2" else _foxglove
-    _replace(path, lambda stream: fill(simulation, stream))
-    _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: _save_truth(simulation, stream))
-    return path
+    return _write(simulation, path, format, {"ros2": _ros2, "foxglove": _foxglove})
 
 
 def write_colour(simulation: ColourSimulation, path: str | os.PathLike[str], format: str = "ros2") -> Path:
     """As `write_simulation`, with JPEG images: of a pair on /stereo/left/image/compressed and /stereo/right/..., of one
     camera on /colour/image/compressed; camera_info beside each, depth as there."""
-    if format not in ("ros2", "foxglove"):
+    return _write(simulation, path, format, {"ros2": _ros2_colour, "foxglove": _foxglove_colour})
+
+
+def _write(simulation: Any, path: str | os.PathLike[str], format: str, fills: dict[str, Callable[..., None]]) -> Path:
+    """The log, by that of the functions that writes the format, and the truth beside it."""
+    if format not in fills:
         raise ValueError(f"format is 'ros2' or 'foxglove', not '{format}'")
-    path = Path(path)
-    fill = _ros2_colour if format == "ros2" else _foxglove_colour
+    path, fill = Path(path), fills[format]
     _replace(path, lambda stream: fill(simulation, stream))
     _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: _save_truth(simulation, stream))
     return path

@@ -42,7 +42,7 @@ def convert_c3d(source: Path, target: Path) -> list[str]:
         notes.append(
             f"{left_out} outputs of a model were left out (angles, forces, axes of bones): they are no markers"
         )
-    unit = next(iter(_listed(point, "UNITS")), "")
+    unit = next(iter(listed(point, "UNITS")), "")
     if not unit:
         unit = _unit_by_size(points, source)
         notes.append(f"'{source}' names no unit: by the size of what was recorded it is {unit}")
@@ -56,7 +56,7 @@ def convert_c3d(source: Path, target: Path) -> list[str]:
     return notes
 
 
-def _listed(point: dict[str, Any], key: str) -> list[str]:
+def listed(point: dict[str, Any], key: str) -> list[str]:
     """A parameter of the group POINT and what goes on in `key`2, `key`3, ...: each of these holds 255 names."""
     parts = {int(found[1] or 1): k for k in point if (found := re.fullmatch(f"{key}(\\d*)", k))}
     return [str(name).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
@@ -64,7 +64,7 @@ def _listed(point: dict[str, Any], key: str) -> list[str]:
 
 def _names(point: dict[str, Any]) -> list[str]:
     """Of all points. Names of four letters may stand for several points: those are named by their description."""
-    names, described = _listed(point, "LABELS"), _listed(point, "DESCRIPTIONS")
+    names, described = listed(point, "LABELS"), listed(point, "DESCRIPTIONS")
     often, told = Counter(names), Counter(described)
     described += [""] * (len(names) - len(described))
     return [d if often[n] > 1 and d and told[d] == 1 else n for n, d in zip(names, described)]
@@ -73,11 +73,11 @@ def _names(point: dict[str, Any]) -> list[str]:
 def _computed(point: dict[str, Any], names: list[str]) -> set[str]:
     """What stands among the points and is none: what Vicon's software lists under the name of a quantity, and its
     bones, of which each is four points, the origin and an end of each axis: LFEO, LFEA, LFEL, LFEP."""
-    quantities = _listed(point, "TYPE_GROUPS")[::2] or list(QUANTITIES)
-    listed = {name for key in quantities if key not in PLACES for name in _listed(point, key)}
+    quantities = listed(point, "TYPE_GROUPS")[::2] or list(QUANTITIES)
+    told = {name for key in quantities if key not in PLACES for name in listed(point, key)}
     ends = Counter(name[:-1] for name in {*names} if re.fullmatch(r"(.*:)?[A-Z]{3}[OALP]", name))
     bones = {bone + end for bone, count in ends.items() if count == 4 for end in "OALP"}
-    return listed | bones
+    return told | bones
 
 
 def _unit_by_size(points: np.ndarray, source: Path) -> str:
