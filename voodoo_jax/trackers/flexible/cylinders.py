@@ -81,7 +81,7 @@ def _patch(corners: list[Vector], span: tuple[float, float], q: Vector) -> tuple
 
 
 def _carriers() -> np.ndarray:
-    out = np.zeros((PARTS, 4), int)
+    out = np.zeros((PARTS, 4), np.int32)
     for limb, (root, middle, end) in enumerate(LIMBS):
         out[3 * limb : 3 * limb + 3, :2] = (root, middle), (middle, end), (middle, end)
     out[12, :2], out[13], out[14] = (NECK, HEAD), UPPER, LOWER

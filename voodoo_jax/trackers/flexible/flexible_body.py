@@ -21,13 +21,14 @@ POINTS = (
     "l_hip", "l_knee", "l_ankle", "r_hip", "r_knee", "r_ankle",
 )  # fmt: skip
 HEAD, NECK = 0, 1  # the paper's points, as are those below
+# tables of indices are int32 whatever the mode: in float64's, JAX would look NumPy's int64 up as both, and failed once
 LIMBS = np.array(
-    [[2, 3, 4], [5, 6, 7], [10, 11, 12], [13, 14, 15]]
+    [[2, 3, 4], [5, 6, 7], [10, 11, 12], [13, 14, 15]], np.int32
 )  # the paper's four filters: left and right arm, left and right leg
 SIDE = np.array([1.0, -1.0, 1.0, -1.0])  # +1: left, in the order of the paper's filters above
 IS_ARM = np.array([True, True, False, False])
 OTHER_SIDE = np.array(
-    [0, 1, 5, 6, 7, 2, 3, 4, 9, 8, 13, 14, 15, 10, 11, 12]
+    [0, 1, 5, 6, 7, 2, 3, 4, 9, 8, 13, 14, 15, 10, 11, 12], np.int32
 )  # of each of the paper's points, that of the other side
 UPPER = (2, 5, 8, 9)  # corners of the paper's upper torso part: left and right shoulder, left and right waist
 LOWER = (8, 9, 10, 13)  # of the paper's lower torso part: left and right waist, left and right hip
@@ -95,7 +96,7 @@ def _colour() -> Colouring:
                 break
         else:
             groups.append([number])
-    partner, spring = np.tile(np.arange(16), (len(groups), 1)), np.zeros((len(groups), 16), int)
+    partner, spring = np.tile(np.arange(16, dtype=np.int32), (len(groups), 1)), np.zeros((len(groups), 16), np.int32)
     for g, group in enumerate(groups):
         for number in group:
             i, j, _ = SPRINGS[number]
@@ -104,7 +105,7 @@ def _colour() -> Colouring:
 
 
 COLOURING = _colour()
-ENDS = np.array([s[:2] for s in SPRINGS])  # points of the paper's 24 springs
+ENDS = np.array([s[:2] for s in SPRINGS], np.int32)  # points of the paper's 24 springs
 
 
 def rest_points(body: Body) -> Float[Any, "16 3"]:

@@ -151,7 +151,7 @@ class LimbSpace(NamedTuple):
 
 
 def _anchor_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    points, springs, used = np.zeros((4, 5), int), np.zeros((4, 5), int), np.zeros((4, 5), np.float32)
+    points, springs, used = np.zeros((4, 5), np.int32), np.zeros((4, 5), np.int32), np.zeros((4, 5), np.float32)
     for limb, (root, middle, _) in enumerate(LIMBS):
         mine = [(n, s) for n, s in enumerate(SPRINGS) if root in s[:2] and middle not in s[:2]]
         for slot, (number, (i, j, _)) in enumerate(mine):
@@ -262,7 +262,7 @@ def _apart(p: Vector, free: Float[Array, " #limb"], space: LimbSpace) -> Vector:
 
 def _put(x: Vector, rows: np.ndarray, new: Vector) -> Vector:
     """With points at these numbers replaced: as a choice, for XLA writes few numbers slowly."""
-    order = np.arange(16)
+    order = np.arange(16, dtype=np.int32)
     order[rows.ravel()] = 16 + np.arange(rows.size)
     return Vector(jnp.concatenate([x.v, new.v.reshape(3, -1)], 1)[:, order])
 
