@@ -6,6 +6,7 @@ from dataclasses import replace
 from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.delays import offsets
+from voodoo_jax.detect.smeared_edges import without_smeared_edges
 from voodoo_jax.detect.units import with_units
 from voodoo_jax.io.container import LogFile, Place
 from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
@@ -20,17 +21,18 @@ def open_checked(
     build: Build = PERSON,
     detect: DetectSettings | None = None,
 ) -> LogReader:
-    """A log as `io.log_reader.open_log` gives it, its units checked by what the first messages show.
+    """A log as `io.log_reader.open_log` gives it, its units checked by what the first messages show, without what lies
+    in smeared edges.
 
     **Arguments:** `build` how large the body is that is looked for. Raises as `open_log`, and LogError where units are
     in doubt.
     """
     settings, detect = settings or ReadSettings(), detect or DetectSettings()
-    reader = with_units(open_log(path, settings), build, detect)
+    reader = without_smeared_edges(with_units(open_log(path, settings), build, detect))
     if settings.delays or not (found := offsets(reader, build, detect)):
         return reader
     late = tuple(f"{topic}={by:g}" for topic, by in found.items())
-    reader = with_units(open_log(path, replace(settings, delays=late)), build, detect)
+    reader = without_smeared_edges(with_units(open_log(path, replace(settings, delays=late)), build, detect))
     for topic, by in found.items():
         reader.say(
             f"'{topic}': its stamps are {abs(by):.2f} s {'late' if by > 0 else 'early'}, to judge by what it and "

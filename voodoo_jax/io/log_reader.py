@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry import lens
+from voodoo_jax.geometry.depth_edges import on_sheets
 from voodoo_jax.io.calibrations import bare, calibration_of
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
@@ -119,6 +120,7 @@ class LogReader:
         self.scales = {
             name: float(value) for name, value in given.items()
         }  # metres per unit, where it is not the usual
+        self.smeared: frozenset[str] = frozenset()  # depth images without what lies in their smeared edges
 
     def unit(self, topic: str) -> float:
         """Metres per unit of a depth topic's numbers, as is usual for its encoding."""
@@ -130,6 +132,19 @@ class LogReader:
         other = copy(self)
         other.scales, other._notes, other._counted = {**self.scales, **scales}, list(self._notes), Counter()
         return other
+
+    def without_sheets(self, topics: frozenset[str]) -> "LogReader":
+        """The same log without the points in the smeared edges of some depth images, see geometry.depth_edges."""
+        other = self.with_scales({})
+        other.smeared = topics
+        return other
+
+    def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
+        """Of every so many-th row and column of a depth image, metres; None if it is of another kind."""
+        raw = image.raw if image.packed is None else unpacked(image)
+        if raw is None:
+            return None
+        return raw[::every, ::every].astype(np.float32) * np.float32(self.scales.get(topic, image.unit))
 
     def continued(self, scan: Scan, plan: Plan) -> "LogReader":
         """The same log with what has come since: another look at it, and its plan."""
@@ -417,11 +432,13 @@ class LogReader:
         rotation, translation = found
         labels = None
         if isinstance(content, Image):
-            raw = content.raw if content.packed is None else unpacked(content)
-            if raw is None:
-                raise ValueError(f"encoding changed to {content.encoding}")
             k = stride(*content.shape, s.max_points)
-            z = raw[::k, ::k].ravel().astype(np.float32) * np.float32(self.scales.get(topic, content.unit))
+            if (depth := self.depth(topic, content, k)) is None:
+                raise ValueError(f"encoding changed to {content.encoding}")
+            if topic in self.smeared:
+                rows = self._pixel_rays(topic, content, k)[:, 0, 1]
+                depth[on_sheets(depth, float(np.nanmedian(np.diff(rows))), k)] = 0
+            z = depth.ravel()
             rays, square = self._directions(topic, content, k, rotation)
             with np.errstate(invalid="ignore", over="ignore"):
                 keep = np.flatnonzero(self._in_range(square * (z * z)) & (z > 0))

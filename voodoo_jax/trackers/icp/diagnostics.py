@@ -81,7 +81,7 @@ def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Name
         notes.append("Nothing of the body's height was found: not one frame is tracked.")
     total = int(tracks.points.sum())
     if run.left_out:
-        share, most = 100 * run.left_out / total, run.settings.detect.points
+        share, most = 100 * run.left_out / (run.left_out + total), run.settings.detect.points
         notes.append(f"{share:.0f} % of the body's points were thinned out (detect.points = {most} per frame).")
     unused = [(f"'{n}'", f"({c} times): features.names gives it no point of this body") for n, c in run.unknown.items()]
     if len(unused) > SHOWN:

@@ -1,0 +1,26 @@
+"""Depth cameras that smear the edges of things: found out by their first images. Host side, NumPy."""
+
+import numpy as np
+
+from voodoo_jax.geometry.depth_edges import SMEARED, between_edges
+from voodoo_jax.io.log_reader import LogReader
+from voodoo_jax.records.messages import Image
+
+FIRST = 3  # images that are looked at; by hand
+
+
+def without_smeared_edges(reader: LogReader) -> LogReader:
+    """The reader, without what lies in the edges of depth images whose camera has smeared them, which is said."""
+    found = frozenset(topic for topic in reader.sensors if _smeared(reader, topic))
+    for topic in sorted(found):
+        reader.say(
+            f"The edges of things are smeared in '{topic}', as by a filter of its camera: what lies between near and "
+            "far things there is left out."
+        )
+    return reader.without_sheets(found) if found else reader
+
+
+def _smeared(reader: LogReader, topic: str) -> bool:
+    images = [content for s in reader.sampled(topic, FIRST) if isinstance(content := s.content, Image)]
+    shares = [between_edges(z) for image in images if (z := reader.depth(topic, image)) is not None]
+    return bool(shares) and float(np.median(shares)) > SMEARED
