@@ -34,6 +34,8 @@ def test_smeared_edges_are_told_from_sharp_ones():
     flying = disc()
     flying[60:180, 99::121] = 2.3  # one pixel of both depths
     assert between_edges(disc()) == 0 and between_edges(flying) < 0.2 < SMEARED < between_edges(smeared(disc()))
+    noise = np.random.default_rng(0).uniform(1.0, 4.0, (240, 320)).astype(np.float32)
+    assert between_edges(noise) == 0
     assert between_edges(np.zeros((240, 320), np.float32)) == between_edges(np.full((20, 8), 2.0, np.float32)) == 0
 
 

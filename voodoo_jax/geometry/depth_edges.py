@@ -42,14 +42,15 @@ def between_edges(depth: Float32[np.ndarray, "row column"]) -> float:
         across = z[row[:, None], column[:, None] + np.arange(1, WIDE)]
         begin, end = z[row, column][:, None], z[row, column + WIDE][:, None]
         share = (across - begin) / (end - begin)
+        one_way = (np.diff(share, axis=1) > -BETWEEN).all(1)  # noise goes back and forth
         inside = (across > 0) & (share > BETWEEN) & (share < 1 - BETWEEN)
-        edges, between = edges + len(row), between + float(inside.mean(1).sum())
+        edges, between = edges + int(one_way.sum()), between + float(inside.mean(1)[one_way].sum())
     return between / edges if edges >= EDGES else 0.0
 
 
 def on_sheets(depth: Float32[np.ndarray, "row column"], angle: float, every: int) -> Bool[np.ndarray, "row column"]:
-    """True for pixels in a smeared edge: so steep on both sides, or beside a hole, as no surface is seen that ends so
-    soon. A floor or a wall that is seen as obliquely goes on: the inverse of its depth is linear in the image.
+    """True for pixels in a smeared edge: steeper than surfaces are seen that end so soon. A floor or a wall that is
+    seen as obliquely goes on: the inverse of its depth is linear in the image.
 
     **Arguments:** `depth` metres, of `every` so many-th row and column; 0 or NaN: nothing seen; `angle` between these
     rows, radians.
