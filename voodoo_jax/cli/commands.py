@@ -55,17 +55,23 @@ class Running:
     """How many logs are done, where, and at once."""
 
     again: bool = False
-    """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""
+    """Do logs anew that an earlier run has finished with these settings; else they are skipped."""
     workers: int = 0
     """Processes that track one log each; 0: as many as there are cores, memory and logs for."""
     shard: str = ""
-    """Only a part of the logs, for array jobs: 2/8 is the second of eight. The same logs make the same parts."""
+    """Only a part of the logs, for array jobs, always the same: 2/8 is the second of eight."""
     engine: Literal["local", "batch", "ray"] = "local"
-    """local: processes here; batch: many logs at once in one, for GPUs; ray: the cluster here, or RAY_ADDRESS."""
+    """local: processes here; batch: many logs at once, for GPUs; ray: a cluster, see RAY_ADDRESS."""
     compile_cache: str = ""
-    """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
+    """Folder of compiled programs, or off; none named: the user's."""
     log_timeout: float = 0.0
     """Seconds after which a log is given up and the next one begun; 0: never."""
+    ray_cpus: int = 1
+    """Cores that a log holds on Ray."""
+    ray_gpus: float = 0.0
+    """GPUs that it holds there, 0.25: a share."""
+    ray_retries: int = 1
+    """How often a log that Ray lost is done anew."""
 
 
 @dataclass(frozen=True)

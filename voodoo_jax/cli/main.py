@@ -31,6 +31,7 @@ from voodoo_jax.cli.commands import (
 from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.presets import PRESETS, preset
+from voodoo_jax.config.ray_tasks import RayTasks
 from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
 from voodoo_jax.storage.troubles import WHILE_WRITING, NotWritten
 
@@ -85,6 +86,7 @@ def run_replay(command: Replay) -> int:
             command.logs, wanted.out, body, command.settings, smooth_seconds=wanted.smooth, picture=wanted.picture,
             html=wanted.html, report=wanted.report, export=[wanted.export], again=how.again, workers=how.workers,
             engine=how.engine, shard=how.shard, compile_cache=cache or "off", log_timeout=how.log_timeout,
+            ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
         )  # fmt: skip
     except NotSummedUp as problem:
         print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)
