@@ -112,6 +112,7 @@ class LogReader:
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
+        self._assumed: dict[str, str] = {}  # of calibrations, by topic; shared by all readers of the log, as their rays
         self._decoder = Decoder()
         self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
@@ -152,6 +153,7 @@ class LogReader:
         other._scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
         other.sensors, other.features = plan.sensors, plan.features
         other._plan_parts, other._notes, other._counted, other._pictures = plan.parts, [], Counter(), {}
+        other._assumed = {}  # said already
         return other
 
     def settled(self, transforms: list[tuple[Transform, bool]], decoder: Decoder) -> Known:
@@ -253,7 +255,7 @@ class LogReader:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out, missing or damaged, one sentence each."""
-        return as_few(self._notes + self._losses() + self._damage())
+        return as_few([*self._notes, *self._assumed.values(), *self._losses(), *self._damage()])
 
     def _damage(self) -> list[str]:
         """A sentence if frames were lost to damage."""
@@ -491,7 +493,7 @@ class LogReader:
             c, assumed = fitted(c, image.shape)
             if assumed:
                 own = f"{image.shape[1]} x {image.shape[0]}"
-                self._notes.append(f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}.")
+                self._assumed[topic] = f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}."
             # By ROS custom a topic called image_rect... is rectified: P holds, and the lens is undone already.
             rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
             K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)
