@@ -23,7 +23,7 @@ from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
-from voodoo_jax.io.image_fit import fitted
+from voodoo_jax.io.image_fit import fitted, leeway, moved
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader
@@ -77,7 +77,7 @@ def read_whole(log: "LogReader", progress: Progress | None = None) -> Recording:
     frames = tuple(log.frames(progress))
     return Recording(
         log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes,
-        origin=log.origin, up_is_given=log.up_is_given,
+        origin=log.origin, up_is_given=log.up_is_given, sure=log.sure,
     )  # fmt: skip
 
 
@@ -121,6 +121,8 @@ class LogReader:
         self.scales = {
             name: float(value) for name, value in given.items()
         }  # metres per unit, where it is not the usual
+        self.moved: dict[str, tuple[float, float]] = {}  # principal points of cropped images, see detect.crops; pixels
+        self.sure = 1.0  # probability that places are right for which a calibration was assumed
         self.smeared: frozenset[str] = frozenset()  # depth images without what lies in their smeared edges
 
     def unit(self, topic: str) -> float:
@@ -139,6 +141,22 @@ class LogReader:
         other = self.with_scales({})
         other.smeared = topics
         return other
+
+    def with_crop(self, topic: str, moved: tuple[float, float], sure: float = 1.0) -> "LogReader":
+        """The same log with the principal point of a topic's cropped images so many pixels to the right and down of
+        where it is if they were cropped about their middle, which is right with the probability `sure`."""
+        other = self.with_scales({})
+        other.moved, other.sure = {**self.moved, topic: moved}, self.sure * sure
+        other._rays, other._turned, other._assumed = {}, {}, {}
+        return other
+
+    def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
+        """Pixels across and down by which the place is unknown where a topic's images were cropped, and their focal
+        length, pixels."""
+        sample, c = self._scan.topics[topic].sample, calibration_of(self._scan.topics, topic)
+        if not isinstance(sample, Image) or c is None:
+            return (0.0, 0.0), 1.0
+        return leeway(c, sample.shape), float(fitted(c, sample.shape)[0].K[0, 0])
 
     def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
         """Of every so many-th row and column of a depth image, metres; None if it is of another kind."""
@@ -491,6 +509,12 @@ class LogReader:
             assert c is not None
             size = c.width, c.height
             c, assumed = fitted(c, image.shape)
+            if topic in self.moved and any(self.moved[topic]):
+                c = moved(c, self.moved[topic])
+                assumed = (
+                    f"taken for cropped {abs(self.moved[topic][1]):.0f} pixels beside its middle: with that the floor"
+                )
+                assumed += " is level (if it is not, give its calibration by read.camera)"
             if assumed:
                 own = f"{image.shape[1]} x {image.shape[0]}"
                 self._assumed[topic] = f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}."
