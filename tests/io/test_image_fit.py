@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.logs import START, Log, ros_calibration, ros_image
-from voodoo_jax.io.log_reader import LogError, read_log
+from voodoo_jax.io.log_reader import LogError, open_log, read_log
 
 WIDE = np.array([[120.0, 0, 32.0], [0, 118.0, 22.5], [0, 0, 1]])
 SHAPE = 48, 64
@@ -43,6 +43,15 @@ def test_a_crop_leaves_pixels_square(tmp_path, rows, columns, said):
     found, notes = points(FULL[rows, columns], info(), tmp_path)
     np.testing.assert_allclose(found, expected(rows, columns), atol=1e-3)
     assert said in " ".join(notes)
+
+
+def test_what_was_assumed_is_said_also_after_others_have_looked(tmp_path):
+    """Checks of units and edges look at the first images before they are read."""
+    log = Log().add("/i", START, info()).add("/d", START, ros_image(START, "cam_optical", FULL[6:42]))
+    reader = open_log(log.write(tmp_path / "a.mcap"))
+    assert reader.with_scales({}).frame_of("/d", *reader.sampled("/d", 1)) is not None
+    list(reader.frames())
+    assert len([note for note in reader.notes if "cropped" in note]) == 1
 
 
 def test_halved(tmp_path):

@@ -37,6 +37,14 @@ SYSTEMS = {
         "nose", "eye ear shoulder elbow wrist hip knee ankle heel",
         {"shoulder": "shoulder", "wrist": "radiocarpal", "ankle": "talocrural", "ear": "tragion"},
     ),
+    "mixamo": (
+        "Hips Spine2 Neck Head", "Shoulder Arm ForeArm Hand UpLeg Leg Foot ToeBase",
+        {"Arm": "shoulder", "ForeArm": "elbow", "Hand": "radiocarpal", "UpLeg": "hip", "Leg": "knee"},
+    ),
+    "xsens": (
+        "Pelvis T8 Neck Head", "UpperArm Forearm Hand UpperLeg LowerLeg Foot Toe",
+        {"UpperArm": "shoulder", "UpperLeg": "hip", "LowerLeg": "knee", "Foot": "talocrural"},
+    ),
 }  # fmt: skip
 WAYS = {
     "LKnee": lambda side, name: side + name,
@@ -44,6 +52,7 @@ WAYS = {
     "L.Knee": lambda side, name: f"{side}.{name}",
     "Knee_L": lambda side, name: f"{name}_{side}",
     "Knee.L": lambda side, name: f"{name}.{side}",
+    "mixamorig:LeftKnee": lambda side, name: "mixamorig:" + ("Left" if side == "L" else "Right") + name,
     "left knee": lambda side, name: ("left " if side == "L" else "right ") + name,
     "LeftKnee": lambda side, name: ("Left" if side == "L" else "Right") + name,
     "Bob:LKnee": lambda side, name: f"Bob:{side}{name}",
@@ -124,6 +133,24 @@ def test_subjects():
     assert list(found) == ["body 1", "body 2"] and found["body 1"]["106"] == "elbow_left"
     known = places_of(found["body 1"], POINTS, T.limbs)
     assert known.places["114"] == "r_radiocarpal" and known.weights["114"] > 0 and "Kinect" in known.titles[0]
+
+
+@pytest.mark.parametrize(
+    "word, count, right",
+    [
+        ("landmark_", 33, {14: "r_elbow", 23: "l_hip", 28: "r_talocrural"}),
+        ("people/pose/keypoint ", 17, {6: "r_shoulder", 9: "l_radiocarpal", 13: "l_knee"}),
+        ("skeleton/", 25, {2: "r_shoulder", 7: "l_radiocarpal", 10: "r_knee"}),
+    ],
+)
+def test_numbers_behind_a_word_are_those_of_the_net_that_has_so_many(word, count, right):
+    names = [f"{word}{k}" for k in range(count)]
+    (found,) = subjects(names).values()
+    known = places_of(found, POINTS, T.limbs)
+    assert {k: split_place(known.places[f"{word}{k}"])[0] for k in right} == right
+    # others are nobody's, and so are bare ones: any system gives such to what nobody named
+    for other in ([f"{word}{k}" for k in range(count - 1)], [f"marker_{k}" for k in range(count)]):
+        assert not any(places_of(group, POINTS, T.limbs).places for group in subjects(other).values())
 
 
 def test_points_that_nobody_named():

@@ -27,7 +27,7 @@ from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.tracks import Tracks, given_from
+from voodoo_jax.records.tracks import Tracks, given_from, only_as_sure
 from voodoo_jax.storage.atomic import made_folder
 from voodoo_jax.trackers.base import Unsuitable
 from voodoo_jax.trackers.icp.live import LiveTracker
@@ -136,7 +136,7 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
         say("ready; Ctrl-C ends it")
         pace = _followed(tracker, live, reader, job, publishers, progress)
         tracks = tracker.whole(source.path, reader.fixed_frame, live.notes)
-    tracks = given_from(tracks, reader.origin)
+    tracks = only_as_sure(given_from(tracks, reader.origin), reader.sure)
     say(str(pace))
     return _written(job, tracks)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.crops import with_crops
 from voodoo_jax.detect.delays import offsets
 from voodoo_jax.detect.smeared_edges import without_smeared_edges
 from voodoo_jax.detect.units import with_units
@@ -28,11 +29,12 @@ def open_checked(
     in doubt.
     """
     settings, detect = settings or ReadSettings(), detect or DetectSettings()
-    reader = without_smeared_edges(with_units(open_log(path, settings), build, detect))
+    reader = without_smeared_edges(with_crops(with_units(open_log(path, settings), build, detect)))
     if settings.delays or not (found := offsets(reader, build, detect)):
         return reader
     late = tuple(f"{topic}={by:g}" for topic, by in found.items())
-    reader = without_smeared_edges(with_units(open_log(path, replace(settings, delays=late)), build, detect))
+    late_read = replace(settings, delays=late)
+    reader = without_smeared_edges(with_crops(with_units(open_log(path, late_read), build, detect)))
     for topic, by in found.items():
         reader.say(
             f"'{topic}': its stamps are {abs(by):.2f} s {'late' if by > 0 else 'early'}, to judge by what it and "

@@ -35,16 +35,34 @@ def fitted(c: Calibration, shape: tuple[int, int]) -> tuple[Calibration, str]:
         raise ValueError(f"{sizes}: it was cropped, or rows or columns were left out; {ask}")
     if less < LEAST:
         raise ValueError(f"{sizes}: it was cropped, and nothing says where; {ask}")
-    factor = max(across, down)
-    size = round(c.height * factor), round(c.width * factor)
-    whole = scaled(c, size)
-    K, P = whole.K.copy(), whole.P.copy()
-    for matrix in (K, P):
-        matrix[0, 2] -= (size[1] - columns) / 2 * matrix[2, 2]
-        matrix[1, 2] -= (size[0] - rows) / 2 * matrix[2, 2]
-    return replace(whole, width=columns, height=rows, K=K, P=P), (
+    size = _uncropped(c, shape)
+    whole = moved(scaled(c, size), ((columns - size[1]) / 2, (rows - size[0]) / 2))
+    return replace(whole, width=columns, height=rows), (
         "taken for cropped about its middle (if it is not, give its calibration by read.camera)"
     )
+
+
+def _uncropped(c: Calibration, shape: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns of the image before it was cropped to `shape`."""
+    factor = max(shape[1] / c.width, shape[0] / c.height)
+    return round(c.height * factor), round(c.width * factor)
+
+
+def leeway(c: Calibration, shape: tuple[int, int]) -> tuple[float, float]:
+    """Pixels across and down by which the middle of an image that `fitted` takes for cropped may lie beside that of the
+    whole one; 0, 0 for images that it takes for something else."""
+    if "cropped" not in fitted(c, shape)[1]:
+        return 0.0, 0.0
+    rows, columns = _uncropped(c, shape)
+    return (columns - shape[1]) / 2, (rows - shape[0]) / 2
+
+
+def moved(c: Calibration, by: tuple[float, float]) -> Calibration:
+    """The calibration with its principal point so many pixels to the right and down."""
+    K, P = c.K.copy(), c.P.copy()
+    for matrix in (K, P):
+        matrix[:2, 2] += np.array(by) * matrix[2, 2]
+    return replace(c, K=K, P=P)
 
 
 def scaled(c: Calibration, shape: tuple[int, int]) -> Calibration:

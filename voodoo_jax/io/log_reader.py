@@ -23,7 +23,7 @@ from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
-from voodoo_jax.io.image_fit import fitted
+from voodoo_jax.io.image_fit import fitted, leeway, moved
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader
@@ -77,7 +77,7 @@ def read_whole(log: "LogReader", progress: Progress | None = None) -> Recording:
     frames = tuple(log.frames(progress))
     return Recording(
         log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes,
-        origin=log.origin, up_is_given=log.up_is_given,
+        origin=log.origin, up_is_given=log.up_is_given, sure=log.sure,
     )  # fmt: skip
 
 
@@ -112,6 +112,7 @@ class LogReader:
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
+        self._assumed: dict[str, str] = {}  # of calibrations, by topic; shared by all readers of the log, as their rays
         self._decoder = Decoder()
         self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
@@ -120,6 +121,8 @@ class LogReader:
         self.scales = {
             name: float(value) for name, value in given.items()
         }  # metres per unit, where it is not the usual
+        self.moved: dict[str, tuple[float, float]] = {}  # principal points of cropped images, see detect.crops; pixels
+        self.sure = 1.0  # probability that places are right for which a calibration was assumed
         self.smeared: frozenset[str] = frozenset()  # depth images without what lies in their smeared edges
 
     def unit(self, topic: str) -> float:
@@ -139,6 +142,22 @@ class LogReader:
         other.smeared = topics
         return other
 
+    def with_crop(self, topic: str, moved: tuple[float, float], sure: float = 1.0) -> "LogReader":
+        """The same log with the principal point of a topic's cropped images so many pixels to the right and down of
+        where it is if they were cropped about their middle, which is right with the probability `sure`."""
+        other = self.with_scales({})
+        other.moved, other.sure = {**self.moved, topic: moved}, self.sure * sure
+        other._rays, other._turned, other._assumed = {}, {}, {}
+        return other
+
+    def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
+        """Pixels across and down by which the place is unknown where a topic's images were cropped, and their focal
+        length, pixels."""
+        sample, c = self._scan.topics[topic].sample, calibration_of(self._scan.topics, topic)
+        if not isinstance(sample, Image) or c is None:
+            return (0.0, 0.0), 1.0
+        return leeway(c, sample.shape), float(fitted(c, sample.shape)[0].K[0, 0])
+
     def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
         """Of every so many-th row and column of a depth image, metres; None if it is of another kind."""
         raw = image.raw if image.packed is None else unpacked(image)
@@ -152,6 +171,7 @@ class LogReader:
         other._scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
         other.sensors, other.features = plan.sensors, plan.features
         other._plan_parts, other._notes, other._counted, other._pictures = plan.parts, [], Counter(), {}
+        other._assumed = {}  # said already
         return other
 
     def settled(self, transforms: list[tuple[Transform, bool]], decoder: Decoder) -> Known:
@@ -253,7 +273,7 @@ class LogReader:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out, missing or damaged, one sentence each."""
-        return as_few(self._notes + self._losses() + self._damage())
+        return as_few([*self._notes, *self._assumed.values(), *self._losses(), *self._damage()])
 
     def _damage(self) -> list[str]:
         """A sentence if frames were lost to damage."""
@@ -489,9 +509,15 @@ class LogReader:
             assert c is not None
             size = c.width, c.height
             c, assumed = fitted(c, image.shape)
+            if topic in self.moved and any(self.moved[topic]):
+                c = moved(c, self.moved[topic])
+                assumed = (
+                    f"taken for cropped {abs(self.moved[topic][1]):.0f} pixels beside its middle: with that the floor"
+                )
+                assumed += " is level (if it is not, give its calibration by read.camera)"
             if assumed:
                 own = f"{image.shape[1]} x {image.shape[0]}"
-                self._notes.append(f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}.")
+                self._assumed[topic] = f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}."
             # By ROS custom a topic called image_rect... is rectified: P holds, and the lens is undone already.
             rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
             K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)

@@ -2,7 +2,8 @@
 
 A set is a TOML file in `model/marker_files`: `title`, `source`, perhaps `weight` (of each of its points as a feature),
 perhaps `hips = "newington"` (its model's hip centres are by that regression), and two tables of names and places.
-`[middle]` holds names of the body's middle, `[sides]` names without their side. A name is a regular expression for the
+`[middle]` holds names of the body's middle, `[sides]` names without their side, `[numbers]` what the numbers of systems
+stand for that give their points no names. A name is a regular expression for the
 whole name in small letters, without separators; a place is a feature point or a joint centre of the body without `l_`
 and `r_`, or a limb: somewhere on it. `place~0.05`: metres by which it may lie off (one standard deviation), where that
 is more than usual.
@@ -31,6 +32,13 @@ _NOBODY = re.compile(
     r"\W*(unl\w*|unknown|unnamed|untitled|mkr|marker|trajectory)?[\W_]*\d+|[cmux]([\W_]+\d+|\d{2,})", re.IGNORECASE
 )
 
+# a net's word for its points and a number; bare numbers may be anybody's
+_COUNTED = re.compile(
+    r"(.*(?:landmark|key_?point|kpt?|joint|skeleton|pose|coco|body_25|blazepose|mediapipe|openpose)s?)[\W_]*(\d+)",
+    re.IGNORECASE,
+)
+MANY = 0.5  # of a set's numbers, at least, and its last one: others are never seen; by hand
+
 
 @dataclass(frozen=True)
 class MarkerSet:
@@ -40,7 +48,8 @@ class MarkerSet:
     weight: float | None  # of each point as a feature; None: as usual
     middle: tuple[tuple[re.Pattern, str], ...]
     sides: tuple[tuple[re.Pattern, str], ...]
-    numbered: tuple[str, ...]  # names that numbers stand for
+    numbered: tuple[str, ...]  # names that numbers stand for, of several bodies: 100 times the body's and the point's
+    numbers: tuple[tuple[str, ...], ...]  # names that numbers stand for, of systems with so many points each
     newington: bool  # whether its hips are defined by the Newington regression
 
     def find(self, name: str, there: Collection[str] | None = None) -> str | None:
@@ -103,7 +112,9 @@ def _parsed(text: str) -> MarkerSet:
     content = tomllib.loads(text)
     table = lambda key: tuple((re.compile(name), place) for name, place in content.get(key, {}).items())  # noqa: E731
     numbered, newington = tuple(content.get("numbered", ())), content.get("hips") == "newington"
-    return MarkerSet(content["title"], content.get("weight"), table("middle"), table("sides"), numbered, newington)
+    numbers = tuple(map(tuple, content.get("numbers", {}).values()))
+    one = content["title"], content.get("weight"), table("middle"), table("sides")
+    return MarkerSet(*one, numbered, numbers, newington)
 
 
 def split_place(place: str) -> tuple[str, float | None]:
@@ -159,8 +170,13 @@ def _prefixed(subject: str, names: Mapping[str, str]) -> dict[str, dict[str, str
 
 
 def _numbered(names: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Bodies whose joints a set numbers: 100 times the body's number, and the joint's."""
-    if len(names) < SUBJECT or not all(rest.isdigit() for rest in names.values()):
+    """Bodies whose joints a set numbers: behind a word for them ("landmark_12"), from 0 to the last one of the set; or
+    100 times the body's number, and the joint's."""
+    if len(names) < SUBJECT:
+        return {}
+    if points := _behind_a_word(names):
+        return {"": points}
+    if not all(rest.isdigit() for rest in names.values()):
         return {}
     table = next((s.numbered for s in marker_sets() if s.numbered), ())
     found: dict[str, dict[str, str]] = {}
@@ -170,6 +186,19 @@ def _numbered(names: Mapping[str, str]) -> dict[str, dict[str, str]]:
             return {}
         found.setdefault(f"body {body}", {})[name] = table[joint]
     return found if max(map(len, found.values())) >= SUBJECT else {}
+
+
+def _behind_a_word(names: Mapping[str, str]) -> dict[str, str]:
+    """What the numbers behind one word for key points stand for in the set that has as many; empty if in none."""
+    read = {name: _COUNTED.fullmatch(rest) for name, rest in names.items()}
+    found = {name: (one[1], int(one[2])) for name, one in read.items() if one}
+    if len(found) < len(names) or len({word for word, _ in found.values()}) != 1:
+        return {}
+    most = max(number for _, number in found.values())
+    tables = [t for one in marker_sets() for t in one.numbers if len(t) == most + 1]
+    if not tables or len({number for _, number in found.values()}) < MANY * (most + 1):
+        return {}
+    return {name: tables[0][number] for name, (_, number) in found.items()}
 
 
 def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[str]) -> Known:

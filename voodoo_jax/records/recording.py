@@ -81,6 +81,7 @@ class Recording:
     # in the fixed frame, metres: all places of the frames are given from there; 0 but for large coordinates such as UTM
     origin: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     up_is_given: bool = False  # by a user, who knows better than what the frames show
+    sure: float = 1.0  # probability that places are right for which a calibration was assumed
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -134,6 +134,13 @@ class Tracks:
         return joint_angles(self.body, self.rotation, seen & self.tracked[:, None], self.limb_covariance)
 
 
+def only_as_sure(tracks: Tracks, sure: float) -> Tracks:
+    """Tracks of a log whose places are right with the probability `sure` only, for all joints alike."""
+    if sure >= 1 or tracks.joint_confidence is None:
+        return tracks
+    return replace(tracks, joint_confidence=tracks.joint_confidence * np.float32(sure))
+
+
 def given_from(tracks: Tracks, origin: Float[np.ndarray, "3"]) -> Tracks:
     """Tracks whose places are given from an origin (metres), as places in the fixed frame: in float64, unless it is 0.
 

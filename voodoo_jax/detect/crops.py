@@ -1,0 +1,69 @@
+"""Where images were cropped whose calibration is of the whole image: by the floor, as far as it tells. Host side."""
+
+import numpy as np
+
+from voodoo_jax.detect.scene import find_scene
+from voodoo_jax.io.log_reader import LogReader
+from voodoo_jax.records.recording import Frame
+
+FIRST = 5  # images that are looked at, spread over the log; by hand
+LEVEL, TILTED = 1.0, 2.0  # degrees: a floor by transforms as exact as they are, and one that is not; by hand
+RIGHT = 0.1  # metres: joints nearer to their true places are right, as joint_confidence means it
+AT_ZERO = 0.1  # metres: a floor is at the height 0 of the fixed frame; by hand
+MIDDLE = 0.5  # odds of a crop about the middle where nothing tells; by hand
+
+
+def with_crops(reader: LogReader) -> LogReader:
+    """The reader, with the principal point of cropped images where the floor that they show is level; where nothing
+    tells it, this is said, and how sure places are."""
+    for topic in reader.sensors:
+        (across, down), focal = reader.leeway(topic)
+        if not (across or down):
+            continue
+        samples = reader.sampled(topic, FIRST, spread=True)
+        if not samples:
+            continue
+        place = _level(reader, topic, samples, down) if down else 0.0
+        aside = float(np.hypot(across, down if place is None else 0.0)) / focal
+        unit = reader.scales.get(topic, reader.unit(topic)) / reader.unit(topic)
+        far = aside * unit * float(np.median(np.concatenate([sample.distances for sample in samples])))
+        sure = MIDDLE + (1 - MIDDLE) * min(1.0, RIGHT / max(far, 1e-9))
+        reader = reader.with_crop(topic, (0.0, place or 0.0), sure)
+        if far > RIGHT:
+            reader.say(
+                f"Nothing tells where '{topic}' was cropped: joints may be up to {100 * far:.0f} cm aside, and their "
+                "confidence says so. read.camera settles it."
+            )
+    return reader
+
+
+def _level(reader: LogReader, topic: str, samples: list, down: float) -> float | None:
+    """Pixels by which the principal point is lower than in the middle, so that the floor is level; None if no floor
+    tells it."""
+    if reader.up[2] <= 0.99:  # nothing says how the camera is held
+        return None
+    places = np.array([-down, 0.0, down])
+    floors = [_floor(reader.with_crop(topic, (0.0, float(place))), topic, samples) for place in places]
+    found = [one for one in floors if one is not None]
+    if len(found) < len(places):
+        return None
+    normals = np.array([normal for normal, _ in found])
+    # the floor turns about one level line: how far, signed, by the way in which it leans between first and last
+    lean = normals[2, :2] - normals[0, :2]
+    tilt = np.degrees(np.arcsin(np.clip(normals[:, :2] @ (lean / max(float(np.linalg.norm(lean)), 1e-9)), -1, 1)))
+    if abs(tilt[1]) < LEVEL and abs(found[1][1]) < AT_ZERO:
+        return 0.0
+    if abs(tilt[1]) < TILTED or tilt[0] > LEVEL or tilt[2] < -LEVEL:
+        return None
+    place = float(np.interp(0.0, tilt, places))
+    there = _floor(reader.with_crop(topic, (0.0, place)), topic, samples)
+    if there is None or there[0][2] < np.cos(np.radians(LEVEL)) or abs(there[1]) > AT_ZERO:
+        return None
+    return place
+
+
+def _floor(reader: LogReader, topic: str, samples: list) -> tuple[np.ndarray, float] | None:
+    """Normal of the floor and its height in the fixed frame, metres; None if none is seen."""
+    frames: list[Frame] = [f for sample in samples if (f := reader.frame_of(topic, sample)) is not None]
+    scene = find_scene(frames, reader.up, True) if frames else None
+    return (scene.floor.normal, float(scene.floor.offset)) if scene is not None and scene.floor_seen else None
