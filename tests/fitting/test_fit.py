@@ -14,11 +14,11 @@ from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
-from voodoo_jax.fitting.fit import fit, untold
+from voodoo_jax.fitting.fit import fit
 from voodoo_jax.fitting.folds import check_common, folds_of, with_bands
 from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
 from voodoo_jax.fitting.gauss_newton import FitError, undetermined
-from voodoo_jax.fitting.judge import ERROR, Judged, verdict_on
+from voodoo_jax.fitting.judge import ERROR, Judged, untold, verdict_on
 from voodoo_jax.fitting.objective import as_distances
 from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths
 from voodoo_jax.fitting.sizes import sizes_after

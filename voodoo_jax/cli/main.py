@@ -25,6 +25,7 @@ from voodoo_jax.cli.commands import (
     Layout,
     Live,
     Replay,
+    TuneCommand,
     UsualSettings,
     View,
 )
@@ -283,7 +284,18 @@ def _open_standard_files() -> None:
 
 
 def _run(
-    command: "Replay | Live | Info | Demo | Config | FitCommand | BodyCommand | View | Export | Convert | Layout",
+    command: Replay
+    | Live
+    | Info
+    | Demo
+    | Config
+    | FitCommand
+    | TuneCommand
+    | BodyCommand
+    | View
+    | Export
+    | Convert
+    | Layout,
     base: Settings,
 ) -> int:
     if isinstance(command, Layout):
@@ -315,6 +327,10 @@ def _run(
         from voodoo_jax.cli.fit import run_fit
 
         return run_fit(command, base)
+    if isinstance(command, TuneCommand):
+        from voodoo_jax.cli.tune import run_tune
+
+        return run_tune(command, base)
     if isinstance(command, Replay):
         return run_replay(command)
     if isinstance(command, Info):
