@@ -54,6 +54,8 @@ def test_settings_are_better_only_beyond_noise_and_without_losses():
     assert better and "5.03 cm before and 3.97 cm after" in why
     assert not verdict(compared([judged(0.05, 0.049, 0.3)], True), 0)[0]
     assert "worse" in verdict(compared([judged(0.04, 0.05, 0.05)], True), 0)[1]
+    one_half_one_twice = compared([judged(0.04, 0.01, 0.02), judged(0.04, 0.08, 0.02)], True)
+    assert one_half_one_twice.change < -one_half_one_twice.least and not verdict(one_half_one_twice, 0)[0]
     assert "2 more frames are lost" in verdict(compared([judged(0.05, 0.04, 0.05)], True), 2)[1]
 
 
