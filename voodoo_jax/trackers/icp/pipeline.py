@@ -27,7 +27,7 @@ REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs()
 # of the recording
 FINISH: tuple[RecordingStage, ...] = (DropUnexplained(among=REFINE), FitForearms())
 # of the tracks, once their poses stand
-PLACE = (HangLegs(), PlaceJoints())
+PLACE = (PlaceJoints(), HangLegs())
 
 
 def stages() -> tuple[Named, ...]:

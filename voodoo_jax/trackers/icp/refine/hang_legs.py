@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.geometry.rigid import Poses, apply
+from voodoo_jax.config.options import TrackSettings
+from voodoo_jax.geometry.rigid import Poses, apply, inverse
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.runner import Runner
@@ -34,23 +35,27 @@ class HangLegs:
     needs: ClassVar = frozenset({"points", "one body", "l_knee", "r_knee"})
 
     def __call__(self, run: Runner, tracks: Tracks) -> Tracks:
-        rest = run.settings.track.hidden_rest
-        limbs = tracks.body.topology.limbs
-        if tracks.up is None or rest <= 0 or not {f"{s}_{n}" for s in "lr" for n in LEG} <= set(limbs):
-            return tracks
-        share = tracks.limb_weight.astype(float) ** 2
-        shown = share / (share + run.settings.track.hidden_weight**2)
-        poses = Poses(tracks.rotation.astype(float), tracks.translation.astype(float))
-        there = np.isfinite(poses.rotation).all((1, 2)) & np.isfinite(poses.translation).all((1, 2))
-        hung, moved = poses, np.zeros(len(there), bool)
-        for side in "lr":
-            leg = [limbs.index(f"{side}_{name}") for name in LEG]
-            much = {k: long_hidden(shown[:, k], tracks.time_ns, rest) * there for k in leg[:2]}
-            much[leg[1]] *= shown[:, leg[2]] < HIDDEN  # a foot that is seen tells of the shank
-            much[leg[0]] *= much[leg[1]] > 0
-            hung = _hung(tracks.body, hung, leg, (much[leg[0]], much[leg[1]]), tracks.up)
-            moved |= much[leg[1]] > 0
-        return _with_poses(tracks, hung, moved) if moved.any() else tracks
+        return with_hung_legs(tracks, run.settings.track)
+
+
+def with_hung_legs(tracks: Tracks, settings: TrackSettings) -> Tracks:
+    """Tracks with legs that were not seen as they mostly are, of a body that has legs as people's."""
+    t, rest = tracks.body.topology, settings.hidden_rest
+    there = {f"{side}_{name}" for side in "lr" for name in LEG} <= {*t.limbs} and {"l_knee", "r_knee"} <= {*t.joints}
+    if tracks.up is None or rest <= 0 or not there:
+        return tracks
+    share = tracks.limb_weight.astype(float) ** 2
+    shown = share / (share + settings.hidden_weight**2)
+    poses = Poses(tracks.rotation.astype(float), tracks.translation.astype(float))
+    known = np.isfinite(np.concatenate([poses.rotation, poses.translation], 2)).all((1, 2))
+    moved = np.zeros(len(tracks.time_ns), bool)
+    for side in "lr":
+        leg = [t.limbs.index(f"{side}_{name}") for name in LEG]
+        thigh, shank = (long_hidden(shown[:, k], tracks.time_ns, rest) * known for k in leg[:2])
+        shank = shank * (shown[:, leg[2]] < HIDDEN)  # a foot that is seen tells of the shank
+        poses = _hung(tracks.body, poses, leg, (thigh * (shank > 0), shank), tracks.up)
+        moved |= shank > 0
+    return _with_poses(tracks, poses, np.flatnonzero(moved)) if moved.any() else tracks
 
 
 def long_hidden(shown: Float[np.ndarray, " frame"], time_ns: np.ndarray, rest: float) -> Float[np.ndarray, " frame"]:
@@ -89,7 +94,8 @@ def _hung(
             want = np.full(len(top), AHEAD)
         side = np.cross(up, ahead)
         aside = np.sum(along * side, 1, keepdims=True) * side
-        aim = _unit(want[:, None] * ahead + aside - np.sqrt(np.clip(1 - want**2 - np.sum(aside**2, 1), 0, 1))[:, None] * up)
+        down = np.sqrt(np.clip(1 - want**2 - np.sum(aside**2, 1), 0, 1))[:, None]
+        aim = _unit(want[:, None] * ahead + aside - down * up)
         axis = np.cross(along, aim)
         angle = np.arctan2(np.linalg.norm(axis, axis=1), np.sum(along * aim, 1)) * much[at] * stands
         turn = Rotation.from_rotvec(np.nan_to_num(_unit(axis) * angle[:, None]))
@@ -105,19 +111,21 @@ def _turned(poses: Poses, limbs: list[int], top: Float[np.ndarray, "frame 3"], t
     """Poses with some limbs turned about a point of each frame."""
     rotation, translation = poses.rotation.copy(), poses.translation.copy()
     for limb in limbs:
-        there = np.isfinite(rotation[:, limb]).all(1)
+        there = np.flatnonzero(np.isfinite(rotation[:, limb]).all(1))
         own = Rotation.from_quat(rotation[there, limb], scalar_first=True)
         rotation[there, limb] = (turn[there] * own).as_quat(scalar_first=True)
         translation[:, limb] = top + turn.apply(np.nan_to_num(translation[:, limb] - top))
     return Poses(rotation, translation)
 
 
-def _with_poses(tracks: Tracks, poses: Poses, moved: Bool[np.ndarray, " frame"]) -> Tracks:
-    """Tracks with other poses, and the joints of the legs by them, in the frames that moved."""
+def _with_poses(tracks: Tracks, poses: Poses, moved: Int[np.ndarray, " some"]) -> Tracks:
+    """Tracks with other poses of the legs in some frames; joints go with their limbs."""
     t, joints = tracks.body.topology, tracks.joints.copy()
     rotation, translation = tracks.rotation.copy(), tracks.translation.copy()
     for limb in (t.limbs.index(f"{side}_{name}") for side in "lr" for name in LEG):
-        rotation[moved, limb], translation[moved, limb] = poses.rotation[moved, limb], poses.translation[moved, limb]
-        for k in (k for k, carrier in enumerate(t.centre_limbs) if carrier == limb):
-            joints[moved, k] = np.asarray(apply(poses[moved][:, limb], np.asarray(tracks.body.centres)[k]))
+        before = Poses(tracks.rotation[moved, limb], tracks.translation[moved, limb])
+        after = Poses(poses.rotation[moved, limb], poses.translation[moved, limb])
+        rotation[moved, limb], translation[moved, limb] = after.rotation, after.translation
+        for k in np.flatnonzero(np.array(t.centre_limbs) == limb):
+            joints[moved, k] = apply(after, np.asarray(apply(inverse(before), joints[moved, k])))
     return replace(tracks, rotation=rotation, translation=translation, joints=joints)
