@@ -111,9 +111,9 @@ def _turned(poses: Poses, limbs: list[int], top: Float[np.ndarray, "frame 3"], t
     """Poses with some limbs turned about a point of each frame."""
     rotation, translation = poses.rotation.copy(), poses.translation.copy()
     for limb in limbs:
-        there = np.flatnonzero(np.isfinite(rotation[:, limb]).all(1))
-        own = Rotation.from_quat(rotation[there, limb], scalar_first=True)
-        rotation[there, limb] = (turn[there] * own).as_quat(scalar_first=True)
+        there = np.isfinite(rotation[:, limb])
+        own = Rotation.from_quat(np.where(there, rotation[:, limb], [1.0, 0, 0, 0]), scalar_first=True)
+        rotation[:, limb] = np.where(there, (turn * own).as_quat(scalar_first=True), np.nan)
         translation[:, limb] = top + turn.apply(np.nan_to_num(translation[:, limb] - top))
     return Poses(rotation, translation)
 
