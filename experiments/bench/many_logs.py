@@ -32,6 +32,11 @@ class Measured:
     memory: float  # GB, of the largest process
 
 
+def users_environment() -> dict[str, str]:
+    """This process's, but that Python keeps its bytecode as it does for users: else each start compiles all sources."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+
+
 def recorded_seconds(log: Path) -> float:
     """From a log's first frame to its last."""
     stamps = [frame.time_ns for frame in open_log(log).frames()]
@@ -45,7 +50,7 @@ def measured(logs: list[Path], workers: int, cache: Path) -> Measured:
         words = ["replay", *map(str, logs), "--out", out, "--workers", str(workers), "--compile-cache", str(cache)]
         command = [sys.executable, "-P", "-m", "voodoo_jax.cli", *words]
         with tempfile.TemporaryFile() as said:
-            process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)
+            process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT, env=users_environment())
             _, status, used = os.wait4(process.pid, 0)  # what it and its workers used
             process.returncode = os.waitstatus_to_exitcode(status)
             if process.returncode:

@@ -105,7 +105,7 @@ def main(
                 tracks = follow(body, seen, replace(settings, flexible=own), log.path, log.fixed_frame)
                 results.setdefault(path.stem, []).append(errors(tracks, truth))
             print(path.stem, row(name, {path.stem: results[path.stem]}), flush=True)
-        seen.features.close()
+        seen.close()
     head = f"| {len(paths)} recordings, {seeds} seeds | mean error, cm | within 10 cm, % | mean, settings chosen on | "
     head += "mean, others | within, settings chosen on | within, others | each recording, cm |"
     lines = [head, "|---" * 8 + "|", *(row(name, found) for name, found in tables.items() if found)]

@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments.people.figure import Figure
 from experiments.people.sight import in_camera
+from voodoo_jax.simulate.looks import fractal
 from voodoo_jax.simulate.room import Room, render_room
 from voodoo_jax.simulate.sensor import Camera
 
@@ -20,6 +21,7 @@ LIGHT = np.array([-0.6, 0.4, 0.7]) / np.linalg.norm([-0.6, 0.4, 0.7])  # from wh
 AMBIENT = 0.45  # of the light comes from everywhere
 GREY_NOISE = 2.0  # standard deviation of a pixel, of 255
 JPEG = 90  # quality
+SEEDS = 2**31  # of patterns, below this number
 SKIN = ((120, 150, 190), (90, 120, 165), (60, 80, 115), (150, 175, 215))  # blue, green, red
 HAIR = ((25, 30, 35), (40, 60, 90), (90, 130, 160), (130, 130, 130))
 ROOMS = ((150, 155, 160), (120, 150, 165), (165, 160, 150), (95, 105, 120))
@@ -78,23 +80,6 @@ def _drawn(points, faces, fx, fy, cx, cy, depth, which, share):  # pragma: no co
                     share[y, x, 0], share[y, x, 1] = second * z / b[2], third * z / c[2]
 
 
-def fractal(points: np.ndarray, coarse: float, fine: float, rng: np.random.Generator) -> np.ndarray:
-    """Noise of standard deviation 1 at points (metres): as much of it from each octave between two lengths."""
-    found, size, octaves = np.zeros(points.shape[:-1]), coarse, 0
-    while size >= fine:
-        lattice = rng.standard_normal((64, 64, 64)).astype(np.float32)
-        at = points / size
-        base = np.floor(at).astype(int)
-        part = at - base
-        part = part * part * (3 - 2 * part)
-        for corner in np.ndindex(2, 2, 2):
-            w = np.prod([part[..., k] if c else 1 - part[..., k] for k, c in enumerate(corner)], 0)
-            x, y, z = ((base[..., k] + c) % 64 for k, c in enumerate(corner))
-            found += w * lattice[x, y, z]
-        size, octaves = size / 2, octaves + 1
-    return found / max(found.std(), 1e-9) if octaves else found
-
-
 def dressed(figure: Figure, rng: np.random.Generator) -> np.ndarray:
     """Colours of the vertices (blue, green, red; 0..255): skin, hair, a shirt, trousers, shoes or none."""
     meshes, rest = figure.meshes, figure.vertices.astype(float)
@@ -120,22 +105,22 @@ def dressed(figure: Figure, rng: np.random.Generator) -> np.ndarray:
     shoes = ~arm & (rest[:, 2] < level["l_ankle"] + 0.01 * stature)
     cloth = lambda dark: rng.uniform(20, dark, 3)  # noqa: E731
     for part, dark in ((shirt, 200), (trousers, 110)):
-        weave = fractal(rest[part], 0.3, 0.01, rng) * rng.choice([0.02, 0.05, 0.15])
+        weave = fractal(rest[part], 0.3, 0.01, int(rng.integers(SEEDS))) * rng.choice([0.02, 0.05, 0.15])
         if rng.random() < 0.25:
             weave = weave + 0.35 * np.sign(np.sin(rest[part, 2] * 2 * np.pi / rng.uniform(0.03, 0.08)))
         colours[part] = cloth(dark) * np.clip(1 + weave, 0.2, 2)[:, None]
     if rng.random() < 0.7:
         colours[shoes] = cloth(100)
-    return colours * np.clip(1 + 0.04 * fractal(rest, 0.1, 0.01, rng), 0.5, 1.5)[:, None]
+    return colours * np.clip(1 + 0.04 * fractal(rest, 0.1, 0.01, int(rng.integers(SEEDS))), 0.5, 1.5)[:, None]
 
 
 def painted(room: Room, rig: Rig, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
     """Depth and picture of the room without anybody, for each camera, FINER: walls, floor and furniture are mottled."""
-    seed, found = int(rng.integers(1 << 31)), []
+    seeds, found = rng.integers(SEEDS, size=3), []
     base = [np.array(ROOMS[k], float) * rng.uniform(0.7, 1.2) for k in rng.permutation(len(ROOMS))[:3]]
     mottled = rng.uniform(0.04, 0.12, 3)
     for camera in rig.cameras():
-        camera, texture = _finer(camera), np.random.default_rng(seed)
+        camera = _finer(camera)
         depth, cosine = render_room(camera, room)
         far = ~np.isfinite(depth)
         points = np.array(camera.position) + camera.rays() * np.where(far, 0, depth).reshape(-1, 1)
@@ -143,7 +128,7 @@ def painted(room: Room, rig: Rig, rng: np.random.Generator) -> list[tuple[np.nda
         which = np.where(points[:, 2] < 1e-6, 0, np.where(at_wall, 1, 2))
         picture = np.zeros((len(points), 3))
         for k in range(3):
-            noise = fractal(points, 0.5, 0.008, texture)
+            noise = fractal(points, 0.5, 0.008, int(seeds[k]))
             mine = which == k
             picture[mine] = base[k] * (1 + mottled[k] * noise[mine, None])
         picture *= (AMBIENT + (1 - AMBIENT) * cosine.reshape(-1, 1) ** 0.3) / 1.0

@@ -39,8 +39,9 @@ print(traced, np.asarray(out["x"]).tobytes().hex(), np.asarray(out["low"]).tobyt
 """
 
 
-def start(folder: Path, way: str = "solve", code: str = CHILD) -> subprocess.Popen:
+def start(folder: Path, way: str = "solve", code: str = CHILD, flags: str | None = None) -> subprocess.Popen:
     env = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
+    env |= {} if flags is None else {"XLA_FLAGS": flags}
     command = [sys.executable, "-c", code, str(folder), way]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
 
@@ -76,6 +77,13 @@ def test_without_a_cache_the_same_to_the_last_bit(first):
 def test_another_static_argument_is_another_program(first):
     traced, x, low = answer(start(first[0], "matrix"))
     assert traced == "1" and x != first[1][1] and low == first[1][2]
+
+
+def test_flags_that_programs_settle_themselves_make_no_others(first):
+    """So the tests' programs are those of processes without flags; any other flag may change what is compiled."""
+    for flags in ("", "--xla_cpu_use_fusion_emitters=true"):
+        assert answer(start(first[0], flags=flags)) == ["0", *first[1][1:]]
+    assert answer(start(first[0], flags="--xla_cpu_enable_fast_min_max=true"))[0] == "1"
 
 
 def test_spoiled_entries_are_made_anew(first):

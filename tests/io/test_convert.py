@@ -21,6 +21,7 @@ import voodoo_jax as vj
 from tests.exporters.test_tracks_files import make_tracks
 from voodoo_jax.batch.converted import as_mcap
 from voodoo_jax.cli.main import main
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.exporters.formats import export
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.convert.clouds import read_pcd
@@ -248,6 +249,32 @@ def test_folders_of_depth_images(log, tmp_path):
             turned = (b.points - np.array(CAMERA.position)) @ CAMERA.rotation
             np.testing.assert_allclose(a.points, turned, atol=1e-4)
         assert abs(int(np.diff([f.time_ns for f in found])[0]) - (stamps[1] - stamps[0])) < 2000
+
+
+def test_colour_images_beside_depth_images(log, tmp_path):
+    """Of the TUM benchmark with times of their own, of plain folders with those of depth; others are left out, said."""
+    stamps, images = depth_of(log)
+    colours = np.random.default_rng(0).integers(0, 255, (len(images), 31, 40, 3), np.uint8)
+    for name, colour in (("tum", "rgb"), ("plain", "color")):
+        for folder in ("depth", colour):
+            (tmp_path / name / folder).mkdir(parents=True)
+        (tmp_path / name / "camera.toml").write_text(camera_text(0.001, rate=5))
+        for i, (depth, picture) in enumerate(zip(images, colours)):
+            cv2.imwrite(str(tmp_path / name / "depth" / f"{i:03d}.png"), depth)
+            cv2.imwrite(str(tmp_path / name / colour / f"{i:03d}.png"), picture)
+        if name == "tum":
+            for table, late in (("depth", 0.0), ("rgb", 0.002)):
+                rows = (f"{s / 1e9 + late:.6f} {table}/{i:03d}.png" for i, s in enumerate(stamps))
+                (tmp_path / name / f"{table}.txt").write_text("\n".join(rows))
+        assert convert(tmp_path / name, tmp_path / f"{name}.mcap") == []
+        found = vj.read_log(tmp_path / f"{name}.mcap", ReadSettings(images=True))
+        assert len(found) == len(images) and all(len(frame.pictures) == 1 for frame in found)
+        for frame, picture in zip(found, colours):
+            np.testing.assert_array_equal(frame.pictures[0].unpack()[0], picture)
+    cv2.imwrite(str(tmp_path / "plain" / "color" / "001.png"), colours[0, :20])
+    (tmp_path / "plain" / "color" / "002.png").write_bytes(b"")
+    notes = convert(tmp_path / "plain", tmp_path / "less.mcap")
+    assert len(notes) == 2 and "not registered to depth" in notes[0] and "no image" in notes[1]
 
 
 def lzf(data: bytes) -> bytes:

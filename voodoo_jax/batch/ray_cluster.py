@@ -1,24 +1,35 @@
-"""Many logs on a Ray cluster: the same function for each log, as one task on one core."""
+"""Many logs on a Ray cluster: the same function for each log, as one task."""
 
+import sys
+import time
 import warnings
+from collections import deque
+from pathlib import Path
 from typing import Any
 
-from voodoo_jax.batch.log_job import Job, do_job
+from tqdm.auto import tqdm
+
+from voodoo_jax.batch.log_job import Job, do_job, output_places, remove_partials
 from voodoo_jax.batch.outcome import Outcome
 from voodoo_jax.batch.process_pool import Report, Results
+from voodoo_jax.batch.worker_start import environment
+from voodoo_jax.config.ray_tasks import RayTasks
 
 RAY_HELP = (
     '--engine ray needs the package ray: pip install "voodoo_jax[ray]", here and on every machine of the cluster; '
     "or use --engine local"
 )
+PERIOD = 1.0  # seconds between two words on progress, of a task and to the caller; by hand
+SUBMITTED = 1000  # tasks that Ray holds at once: it gets machines for what waits, and goes through all; by hand
 
 
-def on_ray(jobs: list[Job], report: Report) -> Results:
+def on_ray(jobs: list[Job], report: Report, tasks: RayTasks) -> Results:
     """Does the jobs on the cluster that RAY_ADDRESS names or that runs here already, else on one started here.
 
     Gives number and outcome of each as it is done; tasks that are left are cancelled when the iterator is closed or
-    interrupted. Logs and results must be at the same paths or URLs on all machines. `report` is told when a log is done
-    only. Raises ValueError if ray is missing or no cluster answers.
+    interrupted. Logs and results must be at the same paths or URLs on all machines. `report` is told how far each is,
+    whichever machine does it, and 0 where it is begun anew: a task whose process or machine was lost is, as often as
+    `tasks` says. Raises ValueError if ray is missing or no cluster answers.
     """
     ray = _ray()
     mine = not ray.is_initialized()
@@ -31,25 +42,98 @@ def on_ray(jobs: list[Job], report: Report) -> Results:
             raise ValueError(
                 f"--engine ray: no cluster answers: {problem}. Look at RAY_ADDRESS and `ray status`"
             ) from (problem)
-    # one core each, and no second try: what has crashed once would crash again
-    environment = {"env_vars": {"PJRT_NPROC": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}}
-    task = ray.remote(num_cpus=1, max_retries=0, runtime_env=environment)(do_job)
-    numbers: dict[Any, int] = {task.remote(job): number for number, job in enumerate(jobs)}
+    running: dict[Any, int] = {}
     try:
-        while numbers:
-            (done, *_), _ = ray.wait(list(numbers))
-            number = numbers.pop(done)
-            try:
-                outcome = ray.get(done)
-            except ray.exceptions.RayError as problem:
-                outcome = Outcome(jobs[number].log, error=_lost(problem))
-            report(number, 1.0)
-            yield number, outcome
+        _say_what_lacks(ray, tasks)
+        yield from _done_on(ray, jobs, report, tasks, running)
     finally:
-        for left in numbers:
+        for left in running:
             ray.cancel(left, force=True)
         if mine:
             ray.shutdown()
+
+
+def _done_on(ray: Any, jobs: list[Job], report: Report, tasks: RayTasks, running: dict[Any, int]) -> Results:
+    """Numbers and outcomes; `running` has the tasks that the cluster holds, each with the number of its job."""
+    variables = environment(tasks.num_cpus) | ({} if tasks.num_gpus else {"JAX_PLATFORMS": "cpu"})
+    # tries are counted here: Ray would begin a log anew without end whose machine has too little memory for it
+    task = ray.remote(
+        num_cpus=tasks.num_cpus, num_gpus=tasks.num_gpus, max_retries=0, runtime_env={"env_vars": variables}
+    )(_task)
+    board = ray.remote(num_cpus=0, max_restarts=-1)(Board).remote()
+    waiting, losses, looked = deque(range(len(jobs))), [0] * len(jobs), time.monotonic()
+    while waiting or running:
+        while waiting and len(running) < SUBMITTED:
+            number = waiting.popleft()
+            running[
+                task.options(name=f"voodoo-jax {Path(jobs[number].log).name}").remote(jobs[number], number, board)
+            ] = number
+        done, _ = ray.wait(list(running), timeout=PERIOD)
+        if time.monotonic() - looked >= PERIOD:
+            looked = time.monotonic()
+            for number, share in _news(ray, board, set(running.values())):
+                report(number, share)
+        for task_done in done:
+            number = running.pop(task_done)
+            try:
+                outcome = ray.get(task_done)
+            except ray.exceptions.RayError as problem:
+                for place in output_places(jobs[number].log, jobs[number].out):
+                    remove_partials(Path(place))
+                losses[number] += 1
+                if losses[number] <= tasks.retries:
+                    waiting.append(number)
+                    report(number, 0.0)
+                    continue
+                outcome = Outcome(jobs[number].log, error=_lost(problem, losses[number]))
+            report(number, 1.0)
+            yield number, outcome
+
+
+class Board:
+    """How far the logs are: an actor to which the tasks of all machines say it."""
+
+    def __init__(self) -> None:
+        self.shares: dict[int, float] = {}
+
+    def say(self, number: int, share: float) -> None:
+        self.shares[number] = share
+
+    def news(self) -> dict[int, float]:
+        """What was said since the last time."""
+        said, self.shares = self.shares, {}
+        return said
+
+
+def _task(job: Job, number: int, board: Any) -> Outcome:
+    said = -PERIOD
+
+    def progress(share: float) -> None:
+        nonlocal said
+        if time.monotonic() - said >= PERIOD:
+            said = time.monotonic()
+            board.say.remote(number, share)
+
+    return do_job(job, progress)
+
+
+def _news(ray: Any, board: Any, running: set[int]) -> list[tuple[int, float]]:
+    """Shares of tasks that still run; none where the actor's machine was lost: it starts anew on another."""
+    try:
+        said = ray.get(board.news.remote(), timeout=PERIOD)
+    except ray.exceptions.RayError:
+        return []
+    return [(number, share) for number, share in said.items() if number in running]
+
+
+def _say_what_lacks(ray: Any, tasks: RayTasks) -> None:
+    """Says that no machine of the cluster has what a log asks for: Ray waits without a word until one joins."""
+    wanted = {name: n for name, n in (("CPU", tasks.num_cpus), ("GPU", tasks.num_gpus)) if n}
+    machines = [machine["Resources"] for machine in ray.nodes() if machine["Alive"]]
+    if not any(all(machine.get(name, 0) >= n for name, n in wanted.items()) for machine in machines):
+        asked = " and ".join(f"{n:g} {name}" for name, n in wanted.items())
+        text = f"--engine ray: no machine of the cluster has {asked} for a log (--ray-cpus, --ray-gpus)"
+        tqdm.write(f"{text}; it waits until one joins", file=sys.stderr)
 
 
 def _ray() -> Any:
@@ -60,10 +144,11 @@ def _ray() -> Any:
     return ray
 
 
-def _lost(problem: Exception) -> str:
+def _lost(problem: Exception, times: int) -> str:
     """Why there is no answer, and what to try."""
     first = (str(problem).strip().splitlines() or [""])[0]
+    often = "its Ray task was lost" if times == 1 else f"its Ray task was lost {times} times, at last"
     return (
-        f"its Ray task was lost: {type(problem).__name__}: {first} If the machine ran out of memory, give tasks more "
-        "room; if the package is missing or older there, install the same version on all machines."
+        f"{often}: {type(problem).__name__}: {first} If the machine ran out of memory, give tasks more room (more "
+        "--ray-cpus); if the package is missing or older there, install the same version on all machines."
     )

@@ -20,6 +20,7 @@ from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.batch.worker_start import can_copy, in_a_copy
 from voodoo_jax.compile.cache_dir import safe_folder
 from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.config.ray_tasks import RayTasks, check_ray_tasks
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.storage.atomic import check_writable, made_folder
@@ -58,7 +59,7 @@ class NotSummedUp(NotWritten):
         self.outcomes = outcomes
 
 
-# 16 parameters, the options of the command, each by name; half of the lines say what they are
+# 17 parameters, the options of the command, each by name; half of the lines say what they are
 def replay(
     logs: Iterable[str | os.PathLike[str]],
     out: str | os.PathLike[str],
@@ -77,6 +78,7 @@ def replay(
     shard: str = "",
     compile_cache: str = "",
     log_timeout: float = 0.0,
+    ray: RayTasks | None = None,
 ) -> list[Outcome]:
     """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, of logs of one
     name into folders of their own in it (see output_paths.py).
@@ -94,7 +96,7 @@ def replay(
     this one where it cannot be copied (see worker_start.py); `engine` "batch": in this process, several logs as one
     batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight parts of the logs only;
     `compile_cache` folder for compiled programs, "": the user's, "off": none; `log_timeout` seconds after which a log
-    is given up, 0: never.
+    is given up, 0: never; `ray` what each log asks of a Ray cluster.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
@@ -113,6 +115,7 @@ def replay(
         raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
     if not 0 <= log_timeout <= LONGEST:
         raise ValueError(f"--log-timeout {log_timeout}: must not be negative, and at most {LONGEST:g} seconds")
+    check_ray_tasks(ray or RayTasks())
     check_stages(settings or Settings())
     check_changes(body or load_on_host("human"), settings or Settings())
     if settings is not None and settings.read.pose_net:
@@ -168,7 +171,9 @@ def replay(
         shares[which] = share
 
     try:
-        results = _engine(ordered, advance, engine, workers)  # before the bar, which has a thread of its own
+        results = _engine(
+            ordered, advance, engine, workers, ray or RayTasks()
+        )  # before the bar, which has a thread of its own
         with tqdm(total=sum(sizes), unit="B", unit_scale=True, disable=quiet or None, leave=False) as bar:
             bar.set_description(f"{len(done)}/{len(places)} logs")
             with closing(results):
@@ -222,12 +227,14 @@ def _unwritten(problem: Exception, place: str) -> str:
     return f"'{place}' cannot be written: {problem or type(problem).__name__}"
 
 
-def _engine(jobs: list[Job], report: Report, engine: Literal["local", "batch", "ray"], workers: int) -> Results:
+def _engine(
+    jobs: list[Job], report: Report, engine: Literal["local", "batch", "ray"], workers: int, ray: RayTasks
+) -> Results:
     """Number and outcome of each job as it is done."""
     if engine == "ray":
         from voodoo_jax.batch.ray_cluster import on_ray
 
-        return on_ray(jobs, report)
+        return on_ray(jobs, report, ray)
     if engine == "batch":
         from voodoo_jax.batch.device_batch import in_batch
 

@@ -18,6 +18,7 @@ from voodoo_jax.config.options import (
     StartSettings,
     TrackSettings,
 )
+from voodoo_jax.config.tune_options import TuneSettings
 
 BODY_HELP = (
     "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
@@ -55,17 +56,23 @@ class Running:
     """How many logs are done, where, and at once."""
 
     again: bool = False
-    """Do logs anew that an earlier run has finished with the same settings, body and version; else they are skipped."""
+    """Do logs anew that an earlier run has finished with these settings; else they are skipped."""
     workers: int = 0
     """Processes that track one log each; 0: as many as there are cores, memory and logs for."""
     shard: str = ""
-    """Only a part of the logs, for array jobs: 2/8 is the second of eight. The same logs make the same parts."""
+    """Only a part of the logs, for array jobs, always the same: 2/8 is the second of eight."""
     engine: Literal["local", "batch", "ray"] = "local"
-    """local: processes here; batch: many logs at once in one, for GPUs; ray: the cluster here, or RAY_ADDRESS."""
+    """local: processes here; batch: many logs at once, for GPUs; ray: a cluster, see RAY_ADDRESS."""
     compile_cache: str = ""
-    """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
+    """Folder of compiled programs, or off; none named: the user's."""
     log_timeout: float = 0.0
     """Seconds after which a log is given up and the next one begun; 0: never."""
+    ray_cpus: int = 1
+    """Cores that a log holds on Ray."""
+    ray_gpus: float = 0.0
+    """GPUs that it holds there, 0.25: a share."""
+    ray_retries: int = 1
+    """How often a log that Ray lost is done anew."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +242,32 @@ class FitCommand:
 
 
 @dataclass(frozen=True)
+class TuneCommand:
+    """Search for noise and weights of the flexible tracker that suit your logs, without gradients (CMA-ES).
+
+    Every second log is searched on, in the order of their names; the others judge, with other random numbers. Settings
+    are written only if joints are nearer to the truth there, beyond noise; use them with `voodoo-jax replay LOG
+    --config FILE`. Needs the package cma: pip install -e ".[tune]".
+    """
+
+    logs: Positional[tuple[Path, ...]] = ()
+    """MCAP logs with images, or folders of them; beside each <log>.truth.npz (time_ns, joints, joint_names)."""
+    out: Path = Path("tuned.toml")
+    """Settings file to write if it is better."""
+    truth: tuple[Path, ...] = ()
+    """The truths, one for each log, if they are elsewhere."""
+    simulate: int = 0
+    """First simulate so many stereo logs of other people, clothes, rooms and movements into the folder named."""
+    overwrite: bool = False
+    """Replace files that exist."""
+    body: Annotated[str, arg(help=BODY_HELP)] = ""
+    preset: Literal["flexible", "hecht2009"] = "flexible"
+    """Settings to start from."""
+    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
+    tune: Annotated[TuneSettings, arg(name="")] = field(default_factory=TuneSettings)
+
+
+@dataclass(frozen=True)
 class BodyCommand:
     """Make a body file of a robot description (URDF) or of a skinned mesh (glTF).
 
@@ -277,6 +310,7 @@ Command = (
     | Annotated[Export, subcommand("export")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[FitCommand, subcommand("fit")]
+    | Annotated[TuneCommand, subcommand("tune")]
     | Annotated[BodyCommand, subcommand("body")]
     | Annotated[Config, subcommand("config")]
     | Annotated[Layout, subcommand("layout")]

@@ -25,12 +25,14 @@ from voodoo_jax.cli.commands import (
     Layout,
     Live,
     Replay,
+    TuneCommand,
     UsualSettings,
     View,
 )
 from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.presets import PRESETS, preset
+from voodoo_jax.config.ray_tasks import RayTasks
 from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
 from voodoo_jax.storage.troubles import WHILE_WRITING, NotWritten
 
@@ -85,6 +87,7 @@ def run_replay(command: Replay) -> int:
             command.logs, wanted.out, body, command.settings, smooth_seconds=wanted.smooth, picture=wanted.picture,
             html=wanted.html, report=wanted.report, export=[wanted.export], again=how.again, workers=how.workers,
             engine=how.engine, shard=how.shard, compile_cache=cache or "off", log_timeout=how.log_timeout,
+            ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
         )  # fmt: skip
     except NotSummedUp as problem:
         print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)
@@ -281,7 +284,18 @@ def _open_standard_files() -> None:
 
 
 def _run(
-    command: "Replay | Live | Info | Demo | Config | FitCommand | BodyCommand | View | Export | Convert | Layout",
+    command: Replay
+    | Live
+    | Info
+    | Demo
+    | Config
+    | FitCommand
+    | TuneCommand
+    | BodyCommand
+    | View
+    | Export
+    | Convert
+    | Layout,
     base: Settings,
 ) -> int:
     if isinstance(command, Layout):
@@ -313,6 +327,10 @@ def _run(
         from voodoo_jax.cli.fit import run_fit
 
         return run_fit(command, base)
+    if isinstance(command, TuneCommand):
+        from voodoo_jax.cli.tune import run_tune
+
+        return run_tune(command, base)
     if isinstance(command, Replay):
         return run_replay(command)
     if isinstance(command, Info):

@@ -221,5 +221,8 @@ def _find_lapack() -> None:
 def _surroundings() -> tuple[str, ...]:
     libraries = [f"{name} {version(name)}" for name in LIBRARIES]
     device = jax.devices()[0]
-    flags = [os.environ.get(name, "") for name in ("XLA_FLAGS", "LIBTPU_INIT_ARGS")]
+    # by each program's own options, whatever the environment says (not quick(), which compiles to know them)
+    settled = tuple(f"--{name}=" for name in OPTIONS.get(device.platform, {}))
+    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(settled)]
+    flags.append(os.environ.get("LIBTPU_INIT_ARGS", ""))
     return (*libraries, device.platform, device.device_kind, str(len(jax.devices())), *flags, repr(OPTIONS))

@@ -20,16 +20,14 @@ from voodoo_jax.fitting.custom_loss import minimised
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
 from voodoo_jax.fitting.gauss_newton import (
     FEW_MORE,
-    SURE,
     FitError,
     Part,
     Search,
     covariance,
     run_search,
     spread,
-    undetermined,
 )
-from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, verdict_on
+from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, untold, verdict_on
 from voodoo_jax.fitting.objective import UserLoss
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
@@ -247,24 +245,6 @@ def searched(
         progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
         progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)
     return Found(search, progress, cov, apart, stays)
-
-
-def untold(
-    names: tuple[str, ...],
-    x: Float64[np.ndarray, " all"],
-    sd: Float64[np.ndarray, " all"],
-    prior: Float64[np.ndarray, " all"],
-    apart: Float64[np.ndarray, " all"],
-) -> Bool[np.ndarray, " all"]:
-    """Which sizes the recordings do not tell: they stay as they were.
-
-    Bands and settings never do. They have no true value that the start might be near to: what is found is held by the
-    priors and judged by tracking with it.
-
-    **Arguments:** `x` what was found, `sd` its deviations, `prior` those of the priors, `apart` by how much it differs
-    between parts of the recordings.
-    """
-    return is_size(names) & (undetermined(sd, prior) | (np.abs(x) < SURE * apart))
 
 
 def _stiff(search: Search, options: FitSettings) -> Search:

@@ -29,7 +29,6 @@ from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.frames import Truth, chosen_frames, news, read_truth, truth_at
 from voodoo_jax.fitting.gauss_newton import (
     FEW_MORE,
-    SURE,
     FitError,
     Place,
     Step,
@@ -39,16 +38,15 @@ from voodoo_jax.fitting.gauss_newton import (
     spread,
 )
 from voodoo_jax.fitting.gauss_newton import PARTS as LEFT_OUT
-from voodoo_jax.fitting.gauss_newton import undetermined as not_told
-from voodoo_jax.fitting.judge import is_size, judged_by, verdict_on
-from voodoo_jax.fitting.objective import FEW, JOINT_SD, PER_LIMB, POINT_SD, ROBUST, Objective
+from voodoo_jax.fitting.judge import is_size, judged_by, untold, verdict_on
+from voodoo_jax.fitting.objective import FEW, JOINT_SD, PER_LIMB, POINT_SD, ROBUST, Objective, as_distances
 from voodoo_jax.fitting.parameters import Parameters, changed, parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.trackers.base import source_of, source_of_log, tracker_of
+from voodoo_jax.trackers.base import Source, source_of, source_of_log, tracker_of
 from voodoo_jax.trackers.flexible.cylinders import PARTS, surface_distance
 from voodoo_jax.trackers.flexible.filters import clothed, refined
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS, FlexibleBody, flexible_body
@@ -56,9 +54,9 @@ from voodoo_jax.trackers.flexible.poses import centres_of
 from voodoo_jax.trackers.flexible.tracker import (
     Followed,
     Observed,
-    at_points,
     chosen_points,
     followed,
+    looks,
     numbers,
     observe,
 )
@@ -103,7 +101,8 @@ def frame_residuals(
         assert frame.truth is not None and frame.known is not None
         named = {centre: POINTS.index(point) for point, centre in CENTRES.items()}
         at = x[np.array([named.get(centre, 0) for centre in centres])] + frame.shift
-        return (jnp.where(frame.known[:, None], at - frame.truth, 0.0) / JOINT_SD).reshape(-1)
+        gap = jnp.where(frame.known[:, None], at - frame.truth, 0.0)
+        return (as_distances(gap) / JOINT_SD).reshape(-1)
     off = surface_distance(body, x, vectors(frame.points))
     best = jnp.argmin(jax.lax.stop_gradient(jnp.abs(off) + clothed(frame.bare)), 0)
     off = jnp.take_along_axis(off, best[None], 0)[0]
@@ -231,7 +230,7 @@ def fit_flexible(
         search = search_of(body, seen, settings, options, free, known)
         progress, place = _searched(search, options, state, tell)
         cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
-        stays = not_told(np.sqrt(np.diag(cov)), search.sd) | (np.abs(progress.x) < SURE * apart)
+        stays = untold(free.names * len(search.rows), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
         if stays.any():  # what the recordings do not tell stays, and the others are found anew beside it
             progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
             progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE)
@@ -261,19 +260,27 @@ def watched(
     body: Body, log: Any, settings: Settings, opened: ExitStack, tell: Callable[[str, Progress | None], None]
 ) -> Watched:
     """A log tracked; its images wait on disk until `opened` is closed."""
+    source, observed = observed_log(body, log, settings, opened, lambda name: tell(f"tracking {name}", None))
+    found = followed(body, observed, settings, source.path, source.fixed_frame, source.notes())
+    if found.found is None:
+        raise FitError(f"{Path(source.path).name}: nobody was found; look at the log with voodoo-jax replay --picture")
+    return Watched(source.path, source.fixed_frame, observed, found)
+
+
+def observed_log(
+    body: Body, log: Any, settings: Settings, opened: ExitStack, tell: Callable[[str], None]
+) -> tuple[Source, Observed]:
+    """A log as the filters take it; its features wait on disk until `opened` is closed; `tell` hears its name."""
     if isinstance(log, Recording):
         source, frames = source_of(log), iter(log)
     else:
         read = tracker_of(settings).reads(settings.read)
         reader = open_checked(log, read, build_of(body, settings.start.scale), settings.detect)
         source, frames = source_of_log(reader), reader.frames()
-    tell(f"tracking {Path(source.path).name}", None)
+    tell(Path(source.path).name)
     observed = observe(frames, source.up, body, settings, source.path)
-    opened.callback(observed.features.close)
-    found = followed(body, observed, settings, source.path, source.fixed_frame, source.notes())
-    if found.found is None:
-        raise FitError(f"{Path(source.path).name}: nobody was found; look at the log with voodoo-jax replay --picture")
-    return Watched(source.path, source.fixed_frame, observed, found)
+    opened.callback(observed.close)
+    return source, observed
 
 
 def _again(one: Watched, body: Body, settings: Settings):
@@ -312,8 +319,8 @@ def frames_of(
     one: Watched, body: Body, settings: Settings, options: FitSettings, truth: Truth | None
 ) -> FlexibleFrames:
     """Well tracked frames of a recording, padded to `options.frames`, their points in two halves."""
-    tracks, found, first, skin = one.followed
-    observed, s = one.observed, replace(settings.flexible, points=2 * options.points)
+    tracks, found, first, skin, observed = one.followed
+    s = replace(settings.flexible, points=2 * options.points)
     assert found is not None
     row, counts = observed.row, np.zeros(len(tracks.time_ns), int)
     counts[row] = [len(p.points) for p in observed.people]
@@ -321,23 +328,15 @@ def frames_of(
     numbers_of = {int(r): k for k, r in enumerate(row)}
     places = [numbers_of[int(r)] for r in at]
     x = np.asarray(found.x, np.float32)[[k - first for k in places]]
-    points, share, bare, cameras = [], [], [], []
-    for k in places:
-        f = observed.features[k]
-        mine, counting = chosen_points(observed, k, s)
-        there = at_points(skin.on_person(f.colour), f, mine) if s.skin_weight > 0 else np.zeros(len(mine), np.float32)
-        for values, value in (
-            (points, mine),
-            (share, counting),
-            (bare, there * counting),
-            (cameras, -f.shift @ f.turn),
-        ):
-            values.append(value)
+    points, share, bare = (
+        np.stack(each) for each in zip(*(chosen_points(observed, k, s, looks(observed, k, s, skin)) for k in places))
+    )
+    cameras = np.stack([observed.features.place(k) for k in places])
     half = np.arange(s.points) % 2 == 0
-    shift = centres_of(body, x.astype(float), float(body.scale), np.stack(cameras).astype(float))
+    shift = centres_of(body, x.astype(float), float(body.scale), cameras)
     named = {centre: POINTS.index(point) for point, centre in CENTRES.items()}
     shift -= x[:, [named.get(c, 0) for c in body.topology.centres]]
-    of_limb = news(tracks, np.stack(cameras), at, len(at))
+    of_limb = news(tracks, cameras, at, len(at))
     order = [body.topology.limbs.index(n) if n in body.topology.limbs else -1 for n in PART_LIMBS]
     of_part = np.where(np.array(order) < 0, 1.0, of_limb[:, order])
     joints = None if truth is None else truth_at(truth, tracks.time_ns[at].tolist(), body.topology, len(at))
@@ -348,8 +347,8 @@ def frames_of(
         return jnp.asarray(whole if whole.dtype == bool else whole.astype(np.float32))
 
     return FlexibleFrames(
-        padded(x), padded(np.stack(points)), padded(np.stack(share) * half), padded(np.stack(share) * ~half),
-        padded(np.stack(bare)), padded(of_part), None if joints is None else padded(np.nan_to_num(joints)),
+        padded(x), padded(points), padded(share * half), padded(share * ~half),
+        padded(bare), padded(of_part), None if joints is None else padded(np.nan_to_num(joints)),
         None if joints is None else padded(np.asarray(np.isfinite(joints).all(-1))), padded(np.nan_to_num(shift)),
         padded(floor),
         jnp.asarray(np.arange(options.frames) < len(at), jnp.float32),

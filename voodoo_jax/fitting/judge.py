@@ -5,13 +5,16 @@ things must hold: no frames are lost; what was held back lies nearer to the new 
 and sizes moved by more than they do because a person is not made of cylinders.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
 from scipy import stats
 
 from voodoo_jax.fitting.frames import EVERY, HALF_FRAME_NS, RUNS, Truth, runs
+from voodoo_jax.fitting.gauss_newton import SURE, undetermined
 from voodoo_jax.fitting.parameters import SYSTEMATIC
 from voodoo_jax.records.tracks import Tracks
 
@@ -42,9 +45,37 @@ class Verdict:
     why: str  # a plain sentence
 
 
+class Compared(NamedTuple):
+    """What changed in time held back."""
+
+    change: float  # mean logarithm of the error after over that before
+    least: float  # by which it has to differ from 0 to be more than noise
+    before_cm: float
+    after_cm: float
+    runs: int  # of time
+
+
 def is_size(names: tuple[str, ...]) -> Bool[np.ndarray, " all"]:
     """Which parameters are sizes of the body: the others are inventions of the method, with nothing true about them."""
     return np.array([n.startswith(("shape", "scale", "lengths", "radii", "anchors")) for n in names], bool)
+
+
+def untold(
+    names: tuple[str, ...],
+    x: Float64[np.ndarray, " all"],
+    sd: Float64[np.ndarray, " all"],
+    prior: Float64[np.ndarray, " all"],
+    apart: Float64[np.ndarray, " all"],
+) -> Bool[np.ndarray, " all"]:
+    """Which sizes the recordings do not tell: they stay as they were.
+
+    Bands and settings never do. They have no true value that the start might be near to: what is found is held by the
+    priors and judged by tracking with it.
+
+    **Arguments:** `x` what was found, `sd` its deviations, `prior` those of the priors, `apart` by how much it differs
+    between parts of the recordings.
+    """
+    return is_size(names) & (undetermined(sd, prior) | (np.abs(x) < SURE * apart))
 
 
 def judged_by(before: Tracks, after: Tracks, person: int, truth: Truth | None = None) -> Judged:
@@ -86,6 +117,20 @@ def _off(tracks: Tracks, truth: Truth | None) -> Float64[np.ndarray, " frame"]:
     return np.where(seen.any(1), np.where(seen, gap, 0).sum(1) / np.maximum(seen.sum(1), 1), np.nan)
 
 
+def compared(judged: Sequence[Judged], known: bool) -> Compared:
+    """Runs of time held back, before and after; `known` joints are compared, else points."""
+    pairs = [(j.joints_before, j.joints_after) if known else (j.before, j.after) for j in judged]
+    # logarithms: recordings of different noise count alike
+    change = np.concatenate([np.log(a[j.held] / b[j.held]) for j, (b, a) in zip(judged, pairs)])
+    change = change[np.isfinite(change)]
+    mean = lambda side: float(np.nanmean(np.concatenate([p[side][j.held] for j, p in zip(judged, pairs)])))  # noqa: E731
+    count = len(change)
+    if count < FEWEST:
+        return Compared(0.0, np.inf, 100 * mean(0), 100 * mean(1), count)
+    least = float(stats.t.ppf(1 - ERROR, count - 1)) * float(change.std(ddof=1)) / np.sqrt(count)
+    return Compared(float(change.mean()), least, 100 * mean(0), 100 * mean(1), count)
+
+
 def verdict_on(
     judged: list[Judged], moved: Float64[np.ndarray, " all"], sizes: Bool[np.ndarray, " all"], known: bool, same: bool
 ) -> Verdict:
@@ -100,20 +145,14 @@ def verdict_on(
     lost = sum(j.lost for j in judged)
     if lost > 0:
         return Verdict(False, f"{kept}: with the fitted body {lost} more frames are lost.")
-    pairs = [(j.joints_before, j.joints_after) if known else (j.before, j.after) for j in judged]
-    # logarithms: recordings of different noise count alike
-    change = np.concatenate([np.log(a[j.held] / b[j.held]) for j, (b, a) in zip(judged, pairs)])
-    change = change[np.isfinite(change)]
-    mean = lambda side: float(np.nanmean(np.concatenate([p[side][j.held] for j, p in zip(judged, pairs)])))  # noqa: E731
-    cm = [100 * mean(k) for k in (0, 1)]
+    c = compared(judged, known)
     what = "joints are off" if known else "points lie off the body"
-    size = f"in time held back {what} by {cm[0]:.3f} cm before and {cm[1]:.3f} cm after"
-    if len(change) < FEWEST:
+    size = f"in time held back {what} by {c.before_cm:.3f} cm before and {c.after_cm:.3f} cm after"
+    if c.runs < FEWEST:
         return Verdict(False, f"{kept}: too little of the logs is tracked to judge by.")
-    least = float(stats.t.ppf(1 - ERROR, len(change) - 1)) * float(change.std(ddof=1)) / np.sqrt(len(change))
-    if change.mean() > least:
+    if c.change > c.least:
         return Verdict(False, f"{kept}: the fitted one is worse ({size}).")
-    if change.mean() >= -least:
+    if c.change >= -c.least:
         return Verdict(False, f"{kept}: the fitted one is no better beyond noise ({size}).")
     far = float(np.sum((moved[sizes] / SYSTEMATIC) ** 2))
     if not known and sizes.any() and far < stats.chi2.ppf(1 - UNLIKELY, int(sizes.sum())):

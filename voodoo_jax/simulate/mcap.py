@@ -39,10 +39,23 @@ def write_simulation(simulation: Simulation, path: str | os.PathLike[str], forma
     return _write(simulation, path, format, {"ros2": _ros2, "foxglove": _foxglove})
 
 
-def write_colour(simulation: ColourSimulation, path: str | os.PathLike[str], format: str = "ros2") -> Path:
+def write_colour(
+    simulation: ColourSimulation,
+    path: str | os.PathLike[str],
+    format: str = "ros2",
+    beside: Sequence[ColourSimulation] = (),
+) -> Path:
     """As `write_simulation`, with JPEG images: of a pair on /stereo/left/image/compressed and /stereo/right/..., of one
-    camera on /colour/image/compressed; camera_info beside each, depth as there."""
-    return _write(simulation, path, format, {"ros2": _ros2_colour, "foxglove": _foxglove_colour})
+    camera on /colour/image/compressed; camera_info beside each, depth as there.
+
+    **Arguments:** `beside` the same motion as further cameras see it; their topics begin with /camera2, /camera3, ...
+    """
+    all_of_them = (simulation, *beside)
+
+    def filled(fill: Callable[..., None]) -> Callable[..., None]:
+        return lambda _, stream: fill(all_of_them, stream)
+
+    return _write(simulation, path, format, {"ros2": filled(_ros2_colour), "foxglove": filled(_foxglove_colour)})
 
 
 def _write(simulation: Any, path: str | os.PathLike[str], format: str, fills: dict[str, Callable[..., None]]) -> Path:
@@ -55,14 +68,24 @@ def _write(simulation: Any, path: str | os.PathLike[str], format: str, fills: di
     return path
 
 
-def _eyes(s: ColourSimulation) -> list[tuple[str, str, Camera, float, np.ndarray]]:
+def _rig(number: int) -> str:
+    """How topics of one of several simulations begin."""
+    return f"/camera{number + 1}" if number else ""
+
+
+def _eyes(s: ColourSimulation, number: int) -> list[tuple[str, str, Camera, float, np.ndarray]]:
     """Of each colour camera how its topics begin, its frame, itself, its distance to the left one, its images."""
     names = ["/colour"] if len(s.cameras) == 1 else ["/stereo/left", "/stereo/right"]
+    names = [_rig(number) + name for name in names]
     first = np.array(s.cameras[0].position)
     return [
         (name, name[1:].replace("/", "_") + "_optical", camera, float(np.linalg.norm(camera.position - first)), images)
         for name, camera, images in zip(names, s.cameras, s.images)
     ]
+
+
+def _depth_frame(number: int) -> str:
+    return f"{_rig(number)[1:]}_{OPTICAL_FRAME}".lstrip("_")
 
 
 def _jpeg(image: np.ndarray) -> bytes:
@@ -71,38 +94,47 @@ def _jpeg(image: np.ndarray) -> bytes:
     return np.asarray(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG])[1]).tobytes()
 
 
-def _ros2_colour(s: ColourSimulation, stream: BinaryIO) -> None:
-    eyes, start = _eyes(s), int(s.time_ns[0]) if len(s.time_ns) else 0
-    places = [(camera, frame) for _, frame, camera, _, _ in eyes]
+def _ros2_colour(simulations: Sequence[ColourSimulation], stream: BinaryIO) -> None:
+    times = simulations[0].time_ns.tolist()
+    start, eyes = times[0] if times else 0, [_eyes(s, number) for number, s in enumerate(simulations)]
     with _ros2_log(stream) as put:
-        if s.depth_camera is not None:
-            places.append((s.depth_camera, OPTICAL_FRAME))
-            _ros2_info(put, start, s.depth_camera, OPTICAL_FRAME, INFO_TOPIC)
-        _ros2_place(put, start, places, s.fixed_frame)
-        for name, frame, camera, baseline, _ in eyes:
-            _ros2_info(put, start, camera, frame, f"{name}/camera_info", baseline)
-        for i, stamp in enumerate(s.time_ns.tolist()):
-            for name, frame, _, _, images in eyes:
-                data = np.frombuffer(_jpeg(images[i]), np.uint8)
-                fields = {"header": _header(stamp, frame), "format": "jpeg", "data": data}
-                put(f"{name}/image/compressed", stamp, "sensor_msgs/msg/CompressedImage", fields)
+        places = [(camera, frame) for rig in eyes for _, frame, camera, _, _ in rig]
+        for number, s in enumerate(simulations):
             if s.depth_camera is not None:
-                _ros2_depth(put, stamp, s.depth_camera, s.depth[i])
+                places.append((s.depth_camera, _depth_frame(number)))
+                _ros2_info(put, start, s.depth_camera, _depth_frame(number), _rig(number) + INFO_TOPIC)
+        _ros2_place(put, start, places, simulations[0].fixed_frame)
+        for rig in eyes:
+            for name, frame, camera, baseline, _ in rig:
+                _ros2_info(put, start, camera, frame, f"{name}/camera_info", baseline)
+        for i, stamp in enumerate(times):
+            for number, (s, rig) in enumerate(zip(simulations, eyes)):
+                for name, frame, _, _, images in rig:
+                    data = np.frombuffer(_jpeg(images[i]), np.uint8)
+                    fields = {"header": _header(stamp, frame), "format": "jpeg", "data": data}
+                    put(f"{name}/image/compressed", stamp, "sensor_msgs/msg/CompressedImage", fields)
+                if s.depth_camera is not None:
+                    frame, topic = _depth_frame(number), _rig(number) + IMAGE_TOPIC
+                    _ros2_depth(put, stamp, s.depth_camera, s.depth[i], frame, topic)
 
 
-def _foxglove_colour(s: ColourSimulation, stream: BinaryIO) -> None:
-    eyes, start = _eyes(s), int(s.time_ns[0]) if len(s.time_ns) else 0
+def _foxglove_colour(simulations: Sequence[ColourSimulation], stream: BinaryIO) -> None:
+    times, fixed = simulations[0].time_ns.tolist(), simulations[0].fixed_frame
+    start, eyes = times[0] if times else 0, [_eyes(s, number) for number, s in enumerate(simulations)]
     with foxglove_log(stream) as put:
-        if s.depth_camera is not None:
-            put_camera(put, start, s.depth_camera, s.fixed_frame, OPTICAL_FRAME, INFO_TOPIC)
-        for name, frame, camera, baseline, _ in eyes:
-            put_camera(put, start, camera, s.fixed_frame, frame, f"{name}/camera_info", baseline)
-        for i, stamp in enumerate(s.time_ns.tolist()):
-            for name, frame, _, _, images in eyes:
-                message = CompressedImage(frame_id=frame, format="jpeg", data=_jpeg(images[i]))
-                put(f"{name}/image/compressed", stamp, message)
+        for number, (s, rig) in enumerate(zip(simulations, eyes)):
             if s.depth_camera is not None:
-                put(IMAGE_TOPIC, stamp, depth_image(s.depth_camera, OPTICAL_FRAME, s.depth[i]))
+                put_camera(put, start, s.depth_camera, fixed, _depth_frame(number), _rig(number) + INFO_TOPIC)
+            for name, frame, camera, baseline, _ in rig:
+                put_camera(put, start, camera, fixed, frame, f"{name}/camera_info", baseline)
+        for i, stamp in enumerate(times):
+            for number, (s, rig) in enumerate(zip(simulations, eyes)):
+                for name, frame, _, _, images in rig:
+                    message = CompressedImage(frame_id=frame, format="jpeg", data=_jpeg(images[i]))
+                    put(f"{name}/image/compressed", stamp, message)
+                if s.depth_camera is not None:
+                    image = depth_image(s.depth_camera, _depth_frame(number), s.depth[i])
+                    put(_rig(number) + IMAGE_TOPIC, stamp, image)
 
 
 def _save_truth(simulation: Simulation | ColourSimulation, stream: BinaryIO) -> None:
@@ -200,9 +232,12 @@ def _ros2_info(put: Ros2Put, stamp: int, camera: Camera, frame: str, topic: str,
     })  # fmt: skip
 
 
-def _ros2_depth(put: Ros2Put, stamp: int, camera: Camera, image: np.ndarray) -> None:
-    put(IMAGE_TOPIC, stamp, "sensor_msgs/msg/Image", {
-        "header": _header(stamp, OPTICAL_FRAME), "height": camera.height, "width": camera.width, "encoding": "16UC1",
+# 6 parameters: the last two have defaults
+def _ros2_depth(
+    put: Ros2Put, stamp: int, camera: Camera, image: np.ndarray, frame: str = OPTICAL_FRAME, topic: str = IMAGE_TOPIC
+) -> None:
+    put(topic, stamp, "sensor_msgs/msg/Image", {
+        "header": _header(stamp, frame), "height": camera.height, "width": camera.width, "encoding": "16UC1",
         "is_bigendian": 0, "step": 2 * camera.width, "data": image.astype("<u2").reshape(-1).view(np.uint8),
     })  # fmt: skip
 

@@ -18,6 +18,7 @@ from voodoo_jax.sensors.quick_stereo import quick_depth
 from voodoo_jax.simulate.colour import simulate_colour
 from voodoo_jax.simulate.mcap import write_colour
 from voodoo_jax.simulate.motion import make_motion, placed
+from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import NO_NOISE, Camera
 from voodoo_jax.trackers.base import Unsuitable
 
@@ -123,3 +124,27 @@ def test_images_come_with_frames_only_where_they_are_asked_for(tmp_path):
     box = z[20:50, 20:50]
     assert (z > 0).mean() > 0.8 and abs(np.median(box[box > 0]) - 2.5) < 0.03
     assert abs(np.median(z[:, 75:][z[:, 75:] > 0]) - 4.0) < 0.06
+
+
+def test_a_second_camera_sees_the_face_and_the_arm_that_the_first_one_does_not(tmp_path):
+    """One beside a person whose far arm waves, one before them; both have depth."""
+    body = vj.human()
+    motion = placed(make_motion(body, "wave", 22 / 15, 15.0), 2.6, 0.0, np.pi)
+    front, side = CAMERA, replace(CAMERA, position=(2.6, 2.6, 1.2), yaw=-np.pi / 2)
+    empty = Room(wall=None, boxes=())
+    beside, before = (simulate_colour(body, motion, (c,), c, room=empty, noise=NO_NOISE) for c in (side, front))
+    both = write_colour(beside, tmp_path / "both.mcap", beside=[before])
+    recording = read_log(both, vj.preset("flexible").read)
+    frame = recording.frames[3]
+    assert len(frame.pictures) == 2 and len(frame.origins) == 2 and set(frame.sensor.tolist()) == {0, 1}
+    settings = Settings(tracker="flexible", flexible=SMALL)
+    tracks = vj.track(body, recording, settings)
+    assert not any("No face" in note for note in tracks.notes)
+    error = np.linalg.norm(tracks.joints - beside.joints, axis=-1)
+    assert np.nanmean(error[3:]) < 0.05
+    # the other camera stops: what it last saw is not taken for what it sees
+    left = lambda f: tuple(p for p in f.pictures if p.topic.startswith("/camera2"))  # noqa: E731
+    gone = [f if i < 10 else replace(f, pictures=left(f)) for i, f in enumerate(recording.frames)]
+    stopped = vj.track(body, replace(recording, frames=tuple(gone)), settings)
+    error = np.linalg.norm(stopped.joints - beside.joints, axis=-1)
+    assert np.nanmean(error[3:]) < 0.05

@@ -1,8 +1,10 @@
-"""Folders of depth images (16-bit PNG), with a camera file, or as the TUM RGB-D benchmark has them.
+"""Folders of depth images (16-bit PNG), with a camera file, or as the TUM RGB-D benchmark has them; with colour images.
 
 Camera file (TOML): width, height, fx, fy, cx, cy (pixels), unit (metres of one count, such as 0.001), and rate (images
-a second) where the names of the images are not times in seconds. TUM: `depth.txt` names the images and their times, one
-count is 1/5000 m; the camera is that of the benchmark's registered images unless a file says another one.
+a second) where the names of the images are not times in seconds. TUM: `depth.txt` and `rgb.txt` name the images and
+their times, one count is 1/5000 m; the camera is that of the benchmark's registered images unless a file says another
+one. Otherwise the images are in the folder itself, or in its folders `depth` and `rgb`, `color` or `colour`; colour is
+taken if it is registered to depth, pixel by pixel.
 """
 
 import tomllib
@@ -11,12 +13,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from voodoo_jax.io.convert.target import ConvertError, named_times, new_log, putter
+from voodoo_jax.io.convert.target import ConvertError, Put, named_times, new_log, putter
 from voodoo_jax.storage.troubles import small_text
 
 IMAGE, INFO, FRAME = "/depth/image", "/depth/camera_info", "depth_optical"
+COLOUR, COLOUR_INFO = "/color/image", "/color/camera_info"
+COLOUR_FOLDERS, COLOUR_FILES = ("rgb", "color", "colour"), {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
 CAMERA_FILE = "camera.toml"
 # the benchmark's page "intrinsic camera calibration": ROS default for registered images, factor 5000
 TUM = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "unit": 1 / 5000}
@@ -26,32 +31,67 @@ LARGEST = 1e6  # of a camera's numbers: images have at most 65,535 pixels a side
 
 
 def convert(source: Path, target: Path, given: Path | None = None, rate: float = 0.0) -> list[str]:
-    """Writes depth images in millimetres. Raises ConvertError, OSError."""
+    """Writes depth images in millimetres, and colour images as they are. Raises ConvertError, OSError."""
     listed = source / "depth.txt"
     camera = camera_file(given or source / CAMERA_FILE, TUM if listed.is_file() else None, given is not None)
     rate = rate or camera.get("rate", 0.0)
-    images = _listed(listed) if listed.is_file() else named_times(source, (".png",), rate)
+    folder = source / "depth" if (source / "depth").is_dir() else source
+    images = _listed(listed) if listed.is_file() else named_times(folder, (".png",), rate)
     if not images:
-        raise ConvertError(f"'{source}' has no depth images (.png)")
-    notes, rounded = [], 0
+        raise ConvertError(f"'{folder}' has no depth images (.png)")
+    colours = _listed(source / "rgb.txt") if (source / "rgb.txt").is_file() else _beside(source, images, rate)
+    notes, bad, rounded = [], 0, 0
     with new_log(target) as writer:
         put = putter(writer)
-        put(INFO, images[0][0], pinhole(camera, images[0][0]))
-        for stamp, path in images:
+        for topic in (INFO, COLOUR_INFO)[: 2 if colours else 1]:
+            put(topic, images[0][0], pinhole(camera, images[0][0]))
+        for stamp, path, is_depth in sorted([*((*i, True) for i in images), *((*i, False) for i in colours)]):
+            if not is_depth:
+                notes += _put_colour(put, stamp, path, camera)
+                continue
             depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
             if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
                 notes.append(f"'{path.name}' was left out: it is no 16-bit image of one channel")
+                bad += 1
                 continue
             if depth.shape != (camera["height"], camera["width"]):
                 size = f"{depth.shape[1]} x {depth.shape[0]}"
                 raise ConvertError(f"'{path}' is {size}, the camera {camera['width']} x {camera['height']}")
             put(IMAGE, stamp, depth_image(depth, camera["unit"], stamp))
             rounded += camera["unit"] != MILLIMETRE
-        if len(notes) == len(images):
+        if bad == len(images):
             raise ConvertError(f"'{source}': no image could be read; {notes[0]}")
     if rounded:
         notes.append(f"counts of {1000 * camera['unit']:g} mm became metres in 32 bits")
     return notes
+
+
+def _beside(source: Path, depth: list[tuple[int, Path]], rate: float) -> list[tuple[int, Path]]:
+    """Colour images in a folder of their own, with stamps: those of the depth images with the same names, if any."""
+    for folder in (source / name for name in COLOUR_FOLDERS):
+        if folder.is_dir():
+            stamps = {path.stem: stamp for stamp, path in depth}
+            files = sorted(path for path in folder.iterdir() if path.suffix.lower() in COLOUR_FILES)
+            alike = [(stamps[path.stem], path) for path in files if path.stem in stamps]
+            return alike or named_times(folder, tuple(COLOUR_FILES), rate)
+    return []
+
+
+def _put_colour(put: Put, stamp: int, path: Path, camera: dict) -> list[str]:
+    """Writes a colour image as it is; what was wrong with it."""
+    data, size = path.read_bytes(), (int(camera["height"]), int(camera["width"]))
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if image is None:
+        return [f"'{path.name}' was left out: it is no image"]
+    if image.shape[:2] != size:
+        own = f"{image.shape[1]} x {image.shape[0]}"
+        return [
+            f"'{path.name}' was left out: it is {own}, and so not registered to depth, which is {size[1]} x {size[0]}"
+        ]
+    message = CompressedImage(frame_id=FRAME, format=COLOUR_FILES[path.suffix.lower()], data=data)
+    message.timestamp.FromNanoseconds(stamp)
+    put(COLOUR, stamp, message)
+    return []
 
 
 def camera_file(path: Path, usual: dict | None = None, asked: bool = True) -> dict:

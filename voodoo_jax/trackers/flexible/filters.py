@@ -178,7 +178,13 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     shift = (x[LIMBS] - mean)[:, None] if shape.refine else jnp.zeros((4, 1, 3, 3))
     sure = jnp.exp(-n.masses[2] * spread)
     rate = given.learn * jnp.stack([sure[:, :2].mean(1), sure[:, 1:].mean(1)], 1)
-    more = lambda: learn(body, x, frames(x), view, context.hidden, state.colours, state.learnt, rate)  # noqa: E731
+
+    def more():
+        known = learn(body, x, frames(x), view, context.hidden, state.colours, state.learnt, rate)
+        for other, hidden in zip(view.more, context.more):
+            known = learn(body, x, frames(x), other, hidden, *known, rate * other.there)
+        return known
+
     colours, learnt = lax.cond(given.learn > 0, more, lambda: (state.colours, state.learnt))
     after = State(x, state.x, p + shift, origin + shift, spread, colours, learnt)
     return after, _seen(body, x, spread, masses, given, near, n)
@@ -228,6 +234,7 @@ def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: I
         hidden, state.colours, state.learnt, each(given.points[:used]), others, (given.share * more)[:, :used],
         jnp.zeros((4, 2)), each(frames(x).lower[0]),
         jnp.asarray(IS_ARM, x.dtype), body.radii, body.tips, each(jnp.append(x[HEAD], _FACE * body.stature)),
+        tuple(occlusion(body, x, view) for view in given.view.more),
     )  # fmt: skip
 
 

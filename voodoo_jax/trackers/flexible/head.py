@@ -10,7 +10,6 @@ from jaxtyping import Float, Float32
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.records.recording import Picture
 from voodoo_jax.trackers.flexible.image_features import Features, SkinModel, depth_points
 
 FACE = (0.045, 0.055)  # half width and height of the face, shares of stature, measured on rendered people
@@ -22,6 +21,7 @@ _UNSEEN = 1.014  # stature over the height of the top that stereo shows: hair ha
 _SURE = 0.25  # share of skin within the box over that around it from which on it is a face, by hand
 _SHARPNESS = 14.0  # of the particles' weights, by hand
 _NOISE = 5.0  # pixels by which particles are spread, by hand
+_BORDER = 4  # pixels around the face that its corners' gradients look at, by hand: two windows of three and one more
 _VELOCITY = 0.5  # share of the last motion that goes on, as for limbs in the paper
 
 
@@ -85,8 +85,8 @@ def _learn_skin(f: Features, floor: Plane, skin: SkinModel, centre: np.ndarray, 
     face, clothes = face.reshape(f.depth.shape), clothes.reshape(f.depth.shape)
     if face.sum() < 12:
         return False
-    skin.learn(f.colour, face, clothes)
-    return bool(skin.map(f.colour)[face].mean() > 0.5)
+    skin.learn(f.cell, face, clothes)
+    return bool(skin.map(f.cell)[face].mean() > 0.5)
 
 
 def first_pose(
@@ -125,12 +125,9 @@ class HeadFilter:
         if found is not None:
             self.offset = (head - found).astype(float)
 
-    def __call__(self, f: Features, picture: Picture | None = None) -> Float32[np.ndarray, "3"] | None:
-        """The head point in this image, metres in the fixed frame; None if no face is seen.
-
-        **Arguments:** `picture` a pair from whose face depth is taken where `f` has none.
-        """
-        skin = self.skin.map(f.colour)
+    def __call__(self, f: Features) -> Float32[np.ndarray, "3"] | None:
+        """The head point in this image, metres in the fixed frame; None if no face is seen."""
+        skin = self.skin.map(f.cell)
         total = cv2.integral(skin)
         p = self.particles + _VELOCITY * self.moved + self.rng.normal(0, _NOISE, self.particles.shape)
         half = np.array(FACE) * self.stature * f.focal[0] / max(self.depth, 0.3)
@@ -144,7 +141,7 @@ class HeadFilter:
         if weight @ score < _SURE:
             self.moved = np.zeros(2)
             return None
-        z = self._face_depth(f, skin, mean, half, picture)
+        z = self._face_depth(f, skin, mean, half)
         self.moved = np.clip(mean - self.particles.mean(0), -12, 12)
         self.particles = chosen
         if z is None:
@@ -161,16 +158,12 @@ class HeadFilter:
         self.depth, self.moved = float(q[2]), np.zeros(2)
         self.particles = at + self.rng.normal(0, 2 * _NOISE, (self.count, 2))
 
-    def _face_depth(
-        self, f: Features, skin: np.ndarray, at: np.ndarray, half: np.ndarray, picture: Picture | None
-    ) -> float | None:
+    def _face_depth(self, f: Features, skin: np.ndarray, at: np.ndarray, half: np.ndarray) -> float | None:
+        if f.pair.size:
+            return face_depth(f, at, half, self.depth)
         z = _box(f.depth, at, half)
         good = (z > 0) & (_box(skin, at, half) > 0.4) & (np.abs(z - self.depth) < 0.5)
-        if good.sum() >= 5:
-            return float(np.median(z[good]))
-        if picture is not None and picture.baseline > 0:
-            return face_depth(picture, f.colour.shape[1], at, half, self.depth)
-        return None
+        return float(np.median(z[good])) if good.sum() >= 5 else None
 
 
 def _box(image: np.ndarray, at: np.ndarray, half: np.ndarray) -> np.ndarray:
@@ -189,23 +182,25 @@ def _share(total: np.ndarray, p: np.ndarray, half: np.ndarray) -> np.ndarray:
     return inside / np.maximum((high - low).prod(1), 1)
 
 
-def face_depth(picture: Picture, width: int, at: np.ndarray, half: np.ndarray, near: float) -> float | None:
+def face_depth(f: Features, at: np.ndarray, half: np.ndarray, near: float) -> float | None:
     """Depth of the face by stereo correspondences of corners on it alone, metres; None if too few are found.
 
-    **Arguments:** `at`, `half` the face's box in an image `width` pixels wide; `near` about how far it is, metres.
+    **Arguments:** `at`, `half` the face's box, pixels of the features; `near` about how far it is, metres.
     """
-    left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in picture.unpack())
-    scale = left.shape[1] / width
-    mask = np.zeros(left.shape, np.uint8)
-    (u0, v0), (u1, v1) = (np.round((at + side * half) * scale).astype(int) for side in (-1, 1))
-    mask[max(v0, 0) : max(v1, 0), max(u0, 0) : max(u1, 0)] = 255
-    corners = cv2.goodFeaturesToTrack(left, 24, 0.02, 3, mask=mask)
+    left, right = f.pair
+    scale = left.shape[1] / f.colour.shape[1]
+    low, high = (np.round((at + side * half) * scale).astype(int) for side in (-1, 1))
+    u0, v0 = np.maximum(low - _BORDER, 0).tolist()
+    u1, v1 = np.maximum(high + _BORDER, 0).tolist()
+    mask = np.zeros(left.shape, np.uint8)[v0:v1, u0:u1]
+    mask[max(low[1], 0) - v0 : max(high[1], 0) - v0, max(low[0], 0) - u0 : max(high[0], 0) - u0] = 255
+    corners = cv2.goodFeaturesToTrack(left[v0:v1, u0:u1], 24, 0.02, 3, mask=mask) if mask.size else None
     if corners is None:
         return None
-    reach, block, found = picture.K[0, 0] * picture.baseline, 6, []
-    middle = reach / near - picture.shift
+    (reach, shift), block, found = f.rig.tolist(), 6, []
+    middle = reach / near - shift
     slack = int(np.ceil(reach / max(near - 0.4, 0.3) - reach / near)) + 3
-    for u, v in np.round(corners[:, 0]).astype(int):
+    for u, v in np.round(corners[:, 0]).astype(int) + (u0, v0):
         patch = left[v - block : v + block + 1, u - block : u + block + 1]
         begin = int(u - middle) - slack - block
         strip = right[v - block : v + block + 1, max(begin, 0) : max(int(u - middle) + slack + block + 1, 0)]
@@ -217,6 +212,6 @@ def face_depth(picture: Picture, width: int, at: np.ndarray, half: np.ndarray, n
             continue
         a, b, c = match[best - 1 : best + 2]
         peak = best + 0.5 * (a - c) / min(a - 2 * b + c, -1e-6)
-        found.append(u - (begin + block + peak) + picture.shift)
+        found.append(u - (begin + block + peak) + shift)
     d = np.array(found)
     return float(reach / np.median(d)) if len(d) >= 4 and np.median(d) > 0.5 else None

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32, Float64, UInt8, UInt16
 
 from voodoo_jax.records.recording import Frame, Picture
 from voodoo_jax.sensors.quick_stereo import EVERY, quick_depth
@@ -26,6 +26,7 @@ class Features(NamedTuple):
     """Of one frame. The camera's numbers are those of the shrunk image."""
 
     colour: UInt8[np.ndarray, "row column 3"]  # blue, green, red
+    cell: UInt16[np.ndarray, "row column"]  # of the skin model, by Cr and Cb
     edge: UInt8[np.ndarray, "row column"]  # 255: a moving edge
     motion: UInt8[np.ndarray, "coarse_row coarse_column"]  # 255: all around moves
     flow: Float32[np.ndarray, "coarse_row coarse_column 2"]  # pixels of the features since the last image
@@ -33,6 +34,8 @@ class Features(NamedTuple):
     focal: Float32[np.ndarray, "4"]  # fx, fy, cx, cy, pixels
     turn: Float32[np.ndarray, "3 3"]  # from the fixed frame to the camera
     shift: Float32[np.ndarray, "3"]  # metres
+    pair: UInt8[np.ndarray, "eye pair_row pair_column"]  # grey, for the face's depth alone; empty: depth is dense
+    rig: Float64[np.ndarray, "2"]  # of `pair`: disparity at 1 m, and what is added to disparities; pixels
 
 
 class Window(NamedTuple):
@@ -70,46 +73,45 @@ class SkinModel:
     share: Float32[np.ndarray, "bin bin"] = field(default_factory=lambda: np.zeros((_BINS,) * 2, np.float32))
     bare: Float32[np.ndarray, "bin bin"] = field(default_factory=lambda: np.zeros((_BINS,) * 2, np.float32))
 
-    def learn(self, image: UInt8[np.ndarray, "row column 3"], face: np.ndarray, clothes: np.ndarray) -> None:
+    def learn(self, cell: UInt16[np.ndarray, "row column"], face: np.ndarray, clothes: np.ndarray) -> None:
         """Takes the pixels of the mask `face` for skin, and those of `clothes` and all others for none."""
-        cells = _cells(image)
         counts = []
         for mask in (face, clothes, ~face & ~clothes):
-            found = np.zeros_like(self.share)
-            np.add.at(found, tuple(cells[mask].T), 1.0)
+            found = np.bincount(cell[mask], minlength=_BINS**2).reshape(_BINS, _BINS).astype(np.float32)
             counts.append(cv2.GaussianBlur(found / max(found.sum(), 1.0), (0, 0), 0.8))
         skin, worn, room = counts
         self.share = (skin / np.maximum(skin + _CLOTHES * worn + _ROOM * room, 1e-6)).astype(np.float32)
         self.bare = (skin / (skin + _CLOTHES * worn + _RARE)).astype(np.float32)
 
-    def map(self, image: UInt8[np.ndarray, "row column 3"]) -> Float32[np.ndarray, "row column"]:
+    def map(self, cell: UInt16[np.ndarray, "row column"]) -> Float32[np.ndarray, "row column"]:
         """How likely each pixel is skin, 0..1."""
-        cells = _cells(image)
-        return self.share[cells[..., 0], cells[..., 1]]
+        return self.share.ravel()[cell]
 
-    def on_person(self, image: UInt8[np.ndarray, "row column 3"]) -> UInt8[np.ndarray, "row column"]:
+    def on_person(self, cell: UInt16[np.ndarray, "row column"]) -> UInt8[np.ndarray, "row column"]:
         """How likely each pixel is skin if it is the person's, 0..255."""
-        cells = _cells(image)
-        return (255 * self.bare[cells[..., 0], cells[..., 1]]).astype(np.uint8)
+        return (255 * self.bare.ravel()).astype(np.uint8)[cell]
 
 
-def _cells(image: np.ndarray) -> np.ndarray:
+def cells(image: UInt8[np.ndarray, "row column 3"]) -> UInt16[np.ndarray, "row column"]:
+    """Of each pixel the cell of the skin model: its Cr and Cb, a little blurred."""
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
-    return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_BGR2YCrCb))[..., 1:] // (256 // _BINS)
+    parts = np.asarray(cv2.cvtColor(smooth, cv2.COLOR_BGR2YCrCb)) // (256 // _BINS)
+    return parts[..., 1] * np.uint16(_BINS) + parts[..., 2]
 
 
 class Extractor:
     """Features of one camera's images, one after the other: differences are to the last image."""
 
-    def __init__(self, stereo: bool = True):
-        self._stereo = stereo
+    def __init__(self):
         self._grey: np.ndarray | None = None
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
 
-    def __call__(self, frame: Frame, dense: bool, with_flow: bool, near: Near | None = None) -> Features:
-        """Features of a frame that has a picture; `dense`: with the depth of all pixels, in pairs of those that may
-        show what is `near` (None: of all). Raises ValueError for an image that is broken."""
-        picture = frame.pictures[0]
+    # 6 parameters with itself
+    def __call__(
+        self, frame: Frame, picture: Picture, dense: bool, with_flow: bool, near: Near | None = None
+    ) -> Features:
+        """Features of one of a frame's pictures; `dense`: with the depth of all pixels, in pairs of those that may show
+        what is `near` (None: of all). Raises ValueError for an image that is broken."""
         images = picture.unpack()
         rows, columns = images[0].shape[:2]
         scale = WIDTH / columns
@@ -121,16 +123,20 @@ class Extractor:
         K[0, 2] += 0.5 * size[0] / columns - 0.5
         K[1, 2] += 0.5 * size[1] / rows - 0.5
         inverse = np.linalg.inv(picture.T_fixed_camera)
-        depth = np.zeros(size[::-1], np.float32)
-        if dense and len(images) == 2:
+        depth, pair, rig = np.zeros(size[::-1], np.float32), np.zeros((0, 0, 0), np.uint8), np.zeros(2)
+        if len(images) == 2 and not dense:
+            pair = np.stack([cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in as_wide(images, size)])
+            rig = np.array([picture.K[0, 0] * picture.baseline, picture.shift]) * WIDTH * EVERY / columns
+        elif dense and len(images) == 2:
             depth = pair_depth(picture, images, size, None if near is None else near.window(K, inverse, size))
         elif dense:
-            depth = cloud_depth(frame.points, K, inverse, size)
+            depth = cloud_depth(_beside(frame, picture), K, inverse, size)
         grey = cv2.GaussianBlur(np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)), (0, 0), 0.8)
         edge, motion, flow = self._moving(grey, with_flow)
         return Features(
-            colour, edge, motion, flow, depth, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], np.float32),
-            inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32),
+            colour, cells(colour), edge, motion, flow, depth,
+            np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], np.float32),
+            inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32), pair, rig,
         )  # fmt: skip
 
     def _moving(self, grey: np.ndarray, with_flow: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -153,14 +159,27 @@ class Extractor:
         return edge, np.clip(motion * 255, 0, 255).astype(np.uint8), flow
 
 
+def _beside(frame: Frame, picture: Picture) -> Float32[np.ndarray, "point 3"]:
+    """The points of the depth camera that is nearest to a colour camera: others see what is hidden from it."""
+    if len(frame.origins) == 1:
+        return frame.points
+    apart = np.linalg.norm(frame.origins - picture.T_fixed_camera[:3, 3], axis=1)
+    return frame.points[frame.sensor == np.nanargmin(apart)]
+
+
+def as_wide(images: tuple[np.ndarray, ...], size: tuple[int, int]) -> tuple[np.ndarray, ...]:
+    """Images in which depth is looked for: EVERY times the features' `size`, columns and rows."""
+    wide = WIDTH * EVERY
+    if images[0].shape[1] == wide:
+        return images
+    return tuple(np.asarray(cv2.resize(i, (wide, size[1] * EVERY), interpolation=cv2.INTER_AREA)) for i in images)
+
+
 def pair_depth(
     picture: Picture, images: tuple[np.ndarray, ...], size: tuple[int, int], within: Window | None = None
 ) -> np.ndarray:
     """Depth of a rectified pair on the features' grid: dense `within` a window, 0 elsewhere."""
-    wide = WIDTH * EVERY
-    scale = wide / images[0].shape[1]
-    if abs(scale - 1) > 1e-6:
-        images = tuple(np.asarray(cv2.resize(i, (wide, size[1] * EVERY), interpolation=cv2.INTER_AREA)) for i in images)
+    scale, images = WIDTH * EVERY / images[0].shape[1], as_wide(images, size)
     reach = picture.K[0, 0] * scale * picture.baseline
     nearest, box = (NEAREST, None) if within is None else within
     if box is not None:

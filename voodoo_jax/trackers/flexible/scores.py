@@ -34,6 +34,8 @@ class View(NamedTuple):
     turn: Float[Any, "3 3"]
     shift: Float[Any, "3"]
     skin: UInt8[Any, "row column"]  # 255: surely, if it is the person's
+    there: Float[Any, ""] = np.float32(1)  # 0: this camera has no image now
+    more: "tuple[View, ...]" = ()  # what further cameras see; motion and flow are of the first one
 
 
 class Weighing(NamedTuple):
@@ -175,6 +177,7 @@ class LimbContext(NamedTuple):
     radii: Float[Array, "3 2"]
     tip: Float[Array, ""]
     head: Float[Array, "4"]  # the head point, and how near to it skin may be the face's, metres
+    more: tuple[Float[Array, "row column"], ...] = ()  # `hidden` in the views of further cameras
 
 
 class Score(NamedTuple):
@@ -204,26 +207,42 @@ def limb_score(p: Limb, context: LimbContext, view: View, w: Weighing) -> Score:
 
 def _limb_score(p: Limb, context: LimbContext, view: View, w: Weighing) -> Score:
     segments = limb_segments(p, vectors(context.forward), context.is_arm, context.radii, context.tip)
+    seen = _image_score(segments, context, context.hidden, view, w)
+    if view.more:
+        each = [_image_score(segments, context, *other, w) for other in zip(context.more, view.more)]
+        seen = jax.tree.map(lambda *parts: _mean(parts, (view, *view.more)), seen, *each)
+    return seen._replace(points=_points_score(segments, context, w))
+
+
+def _mean(parts: tuple[Array, ...], views: tuple[View, ...]) -> Array:
+    """Of what several cameras say, those that have an image."""
+    total = sum((part * view.there for part, view in zip(parts[1:], views[1:])), parts[0] * views[0].there)
+    return total / jnp.maximum(sum(view.there for view in views), 1e-6)
+
+
+def _image_score(
+    segments: tuple[Segment, Segment, Segment], context: LimbContext, hidden: Array, view: View, w: Weighing
+) -> Score:
+    """What one camera's image says, without points."""
     at, there = samples(view, segments), view.focal[0] > 0
-    surface, solid = kept(there, lambda at: _surface_scores(at, context, view, w), at.surface)
+    surface, solid = kept(there, lambda at: _surface_scores(at, context, hidden, view, w), at.surface)
     pixels, inside = read(view.pixels, at.border)
-    nearest, _ = read(context.hidden, at.border, SHRINK)
+    nearest, _ = read(hidden, at.border, SHRINK)
     shown = inside & (nearest >= at.border.z - 0.02)
     edge = jnp.where(shown, channels(pixels)[3], w.hidden_edge).mean((1, 2))
     share = w.seen_length * at.seen + (1 - w.seen_length)
     weighed = lambda s, default: jnp.mean(share * s + (1 - share) * w.unseen * default, 0)  # noqa: E731
-    return Score(
-        weighed(edge, w.hidden_edge), weighed(surface, w.hidden_surface), weighed(solid, 0.6),
-        _points_score(segments, context, w), context.is_arm * _hand_score(segments[2], context, view),
-    )  # fmt: skip
+    skin = context.is_arm * _hand_score(segments[2], context, hidden, view)
+    edge = weighed(edge, w.hidden_edge)
+    return Score(edge, weighed(surface, w.hidden_surface), weighed(solid, 0.6), jnp.zeros_like(edge), skin)
 
 
 def _surface_scores(
-    at: Place, context: LimbContext, view: View, w: Weighing
+    at: Place, context: LimbContext, hidden: Array, view: View, w: Weighing
 ) -> tuple[Float[Array, "2 particle"], Float[Array, "2 particle"]]:
     """Of each cylinder: how much its colours are alike, and how much of it is where depth is measured."""
     # a sample is hidden where another part of the body is nearer, or outside of the image
-    nearest, _ = read(context.hidden, at, SHRINK)
+    nearest, _ = read(hidden, at, SHRINK)
     behind = nearest < at.z - 0.02
     depth, inside = read(view.depth, at)
     covered = (depth > 0) & (depth < at.z - _BEHIND)
@@ -264,13 +283,13 @@ def worthwhile(context: LimbContext, count: int, w: Weighing) -> LimbContext:
     )
 
 
-def _hand_score(s: Segment, context: LimbContext, view: View) -> Float[Array, " particle"]:
+def _hand_score(s: Segment, context: LimbContext, hidden: Array, view: View) -> Float[Array, " particle"]:
     """Share of skin on a hand as far as it is seen, and not before the face."""
     t = (np.arange(_HAND_SAMPLES, dtype=np.float32) + 0.5)[:, None] / _HAND_SAMPLES
     hand = s.a[None] + (s.b - s.a)[None] * t
     at = project(view, hand)
     z = at.z - s.end
-    nearest, _ = read(context.hidden, at, SHRINK)
+    nearest, _ = read(hidden, at, SHRINK)
     depth, inside = read(view.depth, at)
     seen = inside & (nearest >= z - 0.02) & ~((depth > 0) & (depth < z - _BEHIND))
     away = (depth > 0) & (depth > z + _BEHIND)  # of the room behind

@@ -1,15 +1,17 @@
 """The flexible tracker on a whole recording: features, person's points, head, filters, tracks. Host side."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from math import prod
+from typing import IO, Any, NamedTuple
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.compile.executable import seconds_of_waiting
@@ -20,7 +22,7 @@ from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.recording import Frame, Picture, Rays
+from voodoo_jax.records.recording import Frame, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
@@ -57,16 +59,25 @@ _OTHER_LIMB = np.array([1, 0, 3, 2])  # of each of the paper's filters, that of 
 _OTHER_PART = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8, 12, 13, 14])  # of each of the paper's cylinders
 _TRUNK = np.unique([*UPPER, *LOWER])
 _LIMB_OF = np.array([next((n for n, rows in enumerate(LIMBS) if p in rows), -1) for p in range(16)])
+_NOTHING = np.zeros((0, 3), np.float32)
 _BESIDE, _FASTEST = 0.25, 2.5  # metres from a person's points, and per second: so far hands may be next, by hand
 _FEWEST = 120  # points of a person from which on tracking starts, by hand
 
 
-class FeatureStore:
-    """Features of all frames on disk, in the order of time; a recording's images do not fit into memory."""
+class _Kept(NamedTuple):
+    """Features of a frame on disk."""
 
-    def __init__(self):
-        self._file = nameless_file()
-        self._at: list[int] = []
+    begin: int  # byte of the file
+    kinds: list[tuple[np.dtype, tuple[int, ...]]]  # of the arrays
+    place: Float64[np.ndarray, "3"]  # of the camera, metres
+
+
+class FeatureStore:
+    """A camera's features on disk, in the order of time; a recording's images do not fit into memory."""
+
+    def __init__(self, file: IO[bytes] | None = None, at: Sequence["_Kept | None"] = ()):
+        self._file = nameless_file() if file is None else file
+        self._at = list(at)
 
     def __len__(self) -> int:
         return len(self._at)
@@ -75,15 +86,44 @@ class FeatureStore:
         """Gives the disk space back."""
         self._file.close()
 
-    def add(self, f: Features) -> None:
-        self._file.seek(0, 2)
-        self._at.append(self._file.tell())
+    def add(self, f: Features | None, place: Float64[np.ndarray, "3"] | None = None) -> None:
+        """Those of one more frame, and where the camera is, metres; None: it has no image of it."""
+        if f is None or place is None:
+            self._at.append(None)
+            return
+        self._at.append(_Kept(self._file.seek(0, 2), [(array.dtype, array.shape) for array in f], place))
         for array in f:
-            np.save(self._file, array)
+            self._file.write(np.ascontiguousarray(array).data)
+
+    def place(self, i: int) -> Float64[np.ndarray, "3"]:
+        """Where the camera is, metres."""
+        return self._kept(i).place
+
+    def _kept(self, i: int) -> "_Kept":
+        found = self._at[i]
+        if found is None:
+            raise IndexError(f"no image in row {i}")
+        return found
+
+    def has(self, i: int) -> bool:
+        return self._at[i] is not None
+
+    def latest(self, i: int) -> tuple[Features, bool]:
+        """Those of the row, or else the nearest ones, and which of both."""
+        if self.has(i):
+            return self[i], True
+        there = [k for k in range(len(self)) if self.has(k)]
+        return self[min(there, key=lambda k: abs(k - i))], False
+
+    def rows(self, at: Sequence[int]) -> "FeatureStore":
+        """Of some frames alone."""
+        return FeatureStore(self._file, [self._at[i] for i in at])
 
     def __getitem__(self, i: int) -> Features:
-        self._file.seek(self._at[i])
-        return Features(*(np.load(self._file) for _ in Features._fields))
+        found = self._kept(i)
+        self._file.seek(found.begin)
+        read = self._file.read
+        return Features(*(np.frombuffer(read(t.itemsize * prod(s)), t).reshape(s) for t, s in found.kinds))
 
 
 def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
@@ -115,23 +155,74 @@ def uses_dense(s: FlexibleSettings) -> bool:
 
 @dataclass(frozen=True)
 class Observed:
-    """A recording as the filters take it."""
+    """A recording as the filters take it. Rows are frames in which the first camera has an image."""
 
-    features: FeatureStore
-    pictures: list[Picture]  # still packed
+    features: FeatureStore  # of the first camera: flow, motion and the head come from it
+    others: tuple[FeatureStore, ...]  # of further ones, which may have no image in some rows
     people: list[BodyObservation]
     scene: Scene
     time_ns: np.ndarray
     row: np.ndarray  # which frame of the recording each is
     count: int  # frames of the recording
 
+    def close(self) -> None:
+        """Gives the disk space back."""
+        for store in (self.features, *self.others):
+            store.close()
+
+    def from_camera(self, number: int) -> "Observed":
+        """With another camera as the first one."""
+        stores = [self.features, *self.others]
+        first = stores.pop(number)
+        rows = [i for i in range(len(first)) if first.has(i)]
+        return replace(
+            self, features=first.rows(rows), others=tuple(s.rows(rows) for s in stores),
+            people=[self.people[i] for i in rows], row=self.row[rows],
+        )  # fmt: skip
+
+
+class _Eyes:
+    """All cameras of a recording: features, and the points of pairs. Raises ValueError for broken images."""
+
+    def __init__(self, s: FlexibleSettings):
+        self._s, self._extract = s, dict[str, Extractor]()
+        self.stores: dict[str, FeatureStore] = {}
+        self._origins: dict[str, np.ndarray] = {}
+        self.shown = 0  # frames with an image
+
+    def __call__(self, frame: Frame, near: Near | None) -> Frame:
+        """The frame with the points that are measured; its features are kept."""
+        s, found = self._s, dict[str, tuple[Features, bool]]()
+        for picture in sorted(frame.pictures, key=lambda picture: picture.topic):
+            dense = uses_dense(s) or self.shown < s.learn_frames
+            extract = self._extract.setdefault(picture.topic, Extractor())
+            found[picture.topic] = extract(frame, picture, dense, s.flow, near), picture.baseline > 0
+            if picture.topic not in self.stores:
+                self.stores[picture.topic] = FeatureStore(at=[None] * self.shown)
+        places = {picture.topic: picture.T_fixed_camera[:3, 3] for picture in frame.pictures}
+        for topic, store in self.stores.items():
+            store.add(found[topic][0] if topic in found else None, places.get(topic))
+        self.shown += 1
+        frame = replace(frame, rays=Rays(), pictures=(), weight=None)
+        pairs = {topic: f for topic, (f, is_pair) in found.items() if is_pair}
+        if not pairs:
+            return frame
+        self._origins |= {topic: -f.shift @ f.turn for topic, f in pairs.items()}
+        clouds = [depth_points(pairs[topic])[0] if topic in pairs else _NOTHING for topic in self._origins]
+        sensor = np.repeat(np.arange(len(clouds), dtype=np.int32), [len(cloud) for cloud in clouds])
+        origins = np.stack(list(self._origins.values())).astype(np.float32)
+        return replace(frame, points=np.concatenate(clouds), sensor=sensor, origins=origins)
+
+    def close(self) -> None:
+        for store in self.stores.values():
+            store.close()
+
 
 def observe(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, source: str
 ) -> Observed:
     """Reads features and finds the person's points. Raises Unsuitable."""
-    s, store, extract = settings.flexible, FeatureStore(), Extractor()
-    pictures: list[Picture] = []
+    eyes = _Eyes(settings.flexible)
     chooser: Chooser | None = None
     times, stamps = [], []
 
@@ -139,31 +230,25 @@ def observe(
         for number, frame in enumerate(frames):
             times.append(frame.time_ns)
             if not frame.pictures:
-                if number >= _PATIENCE and not len(store):
+                if number >= _PATIENCE and not stamps:
                     raise _without_images(source)
                 continue
-            dense = uses_dense(s) or len(store) < s.learn_frames
-            f = extract(frame, dense, s.flow, None if chooser is None else _near(chooser, frame.time_ns))
-            store.add(f)
-            pictures.append(replace(frame.pictures[0]))
             stamps.append(number)
-            points = depth_points(f)[0] if frame.pictures[0].baseline > 0 else frame.points
-            origin = (-f.shift @ f.turn)[None].astype(np.float32)
-            sensor = np.zeros(len(points), np.int32)
-            origins = origin if frame.pictures[0].baseline > 0 else frame.origins
-            sensor = sensor if frame.pictures[0].baseline > 0 else frame.sensor
-            yield replace(frame, points=points, sensor=sensor, origins=origins, rays=Rays(), pictures=(), weight=None)
+            yield eyes(frame, None if chooser is None else _near(chooser, frame.time_ns))
 
     try:
         chooser, found = watched(seen(), up, body, settings)
         people = spilled(found)
-        if not len(store):
+        if not stamps:
             raise _without_images(source)
     except BaseException:
-        store.close()
+        eyes.close()
         raise
     scene = chooser.finder.scene  # now, for the floor may have been found with the body
-    return Observed(store, pictures, people, scene, np.array(times, np.int64), np.array(stamps, int), len(times))
+    first, *others = eyes.stores.values()
+    row = np.array(stamps, int)
+    whole = Observed(first, tuple(others), people, scene, np.array(times, np.int64), row, len(times))
+    return whole if all(first.has(i) for i in range(len(first))) else whole.from_camera(0)
 
 
 def _near(chooser: Chooser, time_ns: int) -> Near | None:
@@ -190,7 +275,7 @@ def track_frames(
     try:
         return follow(body, seen, settings, source.path, source.fixed_frame, source.notes(), progress, began)
     finally:
-        seen.features.close()
+        seen.close()
 
 
 class Followed(NamedTuple):
@@ -200,6 +285,7 @@ class Followed(NamedTuple):
     found: Seen | None  # of frames with features, from number `first` on; None: nobody
     first: int
     skin: SkinModel
+    seen: Observed  # with the camera first that sees the face
 
 
 # 8 parameters: those of the program that it is
@@ -219,14 +305,9 @@ def followed(
     """Tracks of what was observed, and what they were made of."""
     s, waited = settings.flexible, seconds_of_waiting()
     began = time.perf_counter() if began is None else began
-    skin, first, begin = SkinModel(), 0, None
-    for first in range(len(seen.features)):
-        points = seen.people[first].points
-        if len(points) >= _FEWEST:
-            begin = find_start(seen.features[first], points, seen.scene.floor, skin, settings.start.scale)
-            break
+    seen, skin, first, begin = started(seen, settings.start.scale)
     if begin is None:
-        return Followed(_nobody(body, seen, source, fixed_frame, notes), None, first, skin)
+        return Followed(_nobody(body, seen, source, fixed_frame, notes), None, first, skin, seen)
     model = flexible_body(body, begin.stature)
     floor_up = seen.scene.floor.normal.astype(np.float32)
     x = first_pose(np.asarray(model.rest), begin, floor_up)
@@ -252,7 +333,35 @@ def followed(
         )
     tracks = rated(tracks, found, seen.row[first:], s.lost_confidence)
     tracks = replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
-    return Followed(tracks, found, first, skin)
+    return Followed(tracks, found, first, skin, seen)
+
+
+def started(seen: Observed, stature: float) -> tuple[Observed, SkinModel, int, Start | None]:
+    """The recording with that camera first which sees a face where the person is first seen, the colours of skin there,
+    the row, and what it says; None: nobody is found.
+
+    **Arguments:** `stature` metres, 0: measured.
+    """
+    found: list[tuple[Observed, SkinModel, int, Start]] = []
+    for camera in range(1 + len(seen.others)):
+        view, skin = seen.from_camera(camera) if camera else seen, SkinModel()
+        enough = (i for i, person in enumerate(view.people) if len(person.points) >= _FEWEST)
+        if (first := next(enough, None)) is None:
+            continue
+        # of this camera alone: where a head is follows from the side that it sees of it
+        points = _seen_by(view.people[first], view.features.place(first))
+        begin = find_start(view.features[first], points, view.scene.floor, skin, stature)
+        found.append((view, skin, first, begin))
+        if begin.face_seen:
+            return found[-1]
+    return found[0] if found else (seen, SkinModel(), 0, None)
+
+
+def _seen_by(person: BodyObservation, camera: Float64[np.ndarray, "3"]) -> Float32[np.ndarray, "point 3"]:
+    """The points on a person that the sensor nearest to a camera measured."""
+    if len(person.origins) == 1:
+        return person.points
+    return person.points[person.sensor == np.linalg.norm(person.origins - camera, axis=1).argmin()]
 
 
 class Heads(NamedTuple):
@@ -271,7 +380,7 @@ def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: Flexibl
     head.begin(seen.features[first], begin.head, True)
     for i in range(first, count):
         f, points = seen.features[i], seen.people[i].points
-        found = head(f, seen.pictures[i])
+        found = head(f)
         if len(points) > 50:
             height = seen.scene.floor.height(points)
             top = np.median(points[height > np.percentile(height, 97)], 0).astype(np.float32)
@@ -284,17 +393,38 @@ def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: Flexibl
     return out
 
 
+class Look(NamedTuple):
+    """What one camera sees in a row."""
+
+    features: Features
+    bare: UInt8[np.ndarray, "row column"]  # how likely each pixel is skin if it is the person's, 0..255
+    there: bool  # False: it has no image then, this is the nearest one in time
+
+
+def looks(seen: Observed, i: int, s: FlexibleSettings, skin: SkinModel) -> list[Look]:
+    """What all cameras see in a row, the first one first."""
+    found = [(seen.features[i], True), *(store.latest(i) for store in seen.others)]
+    none = np.zeros(found[0][0].depth.shape, np.uint8)
+    return [Look(f, skin.on_person(f.cell) if s.skin_weight > 0 else none, there) for f, there in found]
+
+
 def chosen_points(
-    seen: Observed, i: int, s: FlexibleSettings
-) -> tuple[Float32[np.ndarray, "point 3"], Float32[np.ndarray, " point"]]:
-    """The points on the person in a frame that are used, metres, and what each counts (0: there is none)."""
+    seen: Observed, i: int, s: FlexibleSettings, views: Sequence[Look]
+) -> tuple[Float32[np.ndarray, "point 3"], Float32[np.ndarray, " point"], Float32[np.ndarray, " point"]]:
+    """The points on the person in a row that are used, metres, what each counts (0: there is none), and the same times
+    how likely it is skin, by the camera that is nearest to where it was seen from."""
     person = seen.people[i]
     points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
     good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
     chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
     points[: len(chosen)] = person.points[chosen]
     share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
-    return points, share
+    each = [at_points(look.bare, look.features, points) for look in views]
+    if len(views) > 1:
+        cameras = np.stack([-look.features.shift @ look.features.turn for look in views])
+        apart = np.linalg.norm(person.origins[person.sensor[chosen], None] - cameras, axis=-1)
+        each[0][: len(chosen)] = np.stack(each)[apart.argmin(1), np.arange(len(chosen))]
+    return points, share, each[0] * share
 
 
 # 7 parameters: what a chunk of frames is made of
@@ -303,12 +433,12 @@ def _inputs(
 ) -> Inputs:
     rows = []
     for k, i in enumerate(at):
-        f = seen.features[i]
-        bare = skin.on_person(f.colour) if s.skin_weight > 0 else np.zeros(f.depth.shape, np.uint8)
-        points, share = chosen_points(seen, i, s)
+        views = looks(seen, i, s, skin)
+        view, *more = (_view(look) for look in views)
+        points, share, bare = chosen_points(seen, i, s, views)
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
-            _view(f, bare), points, share, at_points(bare, f, points) * share, heads.place[i],
+            view._replace(more=tuple(more)), points, share, bare, heads.place[i],
             _number(float(heads.seen[i])), up, _number(min(dt, 0.2)), np.asarray(i, np.int32),
             _number(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
         ))  # fmt: skip
@@ -371,7 +501,7 @@ def _turned(state: State) -> State:
 
 def _camera(seen: Observed, at: Iterable[int]) -> Float[np.ndarray, "frame 3"]:
     """The camera's centres in some images, metres."""
-    return np.array([seen.pictures[i].T_fixed_camera[:3, 3] for i in at], float)
+    return np.array([seen.features.place(i) for i in at], float)
 
 
 def _cosine(
@@ -425,10 +555,11 @@ def at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point
     return np.where(inside, value, np.float32(0))
 
 
-def _view(f: Features, skin: np.ndarray) -> View:
+def _view(look: Look) -> View:
     """What a program takes of features."""
-    pixels = np.ascontiguousarray(np.dstack([f.colour, f.edge])).view("<u4")[..., 0]
-    return View(pixels, f.motion, f.flow, f.depth, f.focal, f.turn, f.shift, skin)
+    f = look.features
+    pixels = np.asarray(cv2.merge((f.colour, f.edge))).view("<u4")[..., 0]
+    return View(pixels, f.motion, f.flow, f.depth, f.focal, f.turn, f.shift, look.bare, _number(float(look.there)))
 
 
 def _number(value: float) -> np.ndarray:
