@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.logs import PERIOD, START, Log, ros_calibration, ros_image, ros_tf
+from tests.support.logs import PERIOD, START, Log, ros_calibration, ros_cloud, ros_image, ros_tf
 from tests.support.segments import blank_tracks
 from voodoo_jax.detect.opening import open_checked, read_log
 from voodoo_jax.model.body_file import human
@@ -56,6 +56,13 @@ def test_where_no_floor_tells_it_places_are_less_sure(rng, tmp_path, cut, transf
 def test_a_little_less_is_no_doubt(rng, tmp_path):
     read = read_log(cropped(tmp_path, rng, np.s_[:, 4:]))
     assert read.sure > 0.95 and not any("Nothing tells" in note for note in read.notes)
+
+
+def test_a_cloud_of_a_calibrated_camera_was_not_cropped(rng, tmp_path):
+    log = Log().add("/cam/i", START, ros_calibration("cam_optical", K, size=SHAPE))
+    cloud = ros_cloud(START, "cam_optical", rng.uniform(1, 3, (500, 3)))
+    path = log.add("/cam/points", START, cloud).write(tmp_path / "a.mcap")
+    assert open_checked(path).leeway("/cam/points")[0] == (0, 0) and read_log(path).sure == 1
 
 
 def test_joints_are_only_as_sure():

@@ -153,8 +153,9 @@ class LogReader:
     def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
         """Pixels across and down by which the place is unknown where a topic's images were cropped, and their focal
         length, pixels."""
-        sample, c = self._scan.topics[topic].sample, calibration_of(self._scan.topics, topic)
-        if not isinstance(sample, Image) or c is None:
+        sample = self._scan.topics[topic].sample
+        c = calibration_of(self._scan.topics, topic) if isinstance(sample, Image) else None
+        if c is None:
             return (0.0, 0.0), 1.0
         return leeway(c, sample.shape), float(fitted(c, sample.shape)[0].K[0, 0])
 

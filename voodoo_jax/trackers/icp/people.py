@@ -20,6 +20,7 @@ from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.icp.limb_distance import body_distance
 from voodoo_jax.trackers.icp.own_features import with_own_features
+from voodoo_jax.trackers.icp.refine.hang_legs import HangLegs, with_hung_legs
 from voodoo_jax.trackers.icp.runner import FEW_POINTS
 from voodoo_jax.trackers.icp.sequence import Progress
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
@@ -54,12 +55,17 @@ def track_subjects(
     if len(subjects) > 1 and shares:
         subjects = with_own_features(subjects)
 
+    now, hangs = settings, False
+    if len(subjects) > 1 and shares:  # who owns a point is decided by what was seen, without guesses of legs
+        now = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, HangLegs.name)))
+        hangs = not settings.skips("track", HangLegs.name, HangLegs.looks_ahead) and not settings.changes
+
     def tracked(subject: Subject, say: Progress | None = None) -> Tracks:
         whose = f"Named points of {len(names)} people: these are the tracks of '{subject.name}'."
         told = [whose] if subject.name else []
         begin = in_view_from(subject) if len(subjects) > 1 else 0
         return track_person(
-            body, subject.scene, subject.frames, settings, source, fixed_frame, (*notes, *told), say, visit, begin
+            body, subject.scene, subject.frames, now, source, fixed_frame, (*notes, *told), say, visit, begin
         )
 
     found = [tracked(subject, progress) for subject in subjects]
@@ -75,6 +81,8 @@ def track_subjects(
             break
         anew = [(tracked(s), t) if c else (t, None) for s, t, c in zip(subjects, found, concerned)]
         found = [replace(t, seconds=t.seconds + old.seconds) if old else t for t, old in anew]
+    if hangs:
+        found = [with_hung_legs(t, settings.track) for t in found]
     if len(subjects) > 1:
         found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
     return [replace(t, person=s.number, people=len(subjects)) for s, t in zip(subjects, found)]

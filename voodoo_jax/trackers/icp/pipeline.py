@@ -10,6 +10,7 @@ from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
 from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained
 from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
+from voodoo_jax.trackers.icp.refine.hang_legs import HangLegs
 from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
 from voodoo_jax.trackers.icp.refine.place_joints import PlaceJoints
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
@@ -26,7 +27,7 @@ REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs()
 # of the recording
 FINISH: tuple[RecordingStage, ...] = (DropUnexplained(among=REFINE), FitForearms())
 # of the tracks, once their poses stand
-PLACE = (PlaceJoints(),)
+PLACE = (PlaceJoints(), HangLegs())
 
 
 def stages() -> tuple[Named, ...]:
