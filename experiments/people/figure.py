@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.people.motions import Clip
+from experiments.people.motions import PARENT, Clip
 
 BONES = {
     "skullbase": "head", "vc7": "neck01", "l_shoulder": "upperarm01.L", "l_elbow": "lowerarm01.L", "l_wrist": "wrist.L",
@@ -65,6 +65,12 @@ class Figure:
             ):  # fmt: skip
                 first = self._down(side, a, b, Rotation.identity())
                 self._hanging |= {f"{side}_{upper}": first, f"{side}_{lower}": self._down(side, b, c, first)}
+        self.dims["stature"] = self._upright()
+
+    def _upright(self) -> float:
+        """Height of who stands with straight legs: in the rest pose legs are apart, and the mesh is 0.6 cm lower."""
+        stands = Clip(dict.fromkeys(PARENT, Rotation.identity(1)), np.zeros((1, 3)))
+        return float(np.ptp(self.posed(stands, np.ones(1))[0][0, :, 2]))
 
     def _down(self, side: str, upper: str, lower: str, turned: Rotation) -> Rotation:
         """The turn that lets a segment of the rest pose hang, after another turn."""
