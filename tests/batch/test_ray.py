@@ -11,7 +11,7 @@ import pytest
 from tests.support.small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
 from voodoo_jax.batch.log_job import Job
 from voodoo_jax.batch.outcome import Outcome
-from voodoo_jax.batch.ray_cluster import _done_on, _say_what_lacks
+from voodoo_jax.batch.ray_cluster import done_on, say_what_lacks
 from voodoo_jax.batch.replay import replay
 from voodoo_jax.cli.main import main
 from voodoo_jax.config.ray_tasks import RayTasks
@@ -86,7 +86,7 @@ def test_a_log_that_is_lost_too_often_is_given_up_and_the_others_are_done():
     jobs = [Job(log, "", small_body(), SETTINGS, 0.0, "", (), False) for log in ("bad", "good", "worse")]
     heard = []
     tasks = RayTasks(num_cpus=2, num_gpus=0.5, retries=2)
-    found = dict(_done_on(ray, jobs, lambda number, share: heard.append((number, share)), tasks, {}))
+    found = dict(done_on(ray, jobs, lambda number, share: heard.append((number, share)), tasks, {}))
     assert ray.begun == [0, 1, 2, 0, 0] and not found[1].error and not found[2].error
     assert "lost 3 times" in found[0].error and "Lost: no heartbeat" in found[0].error
     assert heard.count((0, 0.0)) == 2 and [n for n, share in heard if share == 1] == [1, 2, 0]
@@ -96,9 +96,9 @@ def test_a_log_that_is_lost_too_often_is_given_up_and_the_others_are_done():
 
 
 def test_that_no_machine_has_what_a_log_asks_for_is_said(capsys):
-    _say_what_lacks(FakeRay(), RayTasks(num_cpus=4))
+    say_what_lacks(FakeRay(), RayTasks(num_cpus=4))
     assert capsys.readouterr().err == ""
-    _say_what_lacks(FakeRay(), RayTasks(num_cpus=2, num_gpus=1))  # the one with GPUs is not alive
+    say_what_lacks(FakeRay(), RayTasks(num_cpus=2, num_gpus=1))  # the one with GPUs is not alive
     assert "no machine of the cluster has 2 CPU and 1 GPU" in capsys.readouterr().err
 
 

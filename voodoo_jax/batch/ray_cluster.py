@@ -44,8 +44,8 @@ def on_ray(jobs: list[Job], report: Report, tasks: RayTasks) -> Results:
             ) from (problem)
     running: dict[Any, int] = {}
     try:
-        _say_what_lacks(ray, tasks)
-        yield from _done_on(ray, jobs, report, tasks, running)
+        say_what_lacks(ray, tasks)
+        yield from done_on(ray, jobs, report, tasks, running)
     finally:
         for left in running:
             ray.cancel(left, force=True)
@@ -53,7 +53,7 @@ def on_ray(jobs: list[Job], report: Report, tasks: RayTasks) -> Results:
             ray.shutdown()
 
 
-def _done_on(ray: Any, jobs: list[Job], report: Report, tasks: RayTasks, running: dict[Any, int]) -> Results:
+def done_on(ray: Any, jobs: list[Job], report: Report, tasks: RayTasks, running: dict[Any, int]) -> Results:
     """Numbers and outcomes; `running` has the tasks that the cluster holds, each with the number of its job."""
     variables = environment(tasks.num_cpus) | ({} if tasks.num_gpus else {"JAX_PLATFORMS": "cpu"})
     # tries are counted here: Ray would begin a log anew without end whose machine has too little memory for it
@@ -126,7 +126,7 @@ def _news(ray: Any, board: Any, running: set[int]) -> list[tuple[int, float]]:
     return [(number, share) for number, share in said.items() if number in running]
 
 
-def _say_what_lacks(ray: Any, tasks: RayTasks) -> None:
+def say_what_lacks(ray: Any, tasks: RayTasks) -> None:
     """Says that no machine of the cluster has what a log asks for: Ray waits without a word until one joins."""
     wanted = {name: n for name, n in (("CPU", tasks.num_cpus), ("GPU", tasks.num_gpus)) if n}
     machines = [machine["Resources"] for machine in ray.nodes() if machine["Alive"]]

@@ -194,7 +194,7 @@ class TrackSettings:
     """Over longer intervals between frames the pull to the prediction weakens with the square of the time, seconds."""
     still_speed: float = 0.2
     """Limbs that are slower are held where they are (solve.steady), metres per second."""
-    hidden_rest: float = 1.3  # of 0.8, 1.3, 2 and 4 on logs of simulated people; at 2 people who bow were worse
+    hidden_rest: float = 0.8
     """Limbs that no point tells of go with their parents, and back to rest in about so many seconds (0: never)."""
     hidden_weight: float = 8.0
     """Weight of the points (1 each if not noisy) at which a limb counts as half hidden."""

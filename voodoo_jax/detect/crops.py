@@ -8,7 +8,7 @@ from voodoo_jax.records.recording import Frame
 
 FIRST = 5  # images that are looked at, spread over the log; by hand
 LEVEL, TILTED = 1.0, 2.0  # degrees: a floor by transforms as exact as they are, and one that is not; by hand
-RIGHT = 0.1  # metres: joints nearer to their true places are right, as joint_confidence means it
+RIGHT = 0.1  # metres: joints nearer to their true places are right, as joint_confidence means it; by hand
 AT_ZERO = 0.1  # metres: a floor is at the height 0 of the fixed frame; by hand
 MIDDLE = 0.5  # odds of a crop about the middle where nothing tells; by hand
 
