@@ -28,7 +28,7 @@ from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.joint_spread import with_passes
 from voodoo_jax.trackers.icp.pipeline import PLACE
-from voodoo_jax.trackers.icp.refine.place_joints import Gaps, band_gaps, persons_body, sensor_places
+from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, THING_FRAMES, Runner
 from voodoo_jax.trackers.icp.segment import Followed, segment_of
@@ -252,7 +252,7 @@ class _Shown:
 
     def __init__(self, run: LiveRunner):
         self._run = run
-        self._places = [stage for stage in PLACE if is_active(run, stage)]
+        self._places = [stage for stage in PLACE if isinstance(stage, PlaceJoints) and is_active(run, stage)]
         self._rows: list[Tracks] = []  # of the present body, for the bands: before they were rated
         self._first = 0  # frame in which it began
         self._until = 0  # frame of the present body until which the bands hold
