@@ -1,5 +1,7 @@
 """Where images were cropped: found by the floor, else said, and joints are only as sure as that."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from tests.support.segments import blank_tracks
 from voodoo_jax.detect.opening import open_checked, read_log
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.records.tracks import only_as_sure
+from voodoo_jax.records.tracks import for_users, only_as_sure
 
 K = np.array([[140.0, 0, 79.5], [0, 140.0, 61.5], [0, 0, 1]])
 SHAPE, HIGH, WALL = (124, 160), 0.7, 4.5
@@ -69,3 +71,7 @@ def test_joints_are_only_as_sure():
     tracks = blank_tracks(human(), 2, joint_confidence=np.full((2, 14), 0.9, np.float32))
     np.testing.assert_allclose(only_as_sure(tracks, 0.5).joint_confidence, 0.45)
     assert only_as_sure(tracks, 1.0) is tracks
+    log = SimpleNamespace(origin=np.array([1.0, 2.0, 0.0]), sure=0.5)  # as users get them, from Python and the command
+    given = for_users(tracks, log)
+    np.testing.assert_allclose(given.joint_confidence, 0.45)
+    np.testing.assert_allclose(given.joints, tracks.joints + log.origin)

@@ -27,7 +27,7 @@ from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.tracks import Tracks, given_from, only_as_sure
+from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.storage.atomic import made_folder
 from voodoo_jax.trackers.base import Unsuitable
 from voodoo_jax.trackers.icp.live import LiveTracker
@@ -136,7 +136,7 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
         say("ready; Ctrl-C ends it")
         pace = _followed(tracker, live, reader, job, publishers, progress)
         tracks = tracker.whole(source.path, reader.fixed_frame, live.notes)
-    tracks = only_as_sure(given_from(tracks, reader.origin), reader.sure)
+    tracks = for_users(tracks, reader)
     say(str(pace))
     return _written(job, tracks)
 
@@ -152,7 +152,7 @@ def _followed(
     def give(found: list[Tracks]) -> None:
         nonlocal said
         for one in found:
-            shown = given_from(replace(one, fixed_frame=reader.fixed_frame), reader.origin)
+            shown = for_users(replace(one, fixed_frame=reader.fixed_frame), reader)
             for publisher in publishers:
                 publisher.frame(shown)
             pace.note(*times.pop(int(one.time_ns[0]), (None, None)))

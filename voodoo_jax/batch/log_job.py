@@ -19,7 +19,7 @@ from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import SENTENCE, plain
-from voodoo_jax.records.tracks import Tracks, given_from, only_as_sure
+from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.storage.atomic import check_writable
 from voodoo_jax.storage.troubles import NotWritten
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, is_url, joined, log_name, opened, person_place, removed
@@ -101,7 +101,7 @@ def track_log(
             yield frame
 
     found = tracker.track(body, counted(), source, settings, more, visit)
-    return [only_as_sure(given_from(tracks, log.origin), log.sure) for tracks in found]
+    return [for_users(tracks, log) for tracks in found]
 
 
 def out_of_time(seconds: float) -> str:

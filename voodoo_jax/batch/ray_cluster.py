@@ -65,9 +65,8 @@ def done_on(ray: Any, jobs: list[Job], report: Report, tasks: RayTasks, running:
     while waiting or running:
         while waiting and len(running) < SUBMITTED:
             number = waiting.popleft()
-            running[
-                task.options(name=f"voodoo-jax {Path(jobs[number].log).name}").remote(jobs[number], number, board)
-            ] = number
+            named = task.options(name=f"voodoo-jax {Path(jobs[number].log).name}")
+            running[named.remote(jobs[number], number, board)] = number
         done, _ = ray.wait(list(running), timeout=PERIOD)
         if time.monotonic() - looked >= PERIOD:
             looked = time.monotonic()

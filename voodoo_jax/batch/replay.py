@@ -115,7 +115,8 @@ def replay(
         raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
     if not 0 <= log_timeout <= LONGEST:
         raise ValueError(f"--log-timeout {log_timeout}: must not be negative, and at most {LONGEST:g} seconds")
-    check_ray_tasks(ray or RayTasks())
+    tasks = ray or RayTasks()
+    check_ray_tasks(tasks)
     check_stages(settings or Settings())
     check_changes(body or load_on_host("human"), settings or Settings())
     if settings is not None and settings.read.pose_net:
@@ -171,9 +172,8 @@ def replay(
         shares[which] = share
 
     try:
-        results = _engine(
-            ordered, advance, engine, workers, ray or RayTasks()
-        )  # before the bar, which has a thread of its own
+        # before the bar, which has a thread of its own
+        results = _engine(ordered, advance, engine, workers, tasks)
         with tqdm(total=sum(sizes), unit="B", unit_scale=True, disable=quiet or None, leave=False) as bar:
             bar.set_description(f"{len(done)}/{len(places)} logs")
             with closing(results):

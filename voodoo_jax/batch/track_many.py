@@ -12,7 +12,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.records.tracks import Tracks, given_from, only_as_sure
+from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.base import alone, check_arguments, source_of, tracker_of
 from voodoo_jax.trackers.icp.tracker import track_person
@@ -70,14 +70,14 @@ def track_many(
             try:
                 if own.tracker != "icp":
                     found = tracker_of(own).track(body, recording, source_of(recording), alone(own))
-                    return only_as_sure(given_from(found[0], recording.origin), recording.sure)
+                    return for_users(found[0], recording)
                 key = id(recording), id(body), own.detect, own.online, own.start.scale
                 if key not in people:
                     people[key] = find_body(recording, recording.up, body, own, recording.up_is_given)
                 scene, seen = people[key]
                 r = recording
                 tracks = track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=visit)
-                return only_as_sure(given_from(tracks, r.origin), r.sure)
+                return for_users(tracks, r)
             except Exception as problem:
                 problem.add_note(f"Number {number} of {count} (from 0): '{recording.path}'")
                 raise

@@ -16,7 +16,6 @@ from voodoo_jax.cli.commands import (
     PRESET_BODIES,
     BodyCommand,
     Command,
-    Config,
     Convert,
     Demo,
     Export,
@@ -283,21 +282,7 @@ def _open_standard_files() -> None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")
 
 
-def _run(
-    command: Replay
-    | Live
-    | Info
-    | Demo
-    | Config
-    | FitCommand
-    | TuneCommand
-    | BodyCommand
-    | View
-    | Export
-    | Convert
-    | Layout,
-    base: Settings,
-) -> int:
+def _run(command: Command, base: Settings) -> int:
     if isinstance(command, Layout):
         from importlib.resources import files
 

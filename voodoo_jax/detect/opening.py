@@ -22,25 +22,28 @@ def open_checked(
     build: Build = PERSON,
     detect: DetectSettings | None = None,
 ) -> LogReader:
-    """A log as `io.log_reader.open_log` gives it, its units checked by what the first messages show, without what lies
-    in smeared edges.
+    """A log as `io.log_reader.open_log` gives it, its units and crops checked by what its messages show, without what
+    lies in smeared edges.
 
     **Arguments:** `build` how large the body is that is looked for. Raises as `open_log`, and LogError where units are
     in doubt.
     """
     settings, detect = settings or ReadSettings(), detect or DetectSettings()
-    reader = without_smeared_edges(with_crops(with_units(open_log(path, settings), build, detect)))
+    reader = _checked(path, settings, build, detect)
     if settings.delays or not (found := offsets(reader, build, detect)):
         return reader
     late = tuple(f"{topic}={by:g}" for topic, by in found.items())
-    late_read = replace(settings, delays=late)
-    reader = without_smeared_edges(with_crops(with_units(open_log(path, late_read), build, detect)))
+    reader = _checked(path, replace(settings, delays=late), build, detect)
     for topic, by in found.items():
         reader.say(
             f"'{topic}': its stamps are {abs(by):.2f} s {'late' if by > 0 else 'early'}, to judge by what it and "
             "another sensor see move: taken out. read.delays settles it."
         )
     return reader
+
+
+def _checked(path: Place | LogFile, settings: ReadSettings, build: Build, detect: DetectSettings) -> LogReader:
+    return without_smeared_edges(with_crops(with_units(open_log(path, settings), build, detect)))
 
 
 def read_log(

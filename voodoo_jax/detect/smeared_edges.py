@@ -21,6 +21,8 @@ def without_smeared_edges(reader: LogReader) -> LogReader:
 
 
 def _smeared(reader: LogReader, topic: str) -> bool:
+    if not reader.is_image(topic):
+        return False
     images = [content for s in reader.sampled(topic, FIRST) if isinstance(content := s.content, Image)]
     shares = [between_edges(z) for image in images if (z := reader.depth(topic, image)) is not None]
     return bool(shares) and float(np.median(shares)) > SMEARED

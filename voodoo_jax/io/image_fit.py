@@ -8,6 +8,7 @@ from voodoo_jax.records.messages import Calibration
 
 ALIKE = 0.02  # of each other: rounding to whole pixels, as 424 x 240 from 1280 x 720, changes factors by no more
 PARTS = (2, 3, 4)  # every second, third or fourth row is kept: as likely as a crop to so little
+CROPPED = "taken for cropped about its middle (if it is not, give its calibration by read.camera)"
 LEAST = 0.4  # of the picture: who crops to less has chosen a place, not the middle
 
 
@@ -37,9 +38,7 @@ def fitted(c: Calibration, shape: tuple[int, int]) -> tuple[Calibration, str]:
         raise ValueError(f"{sizes}: it was cropped, and nothing says where; {ask}")
     size = _uncropped(c, shape)
     whole = moved(scaled(c, size), ((columns - size[1]) / 2, (rows - size[0]) / 2))
-    return replace(whole, width=columns, height=rows), (
-        "taken for cropped about its middle (if it is not, give its calibration by read.camera)"
-    )
+    return replace(whole, width=columns, height=rows), CROPPED
 
 
 def _uncropped(c: Calibration, shape: tuple[int, int]) -> tuple[int, int]:
@@ -51,7 +50,7 @@ def _uncropped(c: Calibration, shape: tuple[int, int]) -> tuple[int, int]:
 def leeway(c: Calibration, shape: tuple[int, int]) -> tuple[float, float]:
     """Pixels across and down by which the middle of an image that `fitted` takes for cropped may lie beside that of the
     whole one; 0, 0 for images that it takes for something else."""
-    if "cropped" not in fitted(c, shape)[1]:
+    if fitted(c, shape)[1] != CROPPED:
         return 0.0, 0.0
     rows, columns = _uncropped(c, shape)
     return (columns - shape[1]) / 2, (rows - shape[0]) / 2

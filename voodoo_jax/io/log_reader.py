@@ -130,6 +130,10 @@ class LogReader:
         sample = self._scan.topics[topic].sample
         return sample.unit if isinstance(sample, Image) else 1.0
 
+    def is_image(self, topic: str) -> bool:
+        """Whether a topic's messages are images, not clouds."""
+        return isinstance(self._scan.topics[topic].sample, Image)
+
     def with_scales(self, scales: dict[str, float]) -> "LogReader":
         """The same log with other units of some topics, metres per unit."""
         other = copy(self)
@@ -513,9 +517,9 @@ class LogReader:
             if topic in self.moved and any(self.moved[topic]):
                 c = moved(c, self.moved[topic])
                 assumed = (
-                    f"taken for cropped {abs(self.moved[topic][1]):.0f} pixels beside its middle: with that the floor"
+                    f"taken for cropped {abs(self.moved[topic][1]):.0f} pixels beside its middle: with that the floor "
+                    "is level (if it is not, give its calibration by read.camera)"
                 )
-                assumed += " is level (if it is not, give its calibration by read.camera)"
             if assumed:
                 own = f"{image.shape[1]} x {image.shape[0]}"
                 self._assumed[topic] = f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}."

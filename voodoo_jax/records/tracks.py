@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from html import escape
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int8, Int32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int8, Int32, Int64
 
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.isb_angles import Angles, joint_angles
@@ -132,6 +132,23 @@ class Tracks:
         """
         seen = np.ones(self.limb_weight.shape, bool) if hidden else self.limb_weight > 0
         return joint_angles(self.body, self.rotation, seen & self.tracked[:, None], self.limb_covariance)
+
+
+@runtime_checkable
+class Given(Protocol):
+    """What a log says of all places that were measured in it."""
+
+    @property
+    def origin(self) -> Float64[np.ndarray, "3"]: ...  # from where they are given in the fixed frame, metres
+
+    @property
+    def sure(self) -> float: ...  # probability that they are right, where a calibration was assumed
+
+
+def for_users(tracks: Tracks, log: Given) -> Tracks:
+    """Tracks with places in the log's fixed frame, and confidence that counts what was assumed of its calibration, for
+    all joints alike."""
+    return only_as_sure(given_from(tracks, log.origin), log.sure)
 
 
 def only_as_sure(tracks: Tracks, sure: float) -> Tracks:

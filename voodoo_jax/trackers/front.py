@@ -7,7 +7,7 @@ from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.records.tracks import Tracks, given_from
+from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.trackers.base import Progress, Source, Tracker, alone, check_arguments, source_of, tracker_of
 from voodoo_jax.trackers.stages import check_stages
 
@@ -34,7 +34,7 @@ def track(
     settings = replace(settings or Settings(), tracker=tracker) if tracker else settings or Settings()
     chosen, source = _ready(body, recording, settings)
     found = chosen.track(body, recording, source, alone(settings), progress)
-    return given_from(found[0], recording.origin)
+    return for_users(found[0], recording)
 
 
 @users_cache()
@@ -54,7 +54,7 @@ def track_people(
     settings = settings or Settings()
     chosen, source = _ready(body, recording, settings)
     found = chosen.track(body, recording, source, settings, progress)
-    return [given_from(tracks, recording.origin) for tracks in found]
+    return [for_users(tracks, recording) for tracks in found]
 
 
 def _ready(body: Body, recording: Recording, settings: Settings) -> tuple[Tracker, Source]:

@@ -43,7 +43,7 @@ def convert(source: Path, target: Path, given: Path | None = None, rate: float =
     notes, bad, rounded = [], 0, 0
     with new_log(target) as writer:
         put = putter(writer)
-        for topic in (INFO, COLOUR_INFO)[: 2 if colours else 1]:
+        for topic in (INFO, COLOUR_INFO) if colours else (INFO,):
             put(topic, images[0][0], pinhole(camera, images[0][0]))
         for stamp, path, is_depth in sorted([*((*i, True) for i in images), *((*i, False) for i in colours)]):
             if not is_depth:
@@ -84,13 +84,9 @@ def _put_colour(put: Put, stamp: int, path: Path, camera: dict) -> list[str]:
     if image is None:
         return [f"'{path.name}' was left out: it is no image"]
     if image.shape[:2] != size:
-        own = f"{image.shape[1]} x {image.shape[0]}"
-        return [
-            f"'{path.name}' was left out: it is {own}, and so not registered to depth, which is {size[1]} x {size[0]}"
-        ]
-    message = CompressedImage(frame_id=FRAME, format=COLOUR_FILES[path.suffix.lower()], data=data)
-    message.timestamp.FromNanoseconds(stamp)
-    put(COLOUR, stamp, message)
+        own, wanted = (f"{columns} x {rows}" for rows, columns in (image.shape[:2], size))
+        return [f"'{path.name}' was left out: it is {own}, and so not registered to depth, which is {wanted}"]
+    put(COLOUR, stamp, colour_image(data, COLOUR_FILES[path.suffix.lower()], FRAME, stamp))
     return []
 
 
@@ -129,6 +125,13 @@ def pinhole(camera: dict, stamp: int) -> CameraCalibration:
         D=[0.0] * 5, K=[fx, 0, cx, 0, fy, cy, 0, 0, 1], R=np.eye(3).ravel().tolist(),
         P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
     )  # fmt: skip
+    message.timestamp.FromNanoseconds(stamp)
+    return message
+
+
+def colour_image(data: bytes, kind: str, frame: str, stamp: int) -> CompressedImage:
+    """A colour image as its file has it."""
+    message = CompressedImage(frame_id=frame, format=kind, data=data)
     message.timestamp.FromNanoseconds(stamp)
     return message
 

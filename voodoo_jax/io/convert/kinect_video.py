@@ -11,11 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.io.convert.depth_images import MILLIMETRE, camera_file, depth_image, pinhole
+from voodoo_jax.io.convert.depth_images import COLOUR as COLOUR_IMAGE
+from voodoo_jax.io.convert.depth_images import (
+    COLOUR_INFO,
+    MILLIMETRE,
+    camera_file,
+    colour_image,
+    depth_image,
+    pinhole,
+)
 from voodoo_jax.io.convert.target import START_NS, ConvertError, Put, new_log, putter
 
 DEPTH, COLOUR = "depth_optical", "color_optical"
@@ -144,7 +151,7 @@ def _colour(streams: _Streams, put: Put, notes: list[str]) -> Any:
     width, height = stream.width, stream.height
     full = width * COLOUR_ASPECT
     corner = (0, (full - height) / 2)
-    put("/color/camera_info", START_NS, _calibration(camera, (width, full), corner, (width, height), COLOUR))
+    put(COLOUR_INFO, START_NS, _calibration(camera, (width, full), corner, (width, height), COLOUR))
     # the file has where depth's points are in the colour camera; metres
     turn = np.array(camera["Rt"]["Rotation"], float).reshape(3, 3)
     place = -turn.T @ np.array(camera["Rt"]["Translation"], float)
@@ -158,6 +165,4 @@ def _colour(streams: _Streams, put: Put, notes: list[str]) -> Any:
 
 
 def _put_colour(put: Put, stamp: int, data: bytes) -> None:
-    message = CompressedImage(frame_id=COLOUR, format="jpeg", data=data)
-    message.timestamp.FromNanoseconds(stamp)
-    put("/color/image", stamp, message)
+    put(COLOUR_IMAGE, stamp, colour_image(data, "jpeg", COLOUR, stamp))
