@@ -59,9 +59,19 @@ def test_an_empty_room_is_told_by_the_sensors_height(rng, tmp_path):
 
 
 def test_what_nothing_tells_is_asked(rng, tmp_path):
-    points = rng.uniform(-1, 1, (500, 3)) + [30.0, 0, 0]
+    points = rng.uniform(-1, 1, (500, 3)) + [90.0, 0, 0]
     with pytest.raises(LogError, match=r"/p.*read\.scale"):
         read_log(log_of(points, 1.0).write(tmp_path / "a.mcap"))
+
+
+def test_a_scanner_in_the_open_measures_far(rng, tmp_path):
+    """A car's scanner in a street without a person near: median distance 17 m, as of real ones."""
+    away, round_about = rng.uniform(6, 60, 4000), rng.uniform(-np.pi, np.pi, 4000)
+    ground = np.stack([away * np.cos(round_about), away * np.sin(round_about), rng.normal(-1.8, 0.3, 4000)], 1)
+    log = log_of(ground + [0, 0, HIGH], 1.0, transforms=False).write(tmp_path / "a.mcap")
+    recording = read_log(log)
+    assert "read.scale" not in " ".join(recording.notes)
+    assert np.median(recording.frames[0].points[:, 2]) == pytest.approx(-1.8, abs=0.1)
 
 
 @pytest.mark.parametrize("unit, word", [(1.0, ""), (0.001, "millimetres"), (0.01, "centimetres")])
