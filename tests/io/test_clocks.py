@@ -46,6 +46,15 @@ def test_another_clock_is_brought_to_the_recorders(tmp_path, stamp, said):
     assert [said in note for note in recording.notes] == [True]
 
 
+def test_a_clock_that_begins_at_zero_has_stamps(tmp_path):
+    """As of recordings that were simulated, or converted from numbered files."""
+    log = clouds(Log(), "/lidar", lambda i: i * PERIOD, at=lambda i: i * PERIOD)
+    recording = read_log(log.write(tmp_path / "a.mcap"))
+    assert len(recording) == COUNT and "stamp" not in " ".join(recording.notes)
+    late = clouds(Log(), "/lidar", lambda i: i * PERIOD, at=lambda i: START + i * PERIOD)
+    assert "1 message without header stamp" in " ".join(read_log(late.write(tmp_path / "b.mcap")).notes)
+
+
 def test_latency_is_no_other_clock(tmp_path):
     recording = read_log(two_sensors(lambda i: START - 2_000_000_000 + i * PERIOD).write(tmp_path / "a.mcap"))
     assert recording.notes == () and len(recording) == COUNT + COUNT  # as stamped, two seconds before

@@ -53,7 +53,7 @@ def in_pauses(
 def clean_stamps(name: str, stamps_ns: list[int], log_times_ns: list[int], notes: list[str]) -> np.ndarray:
     """Stamp of each of a topic's messages, nanoseconds, in the order of reading."""
     stamps, log_times = np.array(stamps_ns, np.int64), np.array(log_times_ns, np.int64)
-    zero = stamps == 0
+    zero = (stamps == 0) & (log_times != 0)  # a clock that begins at 0 has a first message then
     if zero.any():
         notes.append(f"'{name}': {many(int(zero.sum()))} without header stamp; the log time is used for them.")
         stamps = np.where(zero, log_times, stamps)

@@ -50,7 +50,7 @@ def gather(topic: str, messages: Sequence[Features], log_times: Sequence[int], n
     logged = np.array(log_times, np.int64)
     full = np.array([len(m.names) > 0 for m in messages], bool)
     still = len(own) > 1 and (own == own[0]).all() and own[0] != 0 and len(np.unique(logged)) > 1
-    without = int((full & (own == 0)).sum())
+    without = int((full & (own == 0) & (logged != 0)).sum())  # a clock that begins at 0 has a first message then
     if still:
         notes.append(f"'{topic}': {len(own)} messages have only 1 header stamp; log time is used.")
     elif without:
