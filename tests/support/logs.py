@@ -106,6 +106,22 @@ def ros_cloud(
     )
 
 
+PACKED = "point_cloud_interfaces/msg/CompressedPointCloud2"
+STORE.register(
+    get_types_from_msg(
+        "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n"
+        "uint32 point_step\nuint32 row_step\nuint8[] compressed_data\nbool is_dense\nstring format",
+        PACKED,
+    )
+)
+
+
+def packed_cloud(cloud: Any, format: str, data: bytes) -> Any:
+    """The cloud of ROS as point_cloud_transport sends it: all as it is but the bytes of its points."""
+    head = cloud.header, cloud.height, cloud.width, cloud.fields, cloud.is_bigendian, cloud.point_step, cloud.row_step
+    return T[PACKED](*head, np.frombuffer(data, np.uint8), cloud.is_dense, format)
+
+
 def ros_tf(*items: tuple[int, str, str, tuple[float, ...], tuple[float, ...]]) -> Any:
     """(stamp, parent, child, translation, quaternion xyzw)."""
     g = "geometry_msgs/msg/"

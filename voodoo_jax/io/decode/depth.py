@@ -28,9 +28,11 @@ _AXES = ("x", "y", "z")
 _FOXGLOVE_FIELDS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 
 
-def _ros_cloud(m: Any) -> Cloud:
+def ros_cloud(m: Any, data: Any = None) -> Cloud:
+    """A cloud of ROS; `data`: its bytes, where the message holds them packed."""
     fields = {f.name: (_ROS_FIELDS.get(f.datatype), f.offset) for f in m.fields if f.name in _AXES or f.count <= 1}
-    grid = _grid(m.data, m.height, m.width, m.point_step, m.row_step, fields, ">" if m.is_bigendian else "<")
+    data, order = m.data if data is None else data, ">" if m.is_bigendian else "<"
+    grid = _grid(data, m.height, m.width, m.point_step, m.row_step, fields, order)
     return Cloud(ros_stamp(m.header), frame_name(m.header.frame_id), grid)
 
 
@@ -110,10 +112,11 @@ def _foxglove_cloud(m: Any) -> Cloud:
         raise ValueError("point_stride is 0")
     count = len(m.data) // m.point_stride
     grid = _grid(m.data, 1, count, m.point_stride, len(m.data), fields, "<")
-    return Cloud(pb_stamp(m), frame_name(m.frame_id), grid, _pose(m))
+    return Cloud(pb_stamp(m), frame_name(m.frame_id), grid, foxglove_pose(m))
 
 
-def _pose(m: Any) -> tuple[np.ndarray, np.ndarray] | None:
+def foxglove_pose(m: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    """Rotation and place of a measurement in its frame, if the message has any."""
     if not m.HasField("pose"):
         return None
     q = xyzw(m.pose.orientation)
@@ -127,7 +130,7 @@ def _pose(m: Any) -> tuple[np.ndarray, np.ndarray] | None:
 def _foxglove_laser(m: Any) -> Cloud:
     ranges = np.array(m.ranges, float)
     grid = _fan(np.linspace(m.start_angle, m.end_angle, len(ranges)), ranges)
-    return Cloud(pb_stamp(m), frame_name(m.frame_id), grid, _pose(m))
+    return Cloud(pb_stamp(m), frame_name(m.frame_id), grid, foxglove_pose(m))
 
 
 def _foxglove_image(m: Any) -> Image:
@@ -191,7 +194,7 @@ def _image(
 
 
 CONVERTERS = {
-    "sensor_msgs/msg/PointCloud2": _ros_cloud,
+    "sensor_msgs/msg/PointCloud2": ros_cloud,
     "sensor_msgs/msg/Image": _ros_image,
     "sensor_msgs/msg/LaserScan": _ros_laser,
     "sensor_msgs/msg/CameraInfo": _ros_calibration,

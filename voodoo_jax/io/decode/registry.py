@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from voodoo_jax.config.options import LimitSettings
-from voodoo_jax.io.decode import colour, depth, landmarks
+from voodoo_jax.io.decode import colour, depth, landmarks, packed_cloud
 from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.limits import limits, too_large
@@ -24,6 +24,7 @@ from voodoo_jax.records.messages import PAIRS, RAYS
 
 KINDS = {
     "sensor_msgs/msg/PointCloud2": "point cloud",
+    "point_cloud_interfaces/msg/CompressedPointCloud2": "point cloud",
     "sensor_msgs/msg/Image": "image",
     "sensor_msgs/msg/CompressedImage": COLOUR_KIND,
     "sensor_msgs/msg/LaserScan": "laser scan",
@@ -35,6 +36,7 @@ KINDS = {
     "visualization_msgs/msg/Marker": PAIRS,
     "visualization_msgs/msg/MarkerArray": PAIRS,
     "foxglove.PointCloud": "point cloud",
+    "foxglove.CompressedPointCloud": "point cloud",
     "foxglove.RawImage": "image",
     "foxglove.CompressedImage": COLOUR_KIND,
     "foxglove.LaserScan": "laser scan",
@@ -51,6 +53,7 @@ DEPTH_KINDS = ("image", "point cloud", "laser scan")
 FEATURE_KINDS = (RAYS, PAIRS)
 _CONVERTERS: dict[str, Callable[[Any], Any]] = {
     **depth.CONVERTERS,
+    **packed_cloud.CONVERTERS,
     **colour.CONVERTERS,
     **landmarks.CONVERTERS,
 }
@@ -94,7 +97,7 @@ def reason_unused(schema: Schema | None, channel: Channel) -> str:
     if name == "CompressedImage":
         return "a colour image"
     if "Compressed" in name:
-        return "compressed clouds and videos are not read"
+        return "videos are not read, nor clouds of other packages than point_cloud_transport"
     if name == "LaserScan":
         return "a single line of a laser scanner"
     return "no depth, calibration or transforms"
