@@ -109,6 +109,7 @@ def main(
     folds: int = 2,
     seed: int = 0,
     looseness: float = 1.0,
+    rounds: int = 1,
 ) -> None:
     """Prints the mean joint error of logs left out: with wrong weights, with tuned ones, with those of the package.
 
@@ -119,24 +120,26 @@ def main(
         folds: how often some logs are left out.
         seed: of what is drawn.
         looseness: of the fit's priors.
+        rounds: of the fit.
     """
     body = human() if kind == "people" else load_body(kind)
     settings = Settings()
     if kind == "arm":  # the size of an arm is not looked for here
         settings = replace(settings, start=replace(settings.start, scale=float(body.scale)))
-    settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
     with tempfile.TemporaryDirectory() as folder:
         made = {"dog": dog, "arm": arm}
         both = people(recordings, seed) if kind == "people" else simulated(made[kind], logs, seed, Path(folder))
         paths, truths = [p for p, _ in both], [t for _, t in both]
         seen = tracked(made_wrong(body, seed), paths, settings)
-    free = FitSettings(free=("bands.*.weight",), folds=folds, persons="each", looseness=looseness)
+    free = FitSettings(free=("bands.*.weight",), folds=folds, persons="each", looseness=looseness, rounds=rounds)
     fit = fit_folds(seen, settings, free, truths)
     mean = lambda side: 100 * float(np.mean([np.nanmean(getattr(j, side)) for j in fit.judged]))  # noqa: E731
     wrong, tuned = mean("joints_before"), mean("joints_after")
     right = off_cm(seen, settings, np.asarray(body.weights), list(truths))
     print(f"{kind}, {len(paths)} logs, {folds} folds: wrong {wrong:.3f}, tuned {tuned:.3f}, package {right:.3f} cm")
     print(fit.verdict.why)
+    for one in fit.judged:
+        print(f"  {one.name}: {100 * np.nanmean(one.joints_before):.2f} -> {100 * np.nanmean(one.joints_after):.2f} cm")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Fits as jobs: of one recording, of simulated noise, of simulated limbs that are far off, of weights on one half."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,7 @@ from experiments.fit.promises import WRONG, Outcome, fitted_to, recovers_simulat
 from experiments.fit.weights import tracked
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.fit import Seen, fit_tracked
-from voodoo_jax.fitting.folds import with_bands
-from voodoo_jax.fitting.frames import Truth
+from voodoo_jax.fitting.fit import fit
 
 
 @dataclass(frozen=True)
@@ -51,23 +49,19 @@ class FitSimulated:
 
 @dataclass(frozen=True)
 class TuneWeights:
-    """Weights of bands and measurements tuned to the truth of one half of the people; joint errors of the other half
-    before and after, cm."""
+    """`voodoo-jax fit --folds` of the weights of bands and measurements to the truth of one half of the people; joint
+    errors of the other half before, with what is written and with what was found, cm."""
 
     logs: tuple[Path, ...]
     half: int
-    seconds = 300.0
+    seconds = 600.0
 
-    def run(self) -> tuple[float, float]:
+    def run(self) -> tuple[float, float, float]:
         body, settings, parts = human(), Settings(), halves(list(self.logs))
-        own, others = ([load_log(p, body, settings) for p in parts[k]] for k in (self.half, 1 - self.half))
-        seen = [Seen(log.track(body, settings), log.people, log.scene) for log in own]
-        truths = [Truth(log.stamps, log.names, log.joints) for log in own]
-        # as experiments/fit/weights: every person has a body of its own, bands and weights are common, narrow priors
-        options = FitSettings(frames=16, persons="each", looseness=0.3)
-        found = fit_tracked(
-            seen, settings, replace(options, free=("bands.*.weight", "measurement weights")), truths
-        )  # fmt: skip
-        mean = lambda scores: float(np.mean([s.error_cm for s in scores]))  # noqa: E731
-        tuned = with_bands(body, found.starts[0], found.fitted[0])
-        return mean(tracked(others, body, settings)), mean(tracked(others, tuned, found.tuned))
+        options = FitSettings(frames=16, folds=4, free=("bands.*.weight", "measurement weights"))
+        own = parts[self.half]
+        found = fit(body, own, settings, options, [p.with_suffix(".truth.npz") for p in own])
+        others = [load_log(p, body, settings) for p in parts[1 - self.half]]
+        mean = lambda its, how: float(np.mean([s.error_cm for s in tracked(others, its, how)]))  # noqa: E731
+        before, after = mean(body, settings), mean(found.fitted[0], found.tuned)
+        return before, after if found.better else before, after

@@ -14,7 +14,7 @@ from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
-from voodoo_jax.fitting.fit import fit
+from voodoo_jax.fitting.fit import all_shared, fit
 from voodoo_jax.fitting.folds import check_common, folds_of, with_bands
 from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
 from voodoo_jax.fitting.gauss_newton import FitError, undetermined
@@ -422,6 +422,12 @@ def test_joints_far_off_count_by_their_distance():
     assert cost[0] == pytest.approx(1e-6, rel=0.01) and cost[3] == 0
     assert cost[2] / cost[1] == pytest.approx(2.0, rel=0.12)  # of squares it were four times
     assert np.isfinite(jax.jacfwd(as_distances)(gap)).all()
+
+
+def test_words_that_name_only_what_people_share():
+    """Fits of these keep the stage that places joints, others leave it out (fit with truths)."""
+    assert all_shared(("bands", "bands.*.weight", "measurement weights", "solve.ratio", "features.face.weight"))
+    assert not any(all_shared(("bands", word)) for word in ("segments", "joint centres", "*.weight", "lengths"))
 
 
 def test_folds_are_for_what_people_have_in_common():

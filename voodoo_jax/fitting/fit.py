@@ -103,13 +103,19 @@ def fit(
         if loss is not None:
             raise FitError("a loss of your own is fitted with the ICP tracker: set tracker to icp, or leave it out")
         return fit_flexible(body, logs, settings, options, truths, state, say)
-    if truths:  # joints are where the fit puts them: what was learned of other people would move them again
+    if truths and not all_shared(options.free):
+        # joints are where the fit puts them: what was learned of other people would move them again
         settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
     tell = say or (lambda what, progress: None)
     seen = tracked(body, logs, settings, lambda what: tell(what, None))
     if options.folds:
         return fit_folds(seen, settings, options, truths, say)
     return fit_tracked(seen, settings, options, truths, loss, state, say)
+
+
+def all_shared(free: Sequence[str]) -> bool:
+    """Whether words and patterns of what is free name nothing but what several persons have in common."""
+    return all(word == "measurement weights" or f"{word}.".startswith(SHARED) for word in free)
 
 
 class Found(NamedTuple):

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.detect.camera_motion import as_measured
 from voodoo_jax.fitting.objective import FitFrames
-from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
@@ -145,7 +145,10 @@ def fit_frames(
     for row, name in enumerate(names, 1):
         numbered.weights[numbered.plain(name)] = float(row)
     rows = pad_features([_unweighted(f) for f in solve], count, room, numbered, choices)
-    known = None if truth is None else truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
+    known = None
+    if truth is not None:
+        known = truth_at(truth, [people[i].time_ns for i in at], tracks.body.topology, count)
+        known[: len(at)] -= placed_by(tracks, at)
     origins = np.stack([people[i].origins.mean(0) for i in at])
     poses = _padded(Poses(jnp.asarray(tracks.rotation[at]), jnp.asarray(tracks.translation[at])), count)
     return FitFrames(
@@ -161,6 +164,16 @@ def fit_frames(
         weight=jnp.asarray(np.arange(count) < len(at), jnp.float32),
         news=jnp.asarray(news(tracks, origins, at, count), jnp.float32),
     )
+
+
+def placed_by(tracks: Tracks, at: Int[np.ndarray, " chosen"]) -> Float[np.ndarray, "chosen centre 3"]:
+    """How far stages after the poses moved the joints of some frames from the body's own centres, metres.
+
+    A pose that is fitted to known joints has to have its centres so far from them, for they are moved again.
+    """
+    limbs = np.array(tracks.body.topology.centre_limbs, int)
+    poses = Poses(tracks.rotation[at][:, limbs], tracks.translation[at][:, limbs])
+    return tracks.joints[at] - apply(poses, np.asarray(tracks.body.centres))
 
 
 def news(

@@ -1,4 +1,4 @@
-"""Weights of bands and measurements, tuned on one half of the people."""
+"""Weights of bands and measurements, tuned on one half of the people by `fit --folds`, scored on the other."""
 
 import numpy as np
 
@@ -12,20 +12,26 @@ def jobs(data: Data) -> list[TuneWeights]:
     return [] if data.quick or not logs else [TuneWeights(logs, half) for half in (0, 1)]
 
 
-def measure(found: list[tuple[float, float]]) -> dict[str, float]:
+def measure(found: list[tuple[float, float, float]]) -> dict[str, float]:
     """Of the halves that were not tuned on."""
-    before, after = (float(np.mean([one[k] for one in found])) for k in (0, 1))
-    return {"default weights, cm": before, "tuned on the others, cm": after, "tuned minus default, cm": after - before}
+    before, written, found_there = (float(np.mean([one[k] for one in found])) for k in range(3))
+    return {
+        "default weights, cm": before,
+        "what is written, cm": written,
+        "what was found, written or not, cm": found_there,
+        "written minus default, cm": written - before,
+    }
 
 
 PROMISE = Promise(
     name="fit_weights",
-    sentence="Weights tuned by gradient on some people do no harm on others.",
+    sentence="Weights tuned by gradient on some people (fit --folds) are written only where they do no harm on others.",
     data="every other of the 18 recordings, in halves by person",
     figures=(
         Figure("default weights, cm", None),
-        Figure("tuned on the others, cm", None),
-        Figure("tuned minus default, cm", 0.05, tolerance=0.05),
+        Figure("what is written, cm", None),
+        Figure("what was found, written or not, cm", None),
+        Figure("written minus default, cm", 0.0, tolerance=0.02),
     ),
     jobs=jobs,
     measure=measure,

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support.segments import blank_tracks
+from voodoo_jax.fitting.frames import placed_by
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import joint_centres, scaled, with_proportions
 from voodoo_jax.model.body_file import human, load_body
@@ -69,6 +70,14 @@ def test_left_and_right_are_mirror_images():
         assert 1e-5 < np.linalg.norm(left) <= 1.8 * STAGE.farthest + 1e-6
     np.testing.assert_array_equal(found.rotation, tracks.rotation)
     assert found.body is tracks.body
+
+
+def test_poses_are_fitted_to_joints_less_what_is_moved():
+    """The truth that poses are fitted to: where joints are true after the stage, the body's own centres lie on it."""
+    tracks = standing(0.01)
+    found, at = STAGE.placed(BODY, tracks, EYES), np.array([0, 7])
+    np.testing.assert_allclose(found.joints[at] - placed_by(found, at), tracks.joints[at], atol=1e-6)
+    np.testing.assert_allclose(placed_by(tracks, at), 0.0, atol=1e-6)
 
 
 def test_shifts_turn_with_the_scene():
