@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
@@ -104,7 +104,14 @@ def test_the_gate_fails_for_a_worse_figure_and_writes_nothing(monkeypatch, tmp_p
     with pytest.raises(SystemExit) as end:
         command.main(quick=True, gate=True)
     assert end.value.code == 1 and kept.FILE.read_text() == text
-    assert "error, cm is 2.01, was 1.90" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "error, cm is 2.01, was 1.90" in said and "Left out" not in said
+    slow = replace(promise("slow"), figures=(TOLD,), jobs=lambda data: [Value(-1.0)])  # it would fail
+    monkeypatch.setattr(command, "all_promises", lambda: [promise(), slow])
+    with pytest.raises(SystemExit) as end:
+        command.main(quick=True, gate=True)
+    told = capsys.readouterr().out
+    assert end.value.code == 0 and "can fall: slow." in told and "ArithmeticError" not in told and "1 promises" in told
     with pytest.raises(SystemExit, match="no promise is named nothing"):
         command.main(only=("nothing",))
 
