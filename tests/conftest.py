@@ -38,6 +38,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--long", action="store_true", help="2000 damaged logs, tracked too (half an hour)")
 
 
+# a minute or more each, measured: begun first, or one process works on one of them at the end while the other waits
+LONG = tuple(
+    f"tests/{name}.py"
+    for name in (
+        "system/test_front_door", "system/test_same_bits", "system/test_notebooks", "trackers/flexible/test_tracker",
+        "solve/test_gradients", "fitting/test_fit", "system/test_experiments", "markers/test_markers",
+    )
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: not item.nodeid.startswith(LONG))
+
+
 @pytest.fixture
 def rng(request) -> np.random.Generator:
     """Random numbers that depend on the test's name only: tests may be run alone or in any order."""

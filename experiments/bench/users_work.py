@@ -2,7 +2,7 @@
 
 Depth cameras of today at 30 Hz in a room with furniture: one person, three people; and of RECORDINGS real optical
 markers and stereo pairs. The command is run as users run it, one log at a time, all included, after a run that
-compiles.
+compiles, of a short log of the same kind where it is simulated.
 Clips of two seconds are rendered and played there and back: what a second costs does not hang on what came before it.
 """
 
@@ -76,30 +76,32 @@ def there_and_back(sim: Simulation, seconds: float) -> Simulation:
     return replace(sim, time_ns=stamps, **parts)
 
 
-def _simulated(folder: Path, view: Camera, people: int, seconds: float) -> Path:
-    sim = there_and_back(clip(view, people), seconds)
-    return write_simulation(sim, folder / f"{view.width}x{view.height}x{people}.mcap")
+def _simulated(folder: Path, view: Camera, people: int, seconds: float) -> tuple[Path, Path]:
+    once, name = clip(view, people), f"{view.width}x{view.height}x{people}"
+    short = write_simulation(once, folder / f"{name}-short.mcap")
+    return write_simulation(there_and_back(once, seconds), folder / f"{name}.mcap"), short
 
 
-def kinds(recordings: Path | None, seconds: float) -> dict[str, Callable[[Path], Path]]:
-    """Makers of logs by their name; cameras are Azure Kinect's (binned, as it is) and RealSense D455's."""
+def kinds(recordings: Path | None, seconds: float) -> dict[str, Callable[[Path], tuple[Path, Path]]]:
+    """Makers, by name, of a log in a folder and of a short one of its kind, by which programs are compiled; cameras are
+    Azure Kinect's (binned, as it is) and RealSense D455's."""
     binned, kinect, wide = camera(320, 288, 75, 65), camera(640, 576, 75, 65), camera(1280, 720, 87, 58)
-    made: dict[str, Callable[[Path], Path]] = {
+    made: dict[str, Callable[[Path], tuple[Path, Path]]] = {
         "320x288": partial(_simulated, view=binned, people=1, seconds=seconds),
-        "320x288, three people": partial(_simulated, view=binned, people=3, seconds=seconds),
+        "320x288_three_people": partial(_simulated, view=binned, people=3, seconds=seconds / 2),
         "640x576": partial(_simulated, view=kinect, people=1, seconds=seconds / 2),
         "1280x720": partial(_simulated, view=wide, people=1, seconds=seconds / 4),
     }
     for name, pattern in (("markers", "markers/*.mcap"), ("stereo", "stereo/*.mcap")):
         if logs := sorted((recordings or Path("none")).glob(pattern), key=lambda p: p.stat().st_size):
-            made[name] = lambda folder, log=logs[-1]: log
+            made[name] = lambda folder, log=logs[-1]: (log, log)
     return made
 
 
-def work(log: Path) -> Work:
-    """Replays a log twice, and measures the second time."""
+def work(log: Path, short: Path) -> Work:
+    """Replays a log, after one of its kind."""
     cache = Path(cache_folder("") or tempfile.mkdtemp())
-    measured([log], 2, cache)
+    measured([short], 2, cache)
     found = measured([log], 2, cache)
     return Work(recorded_seconds(log), found.wall, found.processor, found.memory)
 
@@ -111,7 +113,7 @@ def main(
 
     Args:
         recordings: folder with markers/*.mcap and stereo/*.mcap.
-        seconds: length of logs at 320x288; of larger images a half and a quarter.
+        seconds: length of logs of one person at 320x288; of three and of larger images a half, of 1280x720 a quarter.
         only: names of kinds.
     """
     rows = []
@@ -119,7 +121,7 @@ def main(
         if only and name not in only:
             continue
         with tempfile.TemporaryDirectory() as folder:
-            w = work(made(Path(folder)))
+            w = work(*made(Path(folder)))
         numbers = (w.seconds, w.wall, w.times_real_time, w.per_core)
         rows.append([name, *(f"{n:.1f}" for n in numbers), f"{w.memory:.2f}"])
         print(" ".join(rows[-1]), flush=True)

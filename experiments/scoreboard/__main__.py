@@ -30,7 +30,8 @@ def main(
         recordings: folder with recordings and their truth; without it what can be simulated is measured.
         only: names of promises, with * and ?.
         quick: a part of each promise, in minutes.
-        gate: compare with the committed figures, write nothing, and end with 1 if a promise has fallen.
+        gate: compare with the committed figures, write nothing, and end with 1 if a promise has fallen. Promises of
+            which no figure can fall, those of time and memory, are left out.
         dry: write nothing.
         processes: how many work at once.
     """
@@ -41,6 +42,9 @@ def main(
     chosen = [p for p in everything if any(fnmatch(p.name, pattern) for pattern in only)]
     if not chosen:
         raise SystemExit(f"no promise is named {' or '.join(only)}; there are: {', '.join(p.name for p in everything)}")
+    if gate and (told := [p.name for p in chosen if not p.gates]):
+        print(f"Left out, for no figure of theirs can fall: {', '.join(told)}.")
+        chosen = [p for p in chosen if p.gates]
     found = measure(chosen, Data(recordings and recordings.resolve(), quick), processes)
     old = kept.load()
     before = kept.figures(old, quick)

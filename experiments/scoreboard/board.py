@@ -80,6 +80,11 @@ class Promise:
     details: Callable[[list[Any]], list[str]] | None = None  # outcomes to lines that say what is behind the figures
     alone: bool = False  # measures time or memory: its jobs run one at a time, with nothing else beside
 
+    @property
+    def gates(self) -> bool:
+        """Whether any of its figures can stop a change."""
+        return any(not math.isinf(figure.tolerance) for figure in self.figures)
+
 
 @dataclass(frozen=True)
 class Measured:

@@ -64,7 +64,9 @@ def measure(promises: Sequence[Promise], data: Data, processes: int) -> list[Mea
     done = outcomes_of(beside, processes, "scoreboard")
     for p in promises:
         if p.alone:
+            began = time.perf_counter()
             done |= outcomes_of([job for job in wanted[p.name] if job not in done], 1, p.name)
+            print(f"{p.name}: done after {time.perf_counter() - began:.0f} s", flush=True)  # of some that take minutes
     return [_measured(p, [done[job] for job in wanted[p.name]], data.quick) for p in promises]
 
 

@@ -2,14 +2,16 @@
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
+from experiments.bench.users_work import Work
 from experiments.scoreboard import __main__ as command
 from experiments.scoreboard import kept, run
 from experiments.scoreboard.board import Data, Figure, Measured, Promise, fallen, rows
-from experiments.scoreboard.promises import NAMES, all_promises
+from experiments.scoreboard.promises import NAMES, all_promises, users_work
+from experiments.scoreboard.promises.users_work import measure
 
 ERROR, SHARE = Figure("error, cm", 2.0, tolerance=0.1), Figure("within, %", 99.0, "more", 0.5, 1)
 TOLD = Figure("seconds", None)
@@ -102,7 +104,14 @@ def test_the_gate_fails_for_a_worse_figure_and_writes_nothing(monkeypatch, tmp_p
     with pytest.raises(SystemExit) as end:
         command.main(quick=True, gate=True)
     assert end.value.code == 1 and kept.FILE.read_text() == text
-    assert "error, cm is 2.01, was 1.90" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "error, cm is 2.01, was 1.90" in said and "Left out" not in said
+    slow = replace(promise("slow"), figures=(TOLD,), jobs=lambda data: [Value(-1.0)])  # it would fail
+    monkeypatch.setattr(command, "all_promises", lambda: [promise(), slow])
+    with pytest.raises(SystemExit) as end:
+        command.main(quick=True, gate=True)
+    told = capsys.readouterr().out
+    assert end.value.code == 0 and "can fall: slow." in told and "ArithmeticError" not in told and "1 promises" in told
     with pytest.raises(SystemExit, match="no promise is named nothing"):
         command.main(only=("nothing",))
 
@@ -125,10 +134,21 @@ def test_rows_show_limit_last_and_now():
     ]
 
 
-def test_every_promise_is_a_file_of_its_name_with_a_sentence_and_limits():
-    for name, one in zip(NAMES, all_promises(), strict=True):
-        assert one.name == name and one.sentence.endswith(".") and one.data and one.figures
+def test_every_promise_has_a_file_a_name_of_its_own_a_sentence_and_limits():
+    promises = all_promises()
+    assert list(dict.fromkeys(one.name.split("/")[0] for one in promises)) == list(NAMES)
+    assert len({one.name for one in promises}) == len(promises)
+    for one in promises:
+        assert one.sentence.endswith(".") and one.data and one.figures
         assert len({f.name for f in one.figures}) == len(one.figures)
+
+
+def test_users_work_is_measured_kind_by_kind(tmp_path):
+    there = {one.name: [job.kind for job in one.jobs(Data(tmp_path))] for one in users_work.PROMISES}
+    assert there["users_work/320x288"] == ["320x288"] and there["users_work/markers"] == []  # no recordings
+    assert not any(one.jobs(Data(tmp_path, quick=True)) for one in users_work.PROMISES)
+    told = measure([Work(60.0, 20.0, 30.0, 0.8)])
+    assert told == {"times real time": 3.0, "of one core": 2.0, "memory, GB": 0.8}
 
 
 def test_a_quick_part_is_spread_over_all():

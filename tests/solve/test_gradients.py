@@ -92,24 +92,26 @@ def test_gradient_triple(x64, solver):
     target = random_like(np.random.default_rng(6), start)
 
     def implicit(parts):
-        return dot(solution(start, built(parts, *world), newton=4).poses, target)
+        found = solution(start, built(parts, *world), newton=4)
+        return dot(found.poses, target), found
 
     def unrolled(parts):
         return dot(solve_frame(start, built(parts, *world), kind="checkpointed", capacity=100).poses, target)
 
-    found = jax.jit(lambda: solution(start, built(parts, *world), newton=4))()
+    reverse, found = jax.jit(jax.grad(implicit, has_aux=True))(parts)
     assert found.converged and found.off < 1e-9
-    reverse, other = (jax.jit(jax.grad(f))(parts) for f in (implicit, unrolled))
+    other = jax.jit(jax.grad(unrolled))(parts)
     assert all_finite(reverse)
     rng = np.random.default_rng(7)
-    forward, plain = jax.jit(lambda d: jax.jvp(implicit, (parts,), (d,))[1]), jax.jit(implicit)
+    # value and derivative by one program: to compile another one for the value alone takes ten times as long as to run
+    forward = jax.jit(lambda parts, d: jax.jvp(implicit, (parts,), (d,), has_aux=True)[:2])
     for name in parts:
         along = random_like(rng, parts[name])
         along = along / jnp.linalg.norm(along)
         direction = {n: along if n == name else jnp.zeros_like(v) for n, v in parts.items()}
-        numeric = central_difference(plain, parts, direction, 1e-6)
+        numeric = central_difference(lambda at, d=direction: forward(at, d)[0], parts, direction, 1e-6)
         assert abs(numeric) > 1e-7, name
-        for value in (dot(reverse[name], along), forward(direction), dot(other[name], along)):
+        for value in (dot(reverse[name], along), forward(parts, direction)[1], dot(other[name], along)):
             np.testing.assert_allclose(value, numeric, rtol=1e-4, atol=1e-8, err_msg=name)
 
 
@@ -143,10 +145,11 @@ def test_other_overlap_rules(x64, overlap):
     world = scene(jnp.float64, overlap=overlap)
     start, parts = world[3], parts_of(*world)
     target = random_like(np.random.default_rng(6), start)
-    implicit = jax.jit(lambda sizes: dot(solution(start, built(parts | {"sizes": sizes}, *world)).poses, target))
+    implicit = lambda sizes: dot(solution(start, built(parts | {"sizes": sizes}, *world)).poses, target)  # noqa: E731
+    both = jax.jit(jax.value_and_grad(implicit))
     along = random_like(np.random.default_rng(7), parts["sizes"]) * 0.1
-    numeric = central_difference(implicit, parts["sizes"], along, 1e-6)
-    np.testing.assert_allclose(dot(jax.grad(implicit)(parts["sizes"]), along), numeric, rtol=1e-4)
+    numeric = central_difference(lambda sizes: both(sizes)[0], parts["sizes"], along, 1e-6)
+    np.testing.assert_allclose(dot(both(parts["sizes"])[1], along), numeric, rtol=1e-4)
 
 
 @jax.jit

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 
 SENSOR = (3.0, 0.3, 1.2)
 LOOSE = dict(prior=1e-5, max_steps=60)
+step = eqx.filter_jit(icp_step)  # as a whole: to compile each of its operations by itself takes longer
 
 
 @cache
@@ -148,9 +149,9 @@ def test_a_weight_of_two_is_the_measurement_given_twice(x64, solver):
     heavy[:n] = 2
     named = together(pairs(body, np.arange(3), dtype=jnp.float64), rays(body, np.arange(5), SENSOR, dtype=jnp.float64))
     double = eqx.tree_at(lambda f: f.weight, named, named.weight * 2)
-    a = icp_step(start, Problem.build(body, points(xyz, kind, heavy, jnp.float64), start, options, double))[0]
+    a = step(start, Problem.build(body, points(xyz, kind, heavy, jnp.float64), start, options, double))[0]
     again, kinds = np.concatenate([xyz, xyz[:n]]), np.concatenate([kind, kind[:n]])
-    b = icp_step(start, Problem.build(body, points(again, kinds, None, jnp.float64), start, options,
+    b = step(start, Problem.build(body, points(again, kinds, None, jnp.float64), start, options,
                                       together(named, named)))[0]  # fmt: skip
     np.testing.assert_allclose(a.translation, b.translation, atol=1e-10)
     np.testing.assert_allclose(a.rotation, b.rotation, atol=1e-10)
@@ -164,7 +165,7 @@ def test_doubtful_measurements_leave_more_to_the_prediction(solver):
     firm = eqx.tree_at(lambda o: o.prior, options, options.prior * 4)
     doubtful = eqx.tree_at(lambda p: p.doubt, points(xyz, None, 0.25), jnp.asarray(4.0), is_leaf=lambda x: x is None)
     results = [
-        icp_step(start, Problem.build(body, seen, start, how))[0].translation
+        step(start, Problem.build(body, seen, start, how))[0].translation
         for seen, how in ((doubtful, options), (points(xyz), firm), (points(xyz), options))
     ]
     np.testing.assert_allclose(results[0], results[1], atol=1e-5)

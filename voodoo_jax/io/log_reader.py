@@ -114,7 +114,7 @@ class LogReader:
         self._rays: dict[tuple, np.ndarray] = {}
         self._assumed: dict[str, str] = {}  # of calibrations, by topic; shared by all readers of the log, as their rays
         self._decoder = Decoder()
-        self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
         self._pose: PoseRays | None = None  # of the run through the log
         given = check_pairs("read.scale", settings.scale, numbers=True)
@@ -464,13 +464,14 @@ class LogReader:
                 rows = self._pixel_rays(topic, content, k)[:, 0, 1]
                 depth[on_sheets(depth, float(np.nanmedian(np.diff(rows))), k)] = 0
             z = depth.ravel()
-            rays, square = self._directions(topic, content, k, rotation)
-            with np.errstate(invalid="ignore", over="ignore"):
-                keep = np.flatnonzero(self._in_range(square * (z * z)) & (z > 0))
+            rays, nearest, farthest = self._directions(topic, content, k, rotation)
+            with np.errstate(invalid="ignore"):  # NaN fails every comparison
+                keep = np.flatnonzero((z >= nearest) & (z <= farthest))
             depth, xyz = z[keep], np.empty((3, len(keep)), np.float32)
             for axis, place in enumerate(translation.astype(np.float32)):
-                # one by one: all three at once take three times as long
-                np.add(np.multiply(np.take(rays[axis], keep), depth, out=xyz[axis]), place, out=xyz[axis])
+                # one by one: all three at once take three times as long; clipped (all exist): at once where it is to be
+                mine = np.take(rays[axis], keep, out=xyz[axis], mode="clip")
+                np.add(np.multiply(mine, depth, out=mine), place, out=mine)
             points = xyz.T  # by coordinate in memory: all that looks at many points is several times as fast
         else:
             points = content.points(s.max_points)
@@ -497,15 +498,26 @@ class LogReader:
 
     def _directions(
         self, topic: str, image: Image, k: int, rotation: Float[np.ndarray, "3 3"]
-    ) -> tuple[Float32[np.ndarray, "3 pixel"], Float32[np.ndarray, " pixel"]]:
-        """Of each pixel the way to a depth of 1 m, in the fixed frame's directions, and its squared length."""
+    ) -> tuple[Float32[np.ndarray, "3 pixel"], Float32[np.ndarray, " pixel"], Float32[np.ndarray, " pixel"]]:
+        """Of each pixel the way to a depth of 1 m, in the fixed frame's directions, and the least and the greatest
+        depth that count, more than 0."""
         key = topic, image.shape, k
-        if key not in self._turned or not np.array_equal(self._turned[key][0], rotation):
+        before = self._turned.get(key)
+        if before is None or not np.array_equal(before[0], rotation):
             xy = self._pixel_rays(topic, image, k).reshape(-1, 2)
             rays = np.column_stack([xy, np.ones(len(xy))])
-            square = np.einsum("ni,ni->n", rays, rays)
-            self._turned[key] = rotation, (rotation @ rays.T).astype(np.float32), square.astype(np.float32)
+            limits = self._depths(rays) if before is None else before[2:]
+            self._turned[key] = rotation, (rotation @ rays.T).astype(np.float32), *limits
         return self._turned[key][1:]
+
+    def _depths(
+        self, rays: Float[np.ndarray, "pixel 3"]
+    ) -> tuple[Float32[np.ndarray, " pixel"], Float32[np.ndarray, " pixel"]]:
+        """The least and the greatest depth that count, of each pixel with its way to a depth of 1 m; metres."""
+        length = np.sqrt(np.einsum("ni,ni->n", rays, rays))
+        # exactly 0 is a driver's word for nothing seen
+        nearest = np.maximum((self._settings.min_range / length).astype(np.float32), np.finfo(np.float32).tiny)
+        return nearest, (self._settings.max_range / length).astype(np.float32)
 
     def _pixel_rays(self, topic: str, image: Image, k: int) -> np.ndarray:
         key = (topic, image.shape, k)
