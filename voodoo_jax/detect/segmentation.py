@@ -49,8 +49,8 @@ BESIDE = 0.12  # metres: what is nearer to something that is followed is not ano
 PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
 HEADS = 0.6  # of its height: what is above somebody and higher is their head, if it is alone; by hand
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
-# points near the body of which a thing must have more to be a part of it, as a share of the body's, at least and at most:
-# of a sparse sensor a hand that hides its arm has no more; by hand
+# a thing is a part of the body if more points of it than this share of the body's are near where the body was, or than
+# these: of a sparse sensor a hand that hides its arm has no more; by hand
 FEW, SPECK = 0.012, (2.0, 5.0)
 MANY_BESIDE, SOME_BESIDE = 600, 200  # points beside the body that are kept in all, and of one frame; by hand
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
