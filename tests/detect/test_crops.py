@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.support.colour_logs import Board, picture, ros_compressed, ros_info
 from tests.support.logs import PERIOD, START, Log, ros_calibration, ros_cloud, ros_image, ros_tf
 from tests.support.segments import blank_tracks
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.detect.opening import open_checked, read_log
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.recording import Recording
@@ -67,6 +69,41 @@ def test_a_cloud_of_a_calibrated_camera_was_not_cropped(rng, tmp_path):
     assert open_checked(path).leeway("/cam/points")[0] == (0, 0) and read_log(path).sure == 1
 
 
+def pair(tmp_path, size, **settings):
+    """A stereo pair of images of 160 x 124 pixels, with a calibration for another size."""
+    log, k = Log(), np.array([[140.0, 0, (size[1] - 1) / 2], [0, 140.0, (size[0] - 1) / 2], [0, 0, 1]])
+    for side, p03 in (("left", 0.0), ("right", -14.0)):
+        log.add(f"/{side}/camera_info", START, ros_info("cam_optical", k, size, p03=p03))
+    for i in range(3):
+        for side, x in (("left", 0.0), ("right", 0.1)):
+            image = picture([Board(2.5)], K, SHAPE, (x, 0.0, 0.0))
+            log.add(f"/{side}/image_rect", START + i * PERIOD, ros_compressed(START + i * PERIOD, "cam_optical", image))
+    return open_checked(log.write(tmp_path / "a.mcap"), ReadSettings(**settings))
+
+
+def test_places_by_a_pair_whose_images_were_cropped_are_less_sure(tmp_path):
+    log = pair(tmp_path, (124, 200))
+    assert log.sensors == ("/left/image_rect",) and 0.5 < log.sure < 0.8
+    assert any("Nothing tells where '/left/image_rect'" in note for note in log.notes)
+    whole = pair(tmp_path, SHAPE)
+    assert whole.sure == 1 and not any("cropped" in note for note in whole.notes)
+
+
+def test_colour_images_that_were_cropped_are_named(rng, tmp_path):
+    def notes(size) -> list[str]:
+        log = Log().add("/d/camera_info", START, ros_calibration("cam_optical", K, size=SHAPE))
+        log.add("/colour/camera_info", START, ros_info("cam_optical", K, size))
+        for i in range(3):
+            log.add("/d/image", START + i * PERIOD, ros_image(START + i * PERIOD, "cam_optical", room(rng)))
+            colour = ros_compressed(START + i * PERIOD, "cam_optical", picture([Board(2.5)], K, SHAPE))
+            log.add("/colour/image", START + i * PERIOD, colour)
+        found = open_checked(log.write(tmp_path / "a.mcap"), ReadSettings(images=True))
+        assert found.sure == 1  # joints are where the depth is
+        return [note for note in found.notes if "/colour/image" in note and "cropped" in note]
+
+    assert len(notes((124, 200))) == 1 and not notes(SHAPE)
+
+
 def test_joints_are_only_as_sure():
     tracks = blank_tracks(human(), 2, joint_confidence=np.full((2, 14), 0.9, np.float32))
     np.testing.assert_allclose(only_as_sure(tracks, 0.5).joint_confidence, 0.45)
@@ -75,3 +112,10 @@ def test_joints_are_only_as_sure():
     given = for_users(tracks, log)
     np.testing.assert_allclose(given.joint_confidence, 0.45)
     np.testing.assert_allclose(given.joints, tracks.joints + log.origin)
+
+
+def test_what_is_said_to_be_doubtful_counts_the_calibration_too():
+    confidence = np.full((2, 14), 0.95, np.float32)
+    tracks = blank_tracks(human(), 2, joint_confidence=confidence, status=np.zeros(2, np.int8))
+    said = lambda sure: for_users(tracks, SimpleNamespace(origin=np.zeros(3), sure=sure)).notes  # noqa: E731
+    assert said(1.0) == () and "skullbase (48 %)" in said(0.5)[0]

@@ -327,6 +327,18 @@ def test_a_leg_that_seems_apart_is_the_body_still():
             assert (cKDTree(got).query(leg[leg[:, 2] > 0.05].astype(np.float32))[0] < 1e-5).mean() > 0.9
 
 
+@pytest.mark.parametrize("every, stays", [(24, True), (2, False)])
+def test_a_hand_that_hides_its_arm_stays_part_of_who_is_sparsely_seen(every, stays):
+    """Four points are a hand of a body of some hundreds, and nothing beside one of thousands."""
+    finder, body = BodySegmenter(Scene(FLOOR, (), True), build_of(1.75), DetectSettings()), figure(2.5, 0.0)[::every]
+    hand = np.array([1.9, -0.05, 1.2]) + [[0.0, y, z] for y in (0.0, 0.06) for z in (0.0, 0.06)]
+    arm = np.array([[x, 0.0, 1.2] for x in np.arange(1.95, 2.35, 0.05)])
+    finder(frame(np.concatenate([body, hand, arm]), 0))
+    for i in range(1, 12):
+        got = finder(frame(np.concatenate([body, hand]), i))
+    assert (shares(got, hand)[0] > 0.9) == stays
+
+
 def known(free, sure, names: tuple[str, ...] = ("body",), part: int = 0, i: int = 0) -> Frame:
     """A frame of free points and of points that are assigned to one part."""
     points = np.concatenate([np.asarray(free, np.float32).reshape(-1, 3), np.asarray(sure, np.float32)])

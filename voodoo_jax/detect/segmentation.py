@@ -49,6 +49,9 @@ BESIDE = 0.12  # metres: what is nearer to something that is followed is not ano
 PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
 HEADS = 0.6  # of its height: what is above somebody and higher is their head, if it is alone; by hand
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
+# a thing is a part of the body if more points of it than this share of the body's are near where the body was, or than
+# these: of a sparse sensor a hand that hides its arm has no more; by hand
+FEW, SPECK = 0.012, (2.0, 5.0)
 MANY_BESIDE, SOME_BESIDE = 600, 200  # points beside the body that are kept in all, and of one frame; by hand
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
@@ -291,7 +294,7 @@ class BodySegmenter:
     def _followed(self, points, label, count, last) -> Bool[np.ndarray, " thing"]:
         """Which things hang together with where the body was."""
         near = np.bincount(label, within(points, last, self.settings.move))
-        taken = near > np.maximum(5, 0.3 * count)
+        taken = near > np.maximum(np.clip(FEW * len(last), *SPECK), 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
         if self.hidden:

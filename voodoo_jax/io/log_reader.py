@@ -26,7 +26,7 @@ from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted, leeway, moved
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
-from voodoo_jax.io.pictures import PictureReader
+from voodoo_jax.io.pictures import PictureReader, shape_of
 from voodoo_jax.io.pose_rays import NAMES, PoseRays
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.skin_rays import add_rays
@@ -157,11 +157,19 @@ class LogReader:
     def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
         """Pixels across and down by which the place is unknown where a topic's images were cropped, and their focal
         length, pixels."""
-        sample = self._scan.topics[topic].sample
-        c = calibration_of(self._scan.topics, topic) if isinstance(sample, Image) else None
-        if c is None:
+        shape = shape_of(self._scan.topics[topic].sample)
+        c = None if shape is None else calibration_of(self._scan.topics, topic)
+        if shape is None or c is None:
             return (0.0, 0.0), 1.0
-        return leeway(c, sample.shape), float(fitted(c, sample.shape)[0].K[0, 0])
+        try:
+            return leeway(c, shape), float(fitted(c, shape)[0].K[0, 0])
+        except ValueError:  # asked, or left out, where its images are used
+            return (0.0, 0.0), 1.0
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Topics whose colour images are used by themselves, not as pairs."""
+        return tuple(self._whole.pictures.cameras) if self._whole.pictures is not None else ()
 
     def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
         """Of every so many-th row and column of a depth image, metres; None if it is of another kind."""

@@ -13,12 +13,12 @@ from jaxtyping import Float, Int64
 
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import calibration_of
-from voodoo_jax.io.decode.registry import Decoder
+from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
 from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.stereo_pairs import Item, make_rig, picture_of, rectified
 from voodoo_jax.io.topic import Topic
-from voodoo_jax.records.messages import Calibration, Colour
+from voodoo_jax.records.messages import Calibration, Colour, Image
 from voodoo_jax.records.recording import Picture
 
 if TYPE_CHECKING:
@@ -120,6 +120,17 @@ class PictureReader:
         K = np.array([[rig.focal, 0.0, rig.centre[0]], [0.0, rig.focal, rig.centre[1]], [0.0, 0.0, 1.0]])
         pose = pose[0] @ rig.left_R_rectified, pose[1]
         return Picture(topic, stamp_ns, K, pose_matrix(*pose), partial(_both, images, rig), rig.baseline, rig.shift)
+
+
+def shape_of(sample: Any) -> tuple[int, int] | None:
+    """Rows and columns of an image of depth or colour; None of what is none, or cannot be unpacked."""
+    colour = picture_of(sample)
+    if colour is None:
+        return sample.shape if isinstance(sample, Image) else None
+    try:
+        return _shape(colour)
+    except DECODE_ERRORS:
+        return None
 
 
 def _shape(image: Colour) -> tuple[int, int]:

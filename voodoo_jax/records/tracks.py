@@ -13,6 +13,8 @@ from voodoo_jax.model.isb_angles import Angles, joint_angles
 from voodoo_jax.model.joint_names import joint_row
 from voodoo_jax.records.track_table import track_columns
 
+SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named; by hand
+
 
 class Status(IntEnum):
     """What happened in one frame."""
@@ -147,8 +149,19 @@ class Given(Protocol):
 
 def for_users(tracks: Tracks, log: Given) -> Tracks:
     """Tracks with places in the log's fixed frame, and confidence that counts what was assumed of its calibration, for
-    all joints alike."""
-    return only_as_sure(given_from(tracks, log.origin), log.sure)
+    all joints alike; joints that can hardly be trusted with that are named in a note."""
+    tracks = only_as_sure(given_from(tracks, log.origin), log.sure)
+    return replace(tracks, notes=(*tracks.notes, *_doubtful(tracks)))
+
+
+def _doubtful(tracks: Tracks) -> list[str]:
+    """A sentence on joints that can hardly be trusted."""
+    tracked = tracks.tracked
+    if tracks.joint_confidence is None or not tracked.any():
+        return []
+    share = tracks.joint_confidence[tracked].mean(0)
+    few = [f"{tracks.body.topology.centres[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
+    return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
 
 
 def only_as_sure(tracks: Tracks, sure: float) -> Tracks:

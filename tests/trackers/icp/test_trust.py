@@ -17,6 +17,7 @@ from voodoo_jax.trackers.icp.confidence import (
     UNMARKED,
     averaged,
     clues,
+    confirmed,
     doubted,
     facing_right,
     ill_fit,
@@ -24,6 +25,7 @@ from voodoo_jax.trackers.icp.confidence import (
     marker_confidence,
     misfits,
     probability,
+    rated,
 )
 
 BODY = human()
@@ -216,3 +218,24 @@ def test_where_hardly_a_joint_is_right_the_body_is_lost():
     expected = [Status.TRACKED, Status.LOST, Status.LOST, Status.NO_DATA]
     assert doubted(status, confidence, 0.4).tolist() == expected
     assert doubted(status, confidence, 0.0).tolist() == status.tolist()
+
+
+def test_who_was_never_surely_there_is_nobody():
+    time = np.arange(90) * 33_333_333
+    said = np.full((90, 14), 0.3, np.float32)
+    assert not confirmed(time, said) and not confirmed(time[:0], said[:0])
+    said[20:30, :7] = 0.99  # a third of a second
+    assert not confirmed(time, said) and confirmed(time[20:30], said[20:30])  # or all that there is
+    said[20:52, :7] = 0.99  # the upper body of who is cut off
+    assert confirmed(time, said)
+    said[30:42] = np.nan
+    assert not confirmed(time, said)
+
+
+def test_where_nobody_was_sure_nothing_is_tracked():
+    unsure = good_tracks(60, 5.0, 0.0)
+    share = expected_share(joint_confidence(unsure))
+    assert 0.4 < share.min() and share.max() < 0.8
+    assert (rated(unsure, 0.4).status == Status.LOST).all()
+    assert rated(unsure, 0.4, ahead=False).tracked.all() and rated(unsure, 0.0).tracked.all()
+    assert rated(good_tracks(60), 0.4).tracked.all()

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Int8
+from jaxtyping import Float, Float32, Int, Int8, Int64
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import expit
 
@@ -38,6 +38,9 @@ DEEP, DEEPEST, BENT, MOST_BENT, TOGETHER, ASUNDER = 0.01, 8.0, float(np.radians(
 # nothing, and so many beyond count at most: of who is small less, for children are people, too (by hand: in the nine
 # kinds of logs there are none)
 STATURE, STATURES, USUAL, UNUSUAL, SMALL = 1.70, 0.095, 2.7, 2.0, 0.9
+# somebody is there if once, for so many seconds on end, this was expected of the better half of the joints (of who is
+# cut off or behind something the others are hidden); MEASURED
+CONFIRMED, LONG = 0.82, 1.0
 EVERY = slice(None)
 BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
 # how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
@@ -286,14 +289,30 @@ def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray,
 
 def rated(tracks: Tracks, least: float, ahead: bool = True, by_markers: bool = False) -> Tracks:
     """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
-    be right. By markers alone nothing is LOST for that: a set for legs alone is none to doubt as a whole.
+    be right, and everywhere where it was never sure that this is somebody (see confirmed; only if `ahead`). By markers
+    alone nothing is LOST for that: a set for legs alone is none to doubt as a whole.
 
     **Arguments:** `ahead` as for `clues`.
     """
     if by_markers:
         return replace(tracks, joint_confidence=marker_confidence(tracks, ahead))
     confidence = joint_confidence(tracks, ahead)
-    return replace(tracks, joint_confidence=confidence, status=doubted(tracks.status, confidence, least))
+    never = ahead and least > 0 and not confirmed(tracks.time_ns, confidence)
+    status = doubted(tracks.status, confidence, np.inf if never else least)
+    return replace(tracks, joint_confidence=confidence, status=status)
+
+
+def confirmed(time_ns: Int64[np.ndarray, " frame"], confidence: Float32[np.ndarray, "frame joint"]) -> bool:
+    """Whether it was ever sure that what is tracked is somebody: for LONG seconds on end, or the whole recording if
+    that is shorter, the better half of the joints were expected to be right with the probability CONFIRMED."""
+    joints = np.sort(np.nan_to_num(confidence), 1)
+    share = joints[:, joints.shape[1] // 2 :].mean(1, dtype=float)
+    if not len(share):
+        return False
+    frames = round(LONG * 1e9 / max(float(np.median(np.diff(time_ns))), 1.0)) if len(share) > 1 else 1
+    frames = min(max(frames, 1), len(share))
+    total = np.concatenate([[0.0], np.cumsum(share)])
+    return bool(np.max(total[frames:] - total[:-frames]) >= CONFIRMED * frames)
 
 
 def doubted(

@@ -17,7 +17,6 @@ NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
 # degrees and metres by which sensors seem to move at most where that is no more than noise and drift of distances make
 # of walls; by hand
 TURNED, SHIFTED = 1.0, 0.12
-SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named
 
 
 def _implausible(tracks: Tracks) -> list[str]:
@@ -47,20 +46,10 @@ def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
     return f"The sensors move, by up to {turn:.0f} degrees, and no transform says so: {out}"
 
 
-def _doubtful(tracks: Tracks) -> list[str]:
-    """A sentence on joints that can hardly be trusted."""
-    tracked = tracks.tracked
-    if tracks.joint_confidence is None or not tracked.any():
-        return []
-    share = tracks.joint_confidence[tracked].mean(0)
-    few = [f"{tracks.body.topology.centres[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
-    return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
-
-
 def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Named) -> tuple[str, ...]:
     """Notes on a tracked recording; `exchanges` of markers were put right before, `named` whose named points these
     are."""
-    notes = _implausible(tracks) + _doubtful(tracks) + name_notes(named)
+    notes = _implausible(tracks) + name_notes(named)
     if run.by_markers:
         poses = Poses(tracks.rotation, tracks.translation)
         if not run.table.enough(TO_START).any():
@@ -79,6 +68,8 @@ def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Name
         )
     if len(tracks.status) and np.all(tracks.status == Status.NOT_STARTED):
         notes.append("Nothing of the body's height was found: not one frame is tracked.")
+    if np.any(tracks.status == Status.LOST) and not tracks.tracked.any() and tracks.joint_confidence is not None:
+        notes.append("What moves was never surely a person: not one frame is tracked.")
     total = int(tracks.points.sum())
     if run.left_out:
         share, most = 100 * run.left_out / (run.left_out + total), run.settings.detect.points

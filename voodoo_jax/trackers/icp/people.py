@@ -20,11 +20,10 @@ from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.icp.limb_distance import body_distance
 from voodoo_jax.trackers.icp.own_features import with_own_features
-from voodoo_jax.trackers.icp.refine.hang_legs import HangLegs, with_hung_legs
 from voodoo_jax.trackers.icp.runner import FEW_POINTS
 from voodoo_jax.trackers.icp.sequence import Progress
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
 
 ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; by hand
 NEAR = 0.25  # metres from somebody's surface: what is farther off is none of their points; by hand
@@ -55,37 +54,36 @@ def track_subjects(
     if len(subjects) > 1 and shares:
         subjects = with_own_features(subjects)
 
-    now, hangs = settings, False
-    if len(subjects) > 1 and shares:  # who owns a point is decided by what was seen, without guesses of legs
-        now = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, HangLegs.name)))
-        hangs = not settings.skips("track", HangLegs.name, HangLegs.looks_ahead) and not settings.changes
-
-    def tracked(subject: Subject, say: Progress | None = None) -> Tracks:
+    def tracked(subject: Subject, say: Progress | None = None) -> Unplaced:
         whose = f"Named points of {len(names)} people: these are the tracks of '{subject.name}'."
         told = [whose] if subject.name else []
         begin = in_view_from(subject) if len(subjects) > 1 else 0
-        return track_person(
-            body, subject.scene, subject.frames, now, source, fixed_frame, (*notes, *told), say, visit, begin
+        return track_poses(
+            body, subject.scene, subject.frames, settings, source, fixed_frame, (*notes, *told), say, visit, begin
         )
 
-    found = [tracked(subject, progress) for subject in subjects]
+    people = [tracked(subject, progress) for subject in subjects]
     for turn in range(ROUNDS if len(subjects) > 1 and shares else 0):
-        close = close_in(found)
+        seen = [with_rating(one.run, one.tracks) for one in people]
+        close = close_in(seen)
         if turn == 0 and not settings.changes:
-            frames = owned_in_turn(subjects, found, touching_in(subjects, found, close), settings, NEAR, visit)
+            frames = owned_in_turn(subjects, seen, touching_in(subjects, seen, close), settings, NEAR, visit)
         else:
-            frames = shared_out([s.frames for s in subjects], found, close)
+            frames = shared_out([s.frames for s in subjects], seen, close)
         concerned = _exchanged(subjects, frames)
         subjects = [replace(s, frames=own) for s, own in zip(subjects, frames)]
         if not concerned.any():
             break
-        anew = [(tracked(s), t) if c else (t, None) for s, t, c in zip(subjects, found, concerned)]
-        found = [replace(t, seconds=t.seconds + old.seconds) if old else t for t, old in anew]
-    if hangs:
-        found = [with_hung_legs(t, settings.track) for t in found]
+        people = [_again(tracked(s), one) if c else one for s, one, c in zip(subjects, people, concerned)]
+    found = [placed(one) for one in people]
     if len(subjects) > 1:
         found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
     return [replace(t, person=s.number, people=len(subjects)) for s, t in zip(subjects, found)]
+
+
+def _again(now: Unplaced, before: Unplaced) -> Unplaced:
+    """Who was tracked anew, with the time that both took."""
+    return now._replace(tracks=replace(now.tracks, seconds=now.tracks.seconds + before.tracks.seconds))
 
 
 def _doubted(subject: Subject, status: Int8[np.ndarray, " frame"]) -> Int8[np.ndarray, " frame"]:

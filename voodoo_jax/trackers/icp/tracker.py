@@ -95,6 +95,16 @@ def looked_at(body: Body, poses: Poses, twist: Float[Array, "frame limb 6 6"]) -
     return Derived(centres, odd.beyond, odd.depth, *covariances(body, poses, twist))
 
 
+class Unplaced(NamedTuple):
+    """A person whose poses stand, and whose joints are not in their places yet (the stages of PLACE)."""
+
+    run: Runner
+    tracks: Tracks  # without what is said of joints, and without notes
+    exchanges: list[Exchange]
+    named: Named
+    notes: tuple[str, ...]  # so far
+
+
 # 10 parameters: what a log says of itself, who looks on, and where to begin
 def track_person(
     body: Body,
@@ -110,6 +120,23 @@ def track_person(
 ) -> Tracks:
     """Tracks a body through frames in which it was already told apart from its surroundings (see find_body);
     `visit` see Runner. It starts in frame `begin` or later, and is tracked back from there, too."""
+    return placed(track_poses(body, scene, people, settings, source, fixed_frame, notes, progress, visit, begin))
+
+
+# 10 parameters, as track_person
+def track_poses(
+    body: Body,
+    scene: Scene,
+    people: list[BodyObservation],
+    settings: Settings,
+    source: str,
+    fixed_frame: str,
+    notes: tuple[str, ...] = (),
+    progress: Progress | None = None,
+    visit: Visit | None = None,
+    begin: int = 0,
+) -> Unplaced:
+    """As track_person, before joints are put in their places: `placed` does that."""
     began, waited = time.perf_counter(), seconds_of_waiting()
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
@@ -143,27 +170,38 @@ def track_person(
         if is_active(whole.run, stage):
             whole = stage(whole)
     run = whole.run
-    tracks = finished(run, whole.segment, source, fixed_frame, from_markers)
+    tracks = tracks_of(run, whole.segment, source, fixed_frame)
+    tracks = tracks if run.by_markers else with_passes(tracks)
     compiling = seconds_of_waiting() - waited
-    return replace(
-        tracks,
-        seconds=time.perf_counter() - began - compiling,
-        compile_seconds=compiling,
-        notes=as_few((*notes, *whole.notes, *notes_on(run, tracks, exchanges, named))),
-    )
+    tracks = replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
+    return Unplaced(run, tracks, exchanges, named, (*notes, *whole.notes))
 
 
-def finished(run: Runner, segment: Segment, source: str, fixed_frame: str, from_markers: bool = False) -> Tracks:
-    """Tracks of a whole recording, see tracks_of, with joints in their places and rated; `from_markers` alone."""
-    tracks = tracks_of(run, segment, source, fixed_frame)
-    tracks = tracks if from_markers else with_passes(tracks)
+def placed(person: Unplaced) -> Tracks:
+    """Tracks with joints in their places, rated, and what is to be said of them."""
+    began, run = time.perf_counter(), person.run
+    tracks = in_places(run, person.tracks)
+    notes = as_few((*person.notes, *notes_on(run, tracks, person.exchanges, person.named)))
+    return replace(tracks, seconds=tracks.seconds + time.perf_counter() - began, notes=notes)
+
+
+def finished(run: Runner, segment: Segment, source: str, fixed_frame: str) -> Tracks:
+    """Tracks of a whole recording, see tracks_of, with joints in their places and rated."""
+    return in_places(run, with_passes(tracks_of(run, segment, source, fixed_frame)))
+
+
+def in_places(run: Runner, tracks: Tracks) -> Tracks:
+    """Tracks with joints in their places (the stages of PLACE), rated by those."""
     for stage in PLACE:
         if is_active(run, stage):
             tracks = stage(run, tracks)
-    if from_markers:
-        tracks = _with_residuals(tracks, run)
+    return with_rating(run, _with_residuals(tracks, run) if run.by_markers else tracks)
+
+
+def with_rating(run: Runner, tracks: Tracks) -> Tracks:
+    """Tracks with the confidence of their joints, and LOST where it is low."""
     settings = run.settings
-    return rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), from_markers)
+    return rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), run.by_markers)
 
 
 def with_names(
