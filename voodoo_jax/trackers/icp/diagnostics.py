@@ -1,5 +1,7 @@
 """What a user should know about a tracked recording: what was left out, not known or not plausible; in sentences."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
@@ -17,6 +19,7 @@ NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
 # degrees and metres by which sensors seem to move at most where that is no more than noise and drift of distances make
 # of walls; by hand
 TURNED, SHIFTED = 1.0, 0.12
+ODD, DOUBTFUL = "Not plausible", "Doubtful"  # sentences on the tracks themselves begin so
 SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named
 
 
@@ -33,7 +36,7 @@ def _implausible(tracks: Tracks) -> list[str]:
             share = (found[tracked] > most).mean(0) if tracked.any() else np.zeros(len(names))
         often = [f"{names[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(-share) if share[k] > 0.05]
         if often:
-            notes.append(f"Not plausible, {what} (share of the frames): {', '.join(often)}.")
+            notes.append(f"{ODD}, {what} (share of the frames): {', '.join(often)}.")
     return notes
 
 
@@ -54,7 +57,13 @@ def _doubtful(tracks: Tracks) -> list[str]:
         return []
     share = tracks.joint_confidence[tracked].mean(0)
     few = [f"{tracks.body.topology.centres[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
-    return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
+    return [f"{DOUBTFUL}, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
+
+
+def looked_at_again(tracks: Tracks) -> Tracks:
+    """Tracks whose joints and confidence are others now, with what the notes say of these."""
+    kept = [note for note in tracks.notes if not note.startswith((ODD, DOUBTFUL))]
+    return replace(tracks, notes=(*_implausible(tracks), *_doubtful(tracks), *kept))
 
 
 def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Named) -> tuple[str, ...]:
