@@ -4,10 +4,11 @@ RECORDINGS is a folder of stereo (or colour and depth) logs with a *.truth.npz b
 tracked with every variant and seed. Writes flexible.md.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -15,11 +16,15 @@ import tyro
 from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.options import FlexibleSettings
 from voodoo_jax.config.presets import preset
+from voodoo_jax.detect.pipeline import find_people
 from voodoo_jax.fitting.frames import Truth, read_truth
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.flexible.tracker import Observed, follow, observe
+from voodoo_jax.trackers.base import source_of_log
+from voodoo_jax.trackers.both.merge import merged
+from voodoo_jax.trackers.flexible.tracker import Observed, Watching, follow, observe
+from voodoo_jax.trackers.icp.entry import IcpTracker
 
 SKIP = 0.5  # seconds of each recording that are not scored
 VARIANTS: dict[str, dict] = {
@@ -49,6 +54,29 @@ CHOSEN_ON = ("stereo-bow-active", "stereo-guide-active", "stereo-call", "stereo-
 PAPER: dict[str, dict] = {"hecht2009": {}, "hecht2009, by the seen length": dict(seen_length=True)}
 
 
+TOGETHER: dict[str, Literal["fine", "none"]] = {"as ICP reads pairs": "fine", "as flexible reads pairs": "none"}
+
+
+def together(path: Path, truth: Truth, matching: Literal["fine", "none"], seeds: int) -> dict[str, list[np.ndarray]]:
+    """Errors of a log by tracker, and of both together; each reads and finds the person once."""
+    settings, body = preset("both"), load_body("human")
+    log = open_log(path, replace(settings.read, matching=matching))
+    source, watching = source_of_log(log), Watching(settings, log.path, given=True)
+    people = find_people(watching(log.frames()), log.up, body, settings, log.up_is_given)
+    frames = people[0].frames
+    seen = watching.observed([frames[row] for row in watching.rows], people[0].scene)
+    icp = IcpTracker().follow(body, people, source, settings)[0]
+    out: dict[str, list[np.ndarray]] = {"icp": [errors(icp, truth)], "flexible": [], "both": []}
+    for seed in range(seeds):
+        own = replace(settings, flexible=replace(settings.flexible, seed=seed))
+        flexible = follow(body, seen, own, log.path, log.fixed_frame)
+        both = merged(icp, flexible, frames, settings.track.lost_confidence, settings.track.chunk)
+        out["flexible"].append(errors(flexible, truth))
+        out["both"].append(errors(both, truth))
+    seen.close()
+    return {name: found * (seeds // len(found)) for name, found in out.items()}
+
+
 def errors(tracks: Tracks, truth: Truth) -> np.ndarray:
     """Distances [time, joint] in metres at the truth's stamps; 1 m where there is no answer."""
     names = list(tracks.body.topology.centres)
@@ -74,13 +102,35 @@ def row(name: str, found: dict[str, list[np.ndarray]]) -> str:
     return f"| {name} | {over(mean, list(found))} | {over(within, list(found))} | {' | '.join(parts)} | {each} |"
 
 
+def _trackers(path: Path, truth: Truth, seeds: int) -> Iterator[tuple[str, list[np.ndarray]]]:
+    for way, matching in TOGETHER.items():
+        for name, each in together(path, truth, matching, seeds).items():
+            yield f"{name}, {way}", each
+
+
+def _variants(path: Path, truth: Truth, seeds: int, only: str, paper: bool) -> Iterator[tuple[str, list[np.ndarray]]]:
+    """Errors of a log by variant, of each seed."""
+    settings, variants = preset("hecht2009" if paper else "flexible"), PAPER if paper else VARIANTS
+    body, log = load_body("human"), open_log(path, settings.read)
+    seen: Observed = observe(log.frames(), log.up, body, settings, log.path)
+    for name in (name for name in variants if fnmatch(name, only)):
+        found = []
+        for seed in range(seeds):
+            own: FlexibleSettings = replace(settings.flexible, seed=seed, **variants[name])
+            tracks = follow(body, seen, replace(settings, flexible=own), log.path, log.fixed_frame)
+            found.append(errors(tracks, truth))
+        yield name, found
+    seen.close()
+
+
 @users_cache()
-def main(
+def main(  # 8 parameters: the command's flags
     recordings: tyro.conf.Positional[Path],
     only: str = "*",
     logs: str = "*",
     seeds: int = 5,
     paper: bool = False,
+    trackers: bool = False,
     out: Path = Path(__file__).parent,
 ) -> None:
     """Error of the flexible tracker by ingredient.
@@ -91,21 +141,17 @@ def main(
         logs: recordings whose name matches this pattern.
         seeds: how many seeds.
         paper: variants of the preset hecht2009 instead.
+        trackers: the ICP tracker, the flexible one and both together instead, with pairs read as either of them does.
         out: folder for flexible.md.
     """
-    settings, variants = preset("hecht2009" if paper else "flexible"), PAPER if paper else VARIANTS
-    body, paths = load_body("human"), sorted(recordings.glob(f"{logs}.mcap"))
-    tables: dict[str, dict[str, list[np.ndarray]]] = {name: {} for name in variants if fnmatch(name, only)}
+    paths = sorted(recordings.glob(f"{logs}.mcap"))
+    truths = {path: read_truth(path.with_name(f"{path.stem}.truth.npz")) for path in paths}
+    tables: dict[str, dict[str, list[np.ndarray]]] = {}
     for path in paths:
-        log, truth = open_log(path, settings.read), read_truth(path.with_name(f"{path.stem}.truth.npz"))
-        seen: Observed = observe(log.frames(), log.up, body, settings, log.path)
-        for name, results in tables.items():
-            for seed in range(seeds):
-                own: FlexibleSettings = replace(settings.flexible, seed=seed, **variants[name])
-                tracks = follow(body, seen, replace(settings, flexible=own), log.path, log.fixed_frame)
-                results.setdefault(path.stem, []).append(errors(tracks, truth))
-            print(path.stem, row(name, {path.stem: results[path.stem]}), flush=True)
-        seen.close()
+        found = _trackers(path, truths[path], seeds) if trackers else _variants(path, truths[path], seeds, only, paper)
+        for name, each in found:
+            tables.setdefault(name, {})[path.stem] = each
+            print(path.stem, row(name, {path.stem: each}), flush=True)
     head = f"| {len(paths)} recordings, {seeds} seeds | mean error, cm | within 10 cm, % | mean, settings chosen on | "
     head += "mean, others | within, settings chosen on | within, others | each recording, cm |"
     lines = [head, "|---" * 8 + "|", *(row(name, found) for name, found in tables.items() if found)]

@@ -23,10 +23,12 @@ from voodoo_jax.config.tune_options import TuneSettings
 BODY_HELP = (
     "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
 )
-PRESET_BODIES = {"default": "human", "knoop2007": "human10", "flexible": "human", "hecht2009": "human"}
+PRESET_BODIES = {
+    "default": "human", "knoop2007": "human10", "flexible": "human", "both": "human", "hecht2009": "human",
+}  # fmt: skip
 PRESET_HELP = (
     "Settings to start from: default; knoop2007, that paper's chain and values (with its body of ten limbs); flexible, "
-    "the flexible tracker; hecht2009, the same with that paper's values."
+    "the flexible tracker; both, the two trackers together; hecht2009, the flexible tracker with that paper's values."
 )
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
 
@@ -88,7 +90,9 @@ class Replay:
     logs: Positional[tuple[str, ...]] = ()
     """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
-    preset: Annotated[Literal["default", "knoop2007", "flexible", "hecht2009"], arg(help=PRESET_HELP)] = "default"
+    preset: Annotated[Literal["default", "knoop2007", "flexible", "both", "hecht2009"], arg(help=PRESET_HELP)] = (
+        "default"
+    )
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     results: OmitArgPrefixes[Results] = field(default_factory=Results)
     running: OmitArgPrefixes[Running] = field(default_factory=Running)
@@ -292,7 +296,9 @@ class BodyCommand:
 class Config:
     """Print the settings with their meanings, as a file for --config."""
 
-    preset: Annotated[Literal["default", "knoop2007", "flexible", "hecht2009"], arg(help=PRESET_HELP)] = "default"
+    preset: Annotated[Literal["default", "knoop2007", "flexible", "both", "hecht2009"], arg(help=PRESET_HELP)] = (
+        "default"
+    )
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
 
 

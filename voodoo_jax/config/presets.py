@@ -17,7 +17,8 @@ from voodoo_jax.config.options import (
 
 def preset(name: str) -> Settings:
     """Settings by name: "default"; "knoop2007", the chain and the values of Knoop 2007 as far as it gives them;
-    "flexible", the defaults of the flexible tracker; "hecht2009", the system of Hecht, Azad and Dillmann 2009.
+    "flexible", the defaults of the flexible tracker; "both", those of both trackers together; "hecht2009", the system
+    of Hecht, Azad and Dillmann 2009.
 
     Those of papers do not follow the defaults. Where a paper names a parameter and no value (2007: enlargements,
     longest distance, epsilon; 2009: weights, thresholds, what hidden samples score), a usual one stands here. The body
@@ -27,6 +28,8 @@ def preset(name: str) -> Settings:
         return Settings()
     if name == "flexible":
         return Settings(tracker="flexible", read=_IMAGES)
+    if name == "both":
+        return Settings(tracker="both", read=ReadSettings(images=True))
     if name == "hecht2009":
         return Settings(tracker="flexible", read=_IMAGES, flexible=_hecht2009())
     if name != "knoop2007":
@@ -72,7 +75,7 @@ def _hecht2009() -> FlexibleSettings:
     )  # fmt: skip
 
 
-PRESETS = ("default", "knoop2007", "flexible", "hecht2009")
+PRESETS = ("default", "knoop2007", "flexible", "both", "hecht2009")
 _IMAGES = ReadSettings(images=True, matching="none")  # what the flexible tracker reads
 
 

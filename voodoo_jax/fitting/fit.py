@@ -97,6 +97,8 @@ def fit(
         folds_of(len(logs), options.folds)  # before anything is tracked
     if truths and len(truths) != len(logs):
         raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
+    if settings.tracker == "both":
+        raise FitError("sizes are fitted with one of both trackers: set tracker to icp or flexible")
     if settings.tracker == "flexible":
         from voodoo_jax.fitting.flexible_fit import fit_flexible  # which takes what stands here
 

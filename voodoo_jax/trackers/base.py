@@ -72,6 +72,7 @@ class Tracker(Protocol):
 TRACKERS = {
     "icp": "voodoo_jax.trackers.icp.entry:IcpTracker",
     "flexible": "voodoo_jax.trackers.flexible.entry:FlexibleTracker",
+    "both": "voodoo_jax.trackers.both.entry:BothTrackers",
 }
 
 

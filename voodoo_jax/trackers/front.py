@@ -19,7 +19,7 @@ def track(
     settings: Settings | None = None,
     progress: Progress | None = None,
     *,
-    tracker: Literal["", "icp", "flexible"] = "",
+    tracker: Literal["", "icp", "flexible", "both"] = "",
 ) -> Tracks:
     """Tracks a body through a recording; nothing about the person need be known.
 

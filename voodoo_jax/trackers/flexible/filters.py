@@ -149,10 +149,16 @@ def track_chunk(
 
     def one(state, given):
         run = lambda: frame(body, state, given, jax.random.fold_in(key, given.index), numbers, shape)  # noqa: E731
-        blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(run)[1])
-        return lax.cond(given.valid, run, lambda: (state, blank))
+        return lax.cond(given.valid, run, lambda: (state, _nothing(state)))
 
     return lax.scan(one, state, inputs)
+
+
+def _nothing(state: State) -> Seen:
+    """What no frame says of itself: written down, for to ask `frame` for its shapes would trace it twice."""
+    none = lambda *shape: jnp.zeros(shape, state.x.dtype)  # noqa: E731
+    score = Score(none(4), none(4), none(4), none(4), none(4))
+    return Seen(none(16, 3), none(4, 3), none(16), score, none(), none(), none(PARTS), none(PARTS))
 
 
 def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, shape: Shape) -> tuple[State, Seen]:

@@ -1,7 +1,7 @@
 """The flexible tracker on a whole recording: features, person's points, head, filters, tracks. Host side."""
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import prod
@@ -22,7 +22,7 @@ from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.recording import Frame, Rays
+from voodoo_jax.records.recording import Frame, Picture, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
@@ -182,10 +182,11 @@ class Observed:
 
 
 class _Eyes:
-    """All cameras of a recording: features, and the points of pairs. Raises ValueError for broken images."""
+    """All cameras of a recording: features, and the points of pairs; of frames with points none if these are `given`,
+    which then tell the depth of all pixels. Raises ValueError for broken images."""
 
-    def __init__(self, s: FlexibleSettings):
-        self._s, self._extract = s, dict[str, Extractor]()
+    def __init__(self, s: FlexibleSettings, given: bool):
+        self._s, self._given, self._extract = s, given, dict[str, Extractor]()
         self.stores: dict[str, FeatureStore] = {}
         self._origins: dict[str, np.ndarray] = {}
         self.shown = 0  # frames with an image
@@ -193,8 +194,10 @@ class _Eyes:
     def __call__(self, frame: Frame, near: Near | None) -> Frame:
         """The frame with the points that are measured; its features are kept."""
         s, found = self._s, dict[str, tuple[Features, bool]]()
+        given = self._given and len(frame.points) > 0
         for picture in sorted(frame.pictures, key=lambda picture: picture.topic):
-            dense = uses_dense(s) or self.shown < s.learn_frames
+            picture = _one_eyed(picture) if given else picture
+            dense = given or uses_dense(s) or self.shown < s.learn_frames
             extract = self._extract.setdefault(picture.topic, Extractor())
             found[picture.topic] = extract(frame, picture, dense, s.flow, near), picture.baseline > 0
             if picture.topic not in self.stores:
@@ -203,6 +206,8 @@ class _Eyes:
         for topic, store in self.stores.items():
             store.add(found[topic][0] if topic in found else None, places.get(topic))
         self.shown += 1
+        if given:
+            return replace(frame, pictures=())
         frame = replace(frame, rays=Rays(), pictures=(), weight=None)
         pairs = {topic: f for topic, (f, is_pair) in found.items() if is_pair}
         if not pairs:
@@ -218,37 +223,71 @@ class _Eyes:
             store.close()
 
 
+def _one_eyed(picture: Picture) -> Picture:
+    """A pair's left image alone."""
+    return replace(picture, unpack=lambda: picture.unpack()[:1], baseline=0.0) if picture.baseline > 0 else picture
+
+
+class Watching:
+    """Frames on their way to who finds the person in them; features of their images are kept.
+
+    **Arguments:** `source` path of the log; `given` somebody else tracks the same frames: they stay as they are but
+    for their images, unless they have no points.
+    """
+
+    def __init__(self, settings: Settings, source: str, given: bool = False):
+        self._eyes, self._source, self._given = _Eyes(settings.flexible, given), source, given
+        self._preset = "both" if given else "flexible"
+        self.near: Callable[[int], Near | None] = lambda time_ns: None  # where depth is needed at a time
+        self._times: list[int] = []
+        self.rows: list[int] = []  # which frames have an image
+
+    def __call__(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames; those without an image are left out, unless they are given. Raises Unsuitable."""
+        for number, frame in enumerate(frames):
+            self._times.append(frame.time_ns)
+            if frame.pictures:
+                self.rows.append(number)
+                yield self._eyes(frame, self.near(frame.time_ns))
+            elif number >= _PATIENCE and not self.rows:
+                raise self._without_images()
+            elif self._given:
+                yield frame
+
+    def observed(self, people: list[BodyObservation], scene: Scene) -> Observed:
+        """What was seen, once all frames are through; `people` of those with an image. Raises Unsuitable."""
+        if not self.rows:
+            raise self._without_images()
+        first, *others = self._eyes.stores.values()
+        row, times = np.array(self.rows, int), np.array(self._times, np.int64)
+        whole = Observed(first, tuple(others), people, scene, times, row, len(times))
+        return whole if all(first.has(i) for i in range(len(first))) else whole.from_camera(0)
+
+    def close(self) -> None:
+        """Gives the disk space back."""
+        self._eyes.close()
+
+    def _without_images(self) -> Unsuitable:
+        return Unsuitable(
+            f"'{self._source}' has no images that the flexible tracker could look at (a calibrated stereo pair, or a "
+            "colour camera beside a depth camera; in Python read it with the settings of "
+            f"vj.preset('{self._preset}')): use --tracker icp"
+        )
+
+
 def observe(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, source: str
 ) -> Observed:
     """Reads features and finds the person's points. Raises Unsuitable."""
-    eyes = _Eyes(settings.flexible)
-    chooser: Chooser | None = None
-    times, stamps = [], []
-
-    def seen() -> Iterator[Frame]:
-        for number, frame in enumerate(frames):
-            times.append(frame.time_ns)
-            if not frame.pictures:
-                if number >= _PATIENCE and not stamps:
-                    raise _without_images(source)
-                continue
-            stamps.append(number)
-            yield eyes(frame, None if chooser is None else _near(chooser, frame.time_ns))
-
+    watching = Watching(settings, source)
     try:
-        chooser, found = watched(seen(), up, body, settings)
+        chooser, found = watched(watching(frames), up, body, settings)
+        watching.near = partial(_near, chooser)
         people = spilled(found)
-        if not stamps:
-            raise _without_images(source)
+        return watching.observed(people, chooser.finder.scene)  # now, for the floor may have been found with the body
     except BaseException:
-        eyes.close()
+        watching.close()
         raise
-    scene = chooser.finder.scene  # now, for the floor may have been found with the body
-    first, *others = eyes.stores.values()
-    row = np.array(stamps, int)
-    whole = Observed(first, tuple(others), people, scene, np.array(times, np.int64), row, len(times))
-    return whole if all(first.has(i) for i in range(len(first))) else whole.from_camera(0)
 
 
 def _near(chooser: Chooser, time_ns: int) -> Near | None:
@@ -256,13 +295,6 @@ def _near(chooser: Chooser, time_ns: int) -> Near | None:
     points = chooser.near_only(time_ns)
     seconds = (time_ns - chooser.finder.last_ns) / 1e9
     return None if points is None else Near(points, _BESIDE + _FASTEST * max(seconds, 0.0))
-
-
-def _without_images(source: str) -> Unsuitable:
-    return Unsuitable(
-        f"'{source}' has no images that the flexible tracker could look at (a calibrated stereo pair, or a colour "
-        "camera beside a depth camera; in Python read it with the settings of vj.preset('flexible')): use --tracker icp"
-    )
 
 
 def track_frames(

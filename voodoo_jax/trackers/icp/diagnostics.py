@@ -1,5 +1,7 @@
 """What a user should know about a tracked recording: what was left out, not known or not plausible; in sentences."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
@@ -17,6 +19,7 @@ NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
 # degrees and metres by which sensors seem to move at most where that is no more than noise and drift of distances make
 # of walls; by hand
 TURNED, SHIFTED = 1.0, 0.12
+ODD = "Not plausible"  # sentences on the tracks themselves begin so
 
 
 def _implausible(tracks: Tracks) -> list[str]:
@@ -32,7 +35,7 @@ def _implausible(tracks: Tracks) -> list[str]:
             share = (found[tracked] > most).mean(0) if tracked.any() else np.zeros(len(names))
         often = [f"{names[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(-share) if share[k] > 0.05]
         if often:
-            notes.append(f"Not plausible, {what} (share of the frames): {', '.join(often)}.")
+            notes.append(f"{ODD}, {what} (share of the frames): {', '.join(often)}.")
     return notes
 
 
@@ -44,6 +47,12 @@ def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
     if turn < TURNED and shift < SHIFTED:
         return f"Floor and walls seem to be up to {100 * shift:.0f} cm off, no more than noise may do: {out}"
     return f"The sensors move, by up to {turn:.0f} degrees, and no transform says so: {out}"
+
+
+def looked_at_again(tracks: Tracks) -> Tracks:
+    """Tracks whose poses are others now, with what the notes say of these."""
+    kept = [note for note in tracks.notes if not note.startswith(ODD)]
+    return replace(tracks, notes=(*_implausible(tracks), *kept))
 
 
 def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Named) -> tuple[str, ...]:

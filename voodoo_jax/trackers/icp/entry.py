@@ -8,6 +8,7 @@ from voodoo_jax.detect.pipeline import find_people
 from voodoo_jax.markers.own_sites import apart_by_names
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import Progress, Source
 from voodoo_jax.trackers.icp.people import track_subjects
@@ -39,6 +40,18 @@ class IcpTracker:
         visit: Any = None,
     ) -> list[Tracks]:
         people = find_people(frames, source.up, body, settings, source.up_is_given)
+        return self.follow(body, people, source, settings, progress, visit)
+
+    def follow(  # 6 parameters beside itself, those of `track`
+        self,
+        body: Body,
+        people: list[Subject],
+        source: Source,
+        settings: Settings,
+        progress: Progress | None = None,
+        visit: Any = None,
+    ) -> list[Tracks]:
+        """Tracks of people who were found before; the others as for `track`."""
         if settings.detect.people != 1 and by_markers(people[0].frames):
             people = apart_by_names(people[0], body.topology, settings.features)[: settings.detect.people or None]
         each = progress and (lambda count: progress(count / len(people)))

@@ -239,7 +239,7 @@ def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> T
             array[first:end, absent] = np.nan
         for at in range(first, end, chunk):
             span = slice(at, min(at + chunk, end))
-            for array, part in zip(derived, _derived(body, segment[span], chunk)):
+            for array, part in zip(derived, derived_from(body, segment[span], chunk)):
                 array[span] = part
     return Tracks(
         source, fixed_frame, run.body,
@@ -281,7 +281,7 @@ def _room(body: Body, segment: Segment) -> Derived:
     return found._replace(limb_covariance=segment.limb_covariance)
 
 
-def _derived(body: Body, segment: Segment, chunk: int) -> Derived:
+def derived_from(body: Body, segment: Segment, chunk: int) -> Derived:
     """What follows from the poses of up to `chunk` frames with one body; on the host, NaN where there is no pose."""
     found = looked_at(body, *padded(segment, chunk))
     there = np.any(np.isfinite(segment.translation), (1, 2))

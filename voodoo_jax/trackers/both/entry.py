@@ -1,0 +1,86 @@
+"""Both trackers together, behind the interface of all trackers."""
+
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from voodoo_jax.config.options import ReadSettings, Settings
+from voodoo_jax.detect.pipeline import find_people
+from voodoo_jax.model.body import Body
+from voodoo_jax.records.notes import as_few
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.trackers.base import Progress, Source, Unsuitable
+from voodoo_jax.trackers.both.merge import merged
+from voodoo_jax.trackers.flexible.entry import FlexibleTracker
+from voodoo_jax.trackers.flexible.flexible_body import rest_points
+from voodoo_jax.trackers.flexible.tracker import Watching, follow
+from voodoo_jax.trackers.icp.diagnostics import looked_at_again
+from voodoo_jax.trackers.icp.entry import IcpTracker
+
+NOBODY = "The flexible tracker found nobody: these are the ICP tracker's tracks."
+MOVING = "The camera moves, unknown to the log: these are the ICP tracker's tracks."
+
+
+class BothTrackers:
+    """The ICP tracker's tracks, with limbs of the main person where the flexible tracker has them, too."""
+
+    name: ClassVar[str] = "both"
+
+    def __init__(self):
+        self._icp, self._flexible = IcpTracker(), FlexibleTracker()
+
+    def reads(self, read: ReadSettings) -> ReadSettings:
+        """With images; pairs that the reader does not match are matched as the flexible tracker does."""
+        return replace(read, images=True)
+
+    def passes(self, settings: Settings) -> int:
+        return self._icp.passes(settings) + self._flexible.passes(settings)
+
+    def prepare(self, body: Body, settings: Settings, source: Source) -> None:
+        self._icp.prepare(body, settings, source)
+
+    def track(
+        self,
+        body: Body,
+        frames: Iterable[Frame],
+        source: Source,
+        settings: Settings,
+        progress: Progress | None = None,
+        visit: Any = None,
+    ) -> list[Tracks]:
+        """Of several people the main one alone is followed in images, too."""
+        rest_points(body)  # raises before anything long
+        if settings.changes:
+            raise Unsuitable("[[change]] in the settings: the flexible tracker knows none, use --tracker icp")
+        watching = Watching(settings, source.path, given=True)
+        try:
+            people = find_people(watching(frames), source.up, body, settings, source.up_is_given)
+            flexible = self._followed(body, watching, people[0], source, settings, progress)
+        finally:
+            watching.close()
+        main, *others = self._icp.follow(body, people, source, settings, progress, visit)
+        return [self._together(main, flexible, people[0], settings), *others]
+
+    # 6 parameters beside itself, those of `track`
+    def _followed(
+        self, body: Body, watching: Watching, person: Subject, source: Source, settings: Settings,
+        progress: Progress | None,
+    ) -> Tracks:  # fmt: skip
+        """The flexible tracker's tracks of a person who was found before."""
+        began = time.perf_counter()
+        seen = watching.observed([person.frames[row] for row in watching.rows], person.scene)
+        return follow(body, seen, settings, source.path, source.fixed_frame, (), progress, began)
+
+    def _together(self, icp: Tracks, flexible: Tracks, person: Subject, settings: Settings) -> Tracks:
+        if not flexible.tracked.any() or any(f.T_fixed_steady is not None for f in person.frames):
+            note = MOVING if flexible.tracked.any() else NOBODY
+            return replace(icp, notes=as_few((*icp.notes, note)))
+        track = settings.track
+        found = merged(
+            icp, flexible, person.frames, track.lost_confidence, track.chunk, settings.looks_ahead("track")
+        )  # fmt: skip
+        found = looked_at_again(found)
+        return replace(found, notes=as_few((*found.notes, *flexible.notes)))
