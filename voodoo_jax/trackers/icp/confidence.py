@@ -58,7 +58,7 @@ class Trust(NamedTuple):
     slopes: tuple[float, ...]
 
 
-# from experiments/trust/elsewhere.py
+# fitted together with FITS to tracks of 2026-11-26, see experiments/trust
 THERE_AND_BACK = Trust(-12.173, (-3.734, -0.124, -0.047, -0.333, 0.522, -0.702))
 # from experiments/trust
 ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
