@@ -30,8 +30,8 @@ CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
 UNMARKED = 0.1
 MISFITS = ("beside", "bare", "all distance", "size", "inside", "beyond", "apart")
 AROUND = 31  # frames over which a limb's misfit is averaged, about a second; by hand
-# of a limb's points, and metres: less tells nothing. Of 0.003, 0.005, 0.006 and 0.009 m the first tells right from wrong
-# best in kinds of logs left out (0.952, 0.945, 0.941 and 0.937, see experiments/trust)
+# of a limb's points, and metres: less tells nothing. Of 3, 5, 6 and 9 mm the first tells right from wrong best in kinds
+# of logs left out (0.952, 0.945, 0.941 and 0.937, see experiments/trust)
 LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.003
 # by hand: metres in another limb that count as one, and how many count at most; radians beyond a joint's limit,
 # likewise; metres between the passes that tell nothing, and those that tell all
@@ -41,8 +41,8 @@ DEEP, DEEPEST, BENT, MOST_BENT, TOGETHER, ASUNDER = 0.01, 8.0, float(np.radians(
 # kinds of logs there are none)
 STATURE, STATURES, USUAL, UNUSUAL, SMALL = 1.70, 0.095, 2.7, 2.0, 0.9
 # somebody is there if once, for so many seconds on end, this was expected of the better half of the joints (of who is
-# cut off or behind something the others are hidden): measured, 0.53 at most for curtains, doors, robots and trolleys that
-# move, 0.67 at least for people who are less than 10 cm off. A dummy on a trolley had 0.69
+# cut off or behind something the others are hidden): measured, 0.53 at most for curtains, doors, robots and trolleys
+# that move, 0.67 at least for people who are less than 10 cm off. A dummy on a trolley had 0.69
 CONFIRMED, LONG = 0.6, 1.0
 EVERY = slice(None)
 BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
