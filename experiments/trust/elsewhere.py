@@ -1,9 +1,9 @@
 """Numbers of voodoo_jax/trackers/icp/confidence.py for logs of all kinds, and what they are worth for a kind left out.
 
-python -m experiments.trust.elsewhere KIND=FOLDER ... tracks logs of several kinds, fits THERE_AND_BACK, FITS, SURELY
-and LESS_SURE on all kinds but one, and compares what they say with what is right in that one. A folder holds *.mcap
-with *.truth.npz beside them; of a log without a truth every joint counts as wrong, so leave those out that are not
-known.
+python -m experiments.trust.elsewhere KIND=FOLDER ... tracks logs of several kinds, fits FITS, SURELY and LESS_SURE on
+all kinds but one, with THERE_AND_BACK as it is, and compares what they say with what is right in that one. A folder
+holds *.mcap with *.truth.npz beside them; of a log without a truth every joint counts as wrong, as of one in which
+nobody is, so leave those out that are not known.
 """
 
 from dataclasses import dataclass
@@ -25,26 +25,25 @@ from experiments.trust.__main__ import rank
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.trackers.icp.confidence import (
     CLOSE,
-    CLUES,
+    FITS,
     LEAST_DISTANCE,
     LEAST_SHARE,
+    LESS_SURE,
     MISFITS,
-    Trust,
+    SURELY,
+    THERE_AND_BACK,
     clues,
     ill_fit,
     misfits,
 )
 
 # what kinds count; the others 1. Each log of a kind counts alike
-COUNTS = {"recordings": 30.0, "controls": 10.0, "people": 10.0, "stress": 3.0}
-PLAIN = tuple(COUNTS)  # kinds with nothing before or around people: for these alone THERE_AND_BACK is fitted
-LEAST = 0.03  # a clue counts so much for each standard deviation at least
+COUNTS = {"recordings": 60.0, "controls": 10.0, "people": 10.0, "stress": 3.0, "nobody": 3.0, "real": 3.0}
 SUREST, FAR = 40.0, 9.0  # SURELY at most; odds beyond which nothing changes
-WEAK, WEAKER = 1e-3, 3e-5  # weights of the squared slopes: of clues by standard deviations, of misfits
+WEAKER = 3e-5  # weight of the squared slopes
 # misfits of a body that fits
 NOTHING = np.array([np.log(LEAST_SHARE), 0.0, np.log(LEAST_DISTANCE), *np.zeros(len(MISFITS) - 3)])
 FRAMES = 14  # of a log, drawn at random
-ROUNDS = 2  # THERE_AND_BACK and the others are fitted in turns
 
 
 @dataclass(frozen=True)
@@ -143,52 +142,34 @@ def unlikely(n: Numbers, told: dict[str, Any]) -> Any:
 
 
 def fitted(told: list[Told]) -> Numbers:
-    """The numbers with the highest likelihood, the clues' and the others' in turns; neither trouble nor misfit can make
-    a joint more probable."""
-    every, plain = together(told), together([t for t in told if t.kind in PLAIN] or told)
-    middle = plain["weight"] @ plain["clues"]
-    spread = np.sqrt(plain["weight"] @ (plain["clues"] - middle) ** 2) + 1e-9
-    n = Numbers(np.r_[0.0, np.zeros(len(CLUES))], np.r_[4.0, np.zeros(len(MISFITS))], np.r_[np.log(10.0), 0.0, 0.0])
+    """The numbers with the highest likelihood, those of clues as they are; a misfit cannot make a joint more
+    probable."""
+    every, inverse = together(told), lambda slopes: np.log(np.expm1(np.maximum(-np.array(slopes), 1e-6)))
+    n = Numbers(
+        np.r_[THERE_AND_BACK.constant, THERE_AND_BACK.slopes],
+        np.r_[FITS.constant + np.array(FITS.slopes) @ NOTHING, inverse(FITS.slopes)],
+        np.r_[np.log(SURELY), inverse(LESS_SURE)],
+    )
+    count = len(n.fits)
 
-    def clues_of(v: Any) -> Any:
-        slopes = v[1:] / spread
-        return jnp.concatenate([v[:1] - slopes @ middle, slopes])
+    def cost(v: Any) -> Any:
+        slopes = jax.nn.softplus(jnp.concatenate([v[1:count], v[count + 1 :]]))
+        return unlikely(n._replace(fits=v[:count], facing=v[count:]), every) + WEAKER * slopes @ slopes
 
-    def first(v: Any, n: Numbers) -> Any:
-        return unlikely(n._replace(plain=clues_of(v)), plain) + WEAK * v[1:] @ v[1:]
-
-    def second(v: Any, n: Numbers) -> Any:
-        fits, face = v[: len(n.fits)], v[len(n.fits) :]
-        slopes = jax.nn.softplus(jnp.concatenate([fits[1:], face[1:]]))
-        return unlikely(n._replace(fits=fits, facing=face), every) + WEAKER * slopes @ slopes
-
-    worse = {"weight": (LEAST, None)}  # of these clues more is better
-    bounds = [(None, None), *(worse.get(name, (None, -LEAST)) for name in CLUES)]
-    others = [(None, None), *[(-8.0, None)] * len(MISFITS), (np.log(3.0), np.log(SUREST)), *[(-8.0, None)] * 2]
-    v, w = np.r_[3.0, [LEAST if name in worse else -0.3 for name in CLUES]], np.r_[n.fits, n.facing]
-    free = n._replace(fits=np.r_[60.0, n.fits[1:]], facing=np.r_[np.log(SUREST), -8.0, -8.0])
-    v = _least(first, v, bounds, free)  # to begin with, as if all fitted
-    for _ in range(ROUNDS + 1):
-        n = n._replace(plain=np.asarray(clues_of(v), float))
-        w = _least(second, w, others, n)
-        n = n._replace(fits=w[: len(n.fits)], facing=w[len(n.fits) :])
-        v = _least(first, v, bounds, n)
-    return n._replace(plain=np.asarray(clues_of(v), float))
-
-
-def _least(cost: Any, begin: np.ndarray, bounds: list, n: Numbers) -> np.ndarray:
     slope = jax.jit(jax.value_and_grad(cost))
-    pair = lambda v: tuple(np.asarray(x, float) for x in slope(v, n))  # noqa: E731
-    return minimize(pair, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 150}).x
+    pair = lambda v: tuple(np.asarray(x, float) for x in slope(v))  # noqa: E731
+    bounds = [(None, None), *[(-8.0, None)] * len(MISFITS), (np.log(3.0), np.log(SUREST)), *[(-8.0, None)] * 2]
+    begin, options = np.r_[n.fits, n.facing], {"maxiter": 150}
+    v = minimize(pair, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+    return n._replace(fits=v[:count], facing=v[count:])
 
 
 def as_written(n: Numbers) -> str:
     """The numbers as confidence.py has them."""
     slopes, less = (-np.log1p(np.exp(each[1:])) for each in (n.fits, n.facing))
-    tuples = [Trust(float(n.plain[0]), tuple(n.plain[1:])), Trust(float(n.fits[0] - slopes @ NOTHING), tuple(slopes))]
-    text = [f"Trust({t.constant:.3f}, ({', '.join(f'{x:.3f}' for x in t.slopes)}))" for t in tuples]
+    constant, each = float(n.fits[0] - slopes @ NOTHING), ", ".join(f"{x:.3f}" for x in slopes)
     surely = f"{np.exp(n.facing[0]):.1f}, ({', '.join(f'{x:.2f}' for x in less)})"
-    return f"THERE_AND_BACK = {text[0]}\nFITS = {text[1]}\nSURELY, LESS_SURE = {surely}"
+    return f"FITS = Trust({constant:.3f}, ({each}))\nSURELY, LESS_SURE = {surely}"
 
 
 def probabilities(n: Numbers, told: Told) -> np.ndarray:
