@@ -19,7 +19,7 @@ from voodoo_jax.trackers.base import Unsuitable
 from voodoo_jax.trackers.both.entry import NOBODY
 
 CAMERA = Camera(160, 120, 145.0, 145.0, 79.5, 59.5, (0.0, 0.0, 1.2), 0.08)
-FRAMES = 28
+FRAMES = 20
 # a program of its own size: few particles and rounds, for the test's time
 SMALL = FlexibleSettings(particles=30, layers=2, refine=4, points=128, backwards=False)
 

@@ -37,7 +37,7 @@ PARTS = tuple(
 AGREE, SURER = 0.1, 0.2
 STEADY = 0.13  # seconds, standard deviation of the frames over which both are compared; by hand: 0 to 0.26 are alike
 # numbers of the merged confidence: a constant, for the logarithm of the odds of who is taken, and for the logarithm of
-# how far both are apart, metres, at least NEAR; fitted to the same logs and one of somebody who sits down
+# how far both are apart, metres, at least NEAR; measured: fitted to the same logs and one of somebody who sits down
 TRUST, NEAR, LEAST = (-6.75, 0.79, -3.41), 0.05, 1e-3
 # metres: of a joint by the flexible tracker alone, and what a metre that both are apart counts for, standard deviations
 # along each axis; measured: 95 % of the truth of those five is inside

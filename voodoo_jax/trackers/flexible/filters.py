@@ -163,9 +163,56 @@ def _nothing(state: State) -> Seen:
 
 def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, shape: Shape) -> tuple[State, Seen]:
     """One frame: prediction, filters, springs, refinement."""
+    view, args = given.view, (body, state, given, key, n)
+    filters = jax.jit(_filtered, static_argnums=6)  # it is traced once, for its shapes and for itself
+    x, blank = _moved(body, state, given, n), jax.eval_shape(filters, *args, state.x, shape)
+    none = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), blank)
+
+    def settle(phase, carry):
+        """Torso and head first: else limbs are drawn to the points that a bow leaves unexplained."""
+        x, found = carry
+        found = lax.cond(phase > 0, lambda: filters(*args, x, shape), lambda: found._replace(x=x, masses=body.masses))
+        rounds = jnp.where(phase > 0, shape.refine, shape.refine // 2)
+        return settled(body, found.x, found.masses, rounds, given, n, shape), found
+
+    x, found = lax.fori_loop(0, 2, settle, (x, none))  # so that both are compiled once
+    p, origin, mean, spread, masses = found.particles, found.origin, found.mean, found.spread, found.masses
+    near = found.near
+    shift = (x[LIMBS] - mean)[:, None] if shape.refine else jnp.zeros((4, 1, 3, 3))
+    sure = jnp.exp(-n.masses[2] * spread)
+    rate = given.learn * jnp.stack([sure[:, :2].mean(1), sure[:, 1:].mean(1)], 1)
+
+    def more():
+        known = learn(body, x, frames(x), view, found.hidden, state.colours, state.learnt, rate)
+        for other, hidden in zip(view.more, found.more):
+            known = learn(body, x, frames(x), other, hidden, *known, rate * other.there)
+        return known
+
+    colours, learnt = lax.cond(given.learn > 0, more, lambda: (state.colours, state.learnt))
+    after = State(x, state.x, p + shift, origin + shift, spread, colours, learnt)
+    return after, _seen(body, x, spread, masses, given, near, n)
+
+
+class Filtered(NamedTuple):
+    """What the filters say of a frame."""
+
+    x: Float[Array, "16 3"]  # the body with their means, metres
+    masses: Float[Array, " 16"]
+    particles: Float[Array, "4 particle 3 3"]
+    origin: Float[Array, "4 particle 3 3"]  # where each came from
+    mean: Float[Array, "4 3 3"]
+    spread: Float[Array, "4 3"]  # standard deviation, metres
+    near: LimbContext  # with the points that limbs look at
+    hidden: Float[Array, "4 row column"]  # see scores.occlusion
+    more: tuple[Float[Array, "4 row column"], ...]  # the same in the views of further cameras
+
+
+# 7 parameters: model, state and measurements, traced each
+def _filtered(
+    body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, x: Float[Array, "16 3"], shape: Shape
+) -> Filtered:
+    """The filters of all limbs, of a body whose trunk stands."""
     view, keys = given.view, jax.random.split(key, 3)
-    # torso and head first: else limbs are drawn to the points that a bow leaves unexplained
-    x = settled(body, _moved(body, state, given, n), body.masses, shape.refine // 2, given, n, shape)
     space, context = limb_spaces(body, x, n.legs_apart, n.floor), _context(body, state, x, given, shape)
     origin = state.particles
     ahead = _ahead(state, view, n, shape)
@@ -180,20 +227,8 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     near = jax.vmap(lambda one: worthwhile(one, round(_WORTHWHILE * len(given.points)), n.weighing))(context)
     p, origin, mean, spread = _layers(keys[2], ahead, origin, state.spread, space, near, view, n, shape)
     masses = body.masses.at[LIMBS.ravel()].set((n.masses[0] + n.masses[1] * jnp.exp(-n.masses[2] * spread)).ravel())
-    x = settled(body, x.at[LIMBS.ravel()].set(mean.reshape(12, 3)), masses, shape.refine, given, n, shape)
-    shift = (x[LIMBS] - mean)[:, None] if shape.refine else jnp.zeros((4, 1, 3, 3))
-    sure = jnp.exp(-n.masses[2] * spread)
-    rate = given.learn * jnp.stack([sure[:, :2].mean(1), sure[:, 1:].mean(1)], 1)
-
-    def more():
-        known = learn(body, x, frames(x), view, context.hidden, state.colours, state.learnt, rate)
-        for other, hidden in zip(view.more, context.more):
-            known = learn(body, x, frames(x), other, hidden, *known, rate * other.there)
-        return known
-
-    colours, learnt = lax.cond(given.learn > 0, more, lambda: (state.colours, state.learnt))
-    after = State(x, state.x, p + shift, origin + shift, spread, colours, learnt)
-    return after, _seen(body, x, spread, masses, given, near, n)
+    x = x.at[LIMBS.ravel()].set(mean.reshape(12, 3))
+    return Filtered(x, masses, p, origin, mean, spread, near, context.hidden, context.more)
 
 
 def _moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers) -> Float[Array, "16 3"]:
@@ -210,15 +245,15 @@ def _moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers) -> Float
 
 # 7 parameters: model, state and measurements, traced each
 def settled(
-    body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], rounds: int, given: Inputs, n: Numbers,
-    shape: Shape,
+    body: FlexibleBody, x: Float[Array, "16 3"], masses: Float[Array, " 16"], rounds: Int[Array, ""], given: Inputs,
+    n: Numbers, shape: Shape,
 ) -> Float[Array, "16 3"]:  # fmt: skip
     """Springs and limits, then `rounds` of the refinement: one loop, so that both are compiled once."""
 
     def one(number, x):
         pulls = number > 0
         move = lambda: pulled(body, x, given.points, given.share, given.bare)  # noqa: E731
-        x = lax.cond(pulls, move, lambda: x) if rounds else x
+        x = lax.cond(pulls, move, lambda: x) if shape.refine else x
         sweeps = jnp.where(pulls, _SWEEPS, shape.relaxations)
         return relax(body, x, jnp.where(pulls, _REFINED_MASSES, masses), sweeps, n.legs_apart, True, n.floor)
 
