@@ -31,7 +31,7 @@ UNMARKED = 0.1
 MISFITS = ("beside", "bare", "all distance", "size", "inside", "beyond", "apart")
 AROUND = 31  # frames over which a limb's misfit is averaged, about a second; by hand
 # of a limb's points, and metres: less tells nothing. Of 3, 5, 6 and 9 mm the first tells right from wrong best in kinds
-# of logs left out (0.952, 0.945, 0.941 and 0.937, see experiments/trust)
+# of logs left out (0.952, 0.945, 0.941 and 0.937 with AT_LEAST 0, see experiments/trust)
 LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.003
 # by hand: metres in another limb that count as one, and how many count at most; radians beyond a joint's limit,
 # likewise; metres between the passes that tell nothing, and those that tell all
@@ -41,14 +41,14 @@ DEEP, DEEPEST, BENT, MOST_BENT, TOGETHER, ASUNDER = 0.01, 8.0, float(np.radians(
 # kinds of logs there are none)
 STATURE, STATURES, USUAL, UNUSUAL, SMALL = 1.70, 0.095, 2.7, 2.0, 0.9
 # somebody is there if once, for so many seconds on end, this was expected of the better half of the joints (of who is
-# cut off or behind something the others are hidden): measured, 0.53 at most for curtains, doors, robots and trolleys
-# that move, 0.67 at least for people who are less than 10 cm off. A dummy on a trolley had 0.69
-CONFIRMED, LONG = 0.6, 1.0
+# cut off or behind something the others are hidden): measured, 0.60 at most for curtains, doors, robots and trolleys
+# that move, 0.66 at least for people who are less than 10 cm off. A dummy on a trolley had 0.70
+CONFIRMED, LONG = 0.63, 1.0
 EVERY = slice(None)
 BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
 # how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
 # limbs are bare; from experiments/trust/elsewhere.py
-SURELY, LESS_SURE = 19.4, (-3.06, -1.58)
+SURELY, LESS_SURE = 18.8, (-2.98, -1.26)
 
 
 class Trust(NamedTuple):
@@ -64,7 +64,7 @@ THERE_AND_BACK = Trust(-12.173, (-3.734, -0.124, -0.047, -0.333, 0.522, -0.702))
 ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
 
 # of MISFITS; from experiments/trust/elsewhere.py
-FITS = Trust(-14.728, (-0.305, -1.425, -3.658, -1.366, -2.442, -0.128, -1.561))
+FITS = Trust(-16.063, (-1.268, -4.100, -3.320, -1.441, -2.553, -0.254, -1.288))
 
 
 def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
