@@ -44,8 +44,8 @@ WEAKER = 3e-5  # weight of the squared slopes
 # misfits of a body that fits
 NOTHING = np.array([np.log(LEAST_SHARE), 0.0, np.log(LEAST_DISTANCE), *np.zeros(len(MISFITS) - 3)])
 # slopes at least, of the fit of 2026-11-26 to nine kinds: points beside limbs and bare limbs are seldom alone in the
-# fifteen, and left free they count little there (0.3 and 1.4). Then hidden legs of people who are cut off are said right
-# in 93 instead of 88 % (85 are), joints of people in real clothes in 86 instead of 93
+# fifteen, and left free they count little there (0.3 and 1.4). Then hidden legs of people who are cut off are thought
+# right in 93 instead of 88 % (85 are), joints of people in real clothes in 86 instead of 93
 AT_LEAST = {"beside": 1.268, "bare": 4.1}
 FRAMES = 14  # of a log, drawn at random
 
