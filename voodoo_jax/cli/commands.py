@@ -27,8 +27,8 @@ PRESET_BODIES = {
     "default": "human", "knoop2007": "human10", "flexible": "human", "both": "human", "hecht2009": "human",
 }  # fmt: skip
 PRESET_HELP = (
-    "Settings to start from: default; knoop2007, that paper's chain and values (with its body of ten limbs); flexible, "
-    "the flexible tracker; both, the two trackers together; hecht2009, the flexible tracker with that paper's values."
+    "Settings to start from: default; knoop2007, that paper's chain and values (with its ten limbs); flexible, both: "
+    "for these trackers; hecht2009: that paper's values."
 )
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
 

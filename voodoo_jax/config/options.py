@@ -384,9 +384,8 @@ class Settings:
     flexible: FlexibleSettings = field(default_factory=FlexibleSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
     tracker: Literal["icp", "flexible", "both"] = "icp"
-    """icp: limbs as cylinders, fitted to 3D points (Knoop et al. 2006, 2007); flexible: masses and springs, particle
-    filters on the images of a stereo or colour and depth camera (Hecht et al. 2009); both: limbs between what these two
-    say, or by who is surer of them, where there are such images."""
+    """icp: cylinders fitted to 3D points (Knoop et al. 2006, 2007); flexible: particle filters on stereo or colour
+    and depth images (Hecht et al. 2009); both: each limb by both."""
     changes: tuple[Change, ...] = ()
     online: bool = False
     """No look into the future, as on a robot: one pass in time, and no furniture told by later frames."""
