@@ -102,7 +102,9 @@ def test_damaged_draco_is_left_out_and_asks_for_little(tmp_path):
     good = DracoPy.encode(POINTS.reshape(-1, 3).astype(np.float32))
     # says that it has a thousand million points, or ten million in so few bytes; is cut off; is a mesh
     counts = [good[:11] + count.to_bytes(4, "little") + good[15:] for count in (1_000_000_000, 10_000_000)]
-    wrong = [*counts, good[:40], good[:7] + b"\1" + good[8:], b"DRACO", good[:9] + b"\0\x80" + bytes([255] * 20)]
+    # the same behind what is written about many attributes: none of it is to be skipped
+    many = good[:9] + b"\0\x80" + b"\x80\x80\x01" + b"\0\0\0" * 2**14 + b"\0\0" + counts[0][11:]
+    wrong = [*counts, many, good[:40], good[:7] + b"\1" + good[8:], b"DRACO", good[:9] + b"\0\x80" + bytes([255] * 20)]
     messages = [packed_cloud(cloud_at(i), "draco", data) for i, data in enumerate([good, *wrong])]
     recording = read_log(log_of(tmp_path / "a.mcap", messages))
     assert len(recording) == 1 and f"{len(wrong)} messages" in " ".join(recording.notes)

@@ -30,6 +30,7 @@ PRESET_HELP = (
     "Settings to start from: default; knoop2007, that paper's chain and values (with its ten limbs); flexible, both: "
     "for these trackers; hecht2009: that paper's values."
 )
+Preset = Annotated[Literal["default", "knoop2007", "flexible", "both", "hecht2009"], arg(help=PRESET_HELP)]
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
 
 FORMATS_HELP = "Formats: csv, trc, c3d, bvh, bvh-rigid, mot, gltf, usd; several with commas between."
@@ -90,9 +91,7 @@ class Replay:
     logs: Positional[tuple[str, ...]] = ()
     """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
-    preset: Annotated[Literal["default", "knoop2007", "flexible", "both", "hecht2009"], arg(help=PRESET_HELP)] = (
-        "default"
-    )
+    preset: Preset = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     results: OmitArgPrefixes[Results] = field(default_factory=Results)
     running: OmitArgPrefixes[Running] = field(default_factory=Running)
@@ -296,9 +295,7 @@ class BodyCommand:
 class Config:
     """Print the settings with their meanings, as a file for --config."""
 
-    preset: Annotated[Literal["default", "knoop2007", "flexible", "both", "hecht2009"], arg(help=PRESET_HELP)] = (
-        "default"
-    )
+    preset: Preset = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
 
 

@@ -21,7 +21,7 @@ FIRST, SPREAD = 3, 7  # messages that are looked at at once, and of the whole lo
 USUAL = 0.3, 5.0  # metres: median distances that nobody doubts; measured: 1.5 to 3.6 in indoor recordings
 HEIGHT = 0.2, 4.0  # metres above the floor: where a sensor stands or hangs; by hand
 POSSIBLE = 0.4, 15.0  # metres: what is nearer or farther (median) no depth camera measures; by hand
-OPEN_AIR = 60.0  # metres: the same of laser scanners and other clouds; measured: 10 to 19 of cars' in streets
+OPEN_AIR = 60.0  # metres: the same of laser scanners and other clouds; measured: 6 to 19 of cars' in streets
 # times as large or small; 0.25 mm (L515), 0.1 mm (D405), mm for m and cm for m; by hand
 FACTORS = (0.001, 0.01, 0.1, 0.25, 0.5, 2.0, 10.0, 100.0, 1000.0)
 AT_ZERO, NOT_ZERO = 0.1, 0.4  # metres: a floor is, or is not, at the height 0 of the fixed frame; by hand

@@ -7,31 +7,22 @@ import pytest
 
 import voodoo_jax as vj
 from tests.support.logs import depth_log
+from tests.support.waving import SMALL, waving_log
 from voodoo_jax.batch.log_job import track_log
-from voodoo_jax.config.options import Change, FlexibleSettings, Settings
+from voodoo_jax.config.options import Change, Settings
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.simulate.colour import simulate_colour
-from voodoo_jax.simulate.mcap import write_colour
-from voodoo_jax.simulate.motion import make_motion, placed
-from voodoo_jax.simulate.sensor import NO_NOISE, Camera
 from voodoo_jax.trackers.base import Unsuitable
 from voodoo_jax.trackers.both.entry import NOBODY
 
-CAMERA = Camera(160, 120, 145.0, 145.0, 79.5, 59.5, (0.0, 0.0, 1.2), 0.08)
 FRAMES = 20
-# a program of its own size: few particles and rounds, for the test's time
-SMALL = FlexibleSettings(particles=30, layers=2, refine=4, points=128, backwards=False)
 
 
 @pytest.fixture(scope="module")
 def waving(tmp_path_factory) -> tuple[Recording, np.ndarray]:
     """A person who waves before a colour and depth camera, and the true joint centres."""
-    body = vj.human()
-    motion = placed(make_motion(body, "wave", FRAMES / 15, 15.0), 2.6, 0.0, np.pi)
-    sim = simulate_colour(body, motion, (CAMERA,), CAMERA, noise=NO_NOISE)
-    path = write_colour(sim, tmp_path_factory.mktemp("colour") / "waving.mcap")
-    return read_log(path, vj.preset("both").read), sim.joints
+    path, joints = waving_log(tmp_path_factory.mktemp("colour"), FRAMES)
+    return read_log(path, vj.preset("both").read), joints
 
 
 def test_both_together_are_between_the_two_and_say_what_they_are(waving):
@@ -65,8 +56,9 @@ def test_what_one_of_both_does_not_know_is_refused(waving):
     recording, _ = waving
     with pytest.raises(Unsuitable, match="follows people"):
         vj.track(vj.load_body("dog"), recording, tracker="both")
-    with pytest.raises(Unsuitable, match=r"\[\[change\]\].*--tracker icp"):
-        vj.track(vj.human(), recording, Settings(tracker="both", changes=(Change(time=1.0, scale=1.7),)))
+    for tracker in ("both", "flexible"):
+        with pytest.raises(Unsuitable, match=r"\[\[change\]\].*--tracker icp"):
+            vj.track(vj.human(), recording, Settings(tracker=tracker, changes=(Change(time=1.0, scale=1.7),)))
     with pytest.raises(ValueError, match="icp or flexible"):
         vj.fit(vj.human(), [recording], Settings(tracker="both"))
 

@@ -9,8 +9,9 @@ import pytest
 import voodoo_jax as vj
 from tests.support.colour_logs import Board, picture, ros_compressed, ros_info
 from tests.support.logs import PERIOD, START, Log, depth_log
+from tests.support.waving import CAMERA, SMALL, waving_log
 from voodoo_jax.batch.log_job import track_log
-from voodoo_jax.config.options import FlexibleSettings, ReadSettings, Settings
+from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import with_proportions
 from voodoo_jax.records.recording import Recording
@@ -19,23 +20,17 @@ from voodoo_jax.simulate.colour import simulate_colour
 from voodoo_jax.simulate.mcap import write_colour
 from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.room import Room
-from voodoo_jax.simulate.sensor import NO_NOISE, Camera
+from voodoo_jax.simulate.sensor import NO_NOISE
 from voodoo_jax.trackers.base import Unsuitable
 
-CAMERA = Camera(160, 120, 145.0, 145.0, 79.5, 59.5, (0.0, 0.0, 1.2), 0.08)
 FRAMES = 28
-# a program of its own size: few particles and rounds, for the test's time
-SMALL = FlexibleSettings(particles=30, layers=2, refine=4, points=128, backwards=False)
 
 
 @pytest.fixture(scope="module")
 def waving(tmp_path_factory) -> tuple[Recording, np.ndarray]:
     """A person who waves before a colour and depth camera, and the true joint centres."""
-    body = vj.human()
-    motion = placed(make_motion(body, "wave", FRAMES / 15, 15.0), 2.6, 0.0, np.pi)
-    sim = simulate_colour(body, motion, (CAMERA,), CAMERA, noise=NO_NOISE)
-    path = write_colour(sim, tmp_path_factory.mktemp("colour") / "waving.mcap")
-    return read_log(path, vj.preset("flexible").read), sim.joints
+    path, joints = waving_log(tmp_path_factory.mktemp("colour"), FRAMES)
+    return read_log(path, vj.preset("flexible").read), joints
 
 
 def test_it_follows_a_person_and_the_same_seed_gives_the_same_bits(waving):

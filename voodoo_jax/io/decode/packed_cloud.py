@@ -103,7 +103,7 @@ def _count(data: bytes) -> int:
 def _behind_metadata(data: bytes, at: int) -> int:
     """Where a file of Draco goes on behind its metadata: those of its attributes, then its own."""
     count, at = _varint(data, at)
-    for _ in range(min(count, limits().schema_fields)):
+    for _ in range(count):  # each takes bytes, so that they end where the data do
         _, at = _varint(data, at)
         at = _behind_entries(data, at, 0)
     return _behind_entries(data, at, 0)

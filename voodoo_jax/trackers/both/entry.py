@@ -12,11 +12,10 @@ from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.base import Progress, Source, Unsuitable
+from voodoo_jax.trackers.base import Progress, Source
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.entry import FlexibleTracker
-from voodoo_jax.trackers.flexible.flexible_body import rest_points
-from voodoo_jax.trackers.flexible.tracker import Watching, follow
+from voodoo_jax.trackers.flexible.tracker import Watching, check_suited, follow
 from voodoo_jax.trackers.icp.diagnostics import looked_at_again
 from voodoo_jax.trackers.icp.entry import IcpTracker
 
@@ -52,9 +51,7 @@ class BothTrackers:
         visit: Any = None,
     ) -> list[Tracks]:
         """Of several people the main one alone is followed in images, too."""
-        rest_points(body)  # raises before anything long
-        if settings.changes:
-            raise Unsuitable("[[change]] in the settings: the flexible tracker knows none, use --tracker icp")
+        check_suited(body, settings)
         watching = Watching(settings, source.path, given=True)
         try:
             people = find_people(watching(frames), source.up, body, settings, source.up_is_given)

@@ -297,11 +297,18 @@ def _near(chooser: Chooser, time_ns: int) -> Near | None:
     return None if points is None else Near(points, _BESIDE + _FASTEST * max(seconds, 0.0))
 
 
+def check_suited(body: Body, settings: Settings) -> None:
+    """Raises Unsuitable, before anything long, for a body that is no person's and for one that changes."""
+    rest_points(body)
+    if settings.changes:
+        raise Unsuitable("[[change]] in the settings: the flexible tracker knows none, use --tracker icp")
+
+
 def track_frames(
     body: Body, frames: Iterable[Frame], source: Source, settings: Settings, progress: Progress | None = None
 ) -> Tracks:
     """Tracks a person through frames with pictures. Raises Unsuitable."""
-    rest_points(body)  # raises before anything long
+    check_suited(body, settings)
     began = time.perf_counter()
     seen = observe(frames, source.up, body, settings, source.path)
     try:

@@ -78,7 +78,7 @@ def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Name
     if len(tracks.status) and np.all(tracks.status == Status.NOT_STARTED):
         notes.append("Nothing of the body's height was found: not one frame is tracked.")
     if np.any(tracks.status == Status.LOST) and not tracks.tracked.any() and tracks.joint_confidence is not None:
-        notes.append("What moves was never surely a person: not one frame is tracked.")
+        notes.append("This was never surely a person: not one frame of it is tracked.")
     total = int(tracks.points.sum())
     if run.left_out:
         share, most = 100 * run.left_out / (run.left_out + total), run.settings.detect.points
