@@ -6,6 +6,9 @@ In a process of its own: Ray leaves threads and handlers behind.
 import json
 import os
 import sys
+import tempfile
+import time
+from pathlib import Path
 
 from ray.cluster_utils import Cluster
 
@@ -15,7 +18,7 @@ from voodoo_jax.batch.replay import replay
 from voodoo_jax.config.ray_tasks import RayTasks
 
 
-def main(out: str, logs: list[str]) -> None:
+def main(out: str, logs: list[str], gate: Path) -> None:
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     other = cluster.add_node(num_cpus=1, num_gpus=1)  # a number of Ray's own, no device
     os.environ["RAY_ADDRESS"] = cluster.address
@@ -28,15 +31,40 @@ def main(out: str, logs: list[str]) -> None:
             both.add(number)
             if len(both) == 2 and cluster.worker_nodes:  # both machines have said something
                 cluster.remove_node(other, allow_graceful=False)
+            if share == 0:  # the loss was noticed
+                gate.touch()
             report(number, share)
 
         return on_ray(jobs, listen, tasks)
 
     ray_cluster.on_ray = spied
+    ray_cluster._task = held_until(gate, ray_cluster._task)
     done = replay(logs, out, small_body(), SETTINGS, quiet=True, engine="ray", ray=RayTasks(retries=1))
     print(json.dumps({"heard": heard, "errors": [outcome.error for outcome in done]}))
     cluster.shutdown()
 
 
+def held_until(gate: Path, task):
+    """The task; its log says how far it is and waits for `gate`, or else it may be done before the machine is lost."""
+
+    def held(job, number, board):
+        do_job = ray_cluster.do_job
+
+        def wait(job, progress):
+            progress(0.5)
+            while not gate.exists():
+                time.sleep(0.1)
+            return do_job(job, progress)
+
+        ray_cluster.do_job = wait
+        try:
+            return task(job, number, board)
+        finally:
+            ray_cluster.do_job = do_job
+
+    return held
+
+
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:])
+    with tempfile.TemporaryDirectory() as folder:
+        main(sys.argv[1], sys.argv[2:], Path(folder) / "lost")
