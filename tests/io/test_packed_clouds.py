@@ -3,10 +3,15 @@
 import gzip
 import sys
 import zlib
+from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from google.protobuf import descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.timestamp_pb2 import Timestamp
 
 from tests.support.logs import PERIOD, START, Log, packed_cloud, ros_cloud
 from voodoo_jax.io.decode.packed_cloud import places
@@ -85,11 +90,31 @@ def test_without_its_package_draco_is_asked_for(tmp_path, monkeypatch):
         read_log(log_of(tmp_path / "a.mcap", [packed_cloud(cloud_at(0), "draco", b"DRACO")]))
 
 
+def compressed_point_cloud() -> Any:
+    """The class foxglove.CompressedPointCloud by its published fields: the package of schemas has it from 0.4 on."""
+    file = FileDescriptorProto(name="tests/CompressedPointCloud.proto", package="foxglove", syntax="proto3")
+    file.dependency.extend([Timestamp.DESCRIPTOR.file.name, Pose.DESCRIPTOR.file.name])
+    message = file.message_type.add(name="CompressedPointCloud")
+    text = FieldDescriptorProto.TYPE_STRING
+    fields = {
+        "timestamp": Timestamp,
+        "frame_id": text,
+        "pose": Pose,
+        "data": FieldDescriptorProto.TYPE_BYTES,
+        "format": text,
+    }
+    for number, (name, kind) in enumerate(fields.items(), 1):
+        told = {"type": kind} if isinstance(kind, int) else {"type_name": f".{kind.DESCRIPTOR.full_name}"}
+        message.field.add(name=name, number=number, label=FieldDescriptorProto.LABEL_OPTIONAL, **told)
+    pool = descriptor_pool.Default()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("foxglove.CompressedPointCloud"))
+
+
 def test_draco_of_foxglove_has_a_pose(tmp_path):
     DracoPy = pytest.importorskip("DracoPy")
-    pb2 = pytest.importorskip("foxglove_schemas_protobuf.CompressedPointCloud_pb2")
     points = POINTS.reshape(-1, 3).astype(np.float32)
-    message = pb2.CompressedPointCloud(frame_id="lidar", data=DracoPy.encode(points), format="draco")
+    message = compressed_point_cloud()(frame_id="lidar", data=DracoPy.encode(points), format="draco")
     message.timestamp.FromNanoseconds(START)
     message.pose.position.z = 5.0
     message.pose.orientation.w = 1.0
