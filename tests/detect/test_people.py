@@ -113,6 +113,27 @@ def test_a_cupboard_before_which_somebody_moves_is_nobody():
     assert not everybody([cloud(i) for i in range(80)])[0]
 
 
+@pytest.mark.parametrize("wide, at", [(0.8, -0.1), (0.6, 0.0)])
+def test_a_cupboard_that_somebody_passes_once_is_nobody(wide, at):
+    """For fewer frames than make an edge of it: other points of it are seen in a direction for a moment."""
+    rng = np.random.default_rng(6)
+    cupboard = box(4.6, -0.6, wide, 1.75)
+    walks = [figure(4.0, 1.5 - 0.04 * max(0, i - 80), 1.6) for i in range(140)]
+
+    def seen(points, *hidden_by):
+        y = points[:, 1] / points[:, 0]
+        for other in hidden_by:
+            aside = other[:, 1] / other[:, 0]
+            points, y = (v[(y > aside.max()) | (y < aside.min())] for v in (points, y))
+        return points + rng.normal(0, 0.004, points.shape)
+
+    def cloud(i):
+        near = figure(2.5, at + 0.1 * sways(i), 1.9)
+        return np.concatenate([near, seen(walks[i], near), seen(cupboard, near, walks[i])])
+
+    assert len(everybody([cloud(i) for i in range(140)])[0]) == 2
+
+
 @pytest.mark.parametrize("ahead", [True, False])
 def test_who_comes_in_and_leaves_is_there_meanwhile(ahead):
     def cloud(i):

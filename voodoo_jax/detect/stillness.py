@@ -70,17 +70,25 @@ def directions(frames: Sequence[BodyObservation]) -> Directions:
     total = np.bincount(at, far, shape[0] * shape[1]).reshape(shape)
     there = count > 0
     mean = np.where(there, total / np.maximum(count, 1), 0.0)
-    both = there[:, 1:] & there[:, :-1]
+    whole = there & _as_usual(count)
+    both = whole[:, 1:] & whole[:, :-1]
     step = np.sum(np.where(both, np.diff(mean, axis=1), 0) ** 2, 1) / np.maximum(both.sum(1), 1)
-    seen = np.maximum(there.sum(1), 1)
-    middle = mean.sum(1) / seen
-    spread = np.sum(np.where(there, mean - middle[:, None], 0) ** 2, 1) / seen
+    seen = np.maximum(whole.sum(1), 1)
+    middle = np.where(whole, mean, 0.0).sum(1) / seen
+    spread = np.sum(np.where(whole, mean - middle[:, None], 0) ** 2, 1) / seen
     ratio = np.where(spread > 0, step / np.maximum(2 * spread, 1e-18), 1.0)
     points = (np.concatenate([f.points[:, axis] for f in frames]) for axis in range(3))
     place = np.stack([np.bincount(which, along, len(names)) for along in points], 1) / count.sum(1)[:, None]
     telling = np.array([size >= TELLING for size in sizes])
     often = there[:, telling].sum(1) / max(int(telling.sum()), 1)
     return Directions(np.split(which, np.cumsum(sizes)[:-1]), ratio, often, place)
+
+
+def _as_usual(count: Int[np.ndarray, "direction frame"]) -> Bool[np.ndarray, "direction frame"]:
+    """In which frames about as many points are seen in a direction as usually: else something that goes by hides some
+    of them, and their mean is another one's."""
+    usual = np.median(count, axis=1, keepdims=True)
+    return (count >= ALIKE * usual) & (ALIKE * count <= usual)
 
 
 def _seen(frame: BodyObservation) -> tuple[Int[np.ndarray, " point"], Float[np.ndarray, " point"]]:
