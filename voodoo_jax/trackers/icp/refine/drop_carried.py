@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
+from scipy.spatial import KDTree
 
 from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.geometry.plane import Plane
@@ -35,7 +36,8 @@ class DropCarried:
 
     among: tuple[Stage, ...]  # stages that segments go through when they are tracked anew
     doubt: float = 0.0006  # square metres of cost beyond noise, mean of all frames: what fits better carries nothing
-    head: float = 0.12  # below the top
+    head: float = 0.08  # below the top
+    radius: float = 0.06  # level: of a head, which has more points than a hand beside it
     deep: float = 0.03  # the middle of a head lies so far behind what is seen of it
     low: float = 0.48  # the trunk, from here ...
     high: float = 0.84  # ... to here
@@ -101,7 +103,10 @@ class DropCarried:
         """Height of a frame's points, and how far they are, level, from the middle of the head; in statures."""
         height = floor.height(frame.points).astype(float)
         level = floor.level(frame.points).astype(float)
-        head = np.median(level[height > top - self.head * stature], 0)
+        top = min(top, stature)  # a hand may be higher
+        high = level[(height > top - self.head * stature) & (height < top + self.head * stature / 2)]
+        head = high[np.argmax([len(near) for near in KDTree(high).query_ball_point(high, self.radius * stature)])]
+        head = np.median(high[np.linalg.norm(high - head, axis=1) < self.radius * stature], 0)
         away = head - floor.level(frame.origins[[np.bincount(frame.sensor).argmax()]])[0]
         head = head + self.deep * stature * away / max(float(np.linalg.norm(away)), 1e-9)
         return height / stature, (level - head) / stature
