@@ -71,7 +71,7 @@ class DropCarried:
         if stature <= 0:
             return None
         beside = [self._beside(*self._from_head(people[k], floor, top, stature)) for k, top in zip(seen, tops)]
-        shows = [share > self.share and np.linalg.norm(off) > self.aside for share, off in beside]
+        shows = np.array([share > self.share and np.linalg.norm(off) > self.aside for share, off in beside], bool)
         if np.mean(shows) < self.mostly:
             return None
         way = uniform_filter1d(np.array([share * off for share, off in beside]), self.smooth, axis=0, mode="nearest")
