@@ -7,6 +7,7 @@ the same name.
 
 from voodoo_jax.trackers.icp.initialise import START
 from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
+from voodoo_jax.trackers.icp.refine.drop_carried import DropCarried
 from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained
 from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
@@ -25,7 +26,7 @@ SETTLE: tuple[Stage, ...] = (ForwardBackward(end=END),)
 # of every segment
 REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities())
 # of the recording
-FINISH: tuple[RecordingStage, ...] = (DropUnexplained(among=REFINE), FitForearms())
+FINISH: tuple[RecordingStage, ...] = (DropCarried(among=REFINE), DropUnexplained(among=REFINE), FitForearms())
 # of the tracks, once their poses stand
 PLACE = (PlaceJoints(), HangLegs())
 
