@@ -25,9 +25,11 @@ def cloud(i: int, count: int, parts: bool = True) -> BodyObservation:
     rng = np.random.default_rng(i)
     points = rng.standard_normal((count, 3)).astype(np.float32)
     part = rng.integers(-1, 2, count).astype(np.int32) if parts else None
+    before = rng.standard_normal((7, 3)).astype(np.float32) if parts else None
     return BodyObservation(
-        i, points, np.zeros(count, np.int64), np.zeros((1, 3), np.float32), part=part, parts=("body",)
-    )
+        i, points, np.zeros(count, np.int64), np.zeros((1, 3), np.float32), part=part, parts=("body",), before=before,
+        before_sensor=None if before is None else np.zeros(len(before), np.int8),
+    )  # fmt: skip
 
 
 def in_file(array: np.ndarray) -> bool:

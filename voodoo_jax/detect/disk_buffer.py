@@ -16,6 +16,7 @@ BLOCK = 8 << 20  # bytes of points that are written at once: shorter recordings 
 # what is moved to the file, and what frames have of it meanwhile
 WITHOUT: dict[str, Any] = {
     "points": np.zeros((0, 3), np.float32), "sensor": np.zeros(0, np.int32), "part": None, "weight": None,
+    "before": None, "before_sensor": None,
 }  # fmt: skip
 
 
@@ -32,7 +33,7 @@ class Place(NamedTuple):
     """Where a frame's arrays are in the file, one behind the other."""
 
     at: int  # bytes
-    points: int
+    counts: tuple[int, ...]  # points, or rows, of each array
     kinds: tuple[Kind, ...]  # one object for all frames that are alike
 
 
@@ -81,7 +82,7 @@ class Spill:
                 for kind, array in zip(kinds, arrays.values()):
                     self._file.write(np.ascontiguousarray(array.T if kind.order == "F" else array).data)
                     end += array.nbytes
-                places.append(Place(begin, len(frame.points), self._kinds.setdefault(kinds, kinds)))
+                places.append(Place(begin, tuple(map(len, arrays.values())), self._kinds.setdefault(kinds, kinds)))
             self._file.flush()
         except OSError:  # no room: they stay where they are
             self._full = True
@@ -124,7 +125,7 @@ def _order(array: np.ndarray) -> Literal["C", "F"]:
 def _mapped(frame: BodyObservation, place: Place, held: mmap.mmap) -> BodyObservation:
     """A frame with its arrays in the file: read when they are asked for, dropped by the system as it likes."""
     arrays, at = {}, place.at
-    for kind in place.kinds:
-        array = np.ndarray((place.points, *kind.row), kind.dtype, held, at, order=kind.order)
+    for kind, count in zip(place.kinds, place.counts):
+        array = np.ndarray((count, *kind.row), kind.dtype, held, at, order=kind.order)
         arrays[kind.name], at = array, at + array.nbytes
     return replace(frame, **arrays)

@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import FEWEST, LEAST, Build, candidate
 from voodoo_jax.detect.heads import has_shoulders, may_be_several, parted
+from voodoo_jax.detect.in_the_way import in_the_way
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import (
@@ -138,7 +139,9 @@ class BodySegmenter:
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
-        return frame.only(index)
+        before, sensor = in_the_way(frame, points[index], self.scene.floor)
+        seen = frame.only(index)
+        return replace(seen, before=before, before_sensor=sensor) if len(before) else seen
 
     def _free(
         self, frame: BodyObservation, known: Bool[np.ndarray, " point"], mine: Bool[np.ndarray, " point"] | None

@@ -31,6 +31,9 @@ class BodyObservation:
         1.0  # how much less the points weigh because of it: sum of the weights that they would have, over theirs
     )
     T_fixed_steady: Float64[np.ndarray, "4 4"] | None = None  # as in Frame
+    # some points of whatever is nearer to a sensor than the body and may hide it, and which sensor; None: nothing is
+    before: Float32[np.ndarray, "some 3"] | None = None
+    before_sensor: Int[np.ndarray, " some"] | None = None
     other: bool = False  # from here on something else is taken for the body than in the frames before
 
     def only(self, keep: np.ndarray) -> "BodyObservation":
@@ -78,7 +81,10 @@ def with_places(
     """The frame with all that is in it elsewhere: `place` moves points, `direction` turns lines of sight."""
     rays = replace(frame.rays, origins=place(frame.rays.origins), directions=direction(frame.rays.directions))
     pairs = replace(frame.pairs, points=place(frame.pairs.points))
-    return replace(frame, points=place(frame.points), origins=place(frame.origins), rays=rays, pairs=pairs)
+    moved = replace(frame, points=place(frame.points), origins=place(frame.origins), rays=rays, pairs=pairs)
+    if isinstance(moved, BodyObservation) and moved.before is not None:
+        moved = replace(moved, before=place(moved.before))
+    return moved
 
 
 def assigned(frame: Frame | BodyObservation) -> Bool[np.ndarray, " point"]:

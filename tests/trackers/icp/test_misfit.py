@@ -48,6 +48,21 @@ def test_a_limb_without_points_is_bare_unless_another_one_hides_it(points):
     assert behind.bare[0, LIMBS.index("chest")] == 0 and behind.seen[0, LIMBS.index("chest")] == 0
 
 
+def test_a_limb_behind_furniture_is_not_bare(rng, points):
+    """A board between the sensor and the legs hides them, one behind them does not."""
+    legs = [LIMBS.index("l_shank"), LIMBS.index("r_shank"), LIMBS.index("l_foot")]
+    low, place = points[points[:, 2] > 0.6].astype(np.float32), np.tile(REST.translation, (1, 1, 1))
+    for x, bare in ((0.8, 0.0), (-0.8, 1.0)):
+        board = np.stack([np.full(2000, x), rng.uniform(-0.6, 0.6, 2000), rng.uniform(0.0, 0.65, 2000)], 1)
+        before = board.astype(np.float32)
+        frame = BodyObservation(
+            0, low, np.zeros(len(low), np.int32), SENSOR, before=before, before_sensor=np.zeros(2000, np.int8)
+        )  # fmt: skip
+        fit = misfit(SIZES, np.tile(REST.rotation, (1, 1, 1)), place, [frame])
+        np.testing.assert_allclose(fit.bare[0, legs], bare, atol=0.1)
+        np.testing.assert_array_equal(fit.seen, found(low, count=1).seen)
+
+
 def test_noise_is_no_misfit(rng, points):
     noisy = points + rng.normal(0, 0.04, points.shape)
     plain, known = found(noisy), found(noisy, noise=0.04)

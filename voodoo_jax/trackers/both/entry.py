@@ -11,13 +11,14 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
-from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks, only_as_sure
 from voodoo_jax.trackers.base import Progress, Source
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.entry import FlexibleTracker
 from voodoo_jax.trackers.flexible.tracker import Watching, check_suited, follow
 from voodoo_jax.trackers.icp.diagnostics import looked_at_again
 from voodoo_jax.trackers.icp.entry import IcpTracker
+from voodoo_jax.trackers.icp.right_scale import scale_of
 
 NOBODY = "The flexible tracker found nobody: these are the ICP tracker's tracks."
 MOVING = "The camera moves, unknown to the log: these are the ICP tracker's tracks."
@@ -79,5 +80,6 @@ class BothTrackers:
         found = merged(
             icp, flexible, person.frames, track.lost_confidence, track.chunk, settings.looks_ahead("track")
         )  # fmt: skip
-        found = looked_at_again(found)
+        scale = scale_of(icp.body, person.scene, person.frames, settings)
+        found = only_as_sure(looked_at_again(found), scale.right)
         return replace(found, notes=as_few((*found.notes, *flexible.notes)))

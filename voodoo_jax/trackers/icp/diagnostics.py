@@ -12,6 +12,7 @@ from voodoo_jax.markers.label_swaps import Exchange
 from voodoo_jax.markers.own_sites import Named
 from voodoo_jax.markers.table import TO_START
 from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.trackers.icp.right_scale import LEVEL, Scale, scale_of
 from voodoo_jax.trackers.icp.runner import Runner
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
@@ -49,6 +50,17 @@ def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
     return f"The sensors move, by up to {turn:.0f} degrees, and no transform says so: {out}"
 
 
+def _of_scale(run: Runner, scale: Scale) -> str:
+    """A sentence on distances that seem to be of a wrong scale."""
+    rare = f"Somebody of {float(run.body.scale):.2f} m is rare"
+    floor = 100 * float(run.scene.floor.offset)
+    where = f", and the floor {abs(floor):.0f} cm {'above' if floor > 0 else 'below'} the fixed frame's zero"
+    return (
+        f"{rare}{where if run.scene.floor_seen and abs(floor) > 100 * LEVEL else ''}: the log's distances may be "
+        f"{scale.factor:.2f} times the true ones. read.scale tells their unit, start.scale a stature that is right."
+    )
+
+
 def looked_at_again(tracks: Tracks) -> Tracks:
     """Tracks whose poses are others now, with what the notes say of these."""
     kept = [note for note in tracks.notes if not note.startswith(ODD)]
@@ -67,6 +79,9 @@ def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Name
     notes += run.scene.notes
     if not run.scene.floor_seen:
         notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")
+    scale = scale_of(run.body, run.scene, run.people, run.settings)
+    if scale.right < 1 and tracks.tracked.any():
+        notes.append(_of_scale(run, scale))
     moved = [T for frame in run.people if (T := frame.T_fixed_steady) is not None]
     if moved:
         notes.append(_moved(np.stack(moved)))

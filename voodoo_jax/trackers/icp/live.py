@@ -20,7 +20,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Status, Tracks, only_as_sure
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket
 from voodoo_jax.solve.scan import State, at_rest, options_from
 from voodoo_jax.trackers.icp.confidence import AROUND, rated
@@ -30,6 +30,7 @@ from voodoo_jax.trackers.icp.joint_spread import with_passes
 from voodoo_jax.trackers.icp.pipeline import PLACE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.refine.stage import is_active
+from voodoo_jax.trackers.icp.right_scale import scale_of
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, THING_FRAMES, Runner
 from voodoo_jax.trackers.icp.segment import Followed, segment_of
 from voodoo_jax.trackers.icp.sequence import DOUBT, SPAN, WRONG
@@ -275,7 +276,8 @@ class _Shown:
             tracks = self._placed(tracks, frame, at - self._first)
         self._recent = [*self._recent[-AROUND:], tracks]
         window = joined_tracks([replace(t, body=tracks.body) for t in self._recent])
-        return last_of(rated(window, run.settings.track.lost_confidence, False))
+        found = last_of(rated(window, run.settings.track.lost_confidence, False))
+        return only_as_sure(found, scale_of(run.body, run.scene, alone.people, run.settings).right)
 
     def _placed(self, tracks: Tracks, frame: BodyObservation, number: int) -> Tracks:
         """With joints moved by the bands of the frames until one not long ago, as PlaceJoints does online."""

@@ -33,7 +33,7 @@ class Misfit(NamedTuple):
     # metres from its surface, mean of the points nearest to it, beyond what noise makes of it
     distance: Float32[np.ndarray, "frame limb"]
     seen: Float32[np.ndarray, "frame limb"]  # of its length, on which there are points
-    bare: Float32[np.ndarray, "frame limb"]  # of its length, on which there are none, and no other limb hides it
+    bare: Float32[np.ndarray, "frame limb"]  # of its length, on which there are none, and nothing hides it
 
 
 def misfit(
@@ -114,7 +114,13 @@ def _covered(
     seen, bare = np.zeros(translation.shape[:2]), np.zeros(translation.shape[:2])
     for k, cloud in enumerate(clouds):
         found = [
-            _by_sensor(spots[k], radius, cloud.points[mine][:: len(mine) // POINTS + 1], cloud.origins[sensor])
+            _by_sensor(
+                spots[k],
+                radius,
+                cloud.points[mine][:: len(mine) // POINTS + 1],
+                _before(cloud, sensor),
+                cloud.origins[sensor],
+            )  # fmt: skip
             for sensor in range(len(cloud.origins))
             if len(mine := np.flatnonzero(cloud.sensor == sensor)) >= FEWEST
         ]
@@ -125,22 +131,32 @@ def _covered(
     return np.stack([seen, bare])
 
 
+def _before(cloud: BodyObservation, sensor: int) -> Float32[np.ndarray, "some 3"]:
+    """What is between a sensor and the body."""
+    if cloud.before is None or cloud.before_sensor is None:
+        return np.zeros((0, 3), np.float32)
+    return cloud.before[cloud.before_sensor == sensor]
+
+
 def _by_sensor(
     spots: Float32[np.ndarray, "limb place 3"],
     radius: Float32[np.ndarray, "limb place"],
     points: Float32[np.ndarray, "point 3"],
+    before: Float32[np.ndarray, "some 3"],
     origin: Float32[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, " limb"], Float[np.ndarray, " limb"]]:
-    """Shares of the limbs' places that a sensor sees points on, and that are bare."""
+    """Shares of the limbs' places that a sensor sees points on, and that are bare: hidden neither by other points of
+    the body nor by what is `before` it."""
     to = spots.reshape(-1, 3) - origin
     away = np.linalg.norm(to, axis=1)
     ray, reach = to / away[:, None], radius.reshape(-1, 1)
-    p = points - origin
+    count = len(points)
+    p = np.concatenate([points, before]) - origin
     along = ray @ p.T
     aside = np.sum(p * p, 1) - along**2  # squared
     passes = aside < (reach + np.float32(WIDER)) ** 2
     depth = along - away[:, None]
-    on = np.any(passes & (depth > -reach - NEARER) & (depth < FARTHER), 1)
+    on = np.any((passes & (depth > -reach - NEARER) & (depth < FARTHER))[:, :count], 1)
     hidden = np.any(passes & (depth <= -reach - NEARER), 1)
     shape = radius.shape
     return on.reshape(shape).mean(1), (~on & ~hidden).reshape(shape).mean(1)
