@@ -34,6 +34,13 @@ def test_a_wide_table_goes_and_the_person_stays(rng, width, goes):
         assert (count == len(PERSON) + len(top)).all()
 
 
+def test_legs_before_a_wide_seat_stay(rng):
+    """They are at rest, and hang together with the seat over more than a person's breadth."""
+    trunk, legs, seat = block(0.45, 0.76, 1.3), block(0.4, 0.05, 0.45, 2.6), table(1.7, 0.45, 2.65, 3.0)
+    frames = watched(rng, [(trunk, sway(0.02)), (legs, sway(0.0)), (seat, sway(0.0))])
+    assert (left(frames) >= 0.95 * (len(trunk) + len(legs))).all()
+
+
 def test_what_is_wide_and_moves_stays(rng):
     spread = block(1.7, 1.3, 1.45)
     assert (left(watched(rng, [(PERSON, sway(0.02)), (spread, sway(0.05))])) == len(PERSON) + len(spread)).all()

@@ -34,8 +34,8 @@ class Top(NamedTuple):
 
 @dataclass(frozen=True)
 class DropWideStill:
-    """What never moves while somebody does, and hangs together over more than a person's breadth. Numbers were chosen
-    by hand."""
+    """What never moves while somebody does, and has a straight front or a level top that is wider than a person. Legs
+    of who sits are at rest and hang together with the seat: they stand out before it. Numbers were chosen by hand."""
 
     name: ClassVar = "drop_wide_still"
     looks_ahead: ClassVar = True
@@ -48,10 +48,12 @@ class DropWideStill:
     wide: float = 0.9  # metres, level: shoulders are half as wide, and who spreads their arms moves them
     link: float = 0.35  # metres between directions that hang together: rows of a table's top are so far apart
     deep: float = 0.2  # metres, level, of a table's top, at least
+    slab: float = 0.1  # metres: of so high slices each is asked whether it is wide
+    straight: float = 0.05  # metres from a line: what is so near is on a straight front
     # of tops that were seen beside the body:
     dense: float = 0.07  # of the points seen beside the body: so many are on a top
     bare: float = 0.3  # of its points: so many there may be above it, or it is a slice of something high
-    lowest: float = 0.3  # metres: of a bench's top; what is lower is the floor, with its noise
+    lowest: float = 0.55  # metres: of a table's top; seats are lower
     highest: float = 1.3  # metres: of a counter's top
     thick: float = 0.03  # metres from its height: what lies there, too, is on it
     margin: float = 0.15  # metres beyond its outline: its edges are seen in part, and together with others
@@ -85,12 +87,12 @@ class DropWideStill:
         place = found.place[still].astype(np.float32)
         tops = self._tops(place, floor)
         tops += [] if beside is None else self._tops(beside, floor, self.dense)
-        drop = np.zeros(len(found.ratio), bool)
-        drop[still[self._wide(place, floor)]] = True
+        drop, spared = np.zeros(len(found.ratio), bool), np.zeros(len(found.ratio), bool)
+        drop[still], spared[still] = self._wide(place, _origin(frames), floor)
         for top in tops:
             drop[still[self._on(place, top, floor)]] = True
         if drop.any():
-            drop = self._and_beside(found, np.flatnonzero(drop))
+            drop = self._and_beside(found, np.flatnonzero(drop)) & ~(spared & ~drop)
         elif not tops:
             return frames
         out = []
@@ -101,17 +103,50 @@ class DropWideStill:
             out.append(f.only(keep))
         return out
 
-    def _wide(self, place: Float32[np.ndarray, "some 3"], floor: Plane) -> Bool[np.ndarray, " some"]:
-        """Which of some places are of a thing that is wide."""
-        wide = np.zeros(len(place), bool)
+    def _wide(
+        self, place: Float32[np.ndarray, "some 3"], origin: Float32[np.ndarray, "3"], floor: Plane
+    ) -> Bool[np.ndarray, "2 some"]:
+        """Which of some places are of a thing that is wide, and which hang together with one and are not of it: what
+        stands out before its front towards the sensor at `origin`, as the legs of who sits on a sofa, and where all of
+        it together is narrow, as a chair with who sits on it."""
+        wide, spared = np.zeros((2, len(place)), bool)
         if len(place) < 2:
-            return wide
+            return np.stack([wide, spared])
         level, label = floor.level(place), components(place, self.link)
+        slab = np.floor(floor.height(place) / self.slab).astype(int)
         for k in np.unique(label):
-            mine = level[label == k] - level[label == k].mean(0)
-            along = mine @ np.linalg.svd(mine, full_matrices=False)[2][0]
-            wide[label == k] = np.ptp(along) >= self.wide
-        return wide
+            if _span(level[label == k]) < self.wide:
+                continue
+            for height in np.unique(slab[label == k]):
+                mine = np.flatnonzero((label == k) & (slab == height))
+                of_it = self._behind_front(level[mine], floor.level(origin[None])[0])
+                wide[mine[of_it]], spared[mine[~of_it]] = True, True
+        return np.stack([wide, spared])
+
+    def _behind_front(
+        self, level: Float32[np.ndarray, "some 3"], origin: Float32[np.ndarray, "3"]
+    ) -> Bool[np.ndarray, " some"]:
+        """Which of some places at one height lie on the straight front of something wide, or behind it."""
+        if len(level) < 3 or _span(level) < self.wide:
+            return np.zeros(len(level), bool)
+        one, other = np.triu_indices(len(level), 1)
+        along = level[other] - level[one]
+        far = np.linalg.norm(along, axis=1)
+        one, along = one[far > self.wide / 2], (along / np.maximum(far, 1e-9)[:, None])[far > self.wide / 2]
+        out = level - level[one][:, None]
+        off = out - np.sum(out * along[:, None], -1, keepdims=True) * along[:, None]
+        distance = np.linalg.norm(off, axis=-1)
+        best = int(np.argmax(np.sum(distance < self.straight, 1)))
+        at, on = out[best] @ along[best], np.flatnonzero(distance[best] < self.straight)
+        on = on[np.argsort(at[on])]
+        runs = np.split(on, np.flatnonzero(np.diff(at[on]) > self.link) + 1)
+        low, high = max(((at[run[0]], at[run[-1]]) for run in runs), key=lambda ends: ends[1] - ends[0])
+        if high - low < self.wide:
+            return np.zeros(len(level), bool)
+        towards = origin - level[one[best]]
+        towards = towards - (towards @ along[best]) * along[best]
+        behind = (distance[best] < self.straight) | (off[best] @ towards < 0)
+        return behind & (at >= low) & (at <= high)
 
     def _and_beside(self, found: Directions, things: Int[np.ndarray, " some"]) -> Bool[np.ndarray, " direction"]:
         """Which directions are of these things, or right beside them, and nothing is known to move there."""
@@ -129,7 +164,7 @@ class DropWideStill:
         for k in np.argsort(-slab.sum(1), kind="stable"):
             mine = level[slab[k]]
             few = len(mine) < max(3, dense * len(place))
-            other = dense and not self.lowest < height[k] < self.highest
+            other = not self.lowest < height[k] < (self.highest if dense else np.inf)
             if few or other or any(abs(height[k] - top.height) < 2 * self.thick for top in found):
                 continue
             middle = mine.mean(0)
@@ -156,3 +191,16 @@ class DropWideStill:
         """Which points are above or below a level top, at any height."""
         along = (floor.level(points) - top.middle) @ top.axes.T
         return np.all((along > top.low) & (along < top.high), 1)
+
+
+def _span(level: Float32[np.ndarray, "some 3"]) -> float:
+    """How long some places are in their longest direction, metres."""
+    out = level - level.mean(0)
+    return float(np.ptp(out @ np.linalg.svd(out, full_matrices=False)[2][0])) if len(level) > 1 else 0.0
+
+
+def _origin(frames: list[BodyObservation]) -> Float32[np.ndarray, "3"]:
+    """Of the sensor that sees most points."""
+    sensors = len(frames[0].origins)
+    count = np.sum([np.bincount(f.sensor, minlength=sensors) for f in frames], 0)
+    return frames[0].origins[int(np.argmax(count))]

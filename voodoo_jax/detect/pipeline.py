@@ -36,7 +36,7 @@ from voodoo_jax.records.subject import Subject
 SCENE: tuple[SceneStage, ...] = (FindGravity(), RaiseFloor(), SteadySensors())
 # once the body is followed through the frames
 POINTS: tuple[PointStage, ...] = (
-    WeighByNoise(), DropGarment(), DropMotionless(), DropSeenApart(), DropWideStill(), DropPlanarFurniture(),
+    WeighByNoise(), DropGarment(), DropMotionless(), DropSeenApart(), DropPlanarFurniture(), DropWideStill(),
 )  # fmt: skip
 
 
