@@ -38,7 +38,7 @@ def main(out: str, logs: list[str], gate: Path) -> None:
         return on_ray(jobs, listen, tasks)
 
     ray_cluster.on_ray = spied
-    ray_cluster._task = held_until(gate, ray_cluster._task)
+    ray_cluster.follow_log = held_until(gate, ray_cluster.follow_log)
     done = replay(logs, out, small_body(), SETTINGS, quiet=True, engine="ray", ray=RayTasks(retries=1))
     print(json.dumps({"heard": heard, "errors": [outcome.error for outcome in done]}))
     cluster.shutdown()

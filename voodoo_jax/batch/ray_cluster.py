@@ -59,7 +59,7 @@ def done_on(ray: Any, jobs: list[Job], report: Report, tasks: RayTasks, running:
     # tries are counted here: Ray would begin a log anew without end whose machine has too little memory for it
     task = ray.remote(
         num_cpus=tasks.num_cpus, num_gpus=tasks.num_gpus, max_retries=0, runtime_env={"env_vars": variables}
-    )(_task)
+    )(follow_log)
     board = ray.remote(num_cpus=0, max_restarts=-1)(Board).remote()
     waiting, losses, looked = deque(range(len(jobs))), [0] * len(jobs), time.monotonic()
     while waiting or running:
@@ -104,7 +104,8 @@ class Board:
         return said
 
 
-def _task(job: Job, number: int, board: Any) -> Outcome:
+def follow_log(job: Job, number: int, board: Any) -> Outcome:
+    """The task of one log; how far it is, it says to the `board`, with its number."""
     said = -PERIOD
 
     def progress(share: float) -> None:
