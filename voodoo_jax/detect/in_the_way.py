@@ -23,7 +23,8 @@ def in_the_way(
     and which sensor saw each."""
     if not len(body):
         return body, np.zeros(0, np.int8)
-    some = even_share(min(LOOKED_AT / len(frame.points), 1.0), len(frame.points))
+    halved = max(0, (len(frame.points) // LOOKED_AT).bit_length())  # few shares, for which indices are kept
+    some = even_share(0.5**halved, len(frame.points))
     points, sensor = picked(frame.points, some), frame.sensor[some]
     up, origins = floor.normal, frame.origins
     way = np.median(body[:: len(body) // SOME + 1], 0) - origins
