@@ -21,6 +21,8 @@ from voodoo_jax.records.observation import BodyObservation
 
 STRAYS = 5  # percent of a top's points at each of its ends that may be of something else; by hand
 
+LINES = 1000  # through two places each that are looked at once: all of a large thing would take gigabytes; by hand
+
 
 class Top(NamedTuple):
     """A level top, as a rectangle."""
@@ -133,11 +135,21 @@ class DropWideStill:
         along = level[other] - level[one]
         far = np.linalg.norm(along, axis=1)
         one, along = one[far > self.wide / 2], (along / np.maximum(far, 1e-9)[:, None])[far > self.wide / 2]
-        out = level - level[one][:, None]
-        off = out - np.sum(out * along[:, None], -1, keepdims=True) * along[:, None]
+
+        def off_line(k: int | slice) -> tuple[np.ndarray, np.ndarray]:
+            """How far along a line, or some, each place is, and how it is off it."""
+            out = level - level[one[k]][..., None, :]
+            at = np.sum(out * along[k][..., None, :], -1)
+            return at, out - at[..., None] * along[k][..., None, :]
+
+        near = [
+            np.sum(np.linalg.norm(off_line(slice(k, k + LINES))[1], axis=-1) < self.straight, 1)
+            for k in range(0, len(one), LINES)
+        ]
+        best = int(np.argmax(np.concatenate(near)))
+        at, off = off_line(best)
         distance = np.linalg.norm(off, axis=-1)
-        best = int(np.argmax(np.sum(distance < self.straight, 1)))
-        at, on = out[best] @ along[best], np.flatnonzero(distance[best] < self.straight)
+        on = np.flatnonzero(distance < self.straight)
         on = on[np.argsort(at[on])]
         runs = np.split(on, np.flatnonzero(np.diff(at[on]) > self.link) + 1)
         low, high = max(((at[run[0]], at[run[-1]]) for run in runs), key=lambda ends: ends[1] - ends[0])
@@ -145,7 +157,7 @@ class DropWideStill:
             return np.zeros(len(level), bool)
         towards = origin - level[one[best]]
         towards = towards - (towards @ along[best]) * along[best]
-        behind = (distance[best] < self.straight) | (off[best] @ towards < 0)
+        behind = (distance < self.straight) | (off @ towards < 0)
         return behind & (at >= low) & (at <= high)
 
     def _and_beside(self, found: Directions, things: Int[np.ndarray, " some"]) -> Bool[np.ndarray, " direction"]:
