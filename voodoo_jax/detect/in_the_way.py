@@ -27,13 +27,16 @@ def in_the_way(
     some = even_share(0.5**halved, len(frame.points))
     points, sensor = picked(frame.points, some), frame.sensor[some]
     up, origins = floor.normal, frame.origins
-    way = np.median(body[:: len(body) // SOME + 1], 0) - origins
+    middle = np.sort(body[:: len(body) // SOME + 1], 0)
+    way = middle[len(middle) // 2] - origins
     way -= (way @ up)[:, None] * up  # on the level
     far = np.linalg.norm(way, axis=1)
     way /= np.maximum(far, NEAR)[:, None]
     kept, height = np.zeros(0, int), floor.height(points)
     for k in np.flatnonzero(far > NEAR):
-        along, aside = (axis @ points.T - axis @ origins[k] for axis in (way[k], np.cross(up, way[k])))
+        (x, y, z), (u, v, w) = way[k], up
+        axes = np.array([way[k], (v * z - w * y, w * x - u * z, u * y - v * x)], np.float32)  # along, across: up x way
+        along, aside = axes @ points.T - (axes @ origins[k])[:, None]
         between = (along > 0) & (along < far[k]) & (np.abs(aside) * far[k] < ASIDE * along) & (height > LOW)
         if len(origins) > 1:
             between &= sensor == k
