@@ -48,6 +48,7 @@ class Job:
     path: str = ""  # of the log; of a scene or a changed recording: what to change
     truth: tuple[str, ...] = ()  # files
     step: int = 1
+    case: Near | None = None  # says in which frame the truth is given
     without: str = ""
 
 
@@ -149,7 +150,8 @@ def tracked(job: Job) -> tuple[vj.Tracks, list[Known]]:
         known = read_known(Path(truth))
         each = known.joints if known.joints.ndim == 4 else known.joints[None]
         people += [known._replace(joints=joints) for joints in each]
-    return track(body, recording, settings), people
+    tracks = track(body, recording, settings)
+    return tracks, [job.case.placed(known, tracks) for known in people] if job.case else people
 
 
 def work(job: Job) -> Result:
@@ -193,7 +195,7 @@ def all_jobs(recordings: Path, cases: Path | None, made: Path) -> list[Job]:
                 known = (
                     folder / check.truth if check.truth.endswith(".npz") else recordings / f"{check.truth}.truth.npz"
                 )
-                jobs.append(Job("cases", f"{case}/{check.log}", str(log), (str(known),)))
+                jobs.append(Job("cases", f"{case}/{check.log}", str(log), (str(known),), case=check))
     return jobs
 
 

@@ -130,7 +130,10 @@ class Near(Check):
         return "" if "" in said else f"{self.log}: {' / '.join(said)}"
 
     def _truth(self, tracks: vj.Tracks, place: Place) -> Known:
-        known = place.known(self.truth)
+        return self.placed(place.known(self.truth), tracks)
+
+    def placed(self, known: Known, tracks: vj.Tracks) -> Known:
+        """A truth in the frame that the tracks are given in."""
         moved = tracks.fixed_frame == self.frame
         return known._replace(joints=known.joints + self.at) if moved else known
 
