@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.logs import START, K, Log, T, depth_log, depth_metres, header, ros_image
+from tests.support.logs import START, K, Log, T, depth_log, depth_metres, header, ros_image, ros_tf
 from voodoo_jax.config.options import ReadSettings, SettingsError
 from voodoo_jax.io.log_reader import LogError, read_log
 
@@ -45,6 +45,21 @@ def test_a_topics_own_file_wins_and_one_for_all_does_not(tmp_path):
     np.testing.assert_array_equal(with_all, plain)
     own = read_log(log, ReadSettings(camera=(f"/cam/depth={tmp_path / 'wide.toml'}",))).frames[0].points
     np.testing.assert_allclose(own[:, 1], 2 * plain[:, 1], atol=1e-5)
+
+
+@pytest.mark.parametrize("parent", ["base", "mast"])
+@pytest.mark.parametrize("static", [True, False])
+def test_a_transform_that_is_given_wins(tmp_path, parent, static):
+    """Over the log's own, from the same parent or from another one."""
+    log = depth_log(1)
+    for k in (0, 1):
+        turned = ros_tf((START + k, parent, "cam_optical", (0.0, 0.0, 2.0 + k), (0.0, 0.0, 0.0, 1.0)))
+        log.add("/tf_static" if static else "/tf", START + k, turned)
+    settings = ReadSettings(transform=(PLACED,), fixed_frame="base")
+    found = read_log(log.write(tmp_path / "a.mcap"), settings)
+    expected = read_log(depth_log(1).write(tmp_path / "b.mcap"))
+    np.testing.assert_array_equal(found.frames[0].points, expected.frames[0].points)
+    assert len([note for note in found.notes if "read.transform" in note]) == 1
 
 
 def test_what_is_given_wrongly_is_said(tmp_path):

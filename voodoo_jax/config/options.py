@@ -52,7 +52,7 @@ class ReadSettings:
     """Calibration of depth images and cameras: topic = file (a camera_info as YAML, TOML or JSON), or one file for all
     images whose calibration is not in the log."""
     transform: tuple[str, ...] = ()
-    """Transforms that the log lacks: "parent child x y z qx qy qz qw", metres and a quaternion, each of them a text."""
+    """Transforms that the log lacks or has wrong: "parent child x y z qx qy qz qw" (metres), each of them a text."""
 
 
 @dataclass(frozen=True)

@@ -84,8 +84,8 @@ class Scan:
                 f"the folder '{os.path.basename(folder)}' to read them as one."
             )
             self.notes.append(self.part_of)
-        for transform in given_transforms(settings.transform):  # first: what the log has besides is no match for it
-            self.tree.add(transform, True)
+        for transform in given_transforms(settings.transform):
+            self.tree.give(transform)
         for transform, static in known.transforms if known else ():
             self.tree.add(transform, static)
         self.log_times: tuple[int, int] | None = None

@@ -86,9 +86,11 @@ class TransformTree:
     def __init__(self):
         self._samples: dict[tuple[str, str], list[_Samples]] = {}  # (child, parent)
         self._static: set[tuple[str, str]] = set()
+        self._given: dict[str, str] = {}  # parent, by child, of what a user gives
         self._edges: dict[str, _Edge] = {}
         self._cache: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]] = {}
         self._odd: Counter[str] = Counter()
+        self._unused: dict[str, str] = {}  # frames that the log places, too, and where they are given
         self._near = "", np.zeros(3)  # the frame that is given from another origin, and where that is in it
         self.notes: list[str] = []
 
@@ -98,6 +100,12 @@ class TransformTree:
         stamps = np.array([transform.stamp_ns if possible else TIME], np.int64)
         numbers = np.concatenate([transform.translation, transform.rotation])[None].astype(float)
         self._add(transform.child, transform.parent, _Samples(stamps, numbers), static)
+
+    def give(self, transform: Transform) -> None:
+        """Keep what a user gives: it holds for the whole log, whatever that says of the same frame."""
+        self._given.pop(transform.child, None)  # one that was given before
+        self.add(transform, True)
+        self._given[transform.child] = transform.parent
 
     def add_moving(self, child: str, moving: Moving, by_ns: Int64[np.ndarray, " sample"]) -> None:
         """Keep all samples of a frame that moves, so much later."""
@@ -113,6 +121,9 @@ class TransformTree:
         if count < len(there):
             self._odd["transforms without finite and possible numbers were left out"] += len(there) - count
         if not count:
+            return
+        if child in self._given:
+            self._unused[child] = self._given[child]
             return
         if not child or child == parent:
             self._odd["transforms without a child frame were left out"] += count
@@ -152,6 +163,8 @@ class TransformTree:
                 stamps, translations, quaternions = stamps[:1], translations[:1], quaternions[:1]
             moving = stamps if len(stamps) > 1 else stamps[:0]
             self._edges[child] = _Edge(parent, moving, translations, Rotation.from_quat(quaternions))
+        for child, parent in self._unused.items():
+            self.notes.append(f"Frame '{child}' is where read.transform puts it in '{parent}', not where the log does.")
         self.notes += [f"{n} {what}." for what, n in self._odd.items()]
         self._samples.clear()
 

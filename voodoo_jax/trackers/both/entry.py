@@ -18,7 +18,7 @@ from voodoo_jax.trackers.flexible.entry import FlexibleTracker
 from voodoo_jax.trackers.flexible.tracker import Watching, check_suited, follow
 from voodoo_jax.trackers.icp.diagnostics import looked_at_again
 from voodoo_jax.trackers.icp.entry import IcpTracker
-from voodoo_jax.trackers.icp.right_scale import scale_of
+from voodoo_jax.trackers.icp.log_doubts import log_doubts
 
 NOBODY = "The flexible tracker found nobody: these are the ICP tracker's tracks."
 MOVING = "The camera moves, unknown to the log: these are the ICP tracker's tracks."
@@ -80,6 +80,6 @@ class BothTrackers:
         found = merged(
             icp, flexible, person.frames, track.lost_confidence, track.chunk, settings.looks_ahead("track")
         )  # fmt: skip
-        scale = scale_of(icp.body, person.scene, person.frames, settings)
-        found = only_as_sure(looked_at_again(found), scale.right)
+        doubts = log_doubts(icp.body, person.scene, person.frames, settings)
+        found = only_as_sure(looked_at_again(found), doubts.right)
         return replace(found, notes=as_few((*found.notes, *flexible.notes)))

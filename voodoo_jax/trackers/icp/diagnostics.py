@@ -12,7 +12,9 @@ from voodoo_jax.markers.label_swaps import Exchange
 from voodoo_jax.markers.own_sites import Named
 from voodoo_jax.markers.table import TO_START
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.trackers.icp.right_scale import LEVEL, Scale, scale_of
+from voodoo_jax.trackers.icp.log_doubts import log_doubts
+from voodoo_jax.trackers.icp.right_level import Level
+from voodoo_jax.trackers.icp.right_scale import LEVEL, Scale
 from voodoo_jax.trackers.icp.runner import Runner
 
 FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
@@ -61,6 +63,15 @@ def _of_scale(run: Runner, scale: Scale) -> str:
     )
 
 
+def _of_level(run: Runner, level: Level) -> str:
+    """A sentence on a fixed frame that seems not to stand level."""
+    up = ",".join(f"{x:.2f}" for x in run.scene.floor.normal + 0.0)
+    return (
+        f"The floor slopes by {level.degrees:.0f} degrees in the fixed frame: transforms turn the sensor wrongly, and "
+        f"all places with it, or it is a slope. read.transform gives a right one; read.up={up} says that this is right."
+    )
+
+
 def looked_at_again(tracks: Tracks) -> Tracks:
     """Tracks whose poses are others now, with what the notes say of these."""
     kept = [note for note in tracks.notes if not note.startswith(ODD)]
@@ -79,9 +90,11 @@ def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Name
     notes += run.scene.notes
     if not run.scene.floor_seen:
         notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")
-    scale = scale_of(run.body, run.scene, run.people, run.settings)
-    if scale.right < 1 and tracks.tracked.any():
-        notes.append(_of_scale(run, scale))
+    doubts = log_doubts(run.body, run.scene, run.people, run.settings)
+    if doubts.scale.right < 1 and tracks.tracked.any():
+        notes.append(_of_scale(run, doubts.scale))
+    if doubts.level.right < 1:
+        notes.append(_of_level(run, doubts.level))
     moved = [T for frame in run.people if (T := frame.T_fixed_steady) is not None]
     if moved:
         notes.append(_moved(np.stack(moved)))

@@ -27,10 +27,10 @@ from voodoo_jax.trackers.icp.confidence import AROUND, rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.joint_spread import with_passes
+from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.pipeline import PLACE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.refine.stage import is_active
-from voodoo_jax.trackers.icp.right_scale import scale_of
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, THING_FRAMES, Runner
 from voodoo_jax.trackers.icp.segment import Followed, segment_of
 from voodoo_jax.trackers.icp.sequence import DOUBT, SPAN, WRONG
@@ -277,7 +277,7 @@ class _Shown:
         self._recent = [*self._recent[-AROUND:], tracks]
         window = joined_tracks([replace(t, body=tracks.body) for t in self._recent])
         found = last_of(rated(window, run.settings.track.lost_confidence, False))
-        return only_as_sure(found, scale_of(run.body, run.scene, alone.people, run.settings).right)
+        return only_as_sure(found, log_doubts(run.body, run.scene, alone.people, run.settings).right)
 
     def _placed(self, tracks: Tracks, frame: BodyObservation, number: int) -> Tracks:
         """With joints moved by the bands of the frames until one not long ago, as PlaceJoints does online."""

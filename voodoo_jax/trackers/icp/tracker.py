@@ -41,10 +41,10 @@ from voodoo_jax.solve.scan import Visit, options_from
 from voodoo_jax.trackers.icp.confidence import rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.joint_spread import with_passes
+from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.misfit import Misfit, misfit
 from voodoo_jax.trackers.icp.pipeline import FINISH, PLACE, REFINE
 from voodoo_jax.trackers.icp.refine.stage import is_active
-from voodoo_jax.trackers.icp.right_scale import scale_of
 from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner, by_markers, spans
 from voodoo_jax.trackers.icp.segment import depths
 from voodoo_jax.trackers.icp.sequence import Progress, track_whole
@@ -200,11 +200,11 @@ def in_places(run: Runner, tracks: Tracks) -> Tracks:
 
 
 def with_rating(run: Runner, tracks: Tracks) -> Tracks:
-    """Tracks with the confidence of their joints, and LOST where it is low; a scale in doubt makes all joints less
+    """Tracks with the confidence of their joints, and LOST where it is low; a log in doubt makes all joints less
     sure, but nobody LOST."""
     settings = run.settings
     found = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), run.by_markers)
-    return only_as_sure(found, scale_of(run.body, run.scene, run.people, settings).right)
+    return only_as_sure(found, log_doubts(run.body, run.scene, run.people, settings).right)
 
 
 def with_names(
