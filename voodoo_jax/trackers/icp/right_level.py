@@ -17,8 +17,8 @@ from voodoo_jax.records.scene import Scene
 LEVEL = 1.0
 SLOPES, SLOPE = 0.03, 4.0  # share of logs on a slope, and standard deviation of its angles, degrees; by hand
 WRONG, SPREAD = 0.05, 8.0  # the same of mounts that transforms turn wrongly; by hand
-STEEPEST = 40.0  # degrees: a frame that is turned by more has another axis for up, and a name for it; as detect.scene
-MOUNTED = 0.01  # metres from the frame's origin: a sensor in it is the frame, and nothing says that it stands level
+STEEPEST = 40.0  # degrees: a frame that is turned by more has another axis for up, as in detect/scene.py; by hand
+MOUNTED = 0.01  # metres from the frame's origin: a sensor in it is the frame, which need not stand level; by hand
 ENOUGH = 0.85  # a probability of a level frame that is worth no word, and no doubt; by hand, as for the scale
 
 
@@ -29,7 +29,7 @@ class Level(NamedTuple):
     degrees: float  # from the floor's normal to its z-axis
 
 
-NO_DOUBT = Level(1.0, 0.0)
+NO_DOUBT = Level(right=1.0, degrees=0.0)  # by hand: certainty
 
 
 def level_of(scene: Scene, people: list[BodyObservation], settings: Settings) -> Level:
