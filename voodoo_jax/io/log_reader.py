@@ -29,6 +29,7 @@ from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader, shape_of
 from voodoo_jax.io.pose_rays import NAMES, PoseRays
 from voodoo_jax.io.read_plan import Plan, make_plan
+from voodoo_jax.io.repeats import Repeats
 from voodoo_jax.io.skin_rays import add_rays
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS, Transform
@@ -41,6 +42,8 @@ __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "rea
 
 Progress = Callable[[int, int], None]
 UNREADABLE = "cannot be decoded, left out"
+STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
+BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
 TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
 
 
@@ -113,7 +116,7 @@ class LogReader:
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._rays: dict[tuple, np.ndarray] = {}
         self._assumed: dict[str, str] = {}  # of calibrations, by topic; shared by all readers of the log, as their rays
-        self._decoder = Decoder()
+        self._decoder, self._repeats = Decoder(), Repeats()
         self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
         self._pose: PoseRays | None = None  # of the run through the log
@@ -303,6 +306,7 @@ class LogReader:
 
     def _losses(self) -> list[str]:
         counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
+        counted += [f"'{topic}': {many(n)} {BEGAN}." for topic, n in self._repeats.began.items()]
         return counted + self._plan_parts.losses()
 
     # 75 lines: one pass over the messages, which share a dozen variables
@@ -366,7 +370,7 @@ class LogReader:
                         content = stereo.cloud(item, partner)
                 else:
                     self._counted[topic, "left out, without an image of the other camera at the same time"] += 1
-                if content is not None:
+                if content is not None and self._is_new(topic, content):
                     part = self._measure(topic, content, int(self._stamps[member[0]][number]))
                 if part is not None:
                     parts.setdefault(i, []).append((member[0], part))
@@ -452,6 +456,12 @@ class LogReader:
             self._counted[topic, "with an image left out, for which there is no transform"] += 1
         else:
             self._pictures.setdefault(frame, []).append(picture)
+
+    def _is_new(self, topic: str, content: Cloud | Image) -> bool:
+        """Whether a message shows something else than the one before it; counts those that do not."""
+        if again := self._repeats.again(topic, content):
+            self._counted[topic, STUCK] += 1
+        return not again
 
     def _measure(self, topic: str, content: Cloud | Image, stamp_ns: int) -> "_Measured | None":
         """What a message measured, in the fixed frame; None if there is no transform."""
