@@ -33,6 +33,7 @@ from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
+from voodoo_jax.io.unseen import without_held, without_placeholders
 from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, many, moved
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
@@ -107,9 +108,11 @@ class Scan:
             raise LogError(f"'{self.log.path}' {what}. {damage or 'Nothing was recorded.'}")
         for name, topic in self.topics.items():
             if topic.kind in FEATURE_KINDS:
-                topic.gathered = gather(name, topic.features, topic.log_times, self.notes)
+                found = gather(name, topic.features, topic.log_times, self.notes)
+                topic.gathered = without_placeholders(name, found, self.notes)
                 topic.features.clear()
                 self._settle_unit(name, topic.gathered, settings)
+                topic.gathered = without_held(name, topic.gathered, self.notes)
         if known:
             late = "not used: it came later than the beginning"
             self.uses = {name: known.uses.get(name, late) for name in self.topics}

@@ -1,0 +1,125 @@
+"""Named features that a message has though they were not seen: a number that stands for "not seen", and the last place
+once more. Drivers of motion capture do both where a marker is hidden."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int64
+
+from voodoo_jax.io.landmark_table import Gathered
+
+NAMES = 3  # names that have been in exactly the same place, at least: it is none; by hand
+REPEATS = 2  # of a place, one after the other, that a marker with noise does not have by chance; by hand
+# metres that others have moved meanwhile, and that it jumps from a place that was held, at least; by hand
+JUMP = 0.02
+AT_ONCE = 0.05  # metres a second: nobody who moves faster stands as still as a number at once; by hand
+SHARE = 0.5  # of how far others have moved meanwhile: so far it jumps after them at least; by hand
+OTHERS = 16  # names that are asked how far they have moved: some of them, for the time it takes; by hand
+
+
+def without_placeholders(topic: str, found: Gathered, notes: list[str]) -> Gathered:
+    """The features without those whose numbers stand for "not seen": exactly the same for several names, or the same in
+    all coordinates, time and again."""
+    return _without(topic, found, _placeholders(found), "whose numbers stand for 'not seen'", notes)
+
+
+def without_held(topic: str, found: Gathered, notes: list[str]) -> Gathered:
+    """The 3D features (metres) without those that hold their last place until they are seen again."""
+    if found.values.shape[1:] != (3,):
+        return found
+    return _without(topic, found, _held(found), "that hold the last place where they were seen", notes)
+
+
+def _without(topic: str, found: Gathered, which: Bool[np.ndarray, " feature"], what: str, notes: list[str]) -> Gathered:
+    if not which.any():
+        return found
+    kept = np.flatnonzero(~which).tolist()
+    names = [found.names[k] for k in np.flatnonzero(which).tolist()]
+    many = sorted(set(names), key=names.count, reverse=True)
+    listed = ", ".join(f"'{name}' ({names.count(name)} times)" for name in many[:3]) + (", ..." if many[3:] else "")
+    notes.append(f"'{topic}': {len(names)} features left out {what}: {listed}.")
+    return replace(
+        found, names=tuple(found.names[k] for k in kept), frames=tuple(found.frames[k] for k in kept),
+        stamps=found.stamps[kept], values=found.values[kept], scores=found.scores[kept],
+    )  # fmt: skip
+
+
+def _placeholders(found: Gathered) -> Bool[np.ndarray, " feature"]:
+    which = np.zeros(len(found.names), bool)
+    if not len(which):
+        return which
+    places, index, count = np.unique(found.values, axis=0, return_inverse=True, return_counts=True)
+    index, alike = index.ravel(), (places == places[:, :1]).all(1)
+    if found.values.shape[1] == 2:  # whole pixels may be alike by chance
+        alike &= (places <= 0).all(1)
+    for k in np.flatnonzero((count > REPEATS) & (alike | (count >= NAMES))).tolist():
+        rows = np.flatnonzero(index == k)
+        names = {found.names[row] for row in rows.tolist()}
+        if alike[k] or (found.values.shape[1] == 3 and len(names) >= NAMES):
+            which[rows] = True
+    return which
+
+
+def _held(found: Gathered) -> Bool[np.ndarray, " feature"]:
+    """A place that repeats exactly, while others move on, and that ends by a jump after them, or with the log. A foot
+    on the floor begins to move slowly, compared with how far the others have come meanwhile."""
+    which, tracks = np.zeros(len(found.names), bool), list(_tracks(found))
+    stopped: list[tuple[_Track, int]] = []
+    for number, one in enumerate(tracks):
+        step = np.linalg.norm(np.diff(one.places, axis=0), axis=1)
+        others = [track for k, track in enumerate(tracks) if k != number]
+        others = others[:: len(others) // OTHERS + 1]
+        for first, end in _runs(step == 0):  # of steps: place `end` is the last that is the same
+            ends = end == len(step)
+            moved = _displacement(others, int(one.stamps[first]), int(one.stamps[end if ends else end + 1]))
+            if ends and not moved:  # all stay where they are, perhaps from the midst of movement
+                stopped.append((one, first))
+            elif moved > JUMP and (ends or step[end] > max(JUMP, SHARE * moved)):
+                which[one.rows[first + 1 : end + 1]] = True
+    speeds = [one.speed(first - 1) for one, first in stopped if first > 0]
+    if len(speeds) >= NAMES and np.median(speeds) > AT_ONCE:
+        for one, first in stopped:
+            which[one.rows[first + 1 :]] = True
+    return which
+
+
+class _Track(NamedTuple):
+    """The features of one name in the order of their stamps."""
+
+    rows: Int64[np.ndarray, " some"]
+    stamps: Int64[np.ndarray, " some"]  # nanoseconds
+    places: Float[np.ndarray, "some 3"]  # metres
+
+    def speed(self, at: int) -> float:
+        """From one to the next, metres a second."""
+        away = float(np.linalg.norm(self.places[at + 1] - self.places[at]))
+        return away * 1e9 / float(self.stamps[at + 1] - self.stamps[at])
+
+
+def _displacement(tracks: list[_Track], since: int, until: int) -> float:
+    """How far those who have not held their places have moved between two stamps: the median, metres; 0: nobody has."""
+    away = []
+    for one in tracks:
+        a, b = np.searchsorted(one.stamps, (since, until)).tolist()
+        if b < len(one.rows):
+            away.append(float(np.linalg.norm(one.places[b] - one.places[a])))
+    away = [x for x in away if x > 0]
+    return float(np.median(away)) if away else 0.0
+
+
+def _tracks(found: Gathered) -> Iterator[_Track]:
+    """Of each name that is there one at a time only."""
+    number = {name: i for i, name in enumerate(dict.fromkeys(found.names))}
+    names = np.array([number[name] for name in found.names], np.int64)
+    order = np.lexsort((found.stamps, names))
+    for rows in np.split(order, np.flatnonzero(np.diff(names[order])) + 1):
+        if len(rows) > REPEATS and (np.diff(found.stamps[rows]) > 0).all():
+            yield _Track(rows, found.stamps[rows], found.values[rows])
+
+
+def _runs(same: Bool[np.ndarray, " step"]) -> list[tuple[int, int]]:
+    """First and end of the runs of steps in which a place repeats often enough."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    return [(a, b) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist()) if b - a >= REPEATS]
