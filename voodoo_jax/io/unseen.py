@@ -1,6 +1,7 @@
 """Named features that a message has though they were not seen: a number that stands for "not seen", and the last place
 once more. Drivers of motion capture do both where a marker is hidden."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
@@ -11,7 +12,7 @@ from jaxtyping import Bool, Float, Int64
 from voodoo_jax.io.landmark_table import Gathered
 
 NAMES = 3  # names that have been in exactly the same place, at least: it is none; by hand
-REPEATS = 2  # of a place, one after the other, that a marker with noise does not have by chance; by hand
+REPEATS = 3  # of a place, one after the other, that a marker with noise does not have by chance; by hand
 # metres that others have moved meanwhile, and that it jumps from a place that was held, at least; by hand
 JUMP = 0.02
 AT_ONCE = 0.05  # metres a second: nobody who moves faster stands as still as a number at once; by hand
@@ -54,10 +55,13 @@ def _placeholders(found: Gathered) -> Bool[np.ndarray, " feature"]:
     index, alike = index.ravel(), (places == places[:, :1]).all(1)
     if found.values.shape[1] == 2:  # whole pixels may be alike by chance
         alike &= (places <= 0).all(1)
+    total = Counter(found.names)
     for k in np.flatnonzero((count > REPEATS) & (alike | (count >= NAMES))).tolist():
         rows = np.flatnonzero(index == k)
         names = {found.names[row] for row in rows.tolist()}
-        if alike[k] or (found.values.shape[1] == 3 and len(names) >= NAMES):
+        # one name that has never been elsewhere is where it is
+        somewhere = len(names) > 1 or total[names.pop()] > len(rows)
+        if (alike[k] and somewhere) or (found.values.shape[1] == 3 and len(names) >= NAMES):
             which[rows] = True
     return which
 
@@ -71,6 +75,8 @@ def _held(found: Gathered) -> Bool[np.ndarray, " feature"]:
         step = np.linalg.norm(np.diff(one.places, axis=0), axis=1)
         others = [track for k, track in enumerate(tracks) if k != number]
         others = others[:: len(others) // OTHERS + 1]
+        if not step.any():
+            continue  # it has never been elsewhere
         for first, end in _runs(step == 0):  # of steps: place `end` is the last that is the same
             ends = end == len(step)
             moved = _displacement(others, int(one.stamps[first]), int(one.stamps[end if ends else end + 1]))
