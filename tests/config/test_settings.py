@@ -90,6 +90,7 @@ def test_a_file_changes_only_what_it_names(tmp_path):
         ("[start]\nlater = [inf]", ["start.later", "at most 1e+06"]),
         ("[read]\nscale = ['/a=0']", ["read.scale", "metres per unit"]),
         ("[read]\ndelays = ['/a=1e38']", ["read.delays", "seconds"]),
+        ("[read]\nmirror = ['/a=up']", ["read.mirror", "x, y, z or none"]),
         ("[[change]]\ntime = inf", ["number 1: time = inf", "below 1e+06"]),
         ("[[change]]\ntime = 1\nscale = 1e-300", ["scale = 1e-300", "above 0.001"]),
         ("[[change]]\ntime = 1\nsizes = {a = [1e-30, 1, 1, 1, 1]}", ["sizes", "a table such as"]),

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support.logs import Log, ros_marker, ros_markers
-from voodoo_jax.config.options import FeatureSettings, Settings
+from voodoo_jax.config.options import FeatureSettings, ReadSettings, Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.landmarks import named_points
@@ -103,6 +103,26 @@ def test_markers_alone(moving, tmp_path, turn):
     check(tracks, body, joints @ turn.T)
     assert tracks.residual.max() < 0.03 and tracks.limb_weight.sum(0).min() > 0
     assert not any("arker" in note for note in tracks.notes)
+
+
+def test_left_handed_coordinates_or_names_on_the_wrong_sides(moving, tmp_path):
+    """Both look the same: it is asked, with little confidence, and what a user says settles it."""
+    body, frames, joints = moving
+    frames, joints = frames[::4], joints[::4]
+    unity = np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]])  # x to the right, y up, z ahead
+    log = recorded(tmp_path, [{n: unity @ p for n, p in f.items()} for f in frames])
+    doubted = track(human(), log)
+    assert len([note for note in doubted.notes if "read.mirror" in note]) == 1
+    assert doubted.joint_confidence is not None and doubted.joint_confidence.max() <= 0.2 and doubted.tracked.all()
+    assert float(np.median(doubted.residual)) < 0.02  # it fits all the same
+    settings = Settings(read=ReadSettings(mirror=("/markers=x",)))
+    tracks = track(human(), read_log(log.path, settings.read), settings)
+    error = np.linalg.norm(tracks.joints - joints @ (np.diag([-1.0, 1, 1]) @ unity).T, axis=-1)
+    assert error.mean() < 0.03 and not any("read.mirror" in note for note in tracks.notes)
+    assert tracks.joint_confidence is not None and tracks.joint_confidence.mean() > 0.9
+    settings = Settings(read=ReadSettings(mirror=("/markers=none",)))
+    named = track(human(), read_log(log.path, settings.read), settings)
+    assert named.joint_confidence is not None and named.joint_confidence.mean() > 0.9
 
 
 def test_damaged_names(moving, tmp_path):

@@ -46,6 +46,9 @@ class ReadSettings:
     """Which way is up in the fixed frame: x, y, z, -x, -y, -z, or three numbers with commas; empty: it is found."""
     scale: tuple[str, ...] = ()
     """Topic = metres per unit of its distances or coordinates (0.001: millimetres); without an entry it is found."""
+    mirror: tuple[str, ...] = ()
+    """Topic = axis (x, y or z) that is turned round, of named points in left-handed coordinates, such as Unity's; none:
+    they are right-handed."""
     delays: tuple[str, ...] = ()
     """Topic = seconds by which its stamps are late (negative: early); without an entry clocks are brought together."""
     camera: tuple[str, ...] = ()

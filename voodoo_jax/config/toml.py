@@ -80,6 +80,8 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
             good = bool(key and value) and (not numbers or low <= float(value) <= high)
             if name == "read.labels":
                 int(key)
+            if name == "read.mirror" and value not in ("x", "y", "z", "none"):
+                good = False
         except ValueError:
             good = False
         if not good:
@@ -277,6 +279,7 @@ _PAIRS = {
     "read.weights": True,
     "read.scale": True,
     "read.delays": True,
+    "read.mirror": False,
 }
 # seconds between two clocks may be those since 1970; no unit of length is smaller than a picometre
 _PAIR_BOUNDS = {"read.delays": (-4e9, 4e9), "read.scale": (1e-12, LARGEST)}
@@ -289,6 +292,7 @@ _EXAMPLES = {
     "read.labels": "number=part, such as 3=head, 7=body or 0=free",
     "read.weights": "topic=number, such as /stereo/points=0.5",
     "read.scale": "topic=metres per unit, such as /camera/depth=0.001",
+    "read.mirror": "topic=axis (x, y, z or none), such as /markers=z",
     "read.delays": "topic=seconds, such as /lidar/points=0.25",
 }
 _BOUNDS: dict[str, tuple[float, float]] = {

@@ -112,7 +112,9 @@ class Scan:
                 topic.gathered = without_placeholders(name, found, self.notes)
                 topic.features.clear()
                 self._settle_unit(name, topic.gathered, settings)
-                topic.gathered = without_held(name, topic.gathered, self.notes)
+                topic.gathered = self._mirrored(name, without_held(name, topic.gathered, self.notes), settings)
+        for name in self._mirrors(settings).keys() - self.topics.keys():
+            self.notes.append(f"read.mirror does not count here: the log has no topic '{name}'.")
         if known:
             late = "not used: it came later than the beginning"
             self.uses = {name: known.uses.get(name, late) for name in self.topics}
@@ -230,6 +232,16 @@ class Scan:
             stamp = message.log_time if stamp is None else stamp
             topic.stamps.append(stamp if abs(stamp) < TIME else 0)
             topic.log_times.append(message.log_time)
+
+    def _mirrors(self, settings: ReadSettings) -> dict[str, str]:
+        return check_pairs("read.mirror", settings.mirror, numbers=False)
+
+    def _mirrored(self, name: str, found: Gathered, settings: ReadSettings) -> Gathered:
+        """3D features with the axis turned round that a user names."""
+        axis = self._mirrors(settings).get(name, "none")
+        if axis == "none" or self.topics[name].kind != PAIRS:
+            return found
+        return replace(found, values=found.values * np.where(np.array(list("xyz")) == axis, -1.0, 1.0))
 
     def _settle_unit(self, name: str, found: Gathered, settings: ReadSettings) -> None:
         """Brings 3D features to metres."""

@@ -18,6 +18,8 @@ JUMP = 0.03  # metres: shorter jumps are motion
 NEAR = 0.3  # of the jump: how near to the other one's place a marker lands
 ODD = 3.0  # times its usual deviation: so far off its site a marker is suspected
 BETTER = 0.8  # of the cost of a fit: what an exchange must come down to
+MIRRORED = 0.5  # the same where all of left and right are exchanged; by hand: 0.05 where the data is mirrored
+PAIRS = 3  # of left and right, at least, to tell that; by hand
 
 
 class Exchange(NamedTuple):
@@ -54,14 +56,26 @@ def jumps(markers: Markers) -> list[Exchange]:
 
 def sides(
     body: Body, markers: Markers, sites: list[str], scale_known: bool = False
-) -> tuple[Markers, Fit, list[Exchange]]:
-    """Left and right markers that are exchanged in all of some frames: the markers put right, and their fit.
+) -> tuple[Markers, Fit, list[Exchange], bool]:
+    """Left and right markers that are exchanged in all of some frames: the markers put right, and their fit; and
+    whether all are, as where coordinates are left-handed.
 
     **Arguments:** `sites` the body's name of each marker's place.
     """
     fit, found = fit_markers(body, markers, scale_known=scale_known), []
     once = {s for s in sites if sites.count(s) == 1}
     other = {k: sites.index("r_" + s[2:]) for k, s in enumerate(sites) if s[:2] == "l_" and {s, "r_" + s[2:]} <= once}
+    wrong = bool(other) and max(fit.shifts[k] for k in (*other, *other.values())) > ODD
+    mirrored = False
+    if wrong and len(other) >= PAIRS:
+        order = np.arange(len(sites))
+        for a, b in other.items():
+            order[[a, b]] = b, a
+        swapped = markers._replace(points=markers.points[:, order], seen=markers.seen[:, order])
+        again = fit_markers(body, swapped, scale_known=scale_known)
+        if mirrored := again.cost < MIRRORED * fit.cost:
+            markers, fit, every = swapped, again, np.ones(len(markers.seen), bool)
+            found = [Exchange(markers.names[a], markers.names[b], every) for a, b in other.items()]
     odd = sorted(other, key=lambda k: -max(fit.shifts[k], fit.shifts[other[k]]))
     for a in [k for k in odd if max(fit.shifts[k], fit.shifts[other[k]]) > ODD][:4]:
         b = other[a]
@@ -72,7 +86,7 @@ def sides(
         if again.cost < BETTER * fit.cost:
             markers, fit = swapped, again
             found.append(Exchange(markers.names[a], markers.names[b], np.ones(len(markers.seen), bool)))
-    return markers, fit, found
+    return markers, fit, found, mirrored
 
 
 def put_right(frames: list[BodyObservation], exchanges: list[Exchange]) -> list[BodyObservation]:

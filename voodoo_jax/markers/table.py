@@ -66,9 +66,16 @@ def marker_table(frames: list[BodyObservation], names: FeatureNames) -> MarkerTa
     return MarkerTable(part(known), part(other))
 
 
-def sized_by_markers(body: Body, markers: Markers, scale: float) -> tuple[Body, list[Exchange]]:
-    """The body with the sizes and marker places that the markers tell, and left and right markers that are exchanged
-    throughout; `scale` (metres) if it is known, else 0."""
+class Sized(NamedTuple):
+    """The body with the sizes and marker places that the markers tell."""
+
+    body: Body
+    exchanges: list[Exchange]  # left and right markers that are exchanged throughout
+    mirrored: bool  # these are all
+
+
+def sized_by_markers(body: Body, markers: Markers, scale: float) -> Sized:
+    """The body as the markers tell it; `scale` (metres) if it is known, else 0."""
     count = markers.seen.sum(1)
     good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     body = scaled(body, scale) if scale > 0 else body
@@ -82,16 +89,16 @@ def sized_by_markers(body: Body, markers: Markers, scale: float) -> tuple[Body, 
         count = markers.seen.sum(1)
         good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     if not len(good):
-        return body, []
+        return Sized(body, [], False)
     some = good[np.unique(np.linspace(0, len(good) - 1, FRAMES).round().astype(int))]
     chosen = markers._replace(points=markers.points[some], seen=markers.seen[some])
     t = body.topology
     names = (*t.sites, *t.centres)
-    chosen, fit, exchanges = sides(
+    chosen, fit, exchanges, mirrored = sides(
         body, chosen, list(markers.places) or [names[row] for row in markers.rows], scale > 0
     )
     every = np.ones(len(markers.seen), bool)
-    return personal(body, chosen, fit), [e._replace(frames=every) for e in exchanges]
+    return Sized(personal(body, chosen, fit), [e._replace(frames=every) for e in exchanges], mirrored)
 
 
 def marker_start(body: Body, markers: Markers, at: int) -> Poses:

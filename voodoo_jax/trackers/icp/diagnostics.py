@@ -22,6 +22,11 @@ NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
 # degrees and metres by which sensors seem to move at most where that is no more than noise and drift of distances make
 # of walls; by hand
 TURNED, SHIFTED = 1.0, 0.12
+MIRRORED = (
+    "By the places of the named points left is where right is: either all names are exchanged, as was taken here, or "
+    "coordinates are left-handed (as Unity's are). read.mirror TOPIC=y (or x, z) turns that axis round, TOPIC=none "
+    "says that names are wrong."
+)
 ODD = "Not plausible"  # sentences on the tracks themselves begin so
 
 
@@ -82,10 +87,15 @@ def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Name
     """Notes on a tracked recording; `exchanges` of markers were put right before, `named` whose named points these
     are."""
     notes = _implausible(tracks) + name_notes(named)
+    few = f"No frame has {TO_START} markers that features.names knows a point of this body for."
+    if not run.by_markers and not tracks.points.any() and any(len(frame.pairs.names) for frame in run.people):
+        return (*notes, few)
     if run.by_markers:
         poses = Poses(tracks.rotation, tracks.translation)
         if not run.table.enough(TO_START).any():
-            notes.append(f"No frame has {TO_START} markers that features.names knows a point of this body for.")
+            notes.append(few)
+        if run.mirrored:
+            notes.append(MIRRORED)
         return (*notes, *marker_notes(run.body, run.table, poses, tracks.time_ns, tracks.tracked, exchanges))
     notes += run.scene.notes
     if not run.scene.floor_seen:

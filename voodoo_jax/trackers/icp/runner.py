@@ -68,6 +68,7 @@ class Runner:
         self.capacity = bucket(settings.detect.points)
         self.length = max(settings.track.chunk, settings.start.frames)  # frames that the program takes at once
         self.bodies = [(0, body)]  # first frame from which on the body is so
+        self.mirrored = False  # whether left and right of all names were exchanged
         self.sized = False  # whether the body has its size; the first start finds it
         self.stances: dict[int, Stance] = {}  # that segments began in, by first frame, the last time they were tracked
         first = people[0].time_ns if people else 0

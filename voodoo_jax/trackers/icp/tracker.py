@@ -79,6 +79,10 @@ def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, 
     return threads
 
 
+# share of logs with left and right exchanged in all names, not in the coordinates, as left-handed ones have; by hand
+MISNAMED = 0.2
+
+
 class Derived(NamedTuple):
     """What follows from the poses of some frames. Leading axis: frame."""
 
@@ -142,6 +146,7 @@ def track_poses(
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
     exchanges: list[Exchange] = []
+    mirrored = False
     from_markers = by_markers(people)
     people, settings, named = with_names(body, people, settings)
     if from_markers:
@@ -157,12 +162,13 @@ def track_poses(
     if at < count and from_markers:
         spots = tuple(named.known.places.get(n, "") for n in table.markers.names)
         markers = table.markers._replace(places=spots, newington=named.known.newington)
-        body, sides = sized_by_markers(body, markers, settings.start.scale)
-        people, exchanges = put_right(people, sides), exchanges + sides
+        body, sides, mirrored = sized_by_markers(body, markers, settings.start.scale)
+        people, exchanges = put_right(people, sides), exchanges + ([] if mirrored else sides)
     changes = loaded(settings.changes)
     body = prepared(body, changes)
     options = options_from(settings.solve, settings.track, settings.features)
     run = Runner(body, options, people, scene, settings, changes, visit)
+    run.mirrored = mirrored
     if begin > at and begin < count and enough[begin] and not from_markers and settings.looks_ahead("track"):
         whole = track_whole(run, begin, enough, REFINE, progress, at)
     else:
@@ -204,7 +210,8 @@ def with_rating(run: Runner, tracks: Tracks) -> Tracks:
     sure, but nobody LOST."""
     settings = run.settings
     found = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), run.by_markers)
-    return only_as_sure(found, log_doubts(run.body, run.scene, run.people, settings).right)
+    right = log_doubts(run.body, run.scene, run.people, settings).right
+    return only_as_sure(found, right * (MISNAMED if run.mirrored and not settings.read.mirror else 1.0))
 
 
 def with_names(
