@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import FEWEST, LEAST, Build, candidate
+from voodoo_jax.detect.cut_in_two import joined_labels
 from voodoo_jax.detect.heads import has_shoulders, may_be_several, parted
 from voodoo_jax.detect.in_the_way import in_the_way
 from voodoo_jax.detect.scene import BEHIND
@@ -118,7 +119,7 @@ class BodySegmenter:
                 self.taken = index[:0]
                 return frame.only(self.taken)
         seen = frame.only(index)
-        found, chosen = seen.points, self._choose(seen, sure)
+        found, chosen = seen.points, self._choose(seen, sure, frame)
         body = found[chosen]
         if not len(sure) and self._gone(body):
             self._left.add(cells_of(body, CELL), 1.0)
@@ -242,8 +243,8 @@ class BodySegmenter:
             return known
         return known & np.array([*(name == "body" for name in frame.parts), False])[frame.part]
 
-    def _choose(self, seen: BodyObservation, sure) -> Bool[np.ndarray, " point"]:
-        """Which points belong to the body. `sure`: those that are known to be on it."""
+    def _choose(self, seen: BodyObservation, sure, frame: BodyObservation) -> Bool[np.ndarray, " point"]:
+        """Which points belong to the body, of those `seen` in a frame. `sure`: those that are known to be on it."""
         points = seen.points
         if len(points) < TELLING:
             return np.zeros(len(points), bool)
@@ -257,13 +258,21 @@ class BodySegmenter:
         if self.last is None:
             if most.any():
                 return most[label]
-            label = self._parted(points, label)
+            label = self._joined(seen, self._parted(points, label), frame)
             return label == self._candidate(seen, label)
         taken = most | self._followed(points, label, count, self.last)
         far = self._gone_by(seen)
         if far > 0 and np.sum(count[taken]) < ALIKE * len(self.last):
             taken |= self._elsewhere(points, label, count, self.last, self.settings.move + far)
         return taken[label]
+
+    def _joined(self, seen: BodyObservation, label, frame: BodyObservation) -> Int[np.ndarray, " point"]:
+        """The labels of things, the same for the pieces of one that something nearer cuts in two; an animal of unknown
+        size has no width by which furniture beside it could be told."""
+        if self.body.loose:
+            return label
+        gap = max((self._gap.get(k, USUAL_SPACING) for k in range(len(seen.origins))), default=USUAL_SPACING)
+        return joined_labels(seen, label, frame, self.scene.floor, self.body.height, gap)
 
     def _link(self, seen: BodyObservation) -> float:
         """Points closer than this belong to the same thing, metres: not less than the gaps between a scanner's rows."""

@@ -45,11 +45,11 @@ class Nearest(NamedTuple):
         return of_some
 
     def hides(
-        self, points: Float32[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"]
+        self, points: Float32[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"], nearer: float = NEARER
     ) -> Bool[np.ndarray, " point"]:
-        """Which points their sensor would not see, for something is before them."""
+        """Which points their sensor would not see, for something is before them, `nearer` by so many metres."""
         distance, bins = _directions(points, sensor, self.origins)
-        return self.distance[bins] < distance - NEARER
+        return self.distance[bins] < distance - nearer
 
     def empty(
         self, points: Float32[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"]

@@ -1,0 +1,137 @@
+"""What something nearer cuts in two in the image is one thing: somebody who carries a carton, or stands behind a board
+or a rail. Host side, NumPy.
+
+Two pieces belong together if one is under the other, they go on at one depth, and all between them is hidden. Asked
+where the body is looked for, not while it is followed: then each piece is followed by where it was, and furniture that
+somebody passes would be joined to them (experiments/stress).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from voodoo_jax.detect.visibility import Nearest
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.voxels import within
+from voodoo_jax.records.observation import BodyObservation
+
+FEWEST = 30  # points of a piece; by hand
+COLUMN = 0.05  # metres, of the strips from top to bottom in which edges are compared: two in a limb's width; by hand
+SPACINGS = 2.0  # times the gap between neighbouring points: strips are at least so wide; by hand
+SHARED = 0.5  # of the strips of the narrower piece: in so many the other one is above or below it; by hand
+GAP = 0.9  # metres: what hides more hides all from the chest to the shanks; by hand
+DEEP = 0.3  # metres, level, from edge to edge: a chest is 0.25 deep (ANSUR II), and people lean; by hand
+# of the lower piece: so much is under the upper one, or nearer than so many metres beside it; by hand
+UNDER = (0.8, 0.3)
+WIDE = 0.65  # of the body's height: no legs are spread wider in a step, and no trunk with its arms; by hand
+NEARER = 0.1  # metres: what hides the gap is so much nearer; the noise of depth is less; by hand
+STEP = 0.05  # metres between the places in the gap that are looked at; by hand
+HIDDEN = 0.8  # of these: flying pixels and holes leave some; by hand
+
+
+# 6 parameters: what is seen, how it hangs together, and what is known of body and sensor
+def joined_labels(
+    seen: BodyObservation,
+    label: Int[np.ndarray, " point"],
+    whole: BodyObservation,
+    floor: Plane,
+    height: float,
+    gap: float,
+) -> Int[np.ndarray, " point"]:
+    """The labels of things, the same for the pieces of one thing that is cut in two.
+
+    **Arguments:** `seen` the points off floor and walls, and `label` the piece that each belongs to; `whole` all of the
+    frame; `height` of the body, metres; `gap` between neighbouring points, radians.
+    """
+    out, nearest = np.array(label), None
+    above, level = floor.height(seen.points), floor.level(seen.points)
+    for upper, lower in _one_under_another(label, above, level, WIDE * height):
+        k = int(np.bincount(seen.sensor[upper]).argmax())
+        edges = _edges(seen, above, (upper, lower), floor, k, gap)
+        if edges is None:
+            continue
+        nearest = nearest or Nearest.of(whole.points, whole.sensor, whole.origins)
+        if _hidden(*edges, nearest, k).mean() >= HIDDEN:
+            out[out == out[lower[0]]] = out[upper[0]]
+    return out
+
+
+def _one_under_another(
+    label: Int[np.ndarray, " point"],
+    above: Float32[np.ndarray, " point"],
+    level: Float32[np.ndarray, "point 3"],
+    wide: float,
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Indices of the points of two pieces, an upper and a lower one, that are no wider together than `wide` metres."""
+    pieces = [np.flatnonzero(label == k) for k in np.flatnonzero(np.bincount(label) >= FEWEST)]
+    pieces = [piece for piece in pieces if _extent(level[piece]) < wide]
+    middle = [np.median(level[piece], 0) for piece in pieces]
+    rise = [np.median(above[piece]) for piece in pieces]
+    for i, upper in enumerate(pieces):
+        for j, lower in enumerate(pieces):
+            if rise[j] >= rise[i] or np.linalg.norm(middle[i] - middle[j]) > wide:
+                continue
+            beneath = within(level[lower], level[upper], UNDER[1]).mean() >= UNDER[0]
+            if beneath and _extent(level[np.concatenate([upper, lower])]) < wide:
+                yield upper, lower
+
+
+def _extent(level: Float32[np.ndarray, "point 3"]) -> float:
+    """How wide a thing is on the level, but for single points; metres."""
+    return float(np.linalg.norm(np.ptp(np.percentile(level, [2, 98], axis=0), axis=0)))
+
+
+# 6 parameters: as above, and the sensor
+def _edges(
+    seen: BodyObservation,
+    above: Float32[np.ndarray, " point"],
+    pieces: tuple[np.ndarray, np.ndarray],
+    floor: Plane,
+    sensor: int,
+    gap: float,
+) -> tuple[Float[np.ndarray, "column 3"], Float[np.ndarray, "column 3"]] | None:
+    """Where the upper piece ends below and the lower one begins, in each strip of a sensor's image in which they go on
+    at one depth; None if there are too few."""
+    origin = seen.origins[sensor]
+    sight = floor.level(np.median(seen.points[pieces[0]], 0)[None])[0] - floor.level(origin[None])[0]
+    far = float(np.linalg.norm(sight))
+    if far < DEEP:
+        return None
+    sight /= far
+    side = np.cross(floor.normal, sight)
+    strip = max(COLUMN, SPACINGS * gap * far)
+    ends: list[dict[int, int]] = []
+    for piece, sign in zip(pieces, (-1, 1)):
+        piece = piece[seen.sensor[piece] == sensor]
+        to = seen.points[piece] - origin
+        along = to @ sight
+        piece, to, along = (some[along > DEEP] for some in (piece, to, along))
+        column = np.floor(to @ side / along * far / strip).astype(int)
+        order = np.argsort(sign * above[piece], kind="stable")  # the last one of a column is its end
+        ends.append(dict(zip(column[order].tolist(), piece[order].tolist())))
+    both = [k for k in ends[0] if k in ends[1]]
+    if not both:
+        return None
+    upper, lower = (seen.points[[end[k] for k in both]] for end in ends)
+    rise = floor.height(upper) - floor.height(lower)
+    apart = np.linalg.norm(floor.level(upper) - floor.level(lower), axis=1)
+    good = (rise > 0) & (rise < GAP) & (apart < DEEP)
+    if good.sum() < max(1, SHARED * min(map(len, ends))):
+        return None
+    return upper[good].astype(float), lower[good].astype(float)
+
+
+def _hidden(
+    upper: Float[np.ndarray, "column 3"], lower: Float[np.ndarray, "column 3"], nearest: Nearest, sensor: int
+) -> Bool[np.ndarray, " place"]:
+    """Which places between two edges the sensor does not see, and no other one sees through."""
+    many = np.maximum(np.linalg.norm(upper - lower, axis=1) / STEP, 1).astype(int)
+    places = np.concatenate(
+        [a + (b - a) * ((np.arange(n) + 0.5) / n)[:, None] for a, b, n in zip(upper, lower, many)]
+    ).astype(np.float32)
+    hidden = nearest.hides(places, np.full(len(places), sensor), NEARER)
+    for other in range(len(nearest.origins)):
+        if other != sensor:
+            hidden &= ~nearest.empty(places, np.full(len(places), other))
+    return hidden
