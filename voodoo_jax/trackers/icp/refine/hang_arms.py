@@ -63,13 +63,14 @@ def with_hung_arms(tracks: Tracks, people: list[BodyObservation]) -> Tracks:
         if len(some):
             tracks = with_limbs(tracks, _hung(tracks, arm, some, much[some]), some, arm)
             weight = tracks.limb_weight.copy()
-            weight[np.ix_(some, arm)] = 0.0  # their points were the trunk's
+            weight[some[:, None], arm] = 0.0  # their points were the trunk's
             tracks = replace(tracks, limb_weight=weight)
     return tracks
 
 
 def _seen(tracks: Tracks, arm: list[int]) -> Bool[np.ndarray, " frame"]:
     """In which frames forearm or hand have points that no other limb explains, over a second."""
+    assert tracks.limb_own is not None
     weight, own = tracks.limb_weight, tracks.limb_weight * np.nan_to_num(tracks.limb_own)
     whole = averaged(weight.sum(1, keepdims=True), True)[:, 0]
     of_arm, of_own = (averaged(each[:, arm[1:]].sum(1, keepdims=True), True)[:, 0] for each in (weight, own))
@@ -101,6 +102,7 @@ def _hidden(
     """In which of some frames hardly anything would be seen of a hung arm, over a second."""
     frames = [as_measured(people[k]) for k in some]
     bare = np.full((len(people), 1), np.nan)
-    found = misfit(tracks.body, hung.rotation[some], hung.translation[some], frames)
+    rotation, translation = np.asarray(hung.rotation)[some], np.asarray(hung.translation)[some]
+    found = misfit(tracks.body, rotation, translation, frames)
     bare[some] = found.bare[:, arm].mean(1, keepdims=True)
     return averaged(bare, True)[some, 0] < BARE
