@@ -140,7 +140,7 @@ class BodySegmenter:
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
-        before, sensor = in_the_way(frame, points[index], self.scene.floor)
+        before, sensor = in_the_way(frame, index, self.scene.floor)
         seen = frame.only(index)
         return replace(seen, before=before, before_sensor=sensor) if len(before) else seen
 

@@ -24,7 +24,8 @@ FRAME_ARRAYS = (
 # where they were found
 MORE_ARRAYS = (
     "passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance", "joint_confidence",
-    "up", "marker_residual", "limb_beside", "limb_distance", "limb_bare", "facing_odds",
+    "up", "marker_residual", "limb_beside", "limb_distance", "limb_bare", "limb_own",
+    "facing_odds",
 )  # fmt: skip
 
 
@@ -35,7 +36,7 @@ FORMS = {
     "points": ("iu", "f"), "limb_weight": ("f", "fl"), "passes_apart": ("f", "fl"), "beyond_limits": ("f", "fb"),
     "depth_inside": ("f", "fl"), "limb_covariance": ("f", "fl66"), "joint_covariance": ("f", "fj33"),
     "joint_confidence": ("f", "fj"), "up": ("f", "3"), "marker_residual": ("f", "m"), "limb_beside": ("f", "fl"),
-    "limb_distance": ("f", "fl"), "limb_bare": ("f", "fl"), "facing_odds": ("f", "f"),
+    "limb_distance": ("f", "fl"), "limb_bare": ("f", "fl"), "limb_own": ("f", "fl"), "facing_odds": ("f", "f"),
 }  # fmt: skip
 FARTHEST = 1e30  # covariances are huge where nothing is known; not infinite
 LATEST = 1 << 62  # nanoseconds, as io.limits.TIME
@@ -59,7 +60,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
     limb frame), joint_covariance (square metres, fixed frame; see solve/covariance.py), joint_confidence (0 to 1; see
     trackers/icp/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
-    fixed frame), limb_beside, limb_distance (metres) and limb_bare (see trackers/icp/misfit.py), facing_odds
+    fixed frame), limb_beside, limb_distance (metres), limb_bare and limb_own (see trackers/icp/misfit.py), facing_odds
     (logarithm; see trackers/icp/refine/choose_facing.py), fixed_frame, source, seconds, notes, body_toml; marker_names
     and marker_residual (metres) where markers alone were tracked; person and people (which of how many) where there are
     several; run_key if one is given (see batch/resume.py).

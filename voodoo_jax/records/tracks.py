@@ -58,10 +58,12 @@ class Tracks:
     # of `joints`, square metres; solve/covariance.py
     joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None
     # see trackers/icp/misfit.py: share of the points nearest to a limb that are not explained, their mean distance from
-    # it beyond noise, metres, and the share of its length that is bare though nothing hides it
+    # it beyond noise, metres, the share of its length that is bare though nothing hides it, and of the points that it
+    # explains the share that no other limb would
     limb_beside: Float32[np.ndarray, "frame limb"] | None = None
     limb_distance: Float32[np.ndarray, "frame limb"] | None = None
     limb_bare: Float32[np.ndarray, "frame limb"] | None = None
+    limb_own: Float32[np.ndarray, "frame limb"] | None = None
     # logarithm of the odds that the body does not face the other way; see trackers/icp/refine/choose_facing.py
     facing_odds: Float32[np.ndarray, " frame"] | None = None
     # of `joints`: within 10 cm? 0..1; see trackers/icp/confidence.py

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.helpers import seen_points
-from voodoo_jax.geometry.rigid import on_host
+from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import BodyObservation
@@ -19,7 +19,7 @@ def found(points, shift=0.0, noise: float = 0.0, count: int = 2):
     """The misfit of the rest pose, moved aside, in so many frames of the same points."""
     rotation, place = np.tile(REST.rotation, (count, 1, 1)), np.tile(REST.translation, (count, 1, 1)) + shift
     frame = BodyObservation(0, points.astype(np.float32), np.zeros(len(points), np.int32), SENSOR, noise=noise)
-    return misfit(SIZES, rotation, place, [frame] * count)
+    return misfit(BODY, rotation, place, [frame] * count)
 
 
 @pytest.fixture
@@ -58,9 +58,28 @@ def test_a_limb_behind_furniture_is_not_bare(rng, points):
         frame = BodyObservation(
             0, low, np.zeros(len(low), np.int32), SENSOR, before=before, before_sensor=np.zeros(2000, np.int8)
         )  # fmt: skip
-        fit = misfit(SIZES, np.tile(REST.rotation, (1, 1, 1)), place, [frame])
+        fit = misfit(BODY, np.tile(REST.rotation, (1, 1, 1)), place, [frame])
         np.testing.assert_allclose(fit.bare[0, legs], bare, atol=0.1)
         np.testing.assert_array_equal(fit.seen, found(low, count=1).seen)
+
+
+@pytest.mark.parametrize("there, before", [(False, 0.0), (True, 0.1)])
+def test_points_on_an_arm_that_lies_on_the_chest_are_the_chests(rng, there, before):
+    """The forearm in the chest's front, where points are the chest's; or so much before it, where they are its own."""
+    arm = [LIMBS.index(name) for name in ("r_forearm", "r_hand")]
+    chest, place = LIMBS.index("chest"), REST.translation.copy()
+    front = REST.translation[chest] + [SIZES[chest, 0] - SIZES[arm[0], 0] + before, 0.0, 0.0]
+    place[arm] = front + np.array([[0.0, 0.0, 0.3], [0.0, 0.0, 0.06]])
+    true = place.copy()
+    if not there:
+        true[arm] -= [9.0, 0.0, 0.0]  # where nobody sees it
+    seen = seen_points(rng, BODY, Poses(REST.rotation, true), SENSOR[0], 1500).astype(np.float32)
+    seen = seen[seen[:, 0] > -2.0]
+    seen = seen + rng.normal(0, 0.015, seen.shape).astype(np.float32)
+    frame = BodyObservation(0, seen, np.zeros(len(seen), np.int32), SENSOR)
+    fit = misfit(BODY, REST.rotation[None], place[None], [frame])
+    assert fit.own[0, arm[0]] > 0.7 if there else fit.own[0, arm[0]] < 0.2
+    assert np.nanmin(found(seen, count=1).own[0, [chest, LIMBS.index("head"), LIMBS.index("l_shank")]]) > 0.5
 
 
 def test_noise_is_no_misfit(rng, points):
@@ -72,4 +91,4 @@ def test_noise_is_no_misfit(rng, points):
 def test_few_points_tell_nothing(points):
     fit = found(points[:10])
     assert all(np.isnan(each).all() for each in fit)
-    assert misfit(SIZES, np.zeros((0, len(LIMBS), 4)), np.zeros((0, len(LIMBS), 3)), []).bare.shape == (0, len(LIMBS))
+    assert misfit(BODY, np.zeros((0, len(LIMBS), 4)), np.zeros((0, len(LIMBS), 3)), []).bare.shape == (0, len(LIMBS))

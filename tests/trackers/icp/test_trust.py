@@ -118,7 +118,8 @@ def fitting(frames: int = 6, scale: float = 1.0) -> Tracks:
     """A good track of which it is known how well limbs fit; larger `scale`: so much worse."""
     shape = (frames, LIMBS)
     known = {"limb_beside": 0.02, "limb_distance": 0.008, "limb_bare": 0.03}
-    return replace(good_tracks(frames), **{n: np.full(shape, scale * v, np.float32) for n, v in known.items()})
+    fit = {name: np.full(shape, scale * value, np.float32) for name, value in known.items()}
+    return replace(good_tracks(frames), limb_own=np.ones(shape, np.float32), **fit)
 
 
 @pytest.mark.parametrize("worse", ["limb_beside", "limb_distance", "limb_bare", "size"])
@@ -168,6 +169,16 @@ def test_a_limb_alone_that_is_bare_is_doubted_alone():
     said, fine = joint_confidence(found)[3], joint_confidence(fitting())[3]
     lower = dict(zip(TOPOLOGY.centres, said < fine - 0.05))
     assert lower["l_talocrural"] and not lower["r_talocrural"] and not lower["l_elbow"] and not lower["skullbase"]
+
+
+def test_a_limb_whose_points_are_another_ones_is_doubted_alone():
+    """As one that explains no points at all; nothing else tells of it."""
+    forearm, fine = TOPOLOGY.limbs.index("r_forearm"), joint_confidence(fitting())[3]
+    for own in (0.0, np.nan):
+        found = fitting()
+        found.limb_own[:, forearm] = own
+        lower = dict(zip(TOPOLOGY.centres, joint_confidence(found)[3] < fine - 0.005))
+        assert lower["r_elbow"] and lower["r_radiocarpal"] and sum(lower.values()) == 2
 
 
 def test_misfit_is_averaged_over_a_second_and_online_over_what_was_before():

@@ -73,13 +73,13 @@ def merged(
     joints = hung(icp, flexible, choice.share)
     rotation, translation = posed(icp, flexible, choice.share, joints)
     limb_covariance, joint_covariance = _spread(icp, choice)
-    fit = misfit(np.asarray(icp.body.sizes), rotation, translation, people)
+    fit = misfit(icp.body, rotation, translation, people)
     beyond, depth = _implausible(icp.body, rotation, translation, chunk)
     sure = confidence(icp, flexible, choice)
     return replace(
         out, joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
         joint_covariance=joint_covariance, joint_confidence=sure, limb_beside=fit.beside,
-        limb_distance=fit.distance, limb_bare=fit.bare, beyond_limits=beyond, depth_inside=depth,
+        limb_distance=fit.distance, limb_bare=fit.bare, limb_own=fit.own, beyond_limits=beyond, depth_inside=depth,
         status=_status(icp, flexible, choice, sure, least),
     )  # fmt: skip
 

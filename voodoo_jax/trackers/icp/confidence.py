@@ -6,7 +6,8 @@ people, the other half's joints are right as often as is said.
 
 These are all recordings of people with nothing before or around them. A body that was fitted to a table or a coat, or
 that faces the wrong way, is as smooth and as near to its points: two more factors say whether it fits at all
-(misfits: points beside limbs, bare limbs, limbs in each other, joints bent too far, passes that once were apart), and
+(misfits: points beside limbs, bare limbs, limbs in each other, joints bent too far, passes that once were apart, limbs
+whose points another limb explains as well), and
 whether it faces the right way. What a body faces is told by what it is fitted to: of those that fit, all
 of some two hundred decisions at odds of 0.1 and more (logarithms) were right, of those in skirts two of five.
 """
@@ -28,7 +29,7 @@ CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
 # of a joint whose limb no marker tells of: nothing of a frame shows how far it hangs off. Of knees and ankles in a walk
 # on a treadmill 12 % were within 10 cm, of joints of a recording without its legs', arms' or shanks' markers 39 %
 UNMARKED = 0.1
-MISFITS = ("beside", "bare", "all distance", "size", "inside", "beyond", "apart")
+MISFITS = ("beside", "bare", "all distance", "size", "inside", "beyond", "apart", "shared")
 AROUND = 31  # frames over which a limb's misfit is averaged, about a second; by hand
 # of a limb's points, and metres: less tells nothing. Of 3, 5, 6 and 9 mm the first tells right from wrong best in kinds
 # of logs left out (0.952, 0.945, 0.941 and 0.937 with AT_LEAST 0, see experiments/trust)
@@ -36,6 +37,8 @@ LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.003
 # by hand: metres in another limb that count as one, and how many count at most; radians beyond a joint's limit,
 # likewise; metres between the passes that tell nothing, and those that tell all
 DEEP, DEEPEST, BENT, MOST_BENT, TOGETHER, ASUNDER = 0.01, 8.0, float(np.radians(10)), 3.0, 0.05, 1.0
+# weight of a limb's own points, those that no other limb explains, beyond which more tell nothing; by hand
+PLENTY = 20.0
 # metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
 # nothing, and so many beyond count at most: of who is small less, for children are people, too (by hand: in the nine
 # kinds of logs there are none)
@@ -66,8 +69,9 @@ THERE_AND_BACK = Trust(-12.173, (-3.734, -0.124, -0.047, -0.333, 0.522, -0.702))
 # from experiments/trust
 ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
 
-# of MISFITS; from experiments/trust/elsewhere.py
-FITS = Trust(-16.063, (-1.268, -4.100, -3.320, -1.441, -2.553, -0.254, -1.288))
+# of MISFITS; from experiments/trust/elsewhere.py. "shared" was fitted later, to 127 tracks of 13 kinds, the others as
+# they were
+FITS = Trust(-16.063, (-1.268, -4.100, -3.320, -1.441, -2.553, -0.254, -1.288, -0.356))
 
 
 def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
@@ -116,7 +120,8 @@ def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame join
     Of its limb, the next one towards the trunk and the one that it meets there, the worst counts: the logarithm of the
     share of unexplained points beside it; the share of its length that is bare (of the first two); log(1 + centimetres
     in other limbs); how far joints are bent beyond their limits, in tens of degrees; and the logarithm of how far the
-    passes there and back in time were apart at most. Of the body: the logarithm of how far points are from all limbs,
+    passes there and back in time were apart at most. Of its limb alone: by how much log(1 + weight) of the points that
+    no other limb explains falls short of PLENTY's. Of the body: the logarithm of how far points are from all limbs,
     metres (see misfit.py), and how unusual the size is.
 
     **Arguments:** `ahead` as for `clues`.
@@ -135,6 +140,7 @@ class Averages(NamedTuple):
     inside: Float32[np.ndarray, "frame limb"]  # in other limbs, metres, mean
     beyond: Float32[np.ndarray, "frame limb"]  # of the joint towards the trunk, beyond its limits, radians, mean
     apart: Float32[np.ndarray, "frame limb"]  # passes, metres, the most; 0 where there was one
+    own: Float32[np.ndarray, "frame limb"]  # weight of points that no other limb explains, mean
 
     def some(self, span: slice) -> "Averages":
         """Those of some frames."""
@@ -143,20 +149,22 @@ class Averages(NamedTuple):
 
 def _averages(tracks: Tracks, ahead: bool) -> Averages | None:
     """None where it is not known how limbs fit."""
-    if tracks.limb_beside is None or tracks.limb_distance is None or tracks.limb_bare is None:
+    beside, distance, bare, own = tracks.limb_beside, tracks.limb_distance, tracks.limb_bare, tracks.limb_own
+    if beside is None or distance is None or bare is None or own is None:
         return None
-    nothing = np.zeros(tracks.limb_beside.shape, np.float32)
+    nothing = np.zeros(beside.shape, np.float32)
     known = lambda found: nothing if found is None else np.nan_to_num(found)  # noqa: E731
     beyond, apart = nothing.copy(), known(tracks.passes_apart)
     if tracks.beyond_limits is not None:
         beyond[:, np.array(tracks.body.topology.children, int)] = np.nan_to_num(tracks.beyond_limits)
     return Averages(
-        averaged(tracks.limb_beside, ahead),
-        averaged(tracks.limb_distance, ahead),
-        averaged(tracks.limb_bare, ahead),
+        averaged(beside, ahead),
+        averaged(distance, ahead),
+        averaged(bare, ahead),
         averaged(known(tracks.depth_inside), ahead),
         averaged(beyond, ahead),
         maximum_filter1d(apart, AROUND, 0) if len(apart) else apart,
+        averaged(tracks.limb_weight * np.nan_to_num(own), ahead),
     )
 
 
@@ -182,6 +190,7 @@ def _misfits(tracks: Tracks, averages: Averages | None) -> Float[np.ndarray, "fr
         np.log1p(np.clip(worst(averages.inside) / DEEP, 0.0, DEEPEST)),
         np.clip(worst(averages.beyond) / BENT, 0.0, MOST_BENT),
         np.log(np.clip(worst(averages.apart) / TOGETHER, 1.0, ASUNDER / TOGETHER)),
+        np.log1p(PLENTY) - np.log1p(np.clip(averages.own[:, limbs], 0.0, PLENTY)),
     )
     return np.stack(found, -1)
 

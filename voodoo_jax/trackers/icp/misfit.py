@@ -1,7 +1,8 @@
 """How badly tracked limbs fit what was seen: points beside them that no limb explains, and limbs where nothing is seen
 though nothing hides them. Host side, NumPy.
 
-Covariances and residuals are of points that are near a limb already, and do not see that it is on something else.
+Covariances and residuals are of points that are near a limb already, and do not see that it is on something else. So
+does an arm that lies on the chest while the true one is hidden: its points are the chest's.
 """
 
 from collections.abc import Sequence
@@ -9,15 +10,19 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from voodoo_jax.geometry.rotations import rotations
+from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.limb_distance import signed_distance
 
 POINTS = 250  # of a frame, evenly taken; by hand
 FEWEST = 20  # points of a frame, as trackers.icp.runner has it: fewer tell nothing; by hand
 OFF, AROUND = 0.05, 0.25  # metres from a limb's surface: a point is not explained, and is another limb's; by hand
+# metres from all limbs that are not joined to a limb: its points there are its own. Of 3, 5 and 7 cm the last tells
+# right from wrong best in kinds of logs left out, see experiments/trust
+OWN = 0.07
 NOISE, USUAL = 2.5, 0.8  # by hand: times a sensor's noise: not explained, too; and the mean distance that it makes
 ALONG = 4  # places along a limb's axis that are looked at; by hand
 WIDER = 0.025  # metres that a line of sight may pass a limb's surface by, half the distance of so few points; by hand
@@ -34,31 +39,41 @@ class Misfit(NamedTuple):
     distance: Float32[np.ndarray, "frame limb"]
     seen: Float32[np.ndarray, "frame limb"]  # of its length, on which there are points
     bare: Float32[np.ndarray, "frame limb"]  # of its length, on which there are none, and nothing hides it
+    # of the points that it explains, that no other limb would, but for those joined to it; NaN where there are none
+    own: Float32[np.ndarray, "frame limb"]
 
 
 def misfit(
-    sizes: Float[np.ndarray, "limb 5"],
+    body: Body,
     rotation: Float[np.ndarray, "frame limb 4"],
     translation: Float[np.ndarray, "frame limb 3"],
     people: Sequence[BodyObservation],
 ) -> Misfit:
     """How badly limbs fit the points of each frame.
 
-    **Arguments:** `sizes` of the limbs as in Body; poses T_fixed_limb in the frame of the points, unit quaternions
-    wxyz and metres.
+    **Arguments:** poses T_fixed_limb of its limbs in the frame of the points, unit quaternions wxyz and metres.
     """
     # the points' own precision: a micrometre, and half of the time
-    sizes, translation = np.asarray(sizes, np.float32), np.asarray(translation, np.float32)
+    sizes, translation = np.asarray(body.sizes, np.float32), np.asarray(translation, np.float32)
+    joined = _joined(body.topology)
     frames, limbs = translation.shape[:2]
-    out = np.full((4, frames, limbs), np.nan, np.float32)
+    out = np.full((5, frames, limbs), np.nan, np.float32)
     there = np.all(np.isfinite(translation[:, 0]), axis=1)
     use = np.array([k for k, f in enumerate(people) if there[k] and len(f.points) >= FEWEST], int)
     for at in range(0, len(use), BATCH):
         some = use[at : at + BATCH]
         clouds = [people[k] for k in some]
-        out[:2, some] = _beside(sizes, rotation[some], translation[some], clouds)
-        out[2:, some] = _covered(sizes, rotation[some], translation[some], clouds)
+        out[0, some], out[1, some], out[4, some] = _beside(sizes, joined, rotation[some], translation[some], clouds)
+        out[2:4, some] = _covered(sizes, rotation[some], translation[some], clouds)
     return Misfit(*out)
+
+
+def _joined(topology: Topology) -> Bool[np.ndarray, "limb limb"]:
+    """Which limbs share a joint; each with itself, too."""
+    near = np.eye(len(topology.limbs), dtype=bool)
+    parents, children = np.array(topology.parents, int), np.array(topology.children, int)
+    near[parents, children] = near[children, parents] = True
+    return near
 
 
 def _few(cloud: BodyObservation) -> slice:
@@ -66,41 +81,49 @@ def _few(cloud: BodyObservation) -> slice:
 
 
 def _beside(
-    sizes: np.ndarray, rotation: np.ndarray, translation: np.ndarray, clouds: list[BodyObservation]
-) -> Float[np.ndarray, "2 frame limb"]:
-    """Share of the points nearest to each limb that are not explained, and their mean distance, metres."""
+    sizes: np.ndarray,
+    joined: np.ndarray,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    clouds: list[BodyObservation],
+) -> Float[np.ndarray, "3 frame limb"]:
+    """Of the points nearest to each limb, the share that is not explained, and their mean distance, metres; and of
+    those that are explained, the share that no other limb would explain."""
     turn = rotations(rotation).inv().as_matrix().astype(np.float32).reshape(*translation.shape, 3)
     some = [f.points[_few(f)] for f in clouds]
     frame = np.repeat(np.arange(len(clouds)), [len(points) for points in some])
-    nearest, limb = map(np.concatenate, zip(*map(partial(_nearest, sizes), turn, translation, some)))
+    nearest, limb, other = map(np.concatenate, zip(*map(partial(_nearest, sizes, joined), turn, translation, some)))
     key = frame * len(sizes) + limb
     shape = (len(clouds), len(sizes))
-    near = nearest < AROUND
     noise = np.array([f.noise for f in clouds])
     off = np.maximum(OFF, NOISE * noise)[frame]
 
-    def mean(values: np.ndarray) -> np.ndarray:
+    def mean(values: np.ndarray, near: np.ndarray, nothing: float = 0.0) -> np.ndarray:
         count = np.bincount(key[near], minlength=shape[0] * shape[1])
         total = np.bincount(key[near], values[near], shape[0] * shape[1])
-        return (total / np.maximum(count, 1)).reshape(shape)
+        return np.where(count > 0, total / np.maximum(count, 1), nothing).reshape(shape)
 
-    distance = mean(nearest) ** 2 - (USUAL * noise[:, None]) ** 2
-    return np.stack([mean(nearest > off), np.sqrt(np.maximum(distance, 0))])
+    around = nearest < AROUND
+    distance = mean(nearest, around) ** 2 - (USUAL * noise[:, None]) ** 2
+    own = mean(other > OWN, nearest < off, np.nan)
+    return np.stack([mean(nearest > off, around), np.sqrt(np.maximum(distance, 0)), own])
 
 
 def _nearest(
     size: Float32[np.ndarray, "limb 5"],
+    joined: Bool[np.ndarray, "limb limb"],
     turn: Float32[np.ndarray, "limb 3 3"],
     place: Float32[np.ndarray, "limb 3"],
     points: Float32[np.ndarray, "point 3"],
-) -> tuple[Float32[np.ndarray, " point"], Int[np.ndarray, " point"]]:
-    """How far each point is from the surface of the nearest limb, metres, and which limb it is; `turn` into the limbs'
-    frames, `place` of these."""
+) -> tuple[Float32[np.ndarray, " point"], Int[np.ndarray, " point"], Float32[np.ndarray, " point"]]:
+    """How far each point is from the surface of the nearest limb, metres, which limb it is, and how far it is from
+    those that are not `joined` to that one; `turn` into the limbs' frames, `place` of these."""
     local = turn @ points.T - np.sum(turn * place[:, None], -1, keepdims=True)  # [limb, 3, point]: fastest so
     off = np.abs(signed_distance(size[:, None], np.moveaxis(local, 1, -1)))
     off[np.isnan(off)] = np.inf  # a limb without a place
     limb = np.argmin(off, 0)
-    return off[limb, np.arange(len(points))], limb
+    others = np.min(off, 0, where=~joined[:, limb], initial=np.inf)
+    return off[limb, np.arange(len(points))], limb, others
 
 
 def _covered(

@@ -11,6 +11,7 @@ from voodoo_jax.trackers.icp.refine.drop_carried import DropCarried
 from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained
 from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
+from voodoo_jax.trackers.icp.refine.hang_arms import HangArms
 from voodoo_jax.trackers.icp.refine.hang_legs import HangLegs
 from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
 from voodoo_jax.trackers.icp.refine.place_joints import PlaceJoints
@@ -28,7 +29,7 @@ REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs()
 # of the recording
 FINISH: tuple[RecordingStage, ...] = (DropCarried(among=REFINE), DropUnexplained(among=REFINE), FitForearms())
 # of the tracks, once their poses stand
-PLACE = (PlaceJoints(), HangLegs())
+PLACE = (PlaceJoints(), HangLegs(), HangArms())
 
 
 def stages() -> tuple[Named, ...]:

@@ -260,7 +260,8 @@ def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> T
         limb_weight=segment.limb_weight, passes_apart=segment.passes_apart, beyond_limits=derived.beyond_limits,
         depth_inside=derived.depth_inside, limb_covariance=derived.limb_covariance,
         joint_covariance=derived.joint_covariance, up=_up(run), limb_beside=fit and fit.beside,
-        limb_distance=fit and fit.distance, limb_bare=fit and fit.bare, facing_odds=segment.facing_odds,
+        limb_distance=fit and fit.distance, limb_bare=fit and fit.bare, limb_own=fit and fit.own,
+        facing_odds=segment.facing_odds,
     )  # fmt: skip
 
 
@@ -269,7 +270,7 @@ def _misfit(run: Runner, segment: Segment) -> Misfit | None:
     if run.by_markers or not len(segment):
         return None
     found = [
-        misfit(np.asarray(body.sizes), segment.rotation[first:end], segment.translation[first:end], people)
+        misfit(body, segment.rotation[first:end], segment.translation[first:end], people)
         for first, end, body in spans(run.bodies, len(segment))
         if (people := run.people[first:end])
     ]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import TrackSettings
@@ -55,18 +55,23 @@ def with_hung_legs(tracks: Tracks, settings: TrackSettings) -> Tracks:
         shank = shank * (shown[:, leg[2]] < HIDDEN)  # a foot that is seen tells of the shank
         poses = _hung(tracks.body, poses, leg, (thigh * (shank > 0), shank), tracks.up)
         moved |= shank > 0
-    return _with_poses(tracks, poses, np.flatnonzero(moved)) if moved.any() else tracks
+    legs = [t.limbs.index(f"{side}_{name}") for side in "lr" for name in LEG]
+    return with_limbs(tracks, poses, np.flatnonzero(moved), legs) if moved.any() else tracks
 
 
 def long_hidden(shown: Float[np.ndarray, " frame"], time_ns: np.ndarray, rest: float) -> Float[np.ndarray, " frame"]:
     """0 in frames in which a limb is seen, and nearer to 1 the farther such frames are, in units of `rest` seconds."""
-    time, seen = time_ns / 1e9, shown >= HIDDEN
+    return 1 - np.exp(-seconds_from(shown >= HIDDEN, time_ns) / rest)
+
+
+def seconds_from(seen: Bool[np.ndarray, " frame"], time_ns: np.ndarray) -> Float[np.ndarray, " frame"]:
+    """How far the nearest frame is in which something is `seen`, before or after; infinite where there is none."""
+    time = time_ns / 1e9
     if not seen.any():
-        return np.ones(len(shown))
+        return np.full(len(seen), np.inf)
     after = np.clip(np.searchsorted(time[seen], time), 0, seen.sum() - 1)
     before = np.maximum(after - 1, 0)
-    near = np.minimum(np.abs(time[seen][after] - time), np.abs(time[seen][before] - time))
-    return np.where(seen, 0.0, 1 - np.exp(-near / rest))
+    return np.minimum(np.abs(time[seen][after] - time), np.abs(time[seen][before] - time))
 
 
 def _hung(
@@ -99,7 +104,7 @@ def _hung(
         axis = np.cross(along, aim)
         angle = np.arctan2(np.linalg.norm(axis, axis=1), np.sum(along * aim, 1)) * much[at] * stands
         turn = Rotation.from_rotvec(np.nan_to_num(_unit(axis) * angle[:, None]))
-        poses = _turned(poses, leg[at:], top, turn)
+        poses = turned(poses, leg[at:], top, turn)
     return poses
 
 
@@ -107,7 +112,7 @@ def _unit(v: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3"]:
     return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-9)
 
 
-def _turned(poses: Poses, limbs: list[int], top: Float[np.ndarray, "frame 3"], turn: Rotation) -> Poses:
+def turned(poses: Poses, limbs: list[int], top: Float[np.ndarray, "frame 3"], turn: Rotation) -> Poses:
     """Poses with some limbs turned about a point of each frame."""
     rotation, translation = poses.rotation.copy(), poses.translation.copy()
     for limb in limbs:
@@ -118,11 +123,11 @@ def _turned(poses: Poses, limbs: list[int], top: Float[np.ndarray, "frame 3"], t
     return Poses(rotation, translation)
 
 
-def _with_poses(tracks: Tracks, poses: Poses, moved: Int[np.ndarray, " some"]) -> Tracks:
-    """Tracks with other poses of the legs in some frames; joints go with their limbs."""
+def with_limbs(tracks: Tracks, poses: Poses, moved: Int[np.ndarray, " some"], limbs: list[int]) -> Tracks:
+    """Tracks with other poses of some limbs in some frames; joints go with their limbs."""
     t, joints = tracks.body.topology, tracks.joints.copy()
     rotation, translation = tracks.rotation.copy(), tracks.translation.copy()
-    for limb in (t.limbs.index(f"{side}_{name}") for side in "lr" for name in LEG):
+    for limb in limbs:
         before = Poses(tracks.rotation[moved, limb], tracks.translation[moved, limb])
         after = Poses(poses.rotation[moved, limb], poses.translation[moved, limb])
         rotation[moved, limb], translation[moved, limb] = after.rotation, after.translation

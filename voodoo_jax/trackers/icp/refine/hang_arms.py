@@ -1,0 +1,108 @@
+"""Arms that somebody else, a thing or the trunk hides, and that were taken to lie on the trunk: as people's arms hang.
+
+Nothing calls such an arm back: the trunk's points hold it, and it explains them. It has no points of its own, though
+(`limb_own`), for long. Where nothing would be seen of it if it hung, it hangs.
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from voodoo_jax.detect.camera_motion import as_measured
+from voodoo_jax.geometry.rigid import Poses, apply
+from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.trackers.icp.confidence import averaged
+from voodoo_jax.trackers.icp.misfit import misfit
+from voodoo_jax.trackers.icp.refine.hang_legs import seconds_from, turned, with_limbs
+from voodoo_jax.trackers.icp.runner import Runner
+
+ARM = ("upper_arm", "forearm", "hand")
+# shares by hand: of a forearm's and hand's weight, that of points that no other limb explains; of the body's weight,
+# the same; of the hung arm's length, that would be seen. More than the first two: the arm is seen
+OWN, SOME, BARE = 0.2, 0.003, 0.1
+# seconds from frames in which an arm is seen: less, it stays; more, it hangs. By hand: some arms that are right lie on
+# the trunk and are 1 s from such frames, none is 2 s
+STAYS, HANGS = 1.5, 2.0
+
+
+@dataclass(frozen=True)
+class HangArms:
+    """Hidden arms that lie on the trunk as they mostly are; joints and poses go with them."""
+
+    name: ClassVar = "hang_arms"
+    looks_ahead: ClassVar = True  # how long an arm has nothing of its own
+    needs: ClassVar = frozenset({"points", "one body", "l_elbow", "r_elbow"})
+
+    def __call__(self, run: Runner, tracks: Tracks) -> Tracks:
+        return with_hung_arms(tracks, run.people)
+
+
+def with_hung_arms(tracks: Tracks, people: list[BodyObservation]) -> Tracks:
+    """Tracks with hanging arms where they were on the trunk for long and, if they hung, nothing would be seen of them.
+
+    **Arguments:** `people` points of the person in each frame, and what is before them.
+    """
+    t = tracks.body.topology
+    there = {"chest", *(f"{side}_{name}" for side in "lr" for name in ARM)} <= {*t.limbs}
+    if tracks.limb_own is None or not there:
+        return tracks
+    known = np.isfinite(np.concatenate([tracks.rotation, tracks.translation], 2)).all((1, 2))
+    for side in "lr":
+        arm = [t.limbs.index(f"{side}_{name}") for name in ARM]
+        much = np.clip((seconds_from(_seen(tracks, arm), tracks.time_ns) - STAYS) / (HANGS - STAYS), 0, 1) * known
+        if not much.any():
+            continue
+        some = np.flatnonzero(much)
+        hung = _hung(tracks, arm, some, np.ones(len(some)))
+        hides = _hidden(tracks, hung, arm, some, people)
+        some = some[hides]
+        if len(some):
+            tracks = with_limbs(tracks, _hung(tracks, arm, some, much[some]), some, arm)
+            weight = tracks.limb_weight.copy()
+            weight[some[:, None], arm] = 0.0  # their points were the trunk's
+            tracks = replace(tracks, limb_weight=weight)
+    return tracks
+
+
+def _seen(tracks: Tracks, arm: list[int]) -> Bool[np.ndarray, " frame"]:
+    """In which frames forearm or hand have points that no other limb explains, over a second."""
+    assert tracks.limb_own is not None
+    weight, own = tracks.limb_weight, tracks.limb_weight * np.nan_to_num(tracks.limb_own)
+    whole = averaged(weight.sum(1, keepdims=True), True)[:, 0]
+    of_arm, of_own = (averaged(each[:, arm[1:]].sum(1, keepdims=True), True)[:, 0] for each in (weight, own))
+    return (of_own > OWN * of_arm) & (of_arm > SOME * whole)
+
+
+def _hung(tracks: Tracks, arm: list[int], some: np.ndarray, much: Float[np.ndarray, " some"]) -> Poses:
+    """Poses [frame] of which some frames have the arm against the chest as in the rest pose, by so `much` of the way;
+    its shoulder stays where it is."""
+    body, t = tracks.body, tracks.body.topology
+    poses = Poses(tracks.rotation[some].astype(float), tracks.translation[some].astype(float))
+    ends, rest = np.asarray(body.child_anchor.translation), np.asarray(body.rest.rotation, float)
+    turn_of = lambda quaternion: Rotation.from_quat(quaternion, scalar_first=True)  # noqa: E731
+    for at, limb in enumerate(arm):
+        joint = [*t.children].index(limb)
+        parent = t.parents[joint]
+        want = turn_of(poses.rotation[:, parent]) * turn_of(rest[parent]).inv() * turn_of(rest[limb])
+        way = (want * turn_of(poses.rotation[:, limb]).inv()).as_rotvec()
+        top = np.asarray(apply(poses[:, limb], ends[joint]))
+        poses = turned(poses, arm[at:], top, Rotation.from_rotvec(way * much[:, None]))
+    rotation, translation = tracks.rotation.astype(float), tracks.translation.astype(float)
+    rotation[some], translation[some] = poses.rotation, poses.translation
+    return Poses(rotation, translation)
+
+
+def _hidden(
+    tracks: Tracks, hung: Poses, arm: list[int], some: np.ndarray, people: list[BodyObservation]
+) -> Bool[np.ndarray, " some"]:
+    """In which of some frames hardly anything would be seen of a hung arm, over a second."""
+    frames = [as_measured(people[k]) for k in some]
+    bare = np.full((len(people), 1), np.nan)
+    rotation, translation = np.asarray(hung.rotation)[some], np.asarray(hung.translation)[some]
+    found = misfit(tracks.body, rotation, translation, frames)
+    bare[some] = found.bare[:, arm].mean(1, keepdims=True)
+    return averaged(bare, True)[some, 0] < BARE
