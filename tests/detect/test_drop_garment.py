@@ -11,7 +11,9 @@ from voodoo_jax.detect.drop_garment import DropGarment
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 
-TARGET: Any = SimpleNamespace(finder=SimpleNamespace(scene=Scene(FLOOR, (), True)), settings=None, stillness=None)
+TARGET: Any = SimpleNamespace(
+    finder=SimpleNamespace(scene=Scene(FLOOR, (), True), lies=False), settings=None, stillness=None
+)
 NUMBER = 20
 
 

@@ -17,7 +17,9 @@ STAGE = DropMotionless()
 
 def dropped(frames) -> tuple[bool, tuple[str, ...]]:
     """Whether nothing is left, and what is said."""
-    target = SimpleNamespace(finder=SimpleNamespace(scene=Scene(FLOOR, (), True)), settings=None, stillness=Stillness())
+    target = SimpleNamespace(
+        finder=SimpleNamespace(scene=Scene(FLOOR, (), True), lies=False), settings=None, stillness=Stillness()
+    )
     left = list(STAGE(iter(frames), target))
     assert len(left) == len(frames) and [f.time_ns for f in left] == [f.time_ns for f in frames]
     return not any(len(f.points) for f in left), target.finder.scene.notes

@@ -18,7 +18,9 @@ PERSON = block(0.45, 0.76, 1.75)
 def left(frames, *beside: np.ndarray) -> np.ndarray:
     """[frame] How many points are left; `beside` those that were seen beside the body."""
     finder = SimpleNamespace(
-        scene=Scene(FLOOR, (), True), beside=lambda: np.concatenate([np.zeros((0, 3)), *beside]).astype(np.float32)
+        lies=False,
+        scene=Scene(FLOOR, (), True),
+        beside=lambda: np.concatenate([np.zeros((0, 3)), *beside]).astype(np.float32),
     )
     target: Any = SimpleNamespace(finder=finder, settings=None, stillness=Stillness())
     return np.array([len(f.points) for f in DropWideStill()(iter(frames), target)])

@@ -38,7 +38,7 @@ def test_a_wrong_name_is_answered_with_the_nearest(tmp_path, capsys):
         SettingsError, match="track.skip: there is no stage 'choose_facin'; did you mean 'choose_facing'?"
     ):
         check_stages(skipping("track", "choose_facin"))
-    with pytest.raises(SettingsError, match="there are looks_ahead, cut_off_size, later_start"):
+    with pytest.raises(SettingsError, match="there are looks_ahead, cut_off_size, lying_down, later_start"):
         check_stages(skipping("track", "xyzxyz"))
     with pytest.raises(SettingsError, match="did you mean 'restart_limbs'"):
         vj.replay_logs(["missing.mcap"], tmp_path / "out", settings=skipping("track", "restart_limb"))

@@ -11,6 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32
 
+from voodoo_jax.detect.lying import mostly_lie
 from voodoo_jax.detect.stage import Target, by_windows
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_spacing
@@ -58,7 +59,11 @@ class DropGarment:
     link: float = 3.0  # times the distance of neighbouring points: points so near in a slice are of one piece
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        return by_windows(frames, lambda window: self.without(window, target.finder.scene.floor))
+        def change(window: list[BodyObservation]) -> list[BodyObservation]:
+            floor = target.finder.scene.floor
+            return window if target.finder.lies and mostly_lie(window, floor) else self.without(window, floor)
+
+        return by_windows(frames, change)
 
     def without(self, frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
         """The frames without such a piece; the same frames if there is none."""

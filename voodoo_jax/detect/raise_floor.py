@@ -9,9 +9,12 @@ from jaxtyping import Float32
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.scene import filled
 from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stage import Surroundings
+from voodoo_jax.geometry.plane import Plane, fit_plane
 from voodoo_jax.geometry.voxels import cells_of, unique_cells, within
+from voodoo_jax.records.observation import BodyObservation, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -25,6 +28,9 @@ FEET = 0.2  # metres above it
 AROUND = 0.2, 0.5  # metres from the feet: there its top is seen ...
 FEW = 0.02  # of as many points as in the direction with most
 SECTORS, SEEN = 8, 6  # ... in so many of so many directions, at least
+BED, BEDS = 0.85, 3  # metres above the floor: of what somebody may lie on, hospital beds among it; how many; by hand
+# of the back of a sofa: metres above its seat at most and at least, and its length; cosine of its slope; by hand
+BACK, HIGH, LENGTH, UPRIGHT = 0.7, 0.28, 1.4, 0.17
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,7 @@ class RaiseFloor:
 def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: DetectSettings) -> Scene:
     """The scene, its floor as high as what somebody stands on, if somebody does in all frames that show a body."""
     frames = [frame for frame in frames if len(frame.points)]
-    for top in _tops(frames[0], scene) if frames else ():
+    for top in level_tops(frames[0], scene) if frames else ():
         floor = replace(scene.floor, offset=scene.floor.offset + top)
         raised = replace(scene, floor=floor, floor_seen=True, floor_open=False)
         finder = BodySegmenter(raised, body, settings)
@@ -52,11 +58,42 @@ def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: D
     return scene
 
 
-def _tops(frame: Frame, scene: Scene) -> list[float]:
-    """Heights of level things, the largest first."""
+def with_beds(frame: Frame, scene: Scene) -> list[Scene]:
+    """The scene with each of some level tops as its floor, the largest first, and with what stands behind
+    somebody there as a wall, as the back of a sofa does; and the scene itself."""
+    found = []
+    for top in level_tops(frame, scene, BED)[:BEDS]:
+        floor = replace(scene.floor, offset=scene.floor.offset + top)
+        raised = replace(scene, floor=floor, floor_seen=True, floor_open=False)
+        backs = _backs(whole(frame), raised)
+        # who lies on their side may seem to be one
+        found += [replace(raised, walls=(*scene.walls, *backs)), *([raised] if backs else [])]
+    return [*found, scene]
+
+
+def _backs(frame: BodyObservation, raised: Scene) -> list[Plane]:
+    """An upright face right above a level top that is longer than a body is wide and higher than one that lies."""
+    height = raised.floor.height(frame.points)
+    some = (height > LOWEST) & (height < BACK)
+    for wall in raised.walls:
+        some &= np.abs(wall.height(frame.points)) > 2 * LOWEST
+    points = frame.points[some]
+    fit = fit_plane(points, lambda n: np.abs(n @ raised.floor.normal) < UPRIGHT, np.random.default_rng(0), EVEN)
+    if fit is None:
+        return []
+    plane, inside = fit
+    along = points[inside] @ np.cross(raised.floor.normal, plane.normal)
+    if filled(along, raised.floor.height(points[inside])) < LENGTH or np.percentile(height[some][inside], 90) < HIGH:
+        return []
+    side = 1 if plane.height(frame.origins[:1])[0] > 0 else -1
+    return [Plane(side * plane.normal, side * plane.offset)]
+
+
+def level_tops(frame: Frame, scene: Scene, highest: float = HIGHEST) -> list[float]:
+    """Heights of level things above the floor, up to the `highest`, metres; the largest first."""
     found, height = [], scene.floor.height(frame.points)
     count = np.bincount(np.clip(height / BIN, 0, 60).astype(int), minlength=61)
-    for k in range(int(LOWEST / BIN), int(HIGHEST / BIN)):
+    for k in range(int(LOWEST / BIN), int(highest / BIN)):
         if count[k] == 0 or count[k] < count[k - 2 : k + 3].max():
             continue
         top = float(np.median(height[np.abs(height - (k + 0.5) * BIN) < EVEN]))

@@ -74,7 +74,7 @@ def _find_walls(frame: BodyObservation, floor: Plane, known: list[Plane], rng) -
         wide = np.ptp(np.percentile(place, [2, 98]))
         side = 1 if plane.height(frame.origins[:1])[0] > 0 else -1
         behind = (plane.height(points) * side < -0.15).mean()
-        if wide >= WIDE and _filled(place, floor.height(rest[inside])) >= FILLED and behind <= 0.03:
+        if wide >= WIDE and filled(place, floor.height(rest[inside])) >= FILLED and behind <= 0.03:
             plane = Plane(side * plane.normal, side * plane.offset)
             beyond = -plane.height(points)  # where nothing but noise is
             beyond = beyond[(beyond > 0) & (beyond < BEHIND)]
@@ -84,7 +84,7 @@ def _find_walls(frame: BodyObservation, floor: Plane, known: list[Plane], rng) -
     return found
 
 
-def _filled(place: Float32[np.ndarray, " point"], height: Float32[np.ndarray, " point"]) -> float:
+def filled(place: Float32[np.ndarray, " point"], height: Float32[np.ndarray, " point"]) -> float:
     """Metres of a plane, along the floor, that are about as high as it is: less where a person and a box beside them
     happen to be in one plane."""
     column, index, count = np.unique(np.floor(place / COLUMN), return_inverse=True, return_counts=True)

@@ -15,6 +15,7 @@ from voodoo_jax.detect.body_likelihood import FEWEST, LEAST, Build, candidate
 from voodoo_jax.detect.cut_in_two import joined_labels
 from voodoo_jax.detect.heads import has_shoulders, may_be_several, parted
 from voodoo_jax.detect.in_the_way import in_the_way
+from voodoo_jax.detect.lying import who_lies
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import (
@@ -68,7 +69,8 @@ class BodySegmenter:
     """
 
     def __init__(self, scene: Scene, body: Build, settings: DetectSettings):
-        self.scene, self.settings, self.body, self._given = scene, settings, body, scene
+        self.settings, self.body, self._given = settings, body, scene
+        self._take(scene)
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = self.last_ns = 0
@@ -78,17 +80,22 @@ class BodySegmenter:
         self._steps = 0  # then: by so many the share of them is less that is looked at
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
+        self.lies = False  # whether what is low and long may be it, see `lying`
         # where things are among which a body is looked for, and where earlier looks have found none: where hardly
         # anything else is seen there is still none
         self.asked = self.passed = np.zeros((0, 3), np.int32)
-        across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
-        self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
         self._spacing: dict[int, float] = {}  # of each sensor: angle between neighbouring points, radians,
         self._gap: dict[int, float] = {}  # and across which there is another one in any direction
         self._background = Counted(CELL)
         self._learns = False  # in this frame, from what is beside the body: in every other one
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
         self._beside: list[np.ndarray] = []  # some points of what was first seen beside the body
+
+    def _take(self, scene: Scene) -> None:
+        """Goes by this floor and these walls from now on."""
+        across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
+        self.scene = scene
+        self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
 
     def __call__(
         self,
@@ -137,6 +144,8 @@ class BodySegmenter:
             self.unseen += 1
             if self.unseen > s.forget:
                 self.last, self._steps = None, 0  # gone: look everywhere again
+                if self.lies:
+                    self._take(self._given)
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
@@ -214,6 +223,13 @@ class BodySegmenter:
         """One that follows nothing yet, for the same sensors."""
         other = BodySegmenter(self._given, self.body, settings)
         other._spacing, other._gap = dict(self._spacing), dict(self._gap)
+        return other
+
+    def lying(self, settings: DetectSettings, scene: Scene) -> "BodySegmenter":
+        """One that looks for who lies on the floor of a scene, or on what stands for it there."""
+        other = self.another(settings)
+        other.lies = True
+        other._take(scene)
         return other
 
     def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "axis point"]:
@@ -383,6 +399,11 @@ class BodySegmenter:
         def likeliest(some, least: float) -> tuple[int, float, float]:
             return candidate(points[some], label[some], area[some], distance[some], places[:, some], self.body, least)
 
+        if self.lies:
+            best = who_lies(points, label, area, self.scene.floor, self.body.height)
+            self.likely = float(best >= 0)
+            if best >= 0 or self.scene is not self._given:
+                return best
         best, top, self.likely = likeliest(slice(None), least)
         if best < 0 and self.scene.floor_open:
             upper = [k for k in range(label.max() + 1) if self._is_upper_body(places[:, label == k])]

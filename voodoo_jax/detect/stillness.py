@@ -19,6 +19,7 @@ from voodoo_jax.records.observation import BodyObservation, assigned
 BIN = 0.035  # radians, two degrees: of the directions in which distances are averaged; by hand
 NOISE = 0.6  # measured: of von Neumann's ratio: noise alone is below in 1.4 % of the directions of 30 frames
 RARELY, ALIKE = 0.1, 0.8  # of the frames, and of the usual count of points: an edge is there; by hand
+TOGETHER, FEWEST = 0.4, 12  # of von Neumann's ratio of what directions have in common; so many of these; by hand
 TELLING = 30  # points in a frame, as in segmentation; by hand
 
 
@@ -61,15 +62,8 @@ class Stillness:
 def directions(frames: Sequence[BodyObservation]) -> Directions:
     """The directions of all points, and how their distances change."""
     sizes = [len(f.points) for f in frames]
-    # frame by frame: all at once are many times as much as the processor's caches hold
-    numbers, far = map(np.concatenate, zip(*map(_seen, frames)))
-    names, which = numbered(numbers)
-    at = which * len(frames) + np.repeat(np.arange(len(frames)), sizes)
-    shape = (len(names), len(frames))
-    count = np.bincount(at, minlength=shape[0] * shape[1]).reshape(shape)
-    total = np.bincount(at, far, shape[0] * shape[1]).reshape(shape)
+    which, count, mean = _means(frames)
     there = count > 0
-    mean = np.where(there, total / np.maximum(count, 1), 0.0)
     whole = there & _as_usual(count)
     both = whole[:, 1:] & whole[:, :-1]
     step = np.sum(np.where(both, np.diff(mean, axis=1), 0) ** 2, 1) / np.maximum(both.sum(1), 1)
@@ -78,10 +72,47 @@ def directions(frames: Sequence[BodyObservation]) -> Directions:
     spread = np.sum(np.where(whole, mean - middle[:, None], 0) ** 2, 1) / seen
     ratio = np.where(spread > 0, step / np.maximum(2 * spread, 1e-18), 1.0)
     points = (np.concatenate([f.points[:, axis] for f in frames]) for axis in range(3))
-    place = np.stack([np.bincount(which, along, len(names)) for along in points], 1) / count.sum(1)[:, None]
+    place = np.stack([np.bincount(which, along, len(count)) for along in points], 1) / count.sum(1)[:, None]
     telling = np.array([size >= TELLING for size in sizes])
     often = there[:, telling].sum(1) / max(int(telling.sum()), 1)
     return Directions(np.split(which, np.cumsum(sizes)[:-1]), ratio, often, place)
+
+
+def _means(
+    frames: Sequence[BodyObservation],
+) -> tuple[
+    Int[np.ndarray, " point"], Int[np.ndarray, "direction frame"], Float[np.ndarray, "direction frame"]
+]:  # fmt: skip
+    """The direction of each point of all frames, how many are in each direction, and their mean distance, metres."""
+    # frame by frame: all at once are many times as much as the processor's caches hold
+    numbers, far = map(np.concatenate, zip(*map(_seen, frames)))
+    names, which = numbered(numbers)
+    at = which * len(frames) + np.repeat(np.arange(len(frames)), [len(f.points) for f in frames])
+    shape = (len(names), len(frames))
+    count = np.bincount(at, minlength=shape[0] * shape[1]).reshape(shape)
+    total = np.bincount(at, far, shape[0] * shape[1]).reshape(shape)
+    return which, count, np.where(count > 0, total / np.maximum(count, 1), 0.0)
+
+
+def breathes(frames: Sequence[BodyObservation], often: float) -> bool:
+    """Whether what is seen moves together, by less than can be told of single directions: as chest and belly of who
+    lies still.
+
+    What most of the directions that are seen in the share `often` of the frames have in common is the first principal
+    component of their distances, each in units of its own noise. Of noise it has no memory either.
+    """
+    _, count, mean = _means([f for f in frames if len(f.points) >= TELLING])
+    whole = (count > 0) & _as_usual(count)
+    used = whole.mean(1) >= often
+    if used.sum() < FEWEST:
+        return False
+    whole, mean = whole[used], mean[used]
+    middle = np.sum(mean * whole, 1, keepdims=True) / np.sum(whole, 1, keepdims=True)
+    off = np.where(whole, mean - middle, 0.0)
+    noise = np.sqrt(np.mean(np.diff(off, axis=1) ** 2, 1, keepdims=True) / 2)
+    common = np.linalg.svd(off / np.maximum(noise, 1e-6), full_matrices=False)[2][0]
+    common -= common.mean()
+    return bool(np.sum(np.diff(common) ** 2) < 2 * TOGETHER * np.sum(common**2))
 
 
 def _as_usual(count: Int[np.ndarray, "direction frame"]) -> Bool[np.ndarray, "direction frame"]:

@@ -14,8 +14,11 @@ from jaxtyping import Bool, Float32, Int
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.drop_motionless import DropMotionless
+from voodoo_jax.detect.lying import extent
+from voodoo_jax.detect.raise_floor import with_beds
 from voodoo_jax.detect.segmentation import BodySegmenter, near_taken
-from voodoo_jax.detect.stillness import Stillness
+from voodoo_jax.detect.stillness import Stillness, breathes, seen_long
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import fair_share
 from voodoo_jax.geometry.voxels import Cells, cells_of, touching
@@ -28,6 +31,7 @@ MOVED = 0.03  # of a thing's points that are where it was not, and of its places
 SHAKEN = 0.4  # the same where sensors shake: they may turn as floor and walls do not tell
 EVERY = 2  # frames: so often it is asked
 AWAY, EMPTY = 0.4, 0.2  # metres from where it was, its middle, and so much of that empty: it has moved in any case
+SLID = 0.7  # metres from where it was, its middle, though low and long, as dogs and carts go; by hand
 LEFT = 3.0  # times as much of it may be in new places as is no longer in old ones: arms hang before the trunk
 FLICKER = 2.0  # times as much must have moved since the first frame than since the last one: noise comes and goes
 ENOUGH = 15  # frames in which it is elsewhere: a thing that moves by itself
@@ -42,6 +46,7 @@ LOW = 0.5  # of its height: so low the body may be after all if it moves, where 
 WENT = 0.05  # metres from where it was: a sensor that sees other sides of things
 MANY = 20_000  # points of a frame by which it is asked what hides what
 NONE = np.zeros(0, int)
+ASKS = DropMotionless()  # whether something moves
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,7 @@ class Follower:
         self.moved = self.there = 0  # frames since it was found: in which it was elsewhere, and all
         self.earlier = 0  # of the thing that was followed before: frames in which it was elsewhere
         self.went = 0  # of these: its middle was far from where it was
+        self.slid = 0  # likewise, low and long: no one lies so
         self.stirred = 0  # frames in which it was where nothing was before, if it left no place for that
         self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
@@ -144,6 +150,8 @@ class Follower:
         new = now.newly_in(first) if self.alone else 0.0
         if new > (SHAKEN if shaken else MOVED) and new > FLICKER * now.newly_in(last):
             self.stirred += EVERY
+        if self.finder.lies and np.linalg.norm(now.place - first.place) > SLID:
+            self.slid += EVERY * extent(now.points, self.finder.scene.floor).lies
         if changed > 0 and (away or changed > FLICKER * now.elsewhere(last)):
             self.moved += EVERY
             self.went += EVERY * bool(away)
@@ -239,7 +247,9 @@ class Chooser:
             s = replace(s, min_height=min(s.min_height, LOW))
         finder = self.finder.another(s)
         seen = finder(frame, taken)
-        if len(seen.points) >= 30 and finder.likely >= LIKELY * self.finder.likely:
+        if len(seen.points) < 30 or finder.likely < LIKELY * self.finder.likely:
+            finder, seen = self._lying(frame, taken)
+        if len(seen.points) >= 30:
             other = Follower(finder, self._main.frames[:-1])
             rest = whole(frame)
             if taken:
@@ -248,12 +258,32 @@ class Chooser:
             other.frames.append(seen)
             self._others.append(other)
 
+    def _lying(self, frame: Frame, taken: list[np.ndarray]) -> tuple[BodySegmenter, BodyObservation]:
+        """Who may lie on the floor or on a bed; without points where there is nobody, or one is followed already."""
+        nobody = self.finder, whole(frame).only(NONE)
+        if any(other.finder.lies for other in self._others):
+            return nobody
+        found = ((finder, finder(frame, taken)) for finder in map(self._lies_on, with_beds(frame, self.finder.scene)))
+        return next((one for one in found if len(one[1].points) >= 30), nobody)
+
+    def _lies_on(self, scene: Scene) -> BodySegmenter:
+        return self.finder.lying(self.settings, scene)
+
+    def _asleep(self) -> Follower | None:
+        """Who lies and moves no more than by breathing, while nothing else does; None if nobody does."""
+        main, lying = self._main, [f for f in self._others if f.finder.lies and f.slid < LITTLE]
+        if main.moved or (main.there and not ASKS.is_thing(main.frames, Stillness())):
+            return None
+        asked = (f for f in lying if seen_long(f.frames, ASKS.frames, ASKS.seconds))
+        return next((f for f in asked if breathes(f.frames, ASKS.often)), None)
+
     def _decide(self, assigned: bool = False, full: bool = False) -> None:
         """Takes the likeliest for the body if it has moved, or another thing that has, and the likeliest has not.
 
         `assigned`: somebody has said what is the body; `full`: frames can wait no longer."""
         main, ahead = self._main, self.ahead
-        best = max(self._others, key=lambda other: other.moved, default=None)
+        others = (other for other in self._others if other.slid < LITTLE)
+        best = max(others, key=lambda other: other.moved, default=None)
         if assigned or main.moves and (best is None or FAIR * main.moved >= best.moved):
             self._known = True
         elif best is not None and best.moved > FAIR * main.moved:
@@ -261,6 +291,8 @@ class Chooser:
                 self._main, self._known = best, True
             elif not ahead and best.moved >= PATIENCE // 2 and (main.there >= PATIENCE or not main.there):
                 self._main, self._known = best, True
+        if full and ahead and not self._known and (asleep := self._asleep()) is not None:
+            self._main, self._known = asleep, True
 
     def _release(self) -> Iterator[BodyObservation]:
         """The frames that waited, of what is the body as far as one knows."""

@@ -37,6 +37,11 @@ STANCES = (
         (1.24, 1.28, 1.32),
     ),
 )
+# of who lies, on their side most of all
+CURLED = Stance(
+    (*both("hip", "y", -40.0), *both("knee", "y", 55.0), *both("shoulder", "y", -45.0), *both("elbow", "y", -60.0)),
+    (1.0,),
+)
 
 
 def in_stance(body: Body, stance: Stance) -> Body | None:

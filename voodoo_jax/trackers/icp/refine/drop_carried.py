@@ -15,6 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
 
 from voodoo_jax.detect.disk_buffer import spilled
+from voodoo_jax.detect.lying import mostly_lie
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation, assigned
 from voodoo_jax.trackers.icp.refine.stage import Stage
@@ -68,7 +69,7 @@ class DropCarried:
         seen = [k for k, f in enumerate(people) if len(f.points) >= 3 * FEW_POINTS]
         tops = np.array([floor.top(people[k].points) for k in seen])
         stature = float(np.percentile(tops, 75)) if seen else 0.0
-        if stature <= 0:
+        if stature <= 0 or mostly_lie(people, floor):
             return None
         beside = [self._beside(*self._from_head(people[k], floor, top, stature)) for k, top in zip(seen, tops)]
         shows = np.array([share > self.share and np.linalg.norm(off) > self.aside for share, off in beside], bool)

@@ -63,6 +63,12 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
+    return best_from(run, at, body, places)
+
+
+def best_from(run: Runner, at: int, body: Body, places: list[Poses]) -> StartHypothesis:
+    """The best of trials from some poses in frame `at`."""
+    s, frames = run.settings.start, tried_on(run, at)
     noise = noise_of(frames)
     tried = run.trials(body, frames, places)
     odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # of a size that is known nobody doubts

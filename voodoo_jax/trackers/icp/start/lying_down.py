@@ -1,0 +1,122 @@
+"""What is low and long is compared with starts in which the body lies. Host side."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from voodoo_jax.detect.lying import Extent, extent
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.geometry.rotations import rotations
+from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.pose_library import CURLED, in_stance
+from voodoo_jax.model.rest_shape import rest_box
+from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.trackers.icp.confidence import STATURE, STATURES
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.segment import forwards, pass_of
+from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, TELLS, StartHypothesis, best_from, tried_on
+from voodoo_jax.trackers.icp.start.stage import Search
+from voodoo_jax.trackers.icp.trials import place
+
+WAYS = 4  # face up, to both sides and down; by hand
+SAME = np.pi / 3  # radians between the trunks of two that lie the same way; by hand
+DEEP = 0.8  # of half a trunk's depth: so far behind what is seen of it its middle lies, as for who stands; by hand
+
+
+@dataclass(frozen=True)
+class LyingDown:
+    """The best of starts along the longest level extent of what is seen, head at either end, facing up, to both sides
+    and down. Only of what is low and long. Arms or feet may be what is at its ends, and legs may be hidden, or too near
+    to what they lie on: several sizes, of which unusual ones must explain more. Numbers were chosen by hand."""
+
+    name: ClassVar = "lying_down"
+    looks_ahead: ClassVar = False
+    needs: ClassVar = frozenset({"points"})
+
+    lengths: tuple[float, ...] = (1.05, 0.96, 0.86)  # sizes, of what is seen
+    usual: tuple[float, ...] = (-2.0, -0.7, 0.7, 2.0)  # sizes where those are smaller, in standard deviations
+    larger: float = 1.12  # of what is seen: such sizes are at least so large
+    smallest: float = 0.9  # metres: as for who stands
+    ways: int = 4  # to lie are compared over ...
+    frames: int = 90  # ... so many frames
+
+    def __call__(self, run: Runner, search: Search) -> Search:
+        at, frames = search.best.frame, tried_on(run, search.best.frame)
+        if run.body.scale_name != "stature" or not frames:
+            return search
+        seen = extent(frames[0].points, run.scene.floor)
+        if not seen.lies:
+            return search
+        found: list[tuple[float, StartHypothesis, list[list[Poses]]]] = []
+        for body in self._bodies(run, search, seen):
+            for rest in filter(None, (body, in_stance(body, CURLED))):
+                places = lying_places(rest, frames[-1], run.scene.floor)
+                tried = best_from(run, at, body, [*places[0], *places[1]])
+                found.append((tried.cost * self._unlikely(float(body.scale)), tried, places))
+        cost, best, places = min(found, key=lambda one: one[0])
+        if cost >= search.best.cost:
+            return search
+        if run.settings.looks_ahead("track"):
+            best = self._turned(run, best, places)
+        return search._replace(best=best, found=(best,))
+
+    def _turned(self, run: Runner, best: StartHypothesis, places: list[list[Poses]]) -> StartHypothesis:
+        """The best of the ways to lie over more frames, and with it the next one: a few frames hardly tell head from
+        feet, nor who lies on their side from behind."""
+        each = [best_from(run, best.frame, best.body, list(some)) for some in zip(*places)]
+        apart: list[StartHypothesis] = []
+        for one in sorted((best, *each), key=lambda one: one.cost):
+            if one.cost < FAR_RIVAL * best.cost and all(not _alike(one, other) for other in apart):
+                apart.append(one._replace(rival=None))
+        costs = self._over(run, apart[: self.ways])
+        order = sorted(range(len(costs)), key=costs.__getitem__)
+        first, *others = (apart[k]._replace(cost=best.cost * costs[k] / costs[order[0]]) for k in order)
+        return first._replace(rival=others[0] if others else None)
+
+    def _over(self, run: Runner, starts: list[StartHypothesis]) -> list[float]:
+        """What starts cost over more frames; joints bent the wrong way and limbs in each other cost, too."""
+        body, costs = run.body, []
+        for start in starts:
+            run.body = start.body
+            end = min([start.frame + self.frames, len(run.people), *(frame for frame, _ in run.pending)])
+            way = pass_of(run, forwards(run, start.poses, start.frame, end))
+            costs.append(float(np.mean(way.cost)))
+        run.body = body
+        return costs
+
+    def _bodies(self, run: Runner, search: Search, seen: Extent) -> list[Body]:
+        """In all sizes that are tried."""
+        if run.sized or run.settings.start.scale > 0:
+            return [search.best.body]
+        usual = (STATURE + STATURES * k for k in self.usual)
+        sizes = [max(self.smallest, k * seen.length) for k in self.lengths]
+        return [scaled(run.body, s) for s in (*sizes, *(s for s in usual if s > self.larger * seen.length))]
+
+    def _unlikely(self, size: float) -> float:
+        """What a start's cost is multiplied by for its size."""
+        return float(np.exp(((size - STATURE) / STATURES) ** 2 / (2 * TELLS)))
+
+
+def _alike(one: StartHypothesis, other: StartHypothesis) -> bool:
+    """Whether two lie about the same way: head at the same end, facing the same side."""
+    turns = rotations(np.stack([one.poses.rotation[0], other.poses.rotation[0]]))
+    return bool((turns[0].inv() * turns[1]).magnitude() < SAME)
+
+
+def lying_places(body: Body, frame: BodyObservation, floor: Plane) -> list[list[Poses]]:
+    """Rest poses that lie where the points are, with the feet and with the head at either end: two lists of the same
+    ways to lie, with the head at either end and in WAYS turns about their length."""
+    seen, height = extent(frame.points, floor), float(rest_box(body)[1][2])
+    sight = seen.middle - frame.origins[int(np.bincount(frame.sensor).argmax())]
+    middle = seen.middle + DEEP * float(np.max(np.asarray(body.sizes)[:, 0])) * sight / np.linalg.norm(sight)
+    angle = 2 * np.pi * np.arange(WAYS)[:, None] / WAYS
+    found: list[list[Poses]] = [[], []]
+    for head in (seen.axis, -seen.axis):
+        facing = np.cos(angle) * floor.normal + np.sin(angle) * np.cross(floor.normal, head)
+        for some, foot in zip(found, (-seen.length / 2, seen.length / 2 - height)):
+            at = (middle + foot * head).astype(np.float32)
+            poses = place(body, at, head.astype(np.float32), facing.astype(np.float32))
+            some += [poses[k] for k in range(WAYS)]
+    return found
