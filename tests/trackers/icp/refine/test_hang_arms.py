@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.support.helpers import seen_points
 from tests.support.segments import blank_tracks
@@ -103,3 +104,21 @@ def test_without_what_it_needs_nothing_changes(rng, across, missing):
         limbs = tuple(name.replace("forearm", "wing") for name in T.limbs)
         tracks = replace(tracks, body=replace(BODY, topology=T._replace(limbs=limbs)))
     assert with_hung_arms(tracks, looked_at(rng, seen, hidden=True)) is tracks
+
+
+def test_it_stays_where_it_hangs_already(rng, across):
+    """Turned by 10 degrees out of where it would hang: that may be what was seen of it."""
+    tracks, seen = across
+    turn = Rotation.from_euler("y", 10, degrees=True)
+    top = np.asarray(apply(Poses(REST.rotation, REST.translation)[ARM[0]], BODY.child_anchor.translation[_joint()]))
+    rotation, translation = tracks.rotation.copy(), tracks.translation.copy()
+    for limb in ARM:
+        own = turn * Rotation.from_quat(REST.rotation[limb], scalar_first=True)
+        rotation[:, limb] = own.as_quat(scalar_first=True)
+        translation[:, limb] = top + turn.apply(REST.translation[limb] - top)
+    near = replace(tracks, rotation=rotation, translation=translation)
+    assert with_hung_arms(near, looked_at(rng, seen, hidden=True)) is near
+
+
+def _joint() -> int:
+    return list(T.children).index(ARM[0])

@@ -27,6 +27,7 @@ OWN, SOME, BARE = 0.2, 0.003, 0.1
 # seconds from frames in which an arm is seen: less, it stays; more, it hangs. By hand: some arms that are right lie on
 # the trunk and are 1 s from such frames, none is 2 s
 STAYS, HANGS = 1.5, 2.0
+APART = 0.15  # metres, of the hand: one that is nearer to where it would hang hangs, and is seen or not; by hand
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def with_hung_arms(tracks: Tracks, people: list[BodyObservation]) -> Tracks:
         some = np.flatnonzero(much)
         hung = _hung(tracks, arm, some, np.ones(len(some)))
         hides = _hidden(tracks, hung, arm, some, people)
-        some = some[hides]
+        some = some[hides & _elsewhere(tracks, hung, arm[-1], some)]
         if len(some):
             tracks = with_limbs(tracks, _hung(tracks, arm, some, much[some]), some, arm)
             weight = tracks.limb_weight.copy()
@@ -94,6 +95,14 @@ def _hung(tracks: Tracks, arm: list[int], some: np.ndarray, much: Float[np.ndarr
     rotation, translation = tracks.rotation.astype(float), tracks.translation.astype(float)
     rotation[some], translation[some] = poses.rotation, poses.translation
     return Poses(rotation, translation)
+
+
+def _elsewhere(tracks: Tracks, hung: Poses, hand: int, some: np.ndarray) -> Bool[np.ndarray, " some"]:
+    """In which of some frames a hand is not where it would hang, over a second."""
+    away = np.linalg.norm(np.asarray(hung.translation)[:, hand] - tracks.translation[:, hand], axis=1)
+    far = np.full((len(away), 1), np.nan)
+    far[some, 0] = away[some]
+    return averaged(far, True)[some, 0] > APART
 
 
 def _hidden(
