@@ -59,9 +59,9 @@ def _placeholders(found: Gathered) -> Bool[np.ndarray, " feature"]:
     for k in np.flatnonzero((count > REPEATS) & (alike | (count >= NAMES))).tolist():
         rows = np.flatnonzero(index == k)
         names = {found.names[row] for row in rows.tolist()}
-        # one name that has never been elsewhere is where it is
-        somewhere = len(names) > 1 or total[names.pop()] > len(rows)
-        if (alike[k] and somewhere) or (found.values.shape[1] == 3 and len(names) >= NAMES):
+        # one name that has never been elsewhere is where it is, and so are all if nothing else is seen
+        elsewhere = len(rows) < (len(which) if len(names) > 1 else total[next(iter(names))])
+        if elsewhere and (alike[k] or (found.values.shape[1] == 3 and len(names) >= NAMES)):
             which[rows] = True
     return which
 
