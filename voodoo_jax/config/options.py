@@ -48,7 +48,7 @@ class ReadSettings:
     """Topic = metres per unit of its distances or coordinates (0.001: millimetres); without an entry it is found."""
     mirror: tuple[str, ...] = ()
     """Topic = axis (x, y or z) that is turned round, of named points in left-handed coordinates, such as Unity's; none:
-    they are right-handed."""
+    coordinates are right-handed, and it is names that are on the wrong sides."""
     delays: tuple[str, ...] = ()
     """Topic = seconds by which its stamps are late (negative: early); without an entry clocks are brought together."""
     camera: tuple[str, ...] = ()

@@ -11,8 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32
 
-from voodoo_jax.detect.lying import mostly_lie
-from voodoo_jax.detect.stage import Target, by_windows
+from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.records.observation import BodyObservation, assigned
@@ -60,8 +59,7 @@ class DropGarment:
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            floor = target.finder.scene.floor
-            return window if target.finder.lies and mostly_lie(window, floor) else self.without(window, floor)
+            return window if shows_who_lies(window, target) else self.without(window, target.finder.scene.floor)
 
         return by_windows(frames, change)
 

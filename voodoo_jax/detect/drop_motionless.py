@@ -6,8 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.detect.lying import mostly_lie
-from voodoo_jax.detect.stage import Target, by_windows
+from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
 from voodoo_jax.detect.stillness import Stillness, breathes, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
@@ -35,11 +34,11 @@ class DropMotionless:
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            scene = target.finder.scene
             if not self.is_thing(window, target.stillness):
                 return window
-            if target.finder.lies and mostly_lie(window, scene.floor) and breathes(window, self.often):
+            if shows_who_lies(window, target) and breathes(window, self.often):
                 return window
+            scene = target.finder.scene
             if NOTE not in scene.notes:
                 target.finder.scene = replace(scene, notes=(*scene.notes, NOTE))
             return [frame.only(np.zeros(0, int)) for frame in window]

@@ -49,8 +49,7 @@ def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: D
     """The scene, its floor as high as what somebody stands on, if somebody does in all frames that show a body."""
     frames = [frame for frame in frames if len(frame.points)]
     for top in level_tops(frames[0], scene) if frames else ():
-        floor = replace(scene.floor, offset=scene.floor.offset + top)
-        raised = replace(scene, floor=floor, floor_seen=True, floor_open=False)
+        raised = _raised(scene, top)
         finder = BodySegmenter(raised, body, settings)
         stands = [_stands(frame, raised, finder := finder.another(settings)) for frame in frames]
         if True in stands and False not in stands:
@@ -58,13 +57,18 @@ def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: D
     return scene
 
 
+def _raised(scene: Scene, top: float) -> Scene:
+    """The scene with its floor so many metres higher."""
+    floor = replace(scene.floor, offset=scene.floor.offset + top)
+    return replace(scene, floor=floor, floor_seen=True, floor_open=False)
+
+
 def with_beds(frame: Frame, scene: Scene) -> list[Scene]:
     """The scene with each of some level tops as its floor, the largest first, and with what stands behind
     somebody there as a wall, as the back of a sofa does; and the scene itself."""
     found = []
     for top in level_tops(frame, scene, BED)[:BEDS]:
-        floor = replace(scene.floor, offset=scene.floor.offset + top)
-        raised = replace(scene, floor=floor, floor_seen=True, floor_open=False)
+        raised = _raised(scene, top)
         backs = _backs(whole(frame), raised)
         # who lies on their side may seem to be one
         found += [replace(raised, walls=(*scene.walls, *backs)), *([raised] if backs else [])]

@@ -14,6 +14,7 @@ from jaxtyping import Float32
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.camera_motion import Planes, steady_scene
+from voodoo_jax.detect.lying import mostly_lie
 from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.records.observation import BodyObservation
@@ -81,6 +82,11 @@ class PointStage(Named, Protocol):
     """One correction of the points on the body, frame by frame, as they come."""
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]: ...
+
+
+def shows_who_lies(window: list[BodyObservation], target: Target) -> bool:
+    """Whether the body was found as somebody who lies, and does so in most of these frames."""
+    return target.finder.lies and mostly_lie(window, target.finder.scene.floor)
 
 
 def by_windows(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from voodoo_jax.io.landmark_table import Gathered
+from voodoo_jax.records.stretches import stretches
 
 NAMES = 3  # names that have been in exactly the same place, at least: it is none; by hand
 REPEATS = 3  # of a place, one after the other, that a marker with noise does not have by chance; by hand
@@ -37,10 +38,10 @@ def _without(topic: str, found: Gathered, which: Bool[np.ndarray, " feature"], w
     if not which.any():
         return found
     kept = np.flatnonzero(~which).tolist()
-    names = [found.names[k] for k in np.flatnonzero(which).tolist()]
-    many = sorted(set(names), key=names.count, reverse=True)
-    listed = ", ".join(f"'{name}' ({names.count(name)} times)" for name in many[:3]) + (", ..." if many[3:] else "")
-    notes.append(f"'{topic}': {len(names)} features left out {what}: {listed}.")
+    names = Counter(found.names[k] for k in np.flatnonzero(which).tolist())
+    listed = ", ".join(f"'{name}' ({count} times)" for name, count in names.most_common(3))
+    listed += ", ..." if len(names) > 3 else ""
+    notes.append(f"'{topic}': {names.total()} features left out {what}: {listed}.")
     return replace(
         found, names=tuple(found.names[k] for k in kept), frames=tuple(found.frames[k] for k in kept),
         stamps=found.stamps[kept], values=found.values[kept], scores=found.scores[kept],
@@ -48,22 +49,21 @@ def _without(topic: str, found: Gathered, which: Bool[np.ndarray, " feature"], w
 
 
 def _placeholders(found: Gathered) -> Bool[np.ndarray, " feature"]:
-    which = np.zeros(len(found.names), bool)
-    if not len(which):
-        return which
+    if not found.names:
+        return np.zeros(0, bool)
     places, index, count = np.unique(found.values, axis=0, return_inverse=True, return_counts=True)
     index, alike = index.ravel(), (places == places[:, :1]).all(1)
     if found.values.shape[1] == 2:  # whole pixels may be alike by chance
         alike &= (places <= 0).all(1)
-    total = Counter(found.names)
-    for k in np.flatnonzero((count > REPEATS) & (alike | (count >= NAMES))).tolist():
-        rows = np.flatnonzero(index == k)
-        names = {found.names[row] for row in rows.tolist()}
-        # one name that has never been elsewhere is where it is, and so are all if nothing else is seen
-        elsewhere = len(rows) < (len(which) if len(names) > 1 else total[next(iter(names))])
-        if elsewhere and (alike[k] or (found.values.shape[1] == 3 and len(names) >= NAMES)):
-            which[rows] = True
-    return which
+    name = _numbered(found.names)
+    total = np.bincount(name)
+    place, who = np.divmod(np.unique(index * len(total) + name), len(total))  # which names have been in each place
+    names, some = np.bincount(place), np.zeros(len(places), int)
+    some[place] = who
+    # one name that has never been elsewhere is where it is, and so are all if nothing else is seen
+    elsewhere = count < np.where(names > 1, len(name), total[some])
+    shared = (names >= NAMES) & (found.values.shape[1] == 3)
+    return ((count > REPEATS) & elsewhere & (alike | shared))[index]
 
 
 def _held(found: Gathered) -> Bool[np.ndarray, " feature"]:
@@ -77,7 +77,9 @@ def _held(found: Gathered) -> Bool[np.ndarray, " feature"]:
         others = others[:: len(others) // OTHERS + 1]
         if not step.any():
             continue  # it has never been elsewhere
-        for first, end in _runs(step == 0):  # of steps: place `end` is the last that is the same
+        for first, end in stretches(step == 0):  # of steps: place `end` is the last that is the same
+            if end - first < REPEATS:
+                continue
             ends = end == len(step)
             moved = _displacement(others, int(one.stamps[first]), int(one.stamps[end if ends else end + 1]))
             if ends and not moved:  # all stay where they are, perhaps from the midst of movement
@@ -117,15 +119,14 @@ def _displacement(tracks: list[_Track], since: int, until: int) -> float:
 
 def _tracks(found: Gathered) -> Iterator[_Track]:
     """Of each name that is there one at a time only."""
-    number = {name: i for i, name in enumerate(dict.fromkeys(found.names))}
-    names = np.array([number[name] for name in found.names], np.int64)
+    names = _numbered(found.names)
     order = np.lexsort((found.stamps, names))
     for rows in np.split(order, np.flatnonzero(np.diff(names[order])) + 1):
         if len(rows) > REPEATS and (np.diff(found.stamps[rows]) > 0).all():
             yield _Track(rows, found.stamps[rows], found.values[rows])
 
 
-def _runs(same: Bool[np.ndarray, " step"]) -> list[tuple[int, int]]:
-    """First and end of the runs of steps in which a place repeats often enough."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-    return [(a, b) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist()) if b - a >= REPEATS]
+def _numbered(names: tuple[str, ...]) -> Int64[np.ndarray, " feature"]:
+    """A number for each name."""
+    number = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    return np.array([number[name] for name in names], np.int64)

@@ -66,27 +66,29 @@ def sides(
     once = {s for s in sites if sites.count(s) == 1}
     other = {k: sites.index("r_" + s[2:]) for k, s in enumerate(sites) if s[:2] == "l_" and {s, "r_" + s[2:]} <= once}
     wrong = bool(other) and max(fit.shifts[k] for k in (*other, *other.values())) > ODD
-    mirrored = False
+    mirrored, every = False, np.ones(len(markers.seen), bool)
     if wrong and len(other) >= PAIRS:
-        order = np.arange(len(sites))
-        for a, b in other.items():
-            order[[a, b]] = b, a
-        swapped = markers._replace(points=markers.points[:, order], seen=markers.seen[:, order])
-        again = fit_markers(body, swapped, scale_known=scale_known)
+        swapped, again = _exchanged(body, markers, other, scale_known)
         if mirrored := again.cost < MIRRORED * fit.cost:
-            markers, fit, every = swapped, again, np.ones(len(markers.seen), bool)
+            markers, fit = swapped, again
             found = [Exchange(markers.names[a], markers.names[b], every) for a, b in other.items()]
     odd = sorted(other, key=lambda k: -max(fit.shifts[k], fit.shifts[other[k]]))
     for a in [k for k in odd if max(fit.shifts[k], fit.shifts[other[k]]) > ODD][:4]:
         b = other[a]
-        order = np.arange(len(sites))
-        order[[a, b]] = b, a
-        swapped = markers._replace(points=markers.points[:, order], seen=markers.seen[:, order])
-        again = fit_markers(body, swapped, scale_known=scale_known)
+        swapped, again = _exchanged(body, markers, {a: b}, scale_known)
         if again.cost < BETTER * fit.cost:
             markers, fit = swapped, again
-            found.append(Exchange(markers.names[a], markers.names[b], np.ones(len(markers.seen), bool)))
+            found.append(Exchange(markers.names[a], markers.names[b], every))
     return markers, fit, found, mirrored
+
+
+def _exchanged(body: Body, markers: Markers, pairs: dict[int, int], scale_known: bool) -> tuple[Markers, Fit]:
+    """The markers with the names of some pairs exchanged, and their fit."""
+    order = np.arange(len(markers.names))
+    for a, b in pairs.items():
+        order[[a, b]] = b, a
+    swapped = markers._replace(points=markers.points[:, order], seen=markers.seen[:, order])
+    return swapped, fit_markers(body, swapped, scale_known=scale_known)
 
 
 def put_right(frames: list[BodyObservation], exchanges: list[Exchange]) -> list[BodyObservation]:

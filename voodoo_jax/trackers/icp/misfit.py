@@ -1,8 +1,8 @@
 """How badly tracked limbs fit what was seen: points beside them that no limb explains, and limbs where nothing is seen
 though nothing hides them. Host side, NumPy.
 
-Covariances and residuals are of points that are near a limb already, and do not see that it is on something else. So
-does an arm that lies on the chest while the true one is hidden: its points are the chest's.
+Covariances and residuals are of points that are near a limb already, and do not see that it is on something else.
+Nor do they see that an arm lies on the chest while the true one is hidden: its points are the chest's.
 """
 
 from collections.abc import Sequence

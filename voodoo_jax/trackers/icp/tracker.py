@@ -79,10 +79,6 @@ def prepare(body: Body, settings: Settings, sensors: int, names: set[tuple[str, 
     return threads
 
 
-# share of logs with left and right exchanged in all names, not in the coordinates, as left-handed ones have; by hand
-MISNAMED = 0.2
-
-
 class Derived(NamedTuple):
     """What follows from the poses of some frames. Leading axis: frame."""
 
@@ -210,8 +206,7 @@ def with_rating(run: Runner, tracks: Tracks) -> Tracks:
     sure, but nobody LOST."""
     settings = run.settings
     found = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"), run.by_markers)
-    right = log_doubts(run.body, run.scene, run.people, settings).right
-    return only_as_sure(found, right * (MISNAMED if run.mirrored and not settings.read.mirror else 1.0))
+    return only_as_sure(found, log_doubts(run.body, run.scene, run.people, settings, run.mirrored).right)
 
 
 def with_names(
