@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from voodoo_jax.detect.opening import read_log as read_log
     from voodoo_jax.exporters.formats import export as export
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
-    from voodoo_jax.fitting.custom_loss import solve_frames as solve_frames
     from voodoo_jax.fitting.fit import fit as fit
     from voodoo_jax.fitting.losses import loss as loss
+    from voodoo_jax.fitting.problem import problem as problem
+    from voodoo_jax.fitting.problem import solved as solved
+    from voodoo_jax.fitting.tuning import tune as tune
     from voodoo_jax.io.log_reader import LogError as LogError
     from voodoo_jax.io.log_reader import survey as survey
     from voodoo_jax.model.attachments import attach as attach
@@ -37,7 +39,6 @@ if TYPE_CHECKING:
     from voodoo_jax.model.foreign.sources import body_from as body_from
     from voodoo_jax.records.recording import Recording as Recording
     from voodoo_jax.records.tracks import Tracks as Tracks
-    from voodoo_jax.solve.implicit import solution as solution
     from voodoo_jax.trackers.front import track as track
     from voodoo_jax.trackers.front import track_people as track_people
     from voodoo_jax.trackers.smoothing import smooth as smooth
@@ -67,6 +68,7 @@ _PUBLIC = {
     "load_body": ("model.body_file", "load_body"),
     "online": ("config.presets", "online"),
     "preset": ("config.presets", "preset"),
+    "problem": ("fitting.problem", "problem"),
     "read_body": ("model.body_file", "read_body"),
     "read_log": ("detect.opening", "read_log"),
     "read_tracks": ("exporters.npz", "read_tracks_npz"),
@@ -74,12 +76,12 @@ _PUBLIC = {
     "save_picture": ("viz.figures", "picture"),
     "show": ("viz.figures", "show"),
     "smooth": ("trackers.smoothing", "smooth"),
-    "solution": ("solve.implicit", "solution"),
-    "solve_frames": ("fitting.custom_loss", "solve_frames"),
+    "solved": ("fitting.problem", "solved"),
     "survey": ("io.log_reader", "survey"),
     "track": ("trackers.front", "track"),
     "track_many": ("batch.track_many", "track_many"),
     "track_people": ("trackers.front", "track_people"),
+    "tune": ("fitting.tuning", "tune"),
     "write_body": ("model.body_file", "write_body"),
     "write_tracks": ("exporters.npz", "write_tracks_npz"),
 }

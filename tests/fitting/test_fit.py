@@ -338,28 +338,6 @@ def test_no_batch_of_matrices_goes_to_lapack():
     np.testing.assert_allclose(inverses(matrices), np.linalg.inv(matrices), rtol=1e-5)
 
 
-def test_a_loss_of_ones_own():
-    """BFGS finds the thigh that a function asks for; priors pull a little; it goes on from where it stopped."""
-    from voodoo_jax.fitting.custom_loss import minimised
-    from voodoo_jax.fitting.gauss_newton import Part, Search
-    from voodoo_jax.solve.scan import options_from
-
-    chosen = parameters(BODY, ["lengths.thigh", "lengths.shank"])
-    row = BODY.topology.limbs.index("l_thigh")
-    wanted = 1.05 * float(BODY.sizes[row, 4])
-    settings = Settings()
-    icp = options_from(settings.solve, settings.track).icp
-    # the function does not look at the frames
-    part = Part("none", BODY, None, 0)  # pyright: ignore[reportArgumentType]
-    search = Search(chosen, (part,), icp, "held", (np.arange(2),), chosen.sd, np.zeros(2), np.zeros(2, bool))
-    loss = lambda body, options, frames: 1e5 * (body.sizes[row, 4] - wanted) ** 2  # noqa: E731
-    heard: list[Progress] = []
-    first = minimised(search, loss, Progress(np.zeros(2)), 2, heard.append)
-    found = minimised(search, loss, first, 30, heard.append)
-    assert found.done and len(heard) == found.step and found.losses[-1] <= found.losses[0]
-    np.testing.assert_allclose(np.exp(found.x), [1.05, 1.0], atol=0.005)
-
-
 def test_a_body_that_nothing_rests_with_gains_nothing():
     """A step is taken as far as frames come to rest, and the fit goes on."""
     from voodoo_jax.fitting.gauss_newton import Place, Search, along
@@ -434,6 +412,3 @@ def test_folds_are_for_what_people_have_in_common():
     check_common(parameters(BODY, ["bands", "measurement weights"], ("face",)).names)
     with pytest.raises(FitError, match=r"lengths\.thigh is a person's own"):
         check_common(parameters(BODY, ["bands", "lengths.thigh"]).names)
-    options = FitSettings(folds=2)
-    with pytest.raises(FitError, match="a loss of your own"):
-        fit(BODY, ["x.mcap"], options=options, loss=lambda *_: jnp.zeros(()))

@@ -164,8 +164,11 @@ class SolveSettings:
     """Longest distance of a pair, metres."""
     robust_scale: float = 0.15
     """Distance at which a pair counts a quarter (Geman-McClure), metres; inf: all pairs count fully."""
-    overlap: Literal["exclusive", "shared", "adjacent"] = "exclusive"
-    """What becomes of a point in several limbs' boxes."""
+    overlap: Literal["exclusive", "shared", "adjacent", "soft"] = "exclusive"
+    """What becomes of a point in several limbs' boxes; soft: each has a share of it, the nearest most, and gradients
+    know of points that go from limb to limb."""
+    softness: float = 0.02
+    """Distance over which shares go from one limb to the next (overlap soft), metres."""
     near_side: bool = True
     """Match points to the side of a limb that faces their sensor."""
     refine: int = 0

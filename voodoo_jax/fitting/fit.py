@@ -16,7 +16,6 @@ from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.config.fit_options import FitSettings, check_fit
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
-from voodoo_jax.fitting.custom_loss import minimised
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
 from voodoo_jax.fitting.gauss_newton import (
     FEW_MORE,
@@ -28,16 +27,12 @@ from voodoo_jax.fitting.gauss_newton import (
     spread,
 )
 from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, untold, verdict_on
-from voodoo_jax.fitting.objective import UserLoss
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
+from voodoo_jax.fitting.seen import Log, Seen, tracked
 from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.recording import Recording
-from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.scan import options_from
 
 SHARED = ("bands.", "solve.", "features.")  # what several persons have in common
@@ -47,20 +42,10 @@ JUDGED = 4.0
 MOVED = 0.2  # deviations of what was found: a round that changes nothing by more is the last
 
 
-class Seen(NamedTuple):
-    """One recording, tracked."""
-
-    tracks: Tracks
-    people: list[BodyObservation]
-    scene: Scene  # to track it again with the body found
-    given: Body | None = None  # the body before the tracker sized it; None: the tracks' own
-
-
 TruthLike = Truth | str | os.PathLike[str] | None
-Log = str | os.PathLike[str] | Recording
 
 
-# 9 parameters: the options of the command, each by name
+# 8 parameters: the options of the command, each by name
 @users_cache()
 def fit(
     body: Body,
@@ -68,7 +53,6 @@ def fit(
     settings: Settings | None = None,
     options: FitSettings | None = None,
     truths: Sequence[TruthLike] = (),
-    loss: UserLoss | None = None,
     state: str | os.PathLike[str] | None = None,
     say: Callable[[str, Progress | None], None] | None = None,
     *,
@@ -78,7 +62,6 @@ def fit(
     before and the fitted one (see fitting.judge), `better` says which.
 
     **Arguments:** `logs` paths or recordings; `truths` one for each log: then joint centres are what is fitted to;
-    `loss` a function (body, options, frames) to make small instead, with the priors added (see fitting.custom_loss);
     `state` a file that the search is saved in after every step, and resumed from; `say` hears what is being done, step
     by step; `free` what may change, instead of what `options` say.
 
@@ -92,8 +75,6 @@ def fit(
     if options.folds:
         from voodoo_jax.fitting.folds import fit_folds, folds_of  # which take what stands here
 
-        if loss is not None:
-            raise FitError("folds judge by points or joints, not by a loss of your own: leave one of the two out")
         folds_of(len(logs), options.folds)  # before anything is tracked
     if truths and len(truths) != len(logs):
         raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
@@ -102,8 +83,6 @@ def fit(
     if settings.tracker == "flexible":
         from voodoo_jax.fitting.flexible_fit import fit_flexible  # which takes what stands here
 
-        if loss is not None:
-            raise FitError("a loss of your own is fitted with the ICP tracker: set tracker to icp, or leave it out")
         return fit_flexible(body, logs, settings, options, truths, state, say)
     if truths and not all_shared(options.free):
         # joints are where the fit puts them: what was learned of other people would move them again
@@ -112,7 +91,7 @@ def fit(
     seen = tracked(body, logs, settings, lambda what: tell(what, None))
     if options.folds:
         return fit_folds(seen, settings, options, truths, say)
-    return fit_tracked(seen, settings, options, truths, loss, state, say)
+    return fit_tracked(seen, settings, options, truths, state, say)
 
 
 def all_shared(free: Sequence[str]) -> bool:
@@ -125,7 +104,7 @@ class Found(NamedTuple):
 
     search: Search
     progress: Progress
-    covariance: Float64[np.ndarray, "all all"]  # NaN where the loss is the user's own
+    covariance: Float64[np.ndarray, "all all"]
     spread: Float64[np.ndarray, " all"]
     stays: Bool[np.ndarray, " all"]
 
@@ -150,19 +129,18 @@ class Found(NamedTuple):
         return [next(p for p in self.search.parts if p.person == k) for k in range(len(self.search.rows))]
 
 
-# 8 parameters: what `fit` has, and truths for the report
+# 7 parameters: what `fit` has, and truths for the report
 def fit_tracked(
     seen: Sequence[Seen],
     settings: Settings,
     options: FitSettings,
     truths: Sequence[TruthLike] = (),
-    loss: UserLoss | None = None,
     state: str | os.PathLike[str] | None = None,
     say: Callable[[str, Progress | None], None] | None = None,
     judge: Sequence[TruthLike] = (),
 ) -> Fit:
     """The same from tracks and the frames that they were found in; `judge` truths that only the report looks at."""
-    found = searched(seen, settings, options, truths, loss, state, say)
+    found = searched(seen, settings, options, truths, state, say)
     search, x, stays, tuned = found.search, found.progress.x, found.stays, found.tuned(settings)
     if say is not None:
         say("judging", found.progress)
@@ -179,14 +157,8 @@ def fit_tracked(
             for new in [search.body(x, p)]
         ]
         judged = [judged_by(was, now, p.person, t) for (was, now), p, t in zip(pairs, search.parts, known)]
-    if loss is not None:
-        fallen = found.progress.losses[-1] < found.progress.losses[0]
-        verdict = Verdict(
-            fallen, f"The loss {'fell' if fallen else 'did not fall'}; nothing else judges a loss of your own."
-        )
-    else:
-        sizes, usual = is_size(_all_names(search)) & ~stays, search.sd / options.looseness
-        verdict = verdict_on(judged, x / usual, sizes, bool(truths), bool(stays.all()))
+    sizes, usual = is_size(_all_names(search)) & ~stays, search.sd / options.looseness
+    verdict = verdict_on(judged, x / usual, sizes, bool(truths), bool(stays.all()))
     return fit_of(found, settings, options, judged, verdict)
 
 
@@ -206,13 +178,12 @@ def fit_of(found: Found, settings: Settings, options: FitSettings, judged: Seque
     )  # fmt: skip
 
 
-# 7 parameters: what `fit` hands on
+# 6 parameters: what `fit` hands on
 def searched(
     seen: Sequence[Seen],
     settings: Settings,
     options: FitSettings,
     truths: Sequence[TruthLike] = (),
-    loss: UserLoss | None = None,
     state: str | os.PathLike[str] | None = None,
     say: Callable[[str, Progress | None], None] | None = None,
 ) -> Found:
@@ -231,9 +202,6 @@ def searched(
 
     tell("fitting", progress)
     cov, apart, stays = np.full((size, size), np.nan), np.full(size, np.nan), np.zeros(size, bool)
-    if loss is not None:
-        progress = minimised(search, loss, progress, options.iterations, step_done)
-        return Found(search, progress, cov, apart, stays)
     search.compiled()
     for number in range(1, options.rounds + 1):
         began = progress.x
@@ -283,28 +251,6 @@ def track_again(seen: Seen, body: Body, settings: Settings) -> Seen:
     known = replace(settings, start=start, track=track)
     found = track_person(body, seen.scene, seen.people, known, seen.tracks.source, seen.tracks.fixed_frame)
     return seen._replace(tracks=found)
-
-
-def tracked(
-    body: Body, logs: Sequence[Log], settings: Settings, tell: Callable[[str], None] = lambda what: None
-) -> list[Seen]:
-    """Every log tracked with the body, and the person's frames."""
-    from voodoo_jax.detect.opening import open_checked
-    from voodoo_jax.detect.pipeline import build_of, find_body
-    from voodoo_jax.trackers.icp.tracker import track_person
-
-    seen = []
-    for log in logs:
-        if isinstance(log, Recording):
-            source, frames = log, iter(log)
-        else:
-            source = open_checked(log, settings.read, build_of(body, settings.start.scale), settings.detect)
-            frames = source.frames()
-        tell(f"tracking {Path(source.path).name}")
-        scene, people = find_body(frames, source.up, body, settings, source.up_is_given)
-        found = track_person(body, scene, people, settings, source.path, source.fixed_frame)
-        seen.append(Seen(found, people, scene, body))
-    return seen
 
 
 def search_of(

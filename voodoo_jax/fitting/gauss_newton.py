@@ -1,8 +1,8 @@
 """The search: damped Gauss-Newton over the parameters of all persons, step by step; it can be stopped and resumed.
 
 Every step solves all frames anew from where the last step left them and takes one tangent per parameter through the
-implicit solution. optimistix' Levenberg-Marquardt would solve them twice a step and from their first poses; it serves
-where the loss is the user's own function (fit_body).
+implicit solution. optimistix' Levenberg-Marquardt would solve them twice a step and from their first poses; its
+minimisers tune what is no least squares (fitting.tuning).
 """
 
 from collections.abc import Callable
@@ -24,7 +24,6 @@ from voodoo_jax.fitting.parameters import HEIGHT, Changes, Parameters, changed, 
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.solve.frame import IcpOptions
-from voodoo_jax.solve.implicit import Rest
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
 SURE = 2.0  # a size that moved by less than so many of its spreads between parts of the recordings stays
@@ -189,14 +188,9 @@ class Search:
         Only compiles: two such programs that ran at the same time have waited for each other for ever.
         """
         part = self.parts[0]
-        frames, limbs = part.frames, part.body.limb_count
-        count = frames.weight.shape[0]
-        none = jnp.zeros(count)
-        slope = jnp.zeros((count, 6 * limbs, 6 * limbs))
-        closest = jnp.zeros(frames.points.weight.shape, jnp.int32)
-        rest = Rest(frames.poses, slope, closest, jnp.zeros(count, jnp.int32), none)
-        at = Placed(rest, none, jnp.zeros(count, bool))
-        inputs = self._inputs(np.zeros(len(self.sd)), part)
+        frames, inputs = part.frames, self._inputs(np.zeros(len(self.sd)), part)
+        asked = part.body, self.options, frames, frames.poses, *inputs
+        at = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(_placed, *asked))
         with ThreadPoolExecutor(2) as pool:
             both = (compiled_placed(), frames.poses), (compiled_normals(), at)
             lowered = [f.lower(part.body, self.options, frames, start, *inputs) for f, start in both]  # pyright: ignore

@@ -1,25 +1,20 @@
-"""Losses of one frame, to be differentiated by a body: `vj.loss`."""
+"""Losses, to be differentiated by bodies and parameters: `vj.loss`."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from voodoo_jax.config.fit_options import FitSettings
-from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.frames import feature_names, fit_frames
-from voodoo_jax.fitting.objective import NEWTON, POINT_SD, SETTLED, FitFrames, frame_residuals
+from voodoo_jax.fitting.objective import JOINT_NEAR, POINT_SD, FitFrames, frame_residuals
+from voodoo_jax.fitting.problem import Problem
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.recording import Recording
-from voodoo_jax.records.tracks import Tracks, given_from
-from voodoo_jax.solve.frame import IcpOptions, Problem
+from voodoo_jax.solve import frame as one_frame
+from voodoo_jax.solve.frame import IcpOptions
 from voodoo_jax.solve.implicit import solution
-from voodoo_jax.solve.scan import options_from
+from voodoo_jax.solve.through_time import Tracked
 
 
 class LossFrame(eqx.Module):
@@ -29,43 +24,59 @@ class LossFrame(eqx.Module):
     options: IcpOptions
 
 
-class loss:  # noqa: N801 (a namespace: vj.loss.reprojection)
-    """Losses of one frame; everything between a body and them is differentiable.
+class loss:  # noqa: N801 (a namespace: vj.loss.joints)
+    """What is made small: of a recording as `solved` gives it, or of a single frame. Never NaN.
 
-    frame = vj.loss.frame(tracks, recording, 40)
-    slope = jax.grad(lambda body: vj.loss.reprojection(body, frame))(tracks.body)
+    problem = vj.problem(vj.human(), recording, truth="bow.truth.npz")
+    jax.grad(lambda p: vj.loss.joints(vj.solved(p, problem), problem))({"lengths.thigh": 0.0, "bands.knee.weight": 0.0})
     """
 
     @staticmethod
-    def frame(
-        tracks: Tracks, recording: Recording, index: int, settings: Settings | None = None, points: int = 256
-    ) -> LossFrame:
-        """A frame of a tracked recording. The body's points are found anew, as `track` finds them.
+    def joints(solved: Tracked, problem: Problem) -> Float[Array, ""]:
+        """Mean distance of the joint centres from the truth, metres: of distances far below 1 cm the square, so that it
+        is smooth. Frames that are not at rest count nothing. Raises ValueError where the problem has no truth."""
+        frames = problem.frames
+        if frames.truth is None or frames.known is None:
+            raise ValueError("loss.joints needs known joints: vj.problem(..., truth=FILE)")
+        there = frames.known & (solved.converged & (frames.weight > 0))[:, None]
+        gap = jnp.where(there[..., None], solved.joints - problem.places - frames.truth, 0.0)
+        # by hand, as fitting.objective.JOINT_NEAR
+        away = jnp.sqrt(jnp.sum(gap * gap, -1) + JOINT_NEAR**2) - JOINT_NEAR
+        return jnp.sum(jnp.where(there, away, 0.0)) / jnp.maximum(jnp.sum(there), 1)
 
-        **Arguments:** `index` of the frame; `points` that the pose is solved on, at most, and as many that judge.
+    @staticmethod
+    def points(solved: Tracked, problem: Problem, body: Body | None = None) -> Float[Array, ""]:
+        """How far measurements that the poses were not solved on lie from the body, square metres: the mean over frames
+        of what `reprojection` gives. `body` the one that was solved with; None: the problem's."""
+        body, frames = body or problem.body, problem.frames
 
-        Raises ValueError where that frame is not tracked.
+        def one(inputs):
+            frame, poses, good = inputs
+            squares = jnp.sum(frame_residuals(body, problem.options.icp, frame, poses, "held") ** 2)
+            return jnp.where(good & (frame.weight > 0), POINT_SD**2 * squares, 0.0)
+
+        counted = jnp.sum(solved.converged & (frames.weight > 0))
+        return jnp.sum(jax.lax.map(one, (frames, solved.poses, solved.converged))) / jnp.maximum(counted, 1)
+
+    @staticmethod
+    def frame(problem: Problem, index: int) -> LossFrame:
+        """A single frame of a problem, for `reprojection`: `index` in the problem's frames, the first tracked one is 0.
+
+        Raises ValueError where there is no such frame.
         """
-        from voodoo_jax.detect.pipeline import find_body
-
-        settings = settings or Settings()
-        if not tracks.tracked[index]:
-            raise ValueError(f"frame {index} is not tracked; {int(tracks.tracked.sum())} others are (tracks.tracked)")
-        _, seen = find_body(iter(recording), recording.up, tracks.body, settings, recording.up_is_given)
-        near = given_from(tracks, -recording.origin)
-        names = feature_names(list(seen), tracks.body.topology, settings.features)
-        found = fit_frames(near, list(seen), np.array([index]), settings.features, names, 1, points)
-        solve = replace(settings.solve, max_steps=FitSettings().steps, epsilon=0.0, steady=0.0)
-        options = options_from(solve, settings.track, settings.features).icp
-        return LossFrame(jax.tree.map(lambda leaf: leaf[0], found), options)
+        there = int((problem.frames.weight > 0).sum())
+        if not 0 <= index < there:
+            raise ValueError(f"frame {index}: the problem has the frames 0 to {there - 1}")
+        # one frame alone: nothing stands still beside it, and all steps are taken
+        options = eqx.tree_at(lambda o: (o.steady, o.epsilon), problem.options.icp, (jnp.zeros(()), jnp.zeros(())))
+        return LossFrame(jax.tree.map(lambda leaf: leaf[index], problem.frames), options)
 
     @staticmethod
     def reprojection(body: Body, frame: LossFrame) -> Float[Array, ""]:
         """How far measurements that the pose was not solved on lie from the body: square metres, points and features in
         units of their noise, each limb as one measurement (see fitting/objective.py).
 
-        The pose is solved on the other half with exact derivatives by all of the body (solve/implicit.py). NaN where it
-        does not come to rest, for derivatives are wrong there.
+        The pose is solved on the other half with exact derivatives by all of the body (solve/implicit.py).
         """
         return _reprojection()(body, frame)
 
@@ -76,9 +87,9 @@ def _reprojection() -> Callable[[Body, LossFrame], Float[Array, ""]]:
 
     def loss(body: Body, frame: LossFrame) -> Float[Array, ""]:
         measured, options = frame.measured, frame.options
-        problem = Problem.build(body, measured.points, measured.poses, options, measured.features)
-        found = solution(measured.poses, problem, newton=NEWTON, tolerance=SETTLED)
+        problem = one_frame.Problem.build(body, measured.points, measured.poses, options, measured.features)
+        found = solution(measured.poses, problem)
         residuals = frame_residuals(body, options, measured, found.poses, "held")
-        return jnp.where(found.converged, POINT_SD**2 * jnp.sum(residuals**2), jnp.nan)
+        return POINT_SD**2 * jnp.sum(residuals**2)
 
     return jax.jit(loss)

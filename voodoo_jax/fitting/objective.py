@@ -18,11 +18,11 @@ from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.fitting.parameters import Changes, changed, changed_options
 from voodoo_jax.geometry.rigid import Poses, rotate
 from voodoo_jax.geometry.robust import geman_mcclure_root
-from voodoo_jax.kernels.correspondences import Points, match_assigned
+from voodoo_jax.kernels.correspondences import Points, closest_limbs, match_assigned
 from voodoo_jax.kernels.landmarks import Features, named_points
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.solve.frame import IcpOptions, Problem
-from voodoo_jax.solve.implicit import Rest, carried, resting, settled
+from voodoo_jax.solve.implicit import AT_REST, Rest, carried, resting
 
 # Standard deviations of one measurement. Points: a person's surface is 2 cm from cylinders, and that error is
 # common to a patch of skin, not to a point; so a limb counts as so many measurements a frame, not as its points.
@@ -31,8 +31,6 @@ FEW = 10.0  # points of a limb with which it counts half
 RAY_SD = 0.03  # metres: a detector's point from the body's, across the line of sight
 JOINT_SD = 0.03  # metres: tracked joints from the truth
 JOINT_NEAR = 0.01  # metres, by hand: below it a joint's squared distance counts, beyond it the distance
-NEWTON = 3  # Newton steps after the ICP steps; with fewer a third of the frames is not at rest
-SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) count nothing
 ROBUST = 0.06  # metres at which a residual begins to count less
 
 
@@ -53,7 +51,6 @@ class FitFrames(eqx.Module):
 
 
 Objective = Literal["held", "truth"]
-UserLoss = Callable[[Body, IcpOptions, FitFrames], Float[Array, ""]]
 
 
 def frame_problem(body: Body, options: IcpOptions, frame: FitFrames, by: Changes) -> Problem:
@@ -112,11 +109,8 @@ def _point_residuals(body: Body, options: IcpOptions, frame: FitFrames, poses: P
 
 
 def _closest(sizes, poses: Poses, frame: FitFrames, options: IcpOptions, body: Body) -> Int[Array, " point"]:
-    fixed = eqx.tree_at(lambda b: b.sizes, jax.lax.stop_gradient(body), sizes)
-    limbs = settled(poses, Problem.build(fixed, frame.held, poses, options))
-    if limbs is None:
-        raise ValueError("a fit needs solve.overlap = 'exclusive': each point belongs to one limb")
-    return limbs
+    # the nearest limb whatever the rule: where a point goes from one to the next, both are as far
+    return closest_limbs(sizes, poses, frame.held, options.match, body.present)
 
 
 def _ray_residuals(body: Body, features: Features, poses: Poses) -> Float[Array, " residual"]:
@@ -167,9 +161,9 @@ def placed(
 
     def one(inputs):
         frame, start = inputs
-        found = resting(start, frame_problem(new, changed_to, frame, by), newton=NEWTON)
+        found = resting(start, frame_problem(new, changed_to, frame, by))
         r = frame_residuals(new, changed_to, frame, found.poses, objective)
-        good = (found.off < SETTLED) & (frame.weight > 0) & jnp.all(jnp.isfinite(r))
+        good = (found.off < AT_REST) & (frame.weight > 0) & jnp.all(jnp.isfinite(r))
         return Placed(found, jnp.where(good, jnp.sum(r * r) / 2, 0.0), good)
 
     return one_by_one(one, (frames, starts), batch)

@@ -5,6 +5,7 @@ positive; joints move by shares of the body's scale. Priors are normal, around t
 around what people of that stature have, wherever one starts.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
@@ -14,12 +15,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Float64
+from jaxtyping import Array, ArrayLike, Bool, Float, Float64
 
-from voodoo_jax.geometry.rigid import matrix, on_device, on_host, unrotate
+from voodoo_jax.geometry.rigid import matrix, on_device, on_host, quat_exp, rotate, unrotate
+from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.model.body import Body, Topology, scaled, with_rest_from_joints, without_side
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.solve.frame import IcpOptions
+from voodoo_jax.solve.scan import TrackOptions
 
 # Usual deviations. Adults of one stature differ by 4 to 5 % in the length of a limb (ANSUR II: standard deviation of
 # a segment after regression on stature over its mean), by 12 to 15 % in girth; a joint of a body of cylinders lies
@@ -27,7 +30,8 @@ from voodoo_jax.solve.frame import IcpOptions
 # settings are inventions of this method: a factor of two either way is usual.
 PRIORS = {
     "shape": 1.0, "scale": 0.02, "lengths": 0.045, "radii": 0.13, "anchors": 0.009, "bands.weight": 0.7,
-    "bands.axes": 0.3, "solve": 0.5, "features": 0.7,
+    "bands.axes": 0.3, "solve": 0.5, "features": 0.7, "track": 0.5,
+    "sensors.weight": 0.7, "sensors.shift": 0.03, "sensors.turn": 0.035,
 }  # fmt: skip
 # Sizes found miss by this share of the priors' deviations because people are no cylinders (2.5 % of a length: fits of
 # rendered people that began from right bodies moved by 0.5 to 4 %, see experiments/fit): less is no finding.
@@ -44,7 +48,11 @@ WORDS = {  # what people say -> patterns of names; "segments": see segment_limbs
     # not solve.prior: a fit's frames are predicted where they were tracked, so it would grow without end
     "measurement weights": ("features.*.weight", "solve.ratio"),
 }
-SETTINGS = ("ratio", "floor", "prior", "robust_scale")  # of SolveSettings
+# of SolveSettings and of TrackSettings
+SETTINGS = ("ratio", "floor", "prior", "robust_scale", "prior_radius", "steady", "steady_distance", "limits")
+TRACK = ("damping", "still_speed", "hidden_weight")
+# of each sensor: its measurements' weight, and its place in its own axes, about itself
+SENSOR = ("weight", "x", "y", "z", "turn_x", "turn_y", "turn_z")
 
 
 Entry = tuple[str, int, tuple[int, ...], float, str]
@@ -61,6 +69,8 @@ class Changes(NamedTuple):
     axes: Float[Array, "joint 2"]  # logarithms
     settings: Float[Array, " setting"]  # logarithms
     features: Float[Array, " feature"]  # logarithms
+    track: Float[Array, " setting"]  # logarithms
+    sensors: Float[Array, "sensor 7"]  # see SENSOR: logarithm, metres, radians
 
 
 @dataclass(frozen=True)
@@ -87,8 +97,11 @@ def _modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:
     return found
 
 
-def _all_names(topology: Topology, features: tuple[str, ...], body: Body) -> list[Entry]:
-    """Name, field of Changes, index in it, sign under mirroring, prior's key, of everything that can be free."""
+def _all_names(
+    topology: Topology, features: tuple[str, ...], axes: Bool[np.ndarray, "joint 2"], sensors: int = 0
+) -> list[Entry]:
+    """Name, field of Changes, index in it, sign under mirroring, prior's key, of everything that can be free; `axes`
+    which ones joints have."""
     t = topology
     out: list[Entry] = [("scale", 0, (), 1.0, "scale")]
     for i, limb in enumerate(t.limbs):
@@ -102,24 +115,33 @@ def _all_names(topology: Topology, features: tuple[str, ...], body: Body) -> lis
             out.append((f"anchors.{joint}.{axis}", 3, (j, k), sign, "anchors"))
         out.append((f"bands.{joint}.weight", 4, (j,), 1.0, "bands.weight"))
         out += [
-            (f"bands.{joint}.axes.{axis}", 5, (j, k), 1.0, "bands.axes")
-            for k, axis in enumerate("xy")
-            if body.axes[j, k] > 0
+            (f"bands.{joint}.axes.{axis}", 5, (j, k), 1.0, "bands.axes") for k, axis in enumerate("xy") if axes[j, k]
         ]
     out += [(f"solve.{name}", 6, (k,), 1.0, "solve") for k, name in enumerate(SETTINGS)]
     out += [(f"features.{name}.weight", 7, (k,), 1.0, "features") for k, name in enumerate(features)]
+    out += [(f"track.{name}", 8, (k,), 1.0, "track") for k, name in enumerate(TRACK)]
+    kinds = ("weight", *["shift"] * 3, *["turn"] * 3)
+    out += [
+        (f"sensors.{sensor}.{name}", 9, (sensor, k), 1.0, f"sensors.{kinds[k]}")
+        for sensor in range(sensors)
+        for k, name in enumerate(SENSOR)
+    ]
     return out
 
 
 def parameters(
-    body: Body, free: tuple[str, ...] | list[str], features: tuple[str, ...] = (), mirrored: bool = True
+    body: Body,
+    free: tuple[str, ...] | list[str],
+    features: tuple[str, ...] = (),
+    mirrored: bool = True,
+    sensors: int = 0,
 ) -> Parameters:
     """The parameters that words (see WORDS) and patterns such as "lengths.*thigh" name.
 
     **Arguments:** `features` names of the measured features; `mirrored` left and right change alike: what both sides
     have is one parameter, and its name has no side. Raises ValueError for a pattern that names nothing.
     """
-    known = _all_names(body.topology, features, body)
+    known = _all_names(body.topology, features, np.asarray(body.axes) > 0, sensors)
     modes = _modes(body, known)
     reported = tuple(f"lengths.{limb}" for limb in segment_limbs(body.topology))
     words = WORDS | {"segments": reported or WORDS["lengths"]}
@@ -144,14 +166,21 @@ def parameters(
                     continue  # a joint of the middle stays in it
             rows.setdefault(name, []).append(entry)
     rows |= {name: entries for name, entries in modes.items() if any(_named(name, p) for p in patterns)}
-    t = body.topology
-    shapes = [(), (len(t.limbs),), (len(t.limbs), 2), *(((len(t.joints), *s)) for s in ((3,), (), (2,)))]
-    maps = [np.zeros((*shape, len(rows))) for shape in (*shapes, (len(SETTINGS),), (len(features),))]
+    maps = [np.zeros((*shape, len(rows))) for shape in _shapes(body.topology, len(features), sensors)]
     for column, entries in enumerate(rows.values()):
         for _, part, index, sign, _ in entries:
             maps[part][(*index, column)] = sign if mirrored or entries[0][4] == "shape" else 1.0
     sd = np.array([PRIORS[entries[0][4]] for entries in rows.values()])
     return Parameters(tuple(rows), sd, tuple(maps), mirrored)
+
+
+def _shapes(t: Topology, features: int, sensors: int) -> list[tuple[int, ...]]:
+    """Of the fields of Changes."""
+    joints = len(t.joints)
+    return [
+        (), (len(t.limbs),), (len(t.limbs), 2), (joints, 3), (joints,), (joints, 2), (len(SETTINGS),), (features,),
+        (len(TRACK),), (sensors, len(SENSOR)),
+    ]  # fmt: skip
 
 
 def is_mode(names: tuple[str, ...]) -> Bool[np.ndarray, " free"]:
@@ -250,8 +279,55 @@ def changed(body: Body, by: Changes) -> Body:
 def changed_options(options: IcpOptions, by: Changes) -> IcpOptions:
     """The solve's options after changes."""
     factor = jnp.exp(by.settings)
-    leaves = lambda o: (o.ratio, o.floor, o.prior, o.match.robust_scale)  # noqa: E731
-    return eqx.tree_at(leaves, options, tuple(v * f for v, f in zip(leaves(options), factor)))
+    where = {"robust_scale": lambda o: o.match.robust_scale, "limits": lambda o: o.plausible.limits}
+    for name, f in zip(SETTINGS, factor):
+        leaf = where.get(name, lambda o, name=name: getattr(o, name))
+        if leaf(options) is not None:  # what is switched off stays so
+            options = eqx.tree_at(leaf, options, leaf(options) * f)
+    return options
+
+
+def changed_tracking(options: TrackOptions, by: Changes) -> TrackOptions:
+    """The options of tracking over time after changes, with those of the solve."""
+    leaves = lambda o: tuple(getattr(o, name) for name in TRACK)  # noqa: E731
+    changed = tuple(v * f for v, f in zip(leaves(options), jnp.exp(by.track)))
+    options = eqx.tree_at(leaves, options, changed)
+    return eqx.tree_at(lambda o: o.icp, options, changed_options(options.icp, by))
+
+
+def changed_points(points: Points, by: Changes) -> Points:
+    """Points after changes of their sensors, which see them from elsewhere; any leading axes."""
+    if not by.sensors.shape[0]:
+        return points
+    one = jnp.arange(by.sensors.shape[0]) == points.sensor[..., None]  # [..., point, sensor]
+    mine = jnp.sum(jnp.where(one[..., None], by.sensors, 0.0), -2)
+    origin = jnp.sum(jnp.where(one[..., None], points.origins[..., None, :, :], 0.0), -2)
+    xyz = origin + mine[..., 1:4] + rotate(quat_exp(mine[..., 4:7]), points.xyz - origin)
+    parts = xyz, points.weight * jnp.exp(mine[..., 0]), points.origins + by.sensors[:, 1:4]
+    return eqx.tree_at(lambda p: (p.xyz, p.weight, p.origins), points, parts)
+
+
+def named_changes(
+    body: Body, values: Mapping[str, Float[ArrayLike, ""]], features: tuple[str, ...] = (), sensors: int = 0
+) -> Changes:
+    """What numbers by name say, each of one entry or, by a name without sides, of both sides'. Raises ValueError for a
+    name that the body does not have."""
+    t = body.topology
+    known = _all_names(t, features, np.ones((len(t.joints), 2), bool), sensors)  # a joint without an axis gets none
+    modes = _modes(body, known)
+    parts = [jnp.zeros(shape, body.sizes.dtype) for shape in _shapes(t, len(features), sensors)]
+    for name, value in values.items():
+        said = modes.get(name) or [entry for entry in known if name in (entry[0], _sideless(entry[0]))]
+        if not said:
+            examples = ", ".join((known[1][0], known[-1][0]))
+            raise ValueError(f"parameter '{name}': this body has nothing of that name, but for example {examples}")
+        for entry, part, index, sign, _ in said:
+            parts[part] = parts[part].at[index].add((1.0 if name == entry else sign) * value)
+    return Changes(*parts)
+
+
+def _sideless(name: str) -> str:
+    return ".".join(map(without_side, name.split(".")))
 
 
 def height_of(body: Body) -> Float[Array, ""]:

@@ -23,8 +23,8 @@ class Fit:
     verdict: Verdict
     names: tuple[str, ...]
     x: Float64[np.ndarray, " all"]
-    sd: Float64[np.ndarray, " all"]  # NaN where the loss is the user's own
-    spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see gauss_newton.spread; NaN likewise
+    sd: Float64[np.ndarray, " all"]
+    spread: Float64[np.ndarray, " all"]  # between parts of the recordings, see gauss_newton.spread
     prior_sd: Float64[np.ndarray, " all"]
     stays: Bool[np.ndarray, " all"]  # what the recordings do not tell, and what therefore stayed
     sizes: tuple[tuple[Size, ...], ...]  # of every person: what a tape would tell, before and after

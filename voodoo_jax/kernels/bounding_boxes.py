@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 from voodoo_jax.geometry.rigid import Poses, matrix
 
-Overlap = Literal["exclusive", "shared", "adjacent"]
+Overlap = Literal["exclusive", "shared", "adjacent", "soft"]
 
 
 def body_box(
@@ -57,12 +57,25 @@ def resolve_overlap(
 
     `shared`: they count for every one of these limbs; `exclusive`: for the closest limb only; `adjacent`: for the
     closest one and those of the others that hang on it by a joint, so that limbs without a common joint never pull at
-    the same point. `distance` is signed (inside is closer); `adjacent[l, m]` is true on the diagonal too.
+    the same point; `soft`: for all of them, each by its share (see shares). `distance` is signed (inside is closer);
+    `adjacent[l, m]` is true on the diagonal too.
     """
-    if rule == "shared":
+    if rule in ("shared", "soft"):
         return candidate
     winner = jnp.argmin(jnp.where(candidate, distance, jnp.inf), 0)
     limb = jnp.arange(candidate.shape[0])
     if rule == "exclusive":
         return candidate & (limb[:, None] == winner[None, :])
     return candidate & adjacent[winner].T
+
+
+def shares(
+    candidate: Bool[Array, "limb point"], distance: Float[Array, "limb point"], softness: Float[Array, ""]
+) -> Float[Array, "limb point"]:
+    """What each limb has of a point, 1 in all: a soft minimum of the signed squared distances (metres), so that a point
+    goes from one limb to the next gradually. `softness` metres: a limb so much farther off than another one at the
+    surface has a share of 1 / (1 + e) beside it."""
+    away = jnp.where(candidate, distance * jnp.abs(distance) / softness**2, jnp.inf)
+    nearest = jnp.min(away, 0, where=candidate, initial=jnp.inf)
+    parts = jnp.where(candidate, jnp.exp(-jnp.where(candidate, away - nearest, 0.0)), 0.0)
+    return parts / jnp.maximum(jnp.sum(parts, 0), 1.0)

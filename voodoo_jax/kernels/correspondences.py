@@ -11,12 +11,14 @@ from voodoo_jax.geometry.rigid import Poses, unrotate
 from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.assignment import closest_limb, cuts, in_reach, into_limb, may_belong, once, sampled
 from voodoo_jax.kernels.assignment import closest_limbs as closest_limbs
-from voodoo_jax.kernels.bounding_boxes import resolve_overlap
-from voodoo_jax.kernels.frustum import closest_point, near_side, uncut
+from voodoo_jax.kernels.bounding_boxes import resolve_overlap, shares
+from voodoo_jax.kernels.frustum import Sides, closest_point, near_side, uncut
 from voodoo_jax.kernels.points import FREE as FREE
 from voodoo_jax.kernels.points import ON_BODY as ON_BODY
 from voodoo_jax.kernels.points import Components, MatchOptions, Points, components
 from voodoo_jax.kernels.points import Sampling as Sampling
+
+AWAY = 0.3  # metres, by hand: where a point that counts nothing is put, off every limb's axis
 
 
 class Match(NamedTuple):
@@ -33,6 +35,24 @@ class Match(NamedTuple):
     def close(self, distance: float) -> Bool[Array, " point"]:
         """Which points have a pair shorter than `distance`, metres."""
         return jnp.any((self.weight > 0) & (self.distance < distance), 0)
+
+
+class Settled(NamedTuple):
+    """Every choice of a matching: with these held fixed, pairs change smoothly with poses and sizes.
+
+    Under the exclusive rule `limb` is the limb of each point, the number of limbs for none; under others a table of
+    the candidates, and the rest has a leading limb axis.
+    """
+
+    limb: Int[Array, " point"] | Bool[Array, "limb point"]
+    sides: Sides
+    kept: Bool[Array, "*limb point"]  # near enough to count
+
+    def differs(self, other: "Settled") -> Bool[Array, " point"]:
+        """Which points are matched in another way, of those that count in one of the two."""
+        sides = jnp.any(jnp.stack([a != b for a, b in zip(self.sides, other.sides)]), 0)
+        unlike = (self.kept != other.kept) | ((sides | (self.limb != other.limb)) & self.kept)
+        return unlike if unlike.ndim == 1 else jnp.any(unlike, 0)
 
 
 def _sensors(poses: Poses, points: Points) -> list[Float[Array, "limb sensor"]]:
@@ -58,23 +78,72 @@ def match(
     near_body = in_reach(sizes, poses, points, options, present)
     if options.overlap == "exclusive":
         return _match_closest(sizes, poses, points, near_body, present, options)
+    return _match_all(sizes, poses, points, near_body, adjacent, present, options)[0]
+
+
+# 8 parameters: those of match, and what is settled
+def _match_all(sizes, poses, points, near_body, adjacent, present, options, fixed=None) -> tuple[Match, Settled]:
+    """Pairs of every point with every limb, and the choices in them."""
     x, y, z = components(points.xyz)
 
-    def one_limb(limb, here, size, pose, sensors):
+    def one_limb(limb, here, size, pose, sensors, fixed):
         px, py, pz = into_limb(pose.rotation, pose.translation, x, y, z)
-        surface = closest_point(size, px, py, pz, options.refine, options.caps)
+        sides = None if fixed is None else fixed.sides
+        if fixed is not None:  # what counts nothing must not be a number that is none
+            px, py, pz = (jnp.where(fixed.limb, k, AWAY) for k in (px, py, pz))
+        surface = closest_point(size, px, py, pz, options.refine, options.caps, fixed=sides)
         signed = surface.distance
         if options.near_side:
-            surface = near_side(size, px, py, surface, [part[points.sensor] for part in sensors])
+            surface = near_side(size, px, py, surface, [part[points.sensor] for part in sensors], fixed=sides)
         box = here & may_belong(limb, size, px, py, pz, points, options)
-        return (surface.x, surface.y, surface.z), (px, py, pz), signed, box
+        return (surface.x, surface.y, surface.z), (px, py, pz), signed, box, surface.sides
 
     limbs = jnp.arange(sizes.shape[0])
-    model, data, signed, box = jax.vmap(one_limb)(limbs, present, sizes, poses, _sensors(poses, points))
-    chosen = resolve_overlap(options.overlap, box & near_body[None, :], signed, adjacent)
-    if options.sampling is not None:
-        chosen = sampled(chosen, options.sampling)
-    return _weigh(chosen, model, data, points.weight[None, :], options)
+    rows = limbs, present, sizes, poses, _sensors(poses, points), fixed
+    model, data, signed, box, sides = jax.vmap(one_limb)(*rows)
+    if fixed is None:
+        chosen = resolve_overlap(options.overlap, box & near_body[None, :], signed, adjacent)
+        if options.sampling is not None:
+            chosen = sampled(chosen, options.sampling)
+    else:
+        chosen = fixed.limb
+    weight = points.weight[None, :]
+    if options.overlap == "soft":
+        weight = weight * shares(chosen, signed, options.softness)
+    found, kept = _weigh(chosen, model, data, weight, options, kept=None if fixed is None else fixed.kept)
+    return found, Settled(chosen, sides, kept)
+
+
+def settled(
+    sizes: Float[Array, "limb 5"],
+    poses: Poses,
+    points: Points,
+    adjacent: Bool[Array, "limb limb"],
+    options: MatchOptions,
+    present: Bool[Array, " limb"],
+) -> Settled:
+    """The choices of a matching, see match."""
+    near_body = in_reach(sizes, poses, points, options, present)
+    if options.overlap != "exclusive":
+        return _match_all(sizes, poses, points, near_body, adjacent, present, options)[1]
+    xyz = components(points.xyz)
+    near = lambda: closest_limb(sizes, poses, points, xyz, near_body, present, options)  # noqa: E731
+    limb = once(options.robust_scale > 0, near)
+    return _assigned(sizes, poses, points, limb, options, xyz)[1]
+
+
+def match_settled(
+    sizes: Float[Array, "limb 5"],
+    poses: Poses,
+    points: Points,
+    fixed: Settled,
+    options: MatchOptions,
+) -> Match:
+    """Pairs whose choices are settled, see settled."""
+    if options.overlap == "exclusive":
+        return _assigned(sizes, poses, points, fixed.limb, options, fixed=fixed)[0]
+    present = jnp.ones(sizes.shape[0], bool)
+    return _match_all(sizes, poses, points, None, None, present, options, fixed)[0]
 
 
 def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
@@ -105,6 +174,13 @@ def match_assigned(
 
     `xyz`: the points by component, where they are at hand.
     """
+    return _assigned(sizes, poses, points, limb, options, xyz)[0]
+
+
+# 7 parameters: those of match_assigned, and what is settled
+def _assigned(sizes, poses, points, limb, options, xyz=None, fixed=None) -> tuple[Match, Settled]:
+    """The same, and the choices in it; `fixed`: those that are settled."""
+    sides = None if fixed is None else fixed.sides
     cut = cuts(options.robust_scale > 0)
     x, y, z = components(points.xyz) if xyz is None else xyz
     order = jnp.arange(sizes.shape[0])[:, None]
@@ -117,24 +193,30 @@ def match_assigned(
     # split, not indexed: the derivative is one concatenation then, instead of a sum of padded arrays
     mine = cut(*(part[0] for part in jax.lax.split(mine, (1,) * len(table))))
     px, py, pz = cut(*into_limb(mine[:4], mine[4:7], x, y, z))
+    if fixed is not None:  # what counts nothing must not be a number that is none
+        px, py, pz = (jnp.where(fixed.kept, k, AWAY) for k in (px, py, pz))
     size = mine[7:12]
-    surface = closest_point(size, px, py, pz, options.refine, options.caps, cut=cut)
+    surface = closest_point(size, px, py, pz, options.refine, options.caps, cut=cut, fixed=sides)
     if options.near_side:
         sensors = points.origins.shape[-2]
         one = jax.nn.one_hot(points.sensor, sensors, axis=0, dtype=x.dtype)
         seen_from = [jnp.sum(jnp.stack(mine[12 + k * sensors :][:sensors]) * one, 0) for k in range(3)]
-        surface = near_side(size, px, py, surface, seen_from, cut=cut)
-    chosen = (limb < sizes.shape[0])[None]
-    return _weigh(chosen, (surface.x, surface.y, surface.z), (px, py, pz), points.weight[None], options, cut)
+        surface = near_side(size, px, py, surface, seen_from, cut=cut, fixed=sides)
+    chosen, model = (limb < sizes.shape[0])[None], (surface.x, surface.y, surface.z)
+    kept = None if fixed is None else fixed.kept[None]
+    found, kept = _weigh(chosen, model, (px, py, pz), points.weight[None], options, cut, kept)
+    return found, Settled(limb, surface.sides, kept[0])
 
 
-def _weigh(chosen, model, data, weight, options, cut=uncut) -> Match:
-    """Maximum distance and robust weight (Geman-McClure) of the chosen pairs."""
+# 7 parameters: pairs by component, and what is settled
+def _weigh(chosen, model, data, weight, options, cut=uncut, kept=None) -> tuple[Match, Bool[Array, "limb point"]]:
+    """Maximum distance and robust weight (Geman-McClure) of the chosen pairs, and which are near enough; `kept` those
+    that are, if that is settled."""
     (d2,) = cut(sum((p - c) ** 2 for p, c in zip(data, model)))
     robust = geman_mcclure(d2, options.robust_scale)
-    keep = chosen & (d2 <= options.max_distance**2)
+    keep = chosen & (d2 <= options.max_distance**2) if kept is None else kept
     (weight,) = cut(jnp.where(keep, robust * weight, 0.0))
-    return Match(weight, jnp.sqrt(d2 + 1e-12), model, data)
+    return Match(weight, jnp.sqrt(d2 + 1e-12), model, data), keep
 
 
 class Sums(NamedTuple):

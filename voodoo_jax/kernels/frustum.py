@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 # A radius or length of zero is legal (cones, discs, needles); below this it counts as this, metres.
 TINY = 1e-6
@@ -18,6 +18,14 @@ Rims = Float[Array, "4"] | Sequence[Float[Array, "*point"]]
 Size = Float[Array, "5"] | Float[Array, "5 point"] | Sequence[Float[Array, "*point"]]
 
 
+class Sides(NamedTuple):
+    """Where on its limb a point's pair is: what jumps from one place to another as a limb moves."""
+
+    bottom: Bool[Array, "*limb point"]  # on the cap at the bottom
+    top: Bool[Array, "*limb point"]
+    behind: Bool[Array, "*limb point"]  # moved to the side that the sensor sees, see near_side
+
+
 class SurfacePoint(NamedTuple):
     """Closest points in the limb frame, metres."""
 
@@ -25,6 +33,7 @@ class SurfacePoint(NamedTuple):
     y: Float[Array, " point"]
     z: Float[Array, " point"]
     distance: Float[Array, " point"]  # signed: negative inside the limb
+    sides: Sides
 
 
 def _ellipse_step(a, b, px, py, cos, sin):
@@ -81,10 +90,10 @@ def uncut(*numbers: Array) -> Any:
     return numbers
 
 
-# 9 parameters: points and a limb's sizes by component
-def _closest(size, rims, x, y, z, refine, caps, cut=uncut, alone=False):
-    """Closest points, their squared distances, and which points are inside. `alone`: distances alone are wanted, and
-    their values, not their derivatives."""
+# 10 parameters: points and a limb's sizes by component
+def _closest(size, rims, x, y, z, refine, caps, cut=uncut, alone=False, fixed=None):
+    """Closest points, their squared distances, which points are inside, and which are on the caps. `alone`: distances
+    alone are wanted, and their values, not their derivatives; `fixed`: Sides that are settled."""
     a0, b0, a1, b1, length = (jnp.maximum(size[i], TINY) for i in range(5))
     centre = x * x + y * y < 1e-14  # no direction: take +x, with a gradient of zero
     # an addition costs a fifth less than a choice, but gives no direction
@@ -111,13 +120,14 @@ def _closest(size, rims, x, y, z, refine, caps, cut=uncut, alone=False):
         cz = s * length
         d2 = rho2 * (1 - k) ** 2 + (z - cz) ** 2
     if not caps:
-        return (cx, cy, cz), d2, jnp.zeros_like(centre)
+        nowhere = jnp.zeros_like(centre)
+        return (cx, cy, cz), d2, nowhere, (nowhere, nowhere)
 
     # caps: straight below or above, where the point's shadow falls into the ellipse
     down2, up2 = z * z, (z - length) ** 2
-    bottom = (k0 >= 1) & (down2 < d2)
+    bottom = (k0 >= 1) & (down2 < d2) if fixed is None else fixed.bottom
     d2 = jnp.where(bottom, down2, d2)
-    top = (k1 >= 1) & (up2 < d2)
+    top = (k1 >= 1) & (up2 < d2) if fixed is None else fixed.top
     d2 = jnp.where(top, up2, d2)
     flat = bottom | top
     cx, cy = jnp.where(flat, x, cx), jnp.where(flat, y, cy)
@@ -125,10 +135,10 @@ def _closest(size, rims, x, y, z, refine, caps, cut=uncut, alone=False):
     level = z * (1 / length)
     az, bz = a0 + level * (a1 - a0), b0 + level * (b1 - b0)
     inside = (z > 0) & (z < length) & (u * (bz * bz) + v * (az * az) < (az * bz) ** 2)
-    return (cx, cy, cz), d2, inside
+    return (cx, cy, cz), d2, inside, (bottom, top)
 
 
-# 8 parameters: points and a limb's sizes by component
+# 9 parameters: points and a limb's sizes by component
 def closest_point(
     size: Size,
     x: Float[Array, " point"],
@@ -138,6 +148,7 @@ def closest_point(
     caps: bool = True,
     rims: Rims | None = None,
     cut: Callable = uncut,
+    fixed: Sides | None = None,
 ) -> SurfacePoint:
     """Closest points on the frustum's surface, end caps included.
 
@@ -148,16 +159,16 @@ def closest_point(
     2 mm at 95 %, 23 mm at worst (deep inside the pelvis). 8 iterations: to 0.2 mm for a
     human's limbs, 1 mm for short tapering ones (tests/kernels/test_surface.py); `caps` false: the side alone, an open
     tube that has no inside; `rims` rim_factors of the size, where they are known already; `cut` see
-    kernels.assignment.cuts.
+    kernels.assignment.cuts; `fixed` where on the limb the pairs are, if that is settled.
 
     **Returns:** closest points and signed distances. At the axis, where several points are closest, one of them.
     """
     rims = rim_factors(size) if rims is None else rims
-    found, d2, inside = _closest(size, rims, x, y, z, refine, caps, cut)
+    found, d2, inside, caps_of = _closest(size, rims, x, y, z, refine, caps, cut, fixed=fixed)
     zero = d2 < 1e-16
     distance = jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, d2)))
     x, y, z = cut(*found)
-    return SurfacePoint(x, y, z, jnp.where(inside, -distance, distance))
+    return SurfacePoint(x, y, z, jnp.where(inside, -distance, distance), Sides(*caps_of, jnp.zeros_like(inside)))
 
 
 # 7 parameters: points and a limb's sizes by component
@@ -173,10 +184,11 @@ def signed_square(
     """Squared distances to the surface, negative inside: in the same order as the distances, and without their roots.
     See closest_point."""
     rims = rim_factors(size) if rims is None else rims
-    _, d2, inside = _closest(size, rims, x, y, z, refine, caps, alone=True)
+    _, d2, inside, _ = _closest(size, rims, x, y, z, refine, caps, alone=True)
     return jnp.where(inside, -d2, d2)
 
 
+# 7 parameters: points and a limb's sizes by component
 def near_side(
     size: Size,
     x: Float[Array, " point"],
@@ -184,13 +196,14 @@ def near_side(
     surface: SurfacePoint,
     sensor: Sequence[Float[Array, " point"]],
     cut: Callable = uncut,
+    fixed: Sides | None = None,
 ) -> SurfacePoint:
     """Moves correspondences from the side that the sensor cannot see to the side that it sees.
 
     A measured point was on the surface that faces its sensor. Where the point lies behind the limb's axis, the
     closest point would be on the far side and pull the limb away from the sensor; instead the point keeps its lateral
     offset and takes the near surface there. Not on an end cap that the sensor sees, which has no far side. `sensor`:
-    x, y, z of each point's sensor in the limb frame, metres.
+    x, y, z of each point's sensor in the limb frame, metres; `fixed` see closest_point.
     """
     a0, b0, a1, b1, length = (jnp.maximum(size[i], TINY) for i in range(5))
     s = surface.z / length
@@ -205,11 +218,11 @@ def near_side(
     depth, lateral = x * u + y * v, y * u - x * v
     within = (surface.x * per_a) ** 2 + (surface.y * per_b) ** 2 < FLAT
     on_cap = within & jnp.where(sensor[2] < 0, s < EDGE, (s > 1 - EDGE) & (sensor[2] > length))
-    behind = (depth < 0) & ~seen_from_end & ~on_cap
+    behind = (depth < 0) & ~seen_from_end & ~on_cap if fixed is None else fixed.behind
     (lateral,) = cut(lateral)
     lateral = jnp.clip(lateral, -1.0, 1.0)
     rest = 1.0 - lateral * lateral
     front = jnp.where(rest > 1e-12, jnp.sqrt(jnp.where(rest > 1e-12, rest, 1.0)), 0.0)
     cx, cy = a * (front * u - lateral * v), b * (front * v + lateral * u)
     x, y = cut(jnp.where(behind, cx, surface.x), jnp.where(behind, cy, surface.y))
-    return surface._replace(x=x, y=y)
+    return surface._replace(x=x, y=y, sides=surface.sides._replace(behind=behind))

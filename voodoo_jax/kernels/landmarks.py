@@ -6,7 +6,7 @@ A place is a line without direction, so that both are one formula: the measured 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, rotate, unrotate
 from voodoo_jax.geometry.robust import geman_mcclure
@@ -49,6 +49,13 @@ class FeatureSums(eqx.Module):
     weight: Float[Array, " limb"]
 
 
+class SettledFeatures(eqx.Module):
+    """Which point of the body each feature is taken for, a row of named_points, and whether it is near enough."""
+
+    point: Int[Array, " feature"]
+    kept: Bool[Array, " feature"]
+
+
 def _gaps(poses: Poses, limb, place, features: Features) -> Float[Array, "feature 3"]:
     """From each feature's point of the body to its line or place, metres."""
     world = rotate(poses.rotation[limb], place) + poses.translation[limb]
@@ -57,21 +64,39 @@ def _gaps(poses: Poses, limb, place, features: Features) -> Float[Array, "featur
     return features.origin + d * along - world
 
 
-def feature_sums(body: Body, poses: Poses, features: Features, options: FeatureOptions) -> FeatureSums:
-    """Pairs of all features with their points of the body, robustly weighted, summed per limb."""
+def _nearest_points(body: Body, poses: Poses, features: Features) -> Int[Array, " feature"]:
+    """Which of the points that it may be each feature is taken for: the nearest one."""
     limbs, places = named_points(body)
-    point = features.point[:, 0]
-    if features.point.shape[1] > 1:
-        gaps = jax.vmap(lambda p: _gaps(poses, limbs[p], places[p], features), 1, 1)(features.point)
-        away = jnp.where(body.present[limbs[features.point]], jnp.sum(gaps * gaps, -1), jnp.inf)
-        nearest = jnp.argmin(away, 1)
-        point = jnp.sum(jnp.where(jnp.arange(features.point.shape[1]) == nearest[:, None], features.point, 0), 1)
+    if features.point.shape[1] == 1:
+        return features.point[:, 0]
+    gaps = jax.vmap(lambda p: _gaps(poses, limbs[p], places[p], features), 1, 1)(features.point)
+    away = jnp.where(body.present[limbs[features.point]], jnp.sum(gaps * gaps, -1), jnp.inf)
+    nearest = jnp.argmin(away, 1)
+    return jnp.sum(jnp.where(jnp.arange(features.point.shape[1]) == nearest[:, None], features.point, 0), 1)
+
+
+def settled_features(body: Body, poses: Poses, features: Features, options: FeatureOptions) -> SettledFeatures:
+    """The choices in feature_sums."""
+    limbs, places = named_points(body)
+    point = _nearest_points(body, poses, features)
+    gap = _gaps(poses, limbs[point], places[point], features)
+    return SettledFeatures(point, (jnp.sum(gap * gap, -1) <= options.max_distance**2) & body.present[limbs[point]])
+
+
+def feature_sums(
+    body: Body, poses: Poses, features: Features, options: FeatureOptions, fixed: SettledFeatures | None = None
+) -> FeatureSums:
+    """Pairs of all features with their points of the body, robustly weighted, summed per limb; `fixed` choices that are
+    settled."""
+    limbs, places = named_points(body)
+    point = _nearest_points(body, poses, features) if fixed is None else fixed.point
     limb, c, d = limbs[point], places[point], features.direction
     pose = poses[limb]
     gap = _gaps(poses, limb, c, features)
     e2 = jnp.sum(gap * gap, -1)
     robust = geman_mcclure(e2, options.robust_scale)
-    w = jnp.where((e2 <= options.max_distance**2) & body.present[limb], robust * features.weight, 0.0)
+    kept = (e2 <= options.max_distance**2) & body.present[limb] if fixed is None else fixed.kept
+    w = jnp.where(kept, robust * features.weight, 0.0)
 
     gap_limb, d_limb = unrotate(pose.rotation, gap), unrotate(pose.rotation, d)
 

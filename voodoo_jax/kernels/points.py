@@ -37,6 +37,7 @@ class MatchOptions(eqx.Module):
     max_distance: Float[Array, ""]  # metres
     robust_scale: Float[Array, ""]  # metres; infinite: every pair counts fully, as in the papers
     sampling: Sampling | None  # None: all points are used
+    softness: Float[Array, ""]  # metres, of the overlap rule "soft": see kernels.bounding_boxes.shares
     overlap: Overlap = eqx.field(static=True)
     near_side: bool = eqx.field(static=True)
     refine: int = eqx.field(static=True)

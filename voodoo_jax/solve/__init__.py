@@ -1,4 +1,4 @@
 """One frame's solve, the scan over frames, derivatives and covariances. Array shapes are decided in `padding`.
 
-Public: `scan.track_visits`, `implicit.solution`.
+Public: `scan.track_visits`, `through_time.track_through`, `implicit.solution`.
 """

@@ -20,7 +20,7 @@ SHAPE = 0.0158  # metres, standard deviation along each axis of a joint of a per
 
 
 def limb_covariances(twist: Float[Array, "limb 6 6"]) -> Float[Array, "limb 6 6"]:
-    """Covariance of each limb's pose (turn in radians, shift in metres; limb frame) from kernels.coupled's."""
+    """Covariance of each limb's pose (turn in radians, shift in metres; limb frame) from kernels.gauss_newton's."""
     shape = jnp.diag(jnp.array([0, 0, 0, 1, 1, 1], twist.dtype)) * SHAPE**2
     return NOISE**2 * twist + shape
 

@@ -15,7 +15,16 @@ from voodoo_jax.geometry.rigid import Poses, apply, compose, quat_normalize
 from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.absolute_orientation import align
 from voodoo_jax.kernels.bands import link_moments, prior_moments
-from voodoo_jax.kernels.correspondences import Match, MatchOptions, Points, match, sums
+from voodoo_jax.kernels.correspondences import (
+    Match,
+    MatchOptions,
+    Points,
+    Settled,
+    match,
+    match_settled,
+    settled,
+    sums,
+)
 from voodoo_jax.kernels.gauss_newton import (
     as_motions,
     coupled_normals,
@@ -25,7 +34,14 @@ from voodoo_jax.kernels.gauss_newton import (
     stretched,
 )
 from voodoo_jax.kernels.joint_limits import PlausibleOptions, corrections, joint_links
-from voodoo_jax.kernels.landmarks import FeatureOptions, Features, FeatureSums, feature_sums
+from voodoo_jax.kernels.landmarks import (
+    FeatureOptions,
+    Features,
+    FeatureSums,
+    SettledFeatures,
+    feature_sums,
+    settled_features,
+)
 from voodoo_jax.model.body import Body, Links, Topology
 
 MOVED = 0.003  # metres: a step that moves no limb farther may be the last where it gains nothing
@@ -75,7 +91,7 @@ class Problem(eqx.Module):
         return cls(body, links, points, features, predicted, options)
 
 
-# normal matrix and right-hand side of all limbs' twists, see kernels.coupled
+# normal matrix and right-hand side of all limbs' twists, see kernels.gauss_newton
 System = tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]
 
 
@@ -107,9 +123,24 @@ class Seen(NamedTuple):
     info: StepInfo
     found: Match
     squares: Float[Array, ""]  # weighted sum of squared distances of the points, square metres
-    measured: Float[Array, "limb 4 4"]  # sums over points of kernels.procrustes
+    measured: Float[Array, "limb 4 4"]  # sums over points of kernels.absolute_orientation
     second: Float[Array, "limb 3 3"] | None  # None: not asked for
     named: FeatureSums | None
+
+
+class Chosen(NamedTuple):
+    """All that is decided rather than measured in a frame: pairs of points, and of features (None: there are none)."""
+
+    points: Settled
+    features: SettledFeatures | None
+
+    def differs(self, other: "Chosen") -> Int[Array, ""]:
+        """How many points and features of a frame are matched in another way."""
+        count = jnp.sum(self.points.differs(other.points))
+        if self.features is not None and other.features is not None:
+            moved = (self.features.point != other.features.point) & self.features.kept
+            count = count + jnp.sum(moved | (self.features.kept != other.features.kept))
+        return count
 
 
 class Pulls(NamedTuple):
@@ -155,18 +186,36 @@ def total_weight(problem: Problem, doubt: Float[Array, ""] | float = 1.0) -> Flo
     return jnp.maximum(total, 1e-6)
 
 
-def seen_at(poses: Poses, problem: Problem, with_second: bool = True) -> Seen:
+def choices(poses: Poses, problem: Problem) -> Chosen:
+    """How points and features are matched at these poses."""
+    body, options = problem.body, problem.options
+    near = adjacency(body.topology)
+    points = settled(body.sizes, poses, problem.points, near, options.match, body.present)
+    named = None
+    if problem.features is not None:
+        named = settled_features(body, poses, problem.features, options.features)
+    return Chosen(points, named)
+
+
+def seen_at(poses: Poses, problem: Problem, with_second: bool = True, chosen: Chosen | None = None) -> Seen:
     """Measurements as sums, set up in each limb's frame: a solve is for a small motion near the origin, and float32
     keeps its digits wherever the person stands (docs/numerics.md#float32).
 
-    `with_second`: second moments too, which only the coupled solver needs."""
+    `with_second`: second moments too, which only the coupled solver needs; `chosen`: choices that are settled."""
     body, options = problem.body, problem.options
-    found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
+    if chosen is None:
+        found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
+    else:
+        found = match_settled(body.sizes, poses, problem.points, chosen.points, options.match)
+        if options.match.overlap == "exclusive":
+            mine = jnp.arange(body.limb_count)[:, None] == chosen.points.limb
+            found = found._replace(weight=jnp.where(mine, found.weight, 0.0))
     measured, second, squares = sums(found, with_second)
     limb_weight = measured[:, 0, 0]
     named, of_points = None, squares
     if problem.features is not None:
-        named = feature_sums(body, poses, problem.features, options.features)
+        fixed = None if chosen is None else chosen.features
+        named = feature_sums(body, poses, problem.features, options.features, fixed)
         limb_weight, squares = limb_weight + named.weight, squares + named.squares
     quality = squares / jnp.maximum(jnp.sum(limb_weight), 1e-6)
     return Seen(StepInfo(quality, limb_weight), found, of_points, measured, second, named)
@@ -182,7 +231,7 @@ def pulls_of(seen: Seen, poses: Poses, problem: Problem) -> Pulls:
 
 
 def frame_normals(poses: Poses, pulls: Pulls, damping: Float[Array, ""]) -> System:
-    """The normal equations of all limbs' twists in a frame (see kernels.coupled)."""
+    """The normal equations of all limbs' twists in a frame (see kernels.gauss_newton)."""
     seen = pulls.seen
     assert seen.second is not None  # see seen_at
     normals, rhs = jax.vmap(pair_normals)(seen.measured + pulls.prior, seen.second + pulls.prior_second)
@@ -326,8 +375,8 @@ def solve_and_measure(
     problem: Problem, patient: Bool[Array, ""] | bool = True
 ) -> tuple[Poses, Measured, Float[Array, "limb6 limb6"]]:
     """As solve_frame from the predicted poses; and what the poses found explain, with the normal matrix of the limbs'
-    twists there (kernels.coupled), both without the pull that holds who stands still: it would make a frame surer of
-    itself than its measurements are.
+    twists there (kernels.gauss_newton), both without the pull that holds who stands still: it would make a frame surer
+    of itself than its measurements are.
 
     One loop for both, whose last turn measures and does not move: to compile all of a step twice takes seconds.
     """

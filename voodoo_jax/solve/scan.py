@@ -69,7 +69,7 @@ class Step(NamedTuple):
     limb_weight: Float[Array, " limb"]
     steps: Int[Array, ""]
     points: Int[Array, ""]
-    # of each limb's twist, for unit variance per unit of weight (kernels.coupled): track_chunk fills it in
+    # of each limb's twist, for unit variance per unit of weight (kernels.gauss_newton): track_chunk fills it in
     covariance: Float[Array, "limb 6 6"] | None = None
 
 
@@ -97,6 +97,7 @@ def options_from(solve: SolveSettings, track: TrackSettings, features: FeatureSe
         sampling=None
         if solve.sampling == 1 and solve.sampling_max >= 8192
         else Sampling(number(solve.sampling), whole(solve.sampling_min), whole(solve.sampling_max)),
+        softness=number(solve.softness),
         overlap=solve.overlap,
         near_side=solve.near_side,
         refine=solve.refine,
@@ -219,7 +220,27 @@ def track_frame(
     features: Features | None = None,
 ) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
     """Tracks one frame: predict, solve, measure how well it went; and the normal matrix of the limbs' twists there
-    (kernels.coupled), for many frames are inverted together in less time."""
+    (kernels.gauss_newton), for many frames are inverted together in less time."""
+    problem, patient, cloud = frame_problem(body, options, state, points, seconds, features)
+    poses, seen, normals = solve_and_measure(problem, patient=patient)
+    count = jnp.sum(points.weight > 0)
+    explained = seen.close / jnp.maximum(count, 1)
+    step = Step(poses, seen.residual, explained, seen.feature_residual, seen.limb_weight, seen.steps, count)
+    told = count > 0
+    return state_after(problem, options, state, poses, seen.limb_weight, seconds, seen.good, told, cloud), step, normals
+
+
+# 6 parameters: the frame's measurements, and what was before
+def frame_problem(
+    body: Body,
+    options: TrackOptions,
+    state: State,
+    points: Points,
+    seconds: Float[Array, ""],
+    features: Features | None = None,
+) -> tuple[Problem, Bool[Array, ""], Float[Array, "4"]]:
+    """What a frame's poses are solved on, predicted from the state before it; whether the prediction may be far off;
+    and the mean of the points (see State)."""
     cloud = _cloud(points)
     predicted = predict(body, options, state, seconds, cloud)
     # a prediction over a longer interval is worth less: its error grows with the square of the time
@@ -227,24 +248,36 @@ def track_frame(
     weaker = jnp.minimum(late**2, 16.0)
     steady = options.icp.steady * _still(body, state, options.still_speed)
     icp = eqx.tree_at(lambda o: (o.prior, o.steady), options.icp, (options.icp.prior / weaker, steady / weaker))
-    problem = Problem.build(body, points, predicted, icp, features)
-    poses, seen, normals = solve_and_measure(problem, patient=late > FAR)
+    return Problem.build(body, points, predicted, icp, features), late > FAR, cloud
+
+
+# 9 parameters: all that a state follows from
+def state_after(
+    problem: Problem,
+    options: TrackOptions,
+    before: State,
+    poses: Poses,
+    limb_weight: Float[Array, " limb"],
+    seconds: Float[Array, ""],
+    good: Bool[Array, ""],
+    told: Bool[Array, ""],
+    cloud: Float[Array, "4"],
+) -> State:
+    """What a frame hands to the next. `good`: the poses were measured, not predicted; `told`: there are points."""
+    points, features = problem.points, problem.features
     safe = jnp.where(seconds > 0, seconds, 1.0)
-    turn = compose(inverse(state.poses), poses).rotation
-    moving = (seconds > 0) & seen.good
+    turn = compose(inverse(before.poses), poses).rotation
+    moving = (seconds > 0) & good
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
-    velocity = jnp.where(moving, (poses.translation - state.poses.translation) / safe, 0.0)
-    count = jnp.sum(points.weight > 0)
-    explained = seen.close / jnp.maximum(count, 1)
-    step = Step(poses, seen.residual, explained, seen.feature_residual, seen.limb_weight, seen.steps, count)
+    velocity = jnp.where(moving, (poses.translation - before.poses.translation) / safe, 0.0)
     # by how many points there are, however noisy
-    weight, told = seen.limb_weight * (1.0 if points.doubt is None else points.doubt), count > 0
+    weight = limb_weight * (1.0 if points.doubt is None else points.doubt)
     if options.by_features and features is not None:
-        weight = weight + feature_sums(body, poses, features, options.icp.features).weight
+        weight = weight + feature_sums(problem.body, poses, features, options.icp.features).weight
         told = told | jnp.any(features.weight > 0)
     share = weight**2
     shown = share / jnp.maximum(share + options.hidden_weight**2, 1e-6)
-    return State(poses, spin, velocity, jnp.where(told, shown, state.seen), cloud), step, normals
+    return State(poses, spin, velocity, jnp.where(told, shown, before.seen), cloud)
 
 
 def _nothing(state: State) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
@@ -302,8 +335,8 @@ def track_visits(
 def covariances_of(
     body: Body, options: TrackOptions, normals: Float[Array, "visit limb6 limb6"], sure: Bool[AnyArray, ""]
 ) -> Float[Array, "visit limb 6 6"]:
-    """Covariance of each limb's twist from the normal matrices of many visits, see kernels.coupled; zero where nobody
-    asks (not `sure`)."""
+    """Covariance of each limb's twist from the normal matrices of many visits, see kernels.gauss_newton; zero where
+    nobody asks (not `sure`)."""
     count, limbs = normals.shape[0], normals.shape[1] // 6
 
     def found():

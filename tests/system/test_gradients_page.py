@@ -1,0 +1,38 @@
+"""The lines that README.md begins with run as they stand there, and their gradient is that of the error."""
+
+import re
+import shutil
+from importlib.resources import files
+from pathlib import Path
+
+import jax
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_first_lines_of_the_readme(tmp_path, monkeypatch, request):
+    text = (ROOT / "README.md").read_text()
+    block = re.search(r"```python\n(import jax, voodoo_jax.*?)```", text, re.DOTALL)
+    assert block is not None and text.index(block[0]) < text.index("## Try it")
+    lines = [line for line in block[1].splitlines() if line]
+    assert len(lines) == 6
+    for suffix in (".mcap", ".truth.npz"):
+        shutil.copy(str(files("voodoo_jax") / "data" / f"demo{suffix}"), tmp_path / f"bow{suffix}")
+    monkeypatch.chdir(tmp_path)
+    # a part of the recording, compiled in a hurry
+    lines[1] = lines[1].replace('.npz")', '.npz", frames=8, points=64)')
+    lines[5] = lines[5].replace("])", "], steps=2)")
+    names: dict = {}
+    exec("\n".join(lines[:2]), names)
+    jax.config.update("jax_disable_most_optimizations", True)
+    request.addfinalizer(lambda: jax.config.update("jax_disable_most_optimizations", False))
+    exec("\n".join(lines[2:]), names)
+    error, here = names["error"], names["here"]
+    slope = jax.grad(error)(here)
+    assert set(slope) == set(here) and 0 < error(here) < 0.03
+    step = 0.003
+    ahead, behind = (float(error(here | {"lengths.thigh": d})) for d in (step, -step))
+    assert float(slope["lengths.thigh"]) == pytest.approx((ahead - behind) / (2 * step), rel=0.3)
+    with pytest.raises(ValueError, match="lenghts"):
+        names["vj"].solved({"lenghts.thigh": 0.0}, names["problem"])

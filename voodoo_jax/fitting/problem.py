@@ -1,0 +1,138 @@
+"""A recording made ready for gradients, and its solution by named parameters: `vj.problem`, `vj.solved`."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from voodoo_jax.config.options import Settings
+from voodoo_jax.fitting.frames import Truth, feature_names, fit_frames, placed_by, read_truth
+from voodoo_jax.fitting.objective import FitFrames
+from voodoo_jax.fitting.parameters import changed, changed_points, changed_tracking, named_changes
+from voodoo_jax.fitting.seen import Log, Seen, tracked
+from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.kernels.landmarks import Features
+from voodoo_jax.model.body import Body
+from voodoo_jax.solve.scan import TrackOptions, at_rest, options_from
+from voodoo_jax.solve.through_time import Measurements, Tracked, track_through
+
+# what is solved with: a number for each name, such as lengths.thigh (see solved)
+Named = Mapping[str, Float[ArrayLike, ""]]
+
+
+class Problem(eqx.Module):
+    """A recording that was tracked once, padded: all that its poses depend on. Arrays throughout: problems of equal
+    shapes may be stacked and mapped over."""
+
+    body: Body  # in the size that the tracker found
+    options: TrackOptions
+    frames: FitFrames  # what poses are solved on, what judges them, and the truth
+    seconds: Float[Array, " frame"]  # since the frame before; 0 for the first one
+    places: Float[Array, "frame centre 3"]  # how far the tracker puts joints beside the body's own centres, metres
+    features: tuple[str, ...] = eqx.field(static=True)  # whose weights have names
+
+    def measured(self) -> Measurements:
+        """What poses are solved on."""
+        frames = self.frames
+        return Measurements(frames.points, self.seconds, frames.weight > 0, frames.features)
+
+
+# 8 parameters: what is tracked and how, and which frames count
+def problem(
+    body: Body,
+    recording: Log | Seen,
+    settings: Settings | None = None,
+    *,
+    truth: Truth | str | os.PathLike[str] | None = None,
+    first: int = 0,
+    frames: int = 0,
+    points: int = 256,
+    room: int = 0,
+) -> Problem:
+    """A recording made ready for `solved`: tracked once as `track` does, which finds the body's points, its start and
+    its size. These stay as they are; all after them is differentiable.
+
+    **Arguments:** `recording` a path or a Recording; `truth` known joint centres (an .npz with time_ns, joints and
+    joint_names), for `loss.joints`; `first` and `frames` the part that is solved, in tracked frames (0: to the end);
+    `points` of a frame that its pose is solved on, at most, and as many others that judge; `room` frames to pad to, so
+    that several recordings have one shape.
+
+    Raises LogError, TruthError, and ValueError where nobody is tracked.
+    """
+    settings = settings or Settings()
+    seen = recording if isinstance(recording, Seen) else tracked(body, [recording], settings)[0]
+    tracks, people = seen.tracks, list(seen.people)
+    there = np.flatnonzero(tracks.tracked)
+    if len(there) <= first:
+        raise ValueError(f"{tracks.source}: {len(there)} frames are tracked, and the first one asked for is {first}")
+    at = np.arange(there[first], there[-1] + 1)[: frames or None]
+    count = max(room, len(at))
+    known = read_truth(truth) if isinstance(truth, (str, os.PathLike)) else truth
+    names = feature_names(people, tracks.body.topology, settings.features)
+    placed = np.zeros((count, len(tracks.body.topology.centres), 3), np.float32)
+    placed[: len(at)] = np.nan_to_num(placed_by(tracks, at))
+    found = fit_frames(_whole(tracks), people, at, settings.features, names, count, points, known)
+    seconds = np.zeros(count, np.float32)
+    seconds[1 : len(at)] = np.diff([people[i].time_ns for i in at]) / 1e9
+    options = options_from(settings.solve, settings.track, settings.features)
+    known_there = jnp.asarray(seconds), jnp.asarray(placed)
+    return Problem(tracks.body, options, found, *known_there, names)
+
+
+def _whole(tracks):
+    """Tracks with poses in frames that have none: of the frame before, for a start is all that they serve as."""
+    lost = ~(np.isfinite(tracks.rotation).all((1, 2)) & np.isfinite(tracks.translation).all((1, 2)))
+    if not lost.any():
+        return tracks
+    last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(lost))))
+    return replace(tracks, rotation=tracks.rotation[last], translation=tracks.translation[last])
+
+
+def with_parameters(parameters: Named | Body, problem: Problem) -> tuple[Body, TrackOptions, Measurements]:
+    """What a recording is solved with, see solved."""
+    if isinstance(parameters, Body):
+        return parameters, problem.options, problem.measured()
+    sensors, measured = problem.frames.points.origins.shape[-2], problem.measured()
+    by = named_changes(problem.body, parameters, problem.features, sensors)
+    features: Features | None = measured.features
+    if features is not None and problem.frames.feature_name is not None and problem.features:
+        factor = jnp.exp(by.features[problem.frames.feature_name])
+        features = eqx.tree_at(lambda f: f.weight, features, features.weight * factor)
+    moved = replace(measured, points=changed_points(measured.points, by), features=features)
+    return changed(problem.body, by), changed_tracking(problem.options, by), moved
+
+
+def solved(parameters: Named | Body, problem: Problem) -> Tracked:
+    """Poses and joints of all frames, by parameters: one pure function of arrays, from the first frame to the last,
+    with derivatives in forward and in reverse mode; it may be mapped over parameters and problems (`jax.vmap`).
+
+    **Arguments:** `parameters` a body, or numbers by name, all 0 for the body as it is: logarithms of factors of
+    `lengths.thigh`, `radii.chest.top`, `bands.knee.weight`, `solve.ratio`, `track.damping`, `features.face.weight`,
+    `sensors.0.weight` and so on, shares of the body's scale for `anchors.hip.y`, metres and radians for `sensors.0.x`
+    and `sensors.0.turn_z`. A name without a side is of both sides.
+
+    **Returns:** see Tracked: `joints` [frame, centre, 3], metres; `converged`: derivatives of other frames are wrong;
+    `changing`: how many points lie between two limbs or two sides, where derivatives hold to one side only. Never NaN.
+
+    Raises ValueError for a name that the body does not have.
+    """
+    return _solve()(parameters, problem)
+
+
+@cache
+def _solve():
+    """Compiled: op by op it would take a minute."""
+
+    def solve(parameters: Named | Body, problem: Problem) -> Tracked:
+        body, options, measured = with_parameters(parameters, problem)
+        start = at_rest(Poses(problem.frames.poses.rotation[0], problem.frames.poses.translation[0]))
+        found = track_through(body, options, start, measured)
+        return eqx.tree_at(lambda f: f.joints, found, found.joints + problem.places)
+
+    return jax.jit(solve)

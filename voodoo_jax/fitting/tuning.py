@@ -1,0 +1,119 @@
+"""Tuning: any parameters, by the gradient of any loss through whole recordings: `vj.tune`."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from voodoo_jax.compile.xla_options import quickly
+from voodoo_jax.config.options import Settings
+from voodoo_jax.fitting.losses import loss as losses
+from voodoo_jax.fitting.parameters import changed, named_changes, parameters
+from voodoo_jax.fitting.problem import Problem, solved
+from voodoo_jax.fitting.tuned_options import tuned_settings
+from voodoo_jax.model.body import Body
+from voodoo_jax.solve.through_time import Tracked
+
+Loss = Callable[[Tracked, Problem], Float[Array, ""]]
+ENOUGH = 1e-3  # of the loss, and of a parameter's usual deviation: a step that changes less is the last
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What was found."""
+
+    parameters: dict[str, float]  # by name, as `solved` takes them
+    problems: tuple[Problem, ...]
+    curve: tuple[float, ...]  # the loss, its prior left out, at all places that were looked at, the start first
+    finished: bool  # stopped by itself
+
+    @property
+    def before(self) -> float:
+        """The loss at the start."""
+        return self.curve[0]
+
+    @property
+    def after(self) -> float:
+        """The least loss that was found, at `parameters`."""
+        return min(self.curve)
+
+    def body(self, which: int = 0) -> Body:
+        """The body of a problem with what was found."""
+        one = self.problems[which]
+        return changed(one.body, self._changes(one))
+
+    def settings(self, before: Settings) -> Settings:
+        """Settings with what was found of the solve's and the tracking's options and of the features' weights."""
+        one = self.problems[0]
+        return tuned_settings(before, one.body.topology, self._changes(one), one.features)
+
+    def _changes(self, one: Problem) -> Any:
+        return named_changes(one.body, self.parameters, one.features, one.frames.points.origins.shape[-2])
+
+
+# 7 parameters: what is tuned to what, and how long
+def tune(
+    problems: Problem | Sequence[Problem],
+    free: Sequence[str],
+    *,
+    loss: Loss = losses.joints,
+    start: Mapping[str, float] | None = None,
+    steps: int = 20,
+    pull: float = 1e-3,
+    say: Callable[[float, dict[str, float]], None] | None = None,
+) -> Tuned:
+    """Makes the mean loss of some recordings small by its gradient (BFGS, optimistix.minimise), each solved from the
+    first frame to the last.
+
+    **Arguments:** `problems` of `vj.problem`, of one shape (its `frames`, `points` and `room` say it) they are one
+    program; `free` words and patterns of parameters as for `fit` (lengths, bands.*.weight, track.damping), left and
+    right alike; `loss` of a recording as solved; `start` parameters to begin at, else 0; `steps` at most; `pull` weight
+    of the parameters' priors (fitting.parameters.PRIORS) beside the loss; `say` hears of each place that is looked at.
+
+    Raises ValueError for a pattern that names nothing.
+    """
+    some = (problems,) if isinstance(problems, Problem) else tuple(problems)
+    first, begun = some[0], start or {}
+    known = parameters(first.body, tuple(free), first.features, sensors=first.frames.points.origins.shape[-2])
+    names, sd = known.names, known.sd.astype(np.float32)
+    seen: list[tuple[float, dict[str, float]]] = []
+    groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _alike(some)]
+
+    def heard(z: np.ndarray, value: np.ndarray) -> None:
+        found = dict(zip(names, (np.asarray(z) * sd).tolist()))
+        seen.append((float(value), found))
+        if say is not None:
+            say(*seen[-1])
+
+    def function(z: Float[Array, " free"], groups: list[Problem]) -> Float[Array, ""]:
+        values = dict(zip(names, jnp.asarray(z * sd)))
+        one = lambda problem: loss(solved(values, problem), problem)  # noqa: E731
+        value = sum(jnp.sum(jax.lax.map(one, group)) for group in groups) / len(some)
+        jax.debug.callback(heard, z, value, ordered=True)
+        return value + 0.5 * pull * jnp.sum(z**2)
+
+    def search(z: Float[Array, " free"], groups: list[Problem]) -> optx.Solution:
+        solver = optx.BFGS(rtol=ENOUGH, atol=ENOUGH)
+        return optx.minimise(function, solver, z, groups, max_steps=steps, throw=False)
+
+    z = jnp.array([begun.get(name, 0.0) for name in names], jnp.float32) / sd
+    found = quickly(search)(z, groups)
+    jax.effects_barrier()
+    best = min(seen, key=lambda one: one[0] if np.isfinite(one[0]) else np.inf)
+    done = found.result == optx.RESULTS.successful
+    return Tuned(best[1], some, tuple(value for value, _ in seen), bool(done))
+
+
+def _alike(problems: tuple[Problem, ...]) -> list[list[Problem]]:
+    """Problems of one shape together."""
+    found: dict[Any, list[Problem]] = {}
+    for one in problems:
+        shapes = tuple((leaf.shape, leaf.dtype.name) for leaf in jax.tree.leaves(eqx.filter(one, eqx.is_array)))
+        found.setdefault((jax.tree.structure(one), shapes), []).append(one)
+    return list(found.values())
