@@ -85,7 +85,7 @@ def tune(
     seen: list[tuple[float, dict[str, float]]] = []
     groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _alike(some)]
 
-    def heard(z: np.ndarray, value: np.ndarray) -> None:
+    def heard(z: Any, value: Any) -> None:
         found = dict(zip(names, (np.asarray(z) * sd).tolist()))
         seen.append((float(value), found))
         if say is not None:
