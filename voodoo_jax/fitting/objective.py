@@ -192,7 +192,7 @@ def normals(
             by = say(x)
             new, changed_to = changed(body, by), changed_options(options, by)
             r = frame_residuals(
-                new, changed_to, frame, carried(rest, frame_problem(new, changed_to, frame, by), SETTLED), objective
+                new, changed_to, frame, carried(rest, frame_problem(new, changed_to, frame, by)), objective
             )
             return r, r
 
