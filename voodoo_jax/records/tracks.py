@@ -1,6 +1,6 @@
 """The result of tracking one recording, on the host: NumPy arrays and the body they belong to."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from html import escape
 from typing import Any, Protocol, runtime_checkable
@@ -89,6 +89,12 @@ class Tracks:
         if self.joint_confidence is None:
             return np.full(len(self.time_ns), np.nan, np.float32)
         return expected_share(self.joint_confidence)
+
+    def since(self, first: int) -> "Tracks":
+        """The same without the frames before `first`."""
+        each = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("up", "marker_residual")}
+        rows = {name: value[first:] for name, value in each.items() if isinstance(value, np.ndarray)}
+        return replace(self, **rows) if first else self
 
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
         """Positions of one joint centre over time, metres.
