@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from voodoo_jax.config.options import Settings
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.formats import FORMATS, export, gaps_note
 from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.records.tracks import Tracks
@@ -25,7 +26,7 @@ def extra_files(npz: Path, formats: Sequence[str]) -> list[Path]:
     return [npz.with_name(npz.name.removesuffix(NPZ) + VIEW), *people[1:], *exported]
 
 
-def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str]) -> list[str]:
+def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str], style: Style) -> list[str]:
     """Exports the tracks of all people of a log, beside `npz`, the file of the first one's.
 
     **Returns:** what a user should know: frames that are not tracked, and what could not be written and why.
@@ -35,7 +36,7 @@ def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str]) -
         path = Path(person_place(str(npz), own.person))
         for name in formats:
             try:
-                export(own, path.parent / exported_name(path, name), name)
+                export(own, path.parent / exported_name(path, name), name, style)
             except Exception as problem:  # the tracks are there all the same
                 notes.append(f"No {exported_name(path, name)}: {reason(problem)}")
     return [note for note in notes if note]

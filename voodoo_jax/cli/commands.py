@@ -18,6 +18,7 @@ from voodoo_jax.config.options import (
     StartSettings,
     TrackSettings,
 )
+from voodoo_jax.config.output_style import Names, Style
 from voodoo_jax.config.tune_options import TuneSettings
 
 BODY_HELP = (
@@ -94,6 +95,7 @@ class Replay:
     preset: Preset = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     results: OmitArgPrefixes[Results] = field(default_factory=Results)
+    style: OmitArgPrefixes[Style] = field(default_factory=Style)
     running: OmitArgPrefixes[Running] = field(default_factory=Running)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
 
@@ -115,6 +117,8 @@ class Live:
     serve: int = -1
     """Port of a Foxglove WebSocket on this machine's own address, on which transforms and the body are given out; 0:
     any that is free; -1: none."""
+    names: Names = ""
+    """Names of joints: hanim (l_radiocarpal), common and smpl (left_wrist), h36m (LWrist), opensim (LWJC)."""
     idle: float = 10.0
     """A file that has not grown for so many seconds is finished."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
@@ -152,6 +156,7 @@ class Export:
     formats: Annotated[str, arg(name="as", help=FORMATS_HELP)] = ""
     out: Path | None = None
     """Folder for the files; none named: they are written beside the tracks."""
+    style: OmitArgPrefixes[Style] = field(default_factory=Style)
 
 
 @dataclass(frozen=True)

@@ -84,9 +84,9 @@ def run_replay(command: Replay) -> int:
         wanted, how = command.results, command.running
         outcomes = replay(
             command.logs, wanted.out, body, command.settings, smooth_seconds=wanted.smooth, picture=wanted.picture,
-            html=wanted.html, report=wanted.report, export=[wanted.export], again=how.again, workers=how.workers,
-            engine=how.engine, shard=how.shard, compile_cache=cache or "off", log_timeout=how.log_timeout,
-            ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
+            html=wanted.html, report=wanted.report, export=[wanted.export], style=command.style, again=how.again,
+            workers=how.workers, engine=how.engine, shard=how.shard, compile_cache=cache or "off",
+            log_timeout=how.log_timeout, ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
         )  # fmt: skip
     except NotSummedUp as problem:
         print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)

@@ -188,7 +188,7 @@ def _named(tracks: Tracks) -> list[FrameTransform]:
     """A transform for each limb and joint centre, yet without time and place."""
     prefix = _prefix(tracks)
     names = [f"{prefix}{name}" for name in tracks.body.topology.limbs]
-    names += [f"{prefix}joint/{name}" for name in tracks.body.topology.centres]
+    names += [f"{prefix}joint/{name}" for name in tracks.joint_names]
     return [FrameTransform(parent_frame_id=tracks.fixed_frame, child_frame_id=name) for name in names]
 
 
