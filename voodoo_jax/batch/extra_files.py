@@ -1,6 +1,7 @@
 """What is made of a log's tracks besides them: exports to other formats, a view in a browser."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from voodoo_jax.config.options import Settings
@@ -45,11 +46,13 @@ def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str], s
 def write_view(people: Sequence[Tracks], npz: Path, settings: Settings, log: str) -> list[str]:
     """Writes `<log>.html` beside the tracks, reading the log once more; why that did not work, or nothing."""
     from voodoo_jax.io.log_reader import open_log
+    from voodoo_jax.records.tracks import given_from
     from voodoo_jax.viz.html_view import write_html
 
     target = npz.with_name(npz.name.removesuffix(NPZ) + VIEW)
     try:
-        write_html(people, open_log(log, settings.read).frames(), target)
+        reader = open_log(log, replace(settings.read, images=True))
+        write_html([given_from(one, -reader.origin) for one in people], reader.frames(), target)
     except Exception as problem:  # as above
         return [f"No {target.name}: {reason(problem)}"]
     return []

@@ -122,8 +122,8 @@ def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4,
 
     tracks = people[0]
     build = build_of(tracks.body, settings.start.scale)
-    # clouds are drawn; a network would look at all images for four frames
-    read = replace(settings.read, images=False, pose_net="", matching="fine")
+    # a network would look at all images for four frames
+    read = replace(settings.read, images=True, pose_net="", matching="fine")
     reader = open_checked(log or tracks.source, read, build, settings.detect)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
     frames = tuple(frame for frame in reader.frames() if frame.time_ns in wanted)
