@@ -154,7 +154,7 @@ def test_what_was_done_elsewhere_is_not_done_twice(some_logs, reference, tmp_pat
 
     assert skipped(mine, theirs) == {"mine/b.tracks.npz": True, "theirs/b.tracks.npz": False}
     assert skipped(theirs) == {"b.tracks.npz": True}
-    assert skipped(mine, tmp_path / "in") == {"b.tracks.npz": True, "theirs/b.tracks.npz": True}
+    assert skipped(mine, tmp_path / "in") == {"mine/b.tracks.npz": True, "theirs/b.tracks.npz": True}
     (out / "b.tracks.npz").write_bytes(b"cut")
     (out / "mine" / "b.tracks.npz").write_bytes(b"cut")
     assert skipped(mine) == {"b.tracks.npz": False}

@@ -13,7 +13,7 @@ from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
 from voodoo_jax.batch.log_job import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.batch.outcome import Outcome, outcome_of_arrays
-from voodoo_jax.batch.output_paths import folders_within
+from voodoo_jax.batch.output_paths import folders_within, logs_of
 from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers, may_have_gpu
 from voodoo_jax.batch.results_elsewhere import brought, keys_elsewhere
 from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
@@ -82,8 +82,8 @@ def replay(
     log_timeout: float = 0.0,
     ray: RayTasks | None = None,
 ) -> list[Outcome]:
-    """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, of logs of one
-    name into folders of their own in it (see output_paths.py).
+    """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, those of
+    logs below a given folder into folders as theirs (see output_paths.py).
 
     A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
     under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
@@ -129,8 +129,8 @@ def replay(
     number, count = parse_shard(shard)
     summary = summary_name(number, count)
     named = [(_absolute(log), _absolute(place)) for log in logs for place in expanded(log)]
-    places = list(dict.fromkeys(place for _, place in named))
-    within = folders_within(places, {place for log, place in named if log in (place, os.path.dirname(place))})
+    within = folders_within(logs_of(named))
+    places = list(within)
     out, settings, body = _absolute(out), settings or Settings(), body or load_on_host("human")
     check_text(out, "--out")
     if not is_url(out):
