@@ -1,7 +1,7 @@
 """docs/images/demo.webp of the demo's HTML view, by a headless Chromium: one frame of two, seen from a turning camera.
 
-    voodoo-jax replay voodoo_jax/data/demo.mcap --out OUT --html
-    python -m experiments.demo.moving_picture OUT/demo.html docs/images/demo.webp
+voodoo-jax replay voodoo_jax/data/demo.mcap --out OUT --html
+python -m experiments.demo.moving_picture OUT/demo.html docs/images/demo.webp
 """
 
 import base64
