@@ -63,6 +63,7 @@ def output_places(log: str, out: str) -> tuple[str, str, str]:
     return joined(out, npz.name), joined(out, mcap.name), joined(out, npz.name.removesuffix(".tracks.npz") + ".png")
 
 
+# 7 parameters: what is tracked by what, who watches it, and how joints are called
 def track_log(
     path: str | os.PathLike[str],
     body: Body,

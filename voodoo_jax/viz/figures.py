@@ -86,20 +86,9 @@ def show(
     nearest = [recording.frames[int(np.abs(stamps - tracks.time_ns[i]).argmin())] for i in chosen]
     middle, axes3 = _view(tracks, recording, nearest, int(chosen[len(chosen) // 2]))
     windows = _windows(people, nearest, chosen, middle, axes3)
-    rows = [((0, 1, 2), "front"), ((2, 1, 0), "side")]
-    if any(len(frame.points) for frame in nearest):  # else there are markers alone, which are drawn with the body
-        rows.insert(0, ((0, 1, 2), "cloud"))
-    if any(frame.pictures for frame in nearest):
-        rows.insert(0, ((0, 1, 2), "image"))
-
-    # room under the axes for the labels; height follows the drawn region so that panels fill their cells
-    spans = windows[0][1] - windows[0][0]
+    rows, tall = _rows(nearest, windows[0])
     width = 2.9
-    image = next((frame.pictures[0].unpack()[0].shape for frame in nearest if frame.pictures), (1, 1))
-    tall = [
-        image[0] / image[1] if what == "image" else min(spans[1] / max(spans[0], spans[2]), 1.6) for _, what in rows
-    ]
-    height = 1.1 + width * sum(tall)
+    height = 1.1 + width * sum(tall)  # with room under the axes for the labels
     figure = ShownFigure(figsize=(width * len(chosen) + 0.6, height))
     figure.set_layout_engine("constrained")
     grid = figure.subplots(len(rows), len(chosen), squeeze=False, height_ratios=tall)
@@ -119,6 +108,21 @@ def show(
         grid[0, column].set_title(_title(tracks, int(i), start), fontsize=9)
     _legend(figure, people, nearest, truth is not None)
     return figure
+
+
+def _rows(frames: list[Frame], window: np.ndarray) -> tuple[list[tuple[tuple[int, int, int], str]], list[float]]:
+    """Views of a picture's rows, and their heights as shares of the width: so that panels fill their cells."""
+    spans = window[1] - window[0]
+    tall = min(spans[1] / max(spans[0], spans[2]), 1.6)
+    rows, heights = [((0, 1, 2), "front"), ((2, 1, 0), "side")], [tall, tall]
+    if any(len(frame.points) for frame in frames):  # else there are markers alone, which are drawn with the body
+        rows.insert(0, ((0, 1, 2), "cloud"))
+        heights.append(tall)
+    image = next((frame.pictures[0].unpack()[0].shape for frame in frames if frame.pictures), None)
+    if image is not None:
+        rows.insert(0, ((0, 1, 2), "image"))
+        heights.insert(0, image[0] / image[1])
+    return rows, heights
 
 
 def _draw_image(ax: "Axes", frame: Frame, people: list[Tracks], i: int) -> None:
