@@ -39,20 +39,20 @@ EXPORT_HELP = f"Also write the tracks for other programs. {FORMATS_HELP}"
 
 
 @dataclass(frozen=True)
-class Results:
+class Results(Style):
     """What is written."""
 
     out: str = "voodoo-out"
-    """Folder for the results, or a URL; made if it is missing."""
+    """Folder for the results, or a URL."""
     picture: bool = False
-    """Also write <log>.png: cloud and tracked body side by side."""
+    """Also write <log>.png: image, cloud, tracked body."""
     html: bool = False
-    """Also write <log>.html: cloud, tracked bodies and quality over time, to play and turn in a browser, offline."""
+    """Also write <log>.html: cloud, bodies, angles and quality over time, for a browser, offline."""
     report: bool = False
-    """Also write report.html: a row for each log in --out, with drawings, what was found, and what is in doubt."""
+    """Also write report.html: a row for each log in --out, with what was found and is in doubt."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
     smooth: float = 0.0
-    """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
+    """Average finished tracks over so many seconds before and after (Gaussian); 0: as tracked."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,6 @@ class Replay:
     preset: Preset = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     results: OmitArgPrefixes[Results] = field(default_factory=Results)
-    style: OmitArgPrefixes[Style] = field(default_factory=Style)
     running: OmitArgPrefixes[Running] = field(default_factory=Running)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
 
@@ -118,7 +117,7 @@ class Live:
     """Port of a Foxglove WebSocket on this machine's own address, on which transforms and the body are given out; 0:
     any that is free; -1: none."""
     names: Names = ""
-    """Names of joints: hanim (l_radiocarpal), common and smpl (left_wrist), h36m (LWrist), opensim (LWJC)."""
+    """Names of joints; common: left_wrist."""
     idle: float = 10.0
     """A file that has not grown for so many seconds is finished."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""

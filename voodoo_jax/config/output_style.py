@@ -11,9 +11,8 @@ class Style:
     """Names and bind pose."""
 
     names: Names = ""
-    """Names of joints: hanim (l_radiocarpal), common and smpl (left_wrist), h36m (LWrist), opensim (LWJC); empty: as
-    the tracks have them, hanim where they are new."""
+    """Names of joints; common: left_wrist."""
     rig: Literal["mixamo", "humanoid", "lafan1"] = "mixamo"
-    """Names of a person's bones in BVH, glTF and USD: of Mixamo, of Unity's humanoids, or of LAFAN1."""
+    """Bones of people in BVH, glTF, USD."""
     pose: Literal["t", "a"] = "t"
-    """How a person stands in the bind pose of BVH, glTF and USD: arms sideways (t), or half down (a)."""
+    """In which people's skeletons are bound."""
