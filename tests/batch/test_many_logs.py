@@ -174,6 +174,8 @@ def test_other_settings_and_again_do_logs_anew(some_logs, reference, tmp_path):
     assert not skipped(smooth_seconds=0.05) and skipped(smooth_seconds=0.05) and not skipped()
     other = replace(SETTINGS, solve=replace(SETTINGS.solve, prior=0.0004))
     assert not skipped(settings=other) and skipped(settings=other)
+    named = Style(names="common")
+    assert not skipped(style=named) and skipped(style=named)
 
 
 def test_a_picture_of_a_finished_log(some_logs, reference, tmp_path):
