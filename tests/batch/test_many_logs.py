@@ -23,6 +23,7 @@ from voodoo_jax.batch.process_pool import default_workers, in_workers, usable_co
 from voodoo_jax.batch.replay import Outcome, replay
 from voodoo_jax.batch.worker_start import can_copy, environment
 from voodoo_jax.cli.main import main
+from voodoo_jax.config.output_style import Style
 
 FRAMES = {"a": 12, "b": 5, "c": 33, "d": 20}
 
