@@ -31,6 +31,7 @@ def write_report(folder: str, summary: str) -> str:
     for name in names:
         for log, rows in _rows(joined(folder, name)).items():
             logs.setdefault(log, rows)
+    logs = {log: rows for log, rows in logs.items() if os.path.dirname(log) not in logs}  # a bag and a file of it
     ordered = sorted(logs, key=lambda log: (os.path.basename(log), log))
     title = f"Tracks in {Path(folder).name if not is_url(folder) else folder}"
     if not is_url(folder):

@@ -14,6 +14,7 @@ from mcap.stream_reader import StreamReader
 
 from voodoo_jax.compile.executable import code_fingerprint
 from voodoo_jax.config.options import Settings
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.io.container import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
@@ -61,10 +62,12 @@ def _body_bytes(body: Body) -> bytes:
     return format_body(body).encode() + b"".join(repr((a.dtype.str, a.shape)).encode() + a.tobytes() for a in arrays)
 
 
-def recipe_key(body: Body, settings: Settings, smooth_seconds: float) -> str:
-    """A key of all that tracks depend on but the log: body, settings, smoothing, this package's code."""
+def recipe_key(body: Body, settings: Settings, smooth_seconds: float, style: Style | None = None) -> str:
+    """A key of all that results depend on but the log: body, settings, smoothing, names, this package's code."""
     stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
-    digest = hashlib.sha256(repr((stages, smooth_seconds, code_fingerprint())).encode() + _body_bytes(body))
+    digest = hashlib.sha256(
+        repr((stages, smooth_seconds, style or Style(), code_fingerprint())).encode() + _body_bytes(body)
+    )
     for change in settings.changes:
         fields = {name: value for name, value in vars(change).items() if name != "add"}
         digest.update(repr(fields).encode() + _thing_bytes(change.add))

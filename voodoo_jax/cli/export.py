@@ -39,7 +39,7 @@ def run_export(command: Export) -> int:
         for name in formats:
             target = (command.out or path.parent) / exported_name(path, name)
             try:
-                print(export(tracks, target, name))
+                print(export(tracks, target, name, command.style))
             except (ValueError, OSError) as problem:
                 say(f"{target} could not be written: {problem}")
                 failed = True

@@ -46,7 +46,7 @@ def run_live(command: Live) -> int:
         from voodoo_jax.batch.live import LiveJob, track_live
         from voodoo_jax.trackers.base import Unsuitable
 
-        job = LiveJob(command.source, command.out, body, settings)
+        job = LiveJob(command.source, command.out, body, settings, command.names)
     except (CacheError, BodyFileError, SettingsError, OSError, ValueError) as problem:
         say(problem)
         return 2

@@ -4,9 +4,10 @@ import atexit
 import gc
 import os
 import sys
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
@@ -28,17 +29,22 @@ from voodoo_jax.cli.commands import (
     UsualSettings,
     View,
 )
-from voodoo_jax.config.old_names import with_new_flags, with_new_names
 from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.config.presets import PRESETS, preset
 from voodoo_jax.config.ray_tasks import RayTasks
-from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
+from voodoo_jax.config.toml import check_settings, read_settings, settings_text
 from voodoo_jax.storage.troubles import WHILE_WRITING, NotWritten
 
 if TYPE_CHECKING:
     from voodoo_jax.batch.outcome import Outcome
 
 ALL_HELP = "--help-all"
+# modules of this package with a function run_<name>
+ELSEWHERE = {
+    Live: "live", Export: "export", Convert: "convert", View: "view", BodyCommand: "body", FitCommand: "fit",
+    TuneCommand: "tune",
+}  # fmt: skip
 _T = TypeVar("_T")
 
 
@@ -82,11 +88,12 @@ def run_replay(command: Replay) -> int:
             body = load_on_host(body_name(command))
         check_stages(command.settings)
         wanted, how = command.results, command.running
+        style = Style(wanted.names, wanted.rig, wanted.pose)
         outcomes = replay(
             command.logs, wanted.out, body, command.settings, smooth_seconds=wanted.smooth, picture=wanted.picture,
-            html=wanted.html, report=wanted.report, export=[wanted.export], again=how.again, workers=how.workers,
-            engine=how.engine, shard=how.shard, compile_cache=cache or "off", log_timeout=how.log_timeout,
-            ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
+            html=wanted.html, report=wanted.report, export=[wanted.export], style=style, again=how.again,
+            workers=how.workers, engine=how.engine, shard=how.shard, compile_cache=cache or "off",
+            log_timeout=how.log_timeout, ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
         )  # fmt: skip
     except NotSummedUp as problem:
         print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)
@@ -202,15 +209,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"voodoo-jax {__version__}")
         return 0
     try:
-        with warnings.catch_warnings(record=True) as hints:
-            warnings.simplefilter("always", FutureWarning)
-            argv, said = with_new_flags(argv)
-            path, name = _flag(argv, "--config"), _flag(argv, "--preset")
-            base = preset(name) if name in PRESETS else Settings()
-            base = read_settings(path, base) if path else base
-            base = settings_from(with_new_names(said, base), base, "command line")
-        for text in dict.fromkeys(str(hint.message) for hint in hints):
-            print(f"voodoo-jax: {text}", file=sys.stderr)
+        path, name = _flag(argv, "--config"), _flag(argv, "--preset")
+        base = preset(name) if name in PRESETS else Settings()
+        base = read_settings(path, base) if path else base
     except SettingsError as problem:
         print(f"voodoo-jax: {problem}", file=sys.stderr)
         return 2
@@ -283,46 +284,18 @@ def _open_standard_files() -> None:
 
 
 def _run(command: Command, base: Settings) -> int:
-    if isinstance(command, Layout):
-        from importlib.resources import files
-
-        print(files("voodoo_jax").joinpath("data", "foxglove_layout.json").read_text(), end="")
-        return 0
-    if isinstance(command, Live):
-        from voodoo_jax.cli.live import run_live
-
-        return run_live(command)
-    if isinstance(command, Export):
-        from voodoo_jax.cli.export import run_export
-
-        return run_export(command)
-    if isinstance(command, Convert):
-        from voodoo_jax.cli.convert import run_convert
-
-        return run_convert(command)
-    if isinstance(command, View):
-        from voodoo_jax.cli.view import run_view
-
-        return run_view(command)
-    if isinstance(command, BodyCommand):
-        from voodoo_jax.cli.body import run_body
-
-        return run_body(command)
-    if isinstance(command, FitCommand):
-        from voodoo_jax.cli.fit import run_fit
-
-        return run_fit(command, base)
-    if isinstance(command, TuneCommand):
-        from voodoo_jax.cli.tune import run_tune
-
-        return run_tune(command, base)
+    for kind, name in ELSEWHERE.items():
+        if isinstance(command, kind):
+            run = getattr(import_module(f"voodoo_jax.cli.{name}"), f"run_{name}")
+            return run(command, base) if kind in (FitCommand, TuneCommand) else run(command)
     if isinstance(command, Replay):
         return run_replay(command)
     if isinstance(command, Info):
         return run_info(command)
     if isinstance(command, Demo):
         return run_demo(command)
-    print(settings_text(base), end="")
+    layout = files("voodoo_jax").joinpath("data", "foxglove_layout.json")
+    print(layout.read_text() if isinstance(command, Layout) else settings_text(base), end="")
     return 0
 
 

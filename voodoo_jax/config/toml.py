@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from voodoo_jax.config.bounds import LARGEST, LEAST, SIZES
-from voodoo_jax.config.old_names import with_new_names
 from voodoo_jax.config.options import (
     Change,
     DetectSettings,
@@ -114,7 +113,7 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
     except (ValueError, RecursionError) as problem:  # of its syntax, its bytes, or numbers of thousands of digits
         raise SettingsError(f"{path}: not a TOML file: {problem}") from problem
     try:
-        return settings_from(with_new_names(content, base), base, path)
+        return settings_from(content, base, path)
     except SettingsError as problem:
         raise problem if str(problem).startswith(f"{path}") else SettingsError(f"{path}: {problem}") from None
 

@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -31,17 +30,15 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
+from voodoo_jax.exporters.limb_shapes import loft, profile
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.storage.atomic import replacing
-
-if TYPE_CHECKING:
-    import trimesh
 
 SCENE_PERIOD_NS = 1_000_000_000  # the body is written again this often, for readers that seek without looking back
 SAME_RATIO = 0.02  # ends whose axis ratios differ less are one CylinderPrimitive
@@ -188,7 +185,7 @@ def _named(tracks: Tracks) -> list[FrameTransform]:
     """A transform for each limb and joint centre, yet without time and place."""
     prefix = _prefix(tracks)
     names = [f"{prefix}{name}" for name in tracks.body.topology.limbs]
-    names += [f"{prefix}joint/{name}" for name in tracks.body.topology.centres]
+    names += [f"{prefix}joint/{name}" for name in tracks.joint_names]
     return [FrameTransform(parent_frame_id=tracks.fixed_frame, child_frame_id=name) for name in names]
 
 
@@ -238,10 +235,11 @@ def body_entities(body: Body, person: int = 1) -> list[SceneEntity]:
         r, g, b = colorsys.hsv_to_rgb(hue * 0.618 % 1, 0.55, bright)
         color = Color(r=r, g=g, b=b, a=0.7)
         a0, b0, a1, b1, _ = sizes
-        if abs(a0 * b1 / (a1 * b0) - 1) < SAME_RATIO:
+        rings = profile(body, i)
+        if len(rings) == 2 and abs(a0 * b1 / (a1 * b0) - 1) < SAME_RATIO:
             entity.cylinders.append(_cylinder(sizes, color))
         else:
-            entity.triangles.append(_triangles(sizes, color))
+            entity.triangles.append(_triangles(rings, color))
         entities.append(entity)
     return entities
 
@@ -261,31 +259,8 @@ def _cylinder(sizes: Float[np.ndarray, "5"], color: Color) -> CylinderPrimitive:
     )
 
 
-def limb_mesh(sizes: Float[np.ndarray, "5"], sections: int = 24) -> "trimesh.Trimesh":
-    """Closed mesh of one limb in its limb frame, metres; vertices lie on the elliptic frustum."""
-    import trimesh  # takes as long as tracking a hundred frames, and what is written by default does without
-
-    return trimesh.Trimesh(*frustum(sizes, sections), process=False)
-
-
-def frustum(
-    sizes: Float[np.ndarray, "5"], sections: int = 24
-) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
-    """Vertices and faces of limb_mesh: both centres, and two vertices for each of so many angles."""
-    a0, b0, a1, b1, length = np.asarray(sizes, float)
-    angle = np.linspace(0, 2 * np.pi, sections + 1)[:-1]
-    rims = [np.stack([a * np.cos(angle), b * np.sin(angle), np.full(sections, z)], -1)
-            for a, b, z in ((a0, b0, 0.0), (a1, b1, length))]  # fmt: skip
-    points = np.concatenate([[[0, 0, 0], [0, 0, length]], np.stack(rims, 1).reshape(-1, 3)])
-    low = 2 + 2 * np.arange(sections)
-    after = np.roll(low, -1)
-    bottom, top = np.zeros_like(low), np.ones_like(low)
-    corners = [(low, bottom, after), (low, after, low + 1), (low + 1, after, after + 1), (low + 1, after + 1, top)]
-    return points, np.stack([np.stack(some, -1) for some in corners], 1).reshape(-1, 3)
-
-
-def _triangles(sizes: Float[np.ndarray, "5"], color: Color) -> TriangleListPrimitive:
-    vertices, faces = frustum(sizes)
+def _triangles(rings: Float[np.ndarray, "ring 3"], color: Color) -> TriangleListPrimitive:
+    vertices, faces = loft(rings)
     return TriangleListPrimitive(
         pose=Pose(position=Vector3(), orientation=Quaternion(w=1)),
         points=[Point3(x=x, y=y, z=z) for x, y, z in vertices.tolist()],

@@ -76,7 +76,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     arrays |= {name: value for name in MORE_ARRAYS if (value := getattr(tracks, name)) is not None}
     arrays |= {
         "tracked": tracks.tracked,
-        "joint_names": np.array(body.topology.centres, np.str_),
+        "joint_names": np.array(tracks.joint_names, np.str_),
         "body_joint_names": np.array(body.topology.joints, np.str_),
         "limb_names": np.array(body.topology.limbs, np.str_),
         "body_json": np.array(json.dumps(summary, allow_nan=False)),
@@ -124,7 +124,13 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
         notes=tuple(str(note) for note in data.get("notes", ())),
         person=int(data.get("person", 1)),
         people=int(data.get("people", 1)),
+        names=_other_names(data, body),
     )
+
+
+def _other_names(data: Mapping[str, np.ndarray], body: Body) -> tuple[str, ...]:
+    names = tuple(map(str, data["joint_names"])) if "joint_names" in data else ()
+    return () if names == body.topology.centres or len(names) != len(body.topology.centres) else names
 
 
 def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) -> None:
@@ -153,7 +159,7 @@ def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) 
             raise TracksFileError(f"{path}: '{name}' is no number of people")
     if "seconds" in data and not (data["seconds"].dtype.kind in "iuf" and data["seconds"].shape == ()):
         raise TracksFileError(f"{path}: 'seconds' is no number")
-    for name in ("notes", "marker_names"):
+    for name in ("notes", "marker_names", "joint_names"):
         if name in data and data[name].ndim != 1:
             raise TracksFileError(f"{path}: '{name}' is no list")
 

@@ -117,6 +117,6 @@ def _doubts(tracks: Tracks) -> list[str]:
         mean = np.where(known, values, 0).sum(0) / np.maximum(known.sum(0), 1)
         order = [i for i in np.argsort(mean) if known[:, i].any() and mean[i] < DOUBT][:UNSURE]
         if order:
-            words = [f"{tracks.body.topology.centres[i]} ({100 * mean[i]:.0f} %)" for i in order]
+            words = [f"{tracks.joint_names[i]} ({100 * mean[i]:.0f} %)" for i in order]
             doubts.append(f"least sure to be within 10 cm: {', '.join(words)}")
     return [*doubts, *tracks.notes]
