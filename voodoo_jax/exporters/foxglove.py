@@ -30,7 +30,7 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Float32
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
@@ -101,6 +101,7 @@ class BodyMessages:
 
     def __init__(self, person: int = 1):
         self._prefix = "voodoo/" if person == 1 else f"voodoo/{person}/"
+        self._tracks: Tracks | None = None
         self._body: Body | None = None  # that is shown
         self._next_scene: int | None = None
         self._shown: frozenset[str] = frozenset()
@@ -113,7 +114,10 @@ class BodyMessages:
         """Messages of frame `i` by what they say; `confidence` as in Tracks."""
         if tracks.body is not self._body:
             self._entities, self._named = body_entities(tracks.body, tracks.person), _named(tracks)
+            self._cloud = _joint_cloud(tracks)
             self._body, self._next_scene = tracks.body, None
+        if tracks is not self._tracks:
+            self._tracks, (self._points, self._there) = tracks, _joint_points(tracks)
         stamp = int(tracks.time_ns[i])
         seconds, nanos = divmod(stamp, 1_000_000_000)
         time = Timestamp(seconds=seconds, nanos=nanos)
@@ -127,7 +131,9 @@ class BodyMessages:
         if len(poses) == tracks.body.limb_count:  # a list with gaps would name the wrong limbs
             message = PosesInFrame(timestamp=time, frame_id=tracks.fixed_frame, poses=poses)
             messages["poses"] = message.SerializeToString()
-        messages["joints"] = _joint_cloud(tracks, i, time).SerializeToString()
+        self._cloud.timestamp.CopyFrom(time)
+        self._cloud.data = self._points[i][self._there[i]].tobytes()
+        messages["joints"] = self._cloud.SerializeToString()
         there = frozenset(t.child_frame_id.removeprefix(self._prefix) for t in limbs)
         if self._next_scene is None or stamp >= self._next_scene or there != self._shown:
             messages["body"] = self._scene(there, stamp, time).SerializeToString()
@@ -166,17 +172,18 @@ def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, b
         yield [(channel[name], stamp, data, i) for name, data in said.of(tracks, i, confidence[i]).items()]
 
 
-def _joint_cloud(tracks: Tracks, frame: int, time: Timestamp) -> PointCloud:
-    """Joint centres as points; those that are NaN are left out."""
-    sure = np.ones(len(tracks.joints[frame])) if tracks.joint_confidence is None else tracks.joint_confidence[frame]
-    table = np.concatenate([tracks.joints[frame], sure[:, None]], 1).astype("<f4")
-    table = table[np.isfinite(table[:, :3]).all(1)]
+def _joint_points(tracks: Tracks) -> tuple[Float32[np.ndarray, "frame joint 4"], Bool[np.ndarray, "frame joint"]]:
+    """Joint centres and their confidence, as _joint_cloud says, and which of them are there."""
+    sure = np.ones(tracks.joints.shape[:2]) if tracks.joint_confidence is None else tracks.joint_confidence
+    return np.concatenate([tracks.joints, sure[..., None]], -1).astype("<f4"), np.all(np.isfinite(tracks.joints), -1)
+
+
+def _joint_cloud(tracks: Tracks) -> PointCloud:
+    """Joint centres as points, yet without time and places."""
     kind = PackedElementField.FLOAT32
     names = ("x", "y", "z", "confidence")
     fields = [PackedElementField(name=name, offset=4 * k, type=kind) for k, name in enumerate(names)]
-    cloud = PointCloud(
-        timestamp=time, frame_id=tracks.fixed_frame, point_stride=16, fields=fields, data=table.tobytes()
-    )
+    cloud = PointCloud(frame_id=tracks.fixed_frame, point_stride=16, fields=fields)
     cloud.pose.orientation.w = 1
     return cloud
 
@@ -212,7 +219,7 @@ def quality_of(tracks: Tracks, frame: int, confidence: float) -> bytes:
         "explained": number(tracks.explained[frame]),
         "confidence": number(confidence),
         "steps": int(tracks.steps[frame]),
-        "tracked": bool(tracks.tracked[frame]),
+        "tracked": bool(tracks.status[frame] == Status.TRACKED),
         "status": int(tracks.status[frame]),
     }
     return json.dumps(scalars, allow_nan=False).encode()

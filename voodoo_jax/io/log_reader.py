@@ -367,7 +367,7 @@ class LogReader:
                     if self._settings.matching == "none":
                         parts.setdefault(i, [])
                     else:
-                        content = stereo.cloud(item, partner)
+                        content = stereo.cloud(item, partner, self.fixed_frame, self.up)
                 else:
                     self._counted[topic, "left out, without an image of the other camera at the same time"] += 1
                 if content is not None and self._is_new(topic, content):

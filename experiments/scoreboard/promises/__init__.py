@@ -8,7 +8,7 @@ NAMES = (
     "demo", "fusion", "depth_only", "online", "every_third_frame", "sizes", "confidence", "covariance", "markers",
     "stereo", "people", "real_markers", "real_sensors", "field_cases", "several_sensors", "held_things", "stillness",
     "animals", "fit_right", "fit_wrong", "fit_noise", "fit_simulated", "fit_weights", "speed", "start_up", "memory",
-    "layouts", "users_work",
+    "layouts", "users_work", "work_ratios",
 )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.io.decode import colour, depth, landmarks, packed_cloud
 from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
 from voodoo_jax.io.decode.colour import COLOUR_KIND
+from voodoo_jax.io.decode.landmark_layout import Remembering
 from voodoo_jax.io.limits import limits, too_large
 from voodoo_jax.records.messages import PAIRS, RAYS
 
@@ -133,7 +134,10 @@ class Decoder:
         make = {"protobuf": _protobuf, "json": _json}.get(channel.message_encoding)
         try:
             _check_size(schema.data)
-            return make(schema) if make else _ros(schema.name, schema.encoding, schema.data, limits())
+            if make:
+                return make(schema)
+            found = _ros(schema.name, schema.encoding, schema.data, limits())
+            return Remembering(found) if kind_of(schema, channel) == PAIRS else found
         except DECODE_ERRORS as problem:
             return str(problem) or type(problem).__name__
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any, ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
-from voodoo_jax.detect.pipeline import find_people
+from voodoo_jax.detect.pipeline import find_people, only_named
 from voodoo_jax.markers.own_sites import apart_by_names
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame
@@ -39,7 +39,8 @@ class IcpTracker:
         progress: Progress | None = None,
         visit: Any = None,
     ) -> list[Tracks]:
-        people = find_people(frames, source.up, body, settings, source.up_is_given)
+        found = find_people if source.sensors else only_named
+        people = found(frames, source.up, body, settings, source.up_is_given)
         return self.follow(body, people, source, settings, progress, visit)
 
     def follow(  # 6 parameters beside itself, those of `track`
