@@ -133,6 +133,7 @@ def test_exported_points_come_back(ending, tmp_path):
     at = dict(zip(frame.pairs.names, frame.pairs.points))
     expected = tracks.joint("l_knee")[23]
     expected = expected if ending == "c3d" else np.array([expected[0], expected[2], -expected[1]])
+    np.testing.assert_array_equal(recording.up, [0, 0, 1] if ending == "c3d" else [0, 1, 0])
     np.testing.assert_allclose(at["l_knee"], expected, atol=1e-4)
     times = np.array([f.time_ns for f in recording])
     np.testing.assert_allclose(np.diff(times)[:30], 33_333_333, atol=2000)

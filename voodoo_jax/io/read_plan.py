@@ -1,5 +1,6 @@
 """The plan for reading a log: the fixed frame, the sensors that are connected to it, and what makes up which frame."""
 
+import re
 from collections import Counter
 from dataclasses import dataclass, replace
 
@@ -245,8 +246,11 @@ def _near_origin(scan: Scan, fixed: str, sensor: str, time_ns: int, notes: list[
 
 
 def _upward(scan: Scan, fixed: str, sensor: str, time_ns: int) -> np.ndarray:
-    """Up in the fixed frame: the root frame's z (REP 103), or -y for a camera that is the root itself."""
-    tree = scan.tree
+    """Up in the fixed frame: the root frame's z (REP 103), or -y for a camera that is the root itself, or what the
+    format says that the log was converted from."""
+    tree, told = scan.tree, scan.topics[sensor].up
+    if not tree.frames and re.fullmatch("-?[xyz]", told):
+        return np.array(direction(told), np.float32)
     root = tree.root(fixed)
     cameras = ("depth image", STEREO_USE, RAYS)
     if "optical" in root.lower() or (root not in tree.frames and scan.uses[sensor] in cameras):

@@ -52,6 +52,7 @@ def convert_c3d(source: Path, target: Path) -> list[str]:
         names,
         points * _unit(unit, source),
         np.arange(len(points)) / rate if rate > 0 else np.zeros(len(points)),
+        _upwards(point),
     )
     return notes
 
@@ -106,7 +107,8 @@ def convert_trc(source: Path, target: Path) -> list[str]:
         raise ConvertError(f"'{source}' cannot be read as TRC: {type(problem).__name__}: {problem}") from problem
     if not names or not np.isfinite(table[:, 1]).all():
         raise ConvertError(f"'{source}' cannot be read as TRC: it names no marker, or rows have no time")
-    _write(target, source, names, table[:, 2:].reshape(len(table), -1, 3) * unit, table[:, 1])
+    # by OpenSim's convention y is up
+    _write(target, source, names, table[:, 2:].reshape(len(table), -1, 3) * unit, table[:, 1], "y")
     return []
 
 
@@ -126,11 +128,18 @@ def _unit(name: str, source: Path) -> float:
     return METRES[name.strip().lower()]
 
 
-def _write(target: Path, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray) -> None:
+def _upwards(point: dict[str, Any]) -> str:
+    """The axis that stands upright on a screen; "" where the file does not say it."""
+    axis = next(iter(listed(point, "Y_SCREEN")), "").lower().lstrip("+")
+    return axis if re.fullmatch("-?[xyz]", axis) else ""
+
+
+# 6 parameters: what there is, from where and to where
+def _write(target: Path, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray, up: str) -> None:
     if not len(points) or not np.isfinite(points).any():
         raise ConvertError(f"'{source}' has no point")
     stamps = START_NS + np.round((seconds - seconds[0]) * 1e9).astype(np.int64)
     with new_log(target) as writer:
-        put = putter(writer)
+        put = putter(writer, up)
         for stamp, places in zip(stamps.tolist(), points):
             put(TOPIC, stamp, scene_of_points(names, places, stamp, FRAME))
