@@ -1,5 +1,7 @@
 """Which way is up of named points: by who stands, whatever the log says, while who lies stays lying."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -28,7 +30,9 @@ def tracks_of(name, turn, shift=(0.0, 0, 0), noise=0.0):
     joints = joints + np.random.default_rng(0).normal(0, noise, joints.shape)
     status = np.full(len(joints), Status.TRACKED, np.int8)
     time_ns = np.round(np.arange(len(joints)) / RATE * 1e9).astype(np.int64)
-    return blank_tracks(body, len(joints), joints=joints.astype(np.float32), status=status, time_ns=time_ns)
+    seen = np.ones((len(joints), body.limb_count), np.float32)
+    arrays = {"joints": joints.astype(np.float32), "status": status, "time_ns": time_ns, "limb_weight": seen}
+    return blank_tracks(body, len(joints), **arrays)
 
 
 def found(tracks, told=Z):
@@ -51,6 +55,18 @@ def test_a_camera_that_is_tilted_has_no_axis_upwards():
     turn = Rotation.from_euler("x", 25, degrees=True).as_matrix() @ optical
     up = found(tracks_of("walk", turn, (0.0, 1.2, 3.0)))
     assert up @ turn[:, 2] > np.cos(np.radians(6))
+
+
+def test_who_runs_leaning_goes_along_the_floor():
+    """As from starting blocks: the body lies nearly along the way that it goes."""
+    lean = Rotation.from_euler("y", 65, degrees=True).as_matrix()
+    start = tracks_of("walk", np.eye(3))
+    along = np.linspace(0, 4, len(start.joints))[:, None, None] * [1, 0, 0]
+    own = start.joints.mean(1, keepdims=True)
+    leaning = (start.joints - own) @ lean.T + [0, 0, 0.5] + along
+    leaning[70:] = start.joints[70:]
+    up = found(replace(start, joints=(leaning @ Y_UP.T).astype(np.float32)))
+    np.testing.assert_allclose(up, [0, 1, 0])
 
 
 def test_who_lies_stays_lying():

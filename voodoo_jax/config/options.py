@@ -54,6 +54,9 @@ class ReadSettings:
     camera: tuple[str, ...] = ()
     """Calibration of depth images and cameras: topic = file (a camera_info as YAML, TOML or JSON), or one file for all
     images whose calibration is not in the log."""
+    types: tuple[str, ...] = ()
+    """Definitions of messages (.msg files of their packages) that an SQLite bag of ROS 2 lacks; usual drivers' are
+    known."""
     transform: tuple[str, ...] = ()
     """Transforms that the log lacks or has wrong: "parent child x y z qx qy qz qw" (metres), each of them a text."""
 
