@@ -47,8 +47,12 @@ class ReadSettings:
     scale: tuple[str, ...] = ()
     """Topic = metres per unit of its distances or coordinates (0.001: millimetres); without an entry it is found."""
     mirror: tuple[str, ...] = ()
-    """Topic = axis (x, y or z) that is turned round, of named points in left-handed coordinates, such as Unity's; none:
+    """Topic = axis (x, y or z) that is turned round: of named points in left-handed coordinates, such as Unity's, and
+    of clouds; of depth images x where they are mirrored left to right, y upside down. none, of named points:
     coordinates are right-handed, and it is names that are on the wrong sides."""
+    radial: tuple[str, ...] = ()
+    """Depth image topic = yes where its values are distances along the rays, no where they are depths along the optical
+    axis; without an entry floor and walls tell it."""
     delays: tuple[str, ...] = ()
     """Topic = seconds by which its stamps are late (negative: early); without an entry clocks are brought together."""
     camera: tuple[str, ...] = ()
