@@ -45,6 +45,9 @@ __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "rea
 Progress = Callable[[int, int], None]
 UNREADABLE = "cannot be decoded, left out"
 LEVEL = np.cos(np.radians(15))  # so near to upwards a normal is a floor's; by hand
+# degrees, or 2 centimetres, by which a floor is off level at most where transforms are right; and the probability that
+# they are where two contradict each other and nothing tells; by hand
+FITS, TORN = 2.5, 0.5
 BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical axes to those of a body (REP 103)
 STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
 BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
@@ -69,9 +72,26 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "Lo
         check_pose_net(settings.pose_net)
     scan = Scan(path, settings)
     try:
-        return _with_images_as_shown(LogReader(scan, make_plan(scan, settings), settings))
+        return _with_images_as_shown(_with_settled_frames(LogReader(scan, make_plan(scan, settings), settings)))
     except LogError as problem:
         raise LogError(f"{damaged(scan, problem)} {scan.part_of}".strip()) from problem
+
+
+def _with_settled_frames(reader: "LogReader") -> "LogReader":
+    """The reader with the one of two places of each frame that two publishers disagree about: that with which the floor
+    is level and at the height 0, if it tells."""
+    for child, count in reader.torn.items():
+        off, lines = zip(*((reader.off_level(), line) for line in (reader.choose(child, k) for k in (0, 1))))
+        best = int(np.argmin(off))
+        reader.choose(child, best)
+        told = off[best] < FITS and off[1 - best] > 2 * max(off[best], FITS / 4)
+        reader.sure *= 1.0 if told else TORN
+        why = "the floor is level with the one that is used" if told else "nothing tells which is right"
+        reader.say(
+            f"Frame '{child}' jumps between two places, {count} times: two publishers say where it is; {why}. "
+            f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
+        )
+    return reader
 
 
 def _with_images_as_shown(reader: "LogReader") -> "LogReader":
@@ -169,6 +189,39 @@ class LogReader:
     def first_pixels(self, topic: str) -> tuple[np.ndarray, np.ndarray] | None:
         """Of some pixels of a topic's first image the rays to a depth of 1, and the values: see calibrated()."""
         return calibrated(self._scan.topics, topic)
+
+    @property
+    def torn(self) -> dict[str, int]:
+        """Frames that jump between two places, and how often."""
+        return {child: 2 * min(len(e.stamps) for e in both) for child, both in self._scan.tree.torn.items()}
+
+    def choose(self, child: str, which: int) -> str:
+        """Takes one of these places; how read.transform says it."""
+        return self._scan.tree.choose(child, which)
+
+    def off_level(self) -> float:
+        """How far the floor in the first image of a depth camera is from lying level at the height 0 of the fixed
+        frame, in degrees, or 2 centimetres; the best of all cameras; infinite where none sees one. Walls beside the
+        axes of the frame count a tenth of that: rooms are often measured along them."""
+        least = np.inf
+        for topic in self.sensors:
+            found = self.first_pixels(topic) if self.is_image(topic) else None
+            at = int(self.stamps(topic)[0])
+            pose = self._scan.tree.lookup(self.fixed_frame, self.frame_name(topic), at, hold_ns=None)
+            if found is None or pose is None:
+                continue
+            ways, value = seen_pixels(*found)
+            seen = planes(ways, value) if len(value) >= 100 else None
+            if seen is None or not len(seen.shares):
+                continue
+            normals = seen.normals @ pose[0].T
+            level = normals @ self.up
+            walls = normals[np.abs(level) < 0.2]
+            aside = np.degrees(np.arccos(np.clip(np.abs(walls).max(1), 0, 1))).mean() if len(walls) else 0.0
+            heights = float((pose[1] + self.origin) @ self.up) - seen.distances
+            off = np.degrees(np.arccos(np.clip(level, -1, 1))) + np.abs(heights) / 0.02
+            least = min(least, float(off[level > LEVEL].min(initial=np.inf)) + 0.1 * float(aside))
+        return least
 
     def frame_name(self, topic: str) -> str:
         """The frame in which a depth topic is given."""
