@@ -163,12 +163,12 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
-    from voodoo_jax.batch.converted import as_mcap
     from voodoo_jax.batch.extra_files import extra_files, write_exports, write_view
     from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
+    from voodoo_jax.io.convert.in_passing import as_mcap
     from voodoo_jax.trackers.base import Unsuitable
     from voodoo_jax.trackers.smoothing import smooth
 
@@ -179,7 +179,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         except Exception as problem:  # every store has its own errors
             raise LogError(f"'{job.log}' cannot be fetched: {type(problem).__name__}: {problem}") from problem
         original = log
-        log, converted = stack.enter_context(as_mcap(log))
+        log, converted = stack.enter_context(as_mcap(log, job.settings.read.types))
         folder = stack.enter_context(delivered(job.out))
         npz, mcap = output_paths(job.log, folder)
         target = npz.with_name(Path(drawn).name)

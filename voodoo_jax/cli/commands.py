@@ -177,6 +177,8 @@ class Convert:
     (metres of a count), rate (Hz)."""
     rate: float = 0.0
     """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
+    types: tuple[str, ...] = ()
+    """Definitions of messages (.msg files of their packages) that an SQLite bag lacks; usual drivers' are known."""
 
 
 @dataclass(frozen=True)

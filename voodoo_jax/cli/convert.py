@@ -28,7 +28,7 @@ def run_convert(command: Convert) -> int:
             made_folder(target.parent)
             if target.exists() and target.samefile(source):
                 raise ConvertError(f"'{source}' would be replaced by itself: name another --out")
-            notes = convert(source, target, command.camera, command.rate)
+            notes = convert(source, target, command.camera, command.rate, command.types)
         except (ConvertError, OSError) as problem:
             say(problem)
             failed = True

@@ -10,11 +10,11 @@ PORTS = 1 << 16  # of TCP
 
 def run_view(command: View) -> int:
     """0 if it was shown until Ctrl-C, 1 if something cannot be read, 2 if nothing could be begun."""
-    from voodoo_jax.batch.converted import as_mcap
     from voodoo_jax.config.options import Settings, SettingsError
     from voodoo_jax.config.toml import check_settings
     from voodoo_jax.detect.opening import read_log
     from voodoo_jax.exporters.npz import TracksFileError, read_everybody
+    from voodoo_jax.io.convert.in_passing import as_mcap
     from voodoo_jax.io.limits import limited
     from voodoo_jax.io.log_reader import LogError
 
@@ -38,7 +38,7 @@ def run_view(command: View) -> int:
         people = []
         if len(command.what) == 2:
             people = read_everybody(command.what[1])
-        with limited(command.limits), as_mcap(str(command.what[0])) as (log, _):
+        with limited(command.limits), as_mcap(str(command.what[0]), command.read.types) as (log, _):
             viewer = Viewer(read_log(log, replace(command.read, images=True)), people, command.port)
     except ImportError:
         say('it needs viser: pip install "voodoo_jax[view]"')

@@ -81,6 +81,8 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
                 int(key)
             if name == "read.mirror" and value not in ("x", "y", "z", "none"):
                 good = False
+            if name == "read.radial" and value not in ("yes", "no"):
+                good = False
         except ValueError:
             good = False
         if not good:
@@ -279,6 +281,7 @@ _PAIRS = {
     "read.scale": True,
     "read.delays": True,
     "read.mirror": False,
+    "read.radial": False,
 }
 # seconds between two clocks may be those since 1970; no unit of length is smaller than a picometre
 _PAIR_BOUNDS = {"read.delays": (-4e9, 4e9), "read.scale": (1e-12, LARGEST)}
@@ -292,6 +295,7 @@ _EXAMPLES = {
     "read.weights": "topic=number, such as /stereo/points=0.5",
     "read.scale": "topic=metres per unit, such as /camera/depth=0.001",
     "read.mirror": "topic=axis (x, y, z or none), such as /markers=z",
+    "read.radial": "topic=yes or no, such as /tof/distance=yes",
     "read.delays": "topic=seconds, such as /lidar/points=0.25",
 }
 _BOUNDS: dict[str, tuple[float, float]] = {

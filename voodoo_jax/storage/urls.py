@@ -19,6 +19,10 @@ URL_HELP = 'pip install "voodoo_jax[urls]"'
 NPZ = ".tracks.npz"  # and those of files with tracks
 TRACKS = ".voodoo.mcap"  # how the names of MCAP files of tracks end
 ENDINGS = (".mcap", ".mcap.zstd", ".mcap.zst")
+SQLITE = ".db3"  # of ROS 2's bags before MCAP
+# recordings of other formats that are converted in passing, by io/convert; .json and .csv are by name only, for there
+# are others
+FOREIGN = (".bag", SQLITE, ".mkv", ".c3d", ".trc", ".skeleton")
 TOGETHER = "+"  # between files that are one recording
 
 
@@ -72,11 +76,11 @@ def bag_of(path: str) -> tuple[str, list[str]]:
 
 
 def _bag_files(folder: str) -> list[str]:
-    """Files of a split recording of rosbag2 in their order, as metadata.yaml says or else as they are called; a file
+    """Files of a recording of rosbag2 in their order, as metadata.yaml says or else as they are called; a file
     that it names and that is not there is left out. Empty if the folder is none."""
     there: list[str] = []
     with suppress(OSError):  # none, or one that must not be looked into, which is said when it is read
-        there = sorted(name for name in os.listdir(folder) if _is_log(name))
+        there = sorted(name for name in os.listdir(folder) if _is_log(name) or _is_foreign(name, SQLITE))
     metadata = os.path.join(folder, "metadata.yaml")
     if os.path.isfile(metadata):
         text = small_text(metadata, "replace")
@@ -90,7 +94,7 @@ def _bag_files(folder: str) -> list[str]:
     # a recorder that was stopped hard writes no metadata: NAME/NAME_0.mcap, NAME/NAME_1.mcap, ...
     stem, number = os.path.basename(os.path.abspath(folder)), {}
     for name in there:
-        if match := re.fullmatch(re.escape(stem) + r"_(\d+)\.mcap(\.zstd)?", name):
+        if match := re.fullmatch(re.escape(stem) + r"_(\d+)\.(mcap(\.zstd)?|db3)", name):
             number[int(match[1])] = name
     whole = len(number) == len(there) and sorted(number) == list(range(len(number)))
     return [os.path.join(folder, number[k]) for k in sorted(number)] if whole else []
@@ -98,6 +102,18 @@ def _bag_files(folder: str) -> list[str]:
 
 def _is_log(name: str) -> bool:
     return name.endswith(ENDINGS) and not name.endswith(TRACKS) and not name.startswith(".")
+
+
+def _is_foreign(name: str, endings: str | tuple[str, ...] = FOREIGN) -> bool:
+    return name.lower().endswith(endings) and not name.startswith(".")
+
+
+def _foreign_in(folder: str, names: list[str]) -> list[str]:
+    """Recordings of other formats among the files of a folder, without what was exported from tracks there."""
+    there = {name.removesuffix(NPZ) for name in names if name.endswith(NPZ)}
+    return [
+        os.path.join(folder, name) for name in names if _is_foreign(name) and os.path.splitext(name)[0] not in there
+    ]
 
 
 def _inside(folder: str, above: frozenset[str] = frozenset()) -> list[str]:
@@ -109,11 +125,13 @@ def _inside(folder: str, above: frozenset[str] = frozenset()) -> list[str]:
     try:
         if len(_bag_files(folder)) > 1:
             return [folder]
-        found = [os.path.join(folder, name) for name in os.listdir(folder)]
+        names = os.listdir(folder)
     except OSError:
         return [folder]
+    found = [os.path.join(folder, name) for name in names]
     below = [log for path in found if os.path.isdir(path) for log in _inside(path, above | {own})]
-    return [path for path in found if os.path.isfile(path) and _is_log(os.path.basename(path))] + below
+    logs = [path for path in found if _is_log(os.path.basename(path))] + _foreign_in(folder, names)
+    return [path for path in logs if os.path.isfile(path)] + below
 
 
 def expanded(place: str | os.PathLike[str]) -> list[str]:
@@ -124,7 +142,10 @@ def expanded(place: str | os.PathLike[str]) -> list[str]:
     if os.path.isdir(place):
         if logs := sorted(_inside(place)):
             return logs
-        raise ValueError(f"'{place}' is a folder without any .mcap log in it; name the logs, or the folder they are in")
+        raise ValueError(
+            f"'{place}' is a folder without any log in it ({', '.join((*ENDINGS[:1], *FOREIGN))}): name the logs, or "
+            "the folder they are in; folders of images, or of point clouds, become a log by voodoo-jax convert"
+        )
     if len(several := log_parts(place)) > 1:
         return [TOGETHER.join(os.path.abspath(part) for part in several)]
     if not is_url(place) or not any(mark in place for mark in "*?["):

@@ -1,6 +1,6 @@
 """ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message as it is, in ROS 2's encoding."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,18 +13,31 @@ from rosbags.rosbag2 import ReaderError as Bag2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
+from voodoo_jax.io.convert.definitions import WAY_OUT, register
 from voodoo_jax.io.convert.realsense import depth_units, in_metres, plain_topic, unit_of
 from voodoo_jax.io.convert.target import ConvertError, new_log
+from voodoo_jax.io.decode.by_fields import kind_by_fields
+from voodoo_jax.io.decode.registry import KINDS
 
 BROKEN = (AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError, AssertionError, KeyError, ValueError)
 
 
-def convert(source: Path, target: Path) -> list[str]:
-    """Copies all topics; notes on those that could not be. Raises ConvertError, OSError."""
+def convert(source: Path, target: Path, types: Sequence[str] = ()) -> list[str]:
+    """Copies all topics; notes on those that could not be. `types` files that define messages which the bag does not.
+    Raises ConvertError, OSError."""
     notes: list[str] = []
     with _opened(source) as reader, new_log(target) as writer:
         store = reader.typestore if reader.is2 else _ros2_types(reader)
+        assumed = register(store, [c.msgtype for c in reader.connections], types) if reader.is2 else set()
         channels = {c.id: _channel(store, writer, c, notes) for c in reader.connections}
+        for connection in reader.connections:
+            if connection.msgtype in assumed and not _fits(reader, connection):
+                channels[connection.id] = None
+                notes.append(
+                    f"'{connection.topic}' was left out: its messages are not of the {connection.msgtype} that is "
+                    f"known, but of another version of it: {WAY_OUT}"
+                )
+        _check_use(source, store, [c for c in reader.connections if channels[c.id] is not None], notes)
         units = depth_units(reader)
         notes += [f"{device}: depth counts of {1000 * unit:g} mm became metres" for device, unit in units.items()]
         cache: dict[str, object] = {}
@@ -51,10 +64,32 @@ def convert(source: Path, target: Path) -> list[str]:
     return notes
 
 
+def _fits(reader: Any, connection: Any) -> bool:
+    """Whether the first message of a topic is of the type that is assumed."""
+    for _, _, raw in reader.messages(connections=[connection]):
+        try:
+            reader.deserialize(raw, connection.msgtype)
+        except BROKEN:
+            return False
+        break
+    return True
+
+
+def _check_use(source: Path, store: Any, kept: list[Any], left_out: list[str]) -> None:
+    """Raises ConvertError where topics were left out and no measurement is left."""
+    kinds = {_renamed(c.msgtype) for c in kept}
+    used = {KINDS.get(kind, "") or kind_by_fields(store, kind) for kind in kinds}
+    if left_out and not used - {"", "calibration", "transforms"}:
+        raise ConvertError(f"'{source}' has nothing left to track by: {'; '.join(left_out)}")
+
+
 @contextmanager
 def _opened(source: Path) -> Iterator[Any]:
     try:
-        reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        # a recorder that was stopped hard writes no metadata
+        bare = source.is_dir() and not (source / "metadata.yaml").exists()
+        files = sorted(source.glob("*.db3")) if bare else [source]
+        reader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except BROKEN as problem:
         raise ConvertError(f"'{source}' cannot be opened as a bag: {problem}") from problem
@@ -84,7 +119,7 @@ def _channel(store: Any, writer: Writer, connection: Any, notes: list[str]) -> i
     try:
         text, _ = store.generate_msgdef(kind, ros_version=2)
     except BROKEN as problem:
-        notes.append(f"'{connection.topic}' was left out: {kind} is not known: {problem}")
+        notes.append(f"'{connection.topic}' was left out: {kind} is not known: {WAY_OUT} ({problem})")
         return None
     schema = writer.register_schema(kind, "ros2msg", text.encode())
     return writer.register_channel(plain_topic(connection.topic), "cdr", schema)

@@ -49,15 +49,15 @@ def new_log(path: str | os.PathLike[str]) -> Iterator[Writer]:
         writer.finish()
 
 
-def putter(writer: Writer) -> Put:
-    """What writes messages of foxglove's into a log."""
+def putter(writer: Writer, up: str = "") -> Put:
+    """What writes messages of foxglove's into a log; `up` which way is up by the recording's format, as in read.up."""
     channels: dict[str, int] = {}
 
     def put(topic: str, stamp: int, message: Any) -> None:
         if topic not in channels:
             descriptors = build_file_descriptor_set(type(message)).SerializeToString(deterministic=True)
             schema = writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", descriptors)
-            channels[topic] = writer.register_channel(topic, "protobuf", schema)
+            channels[topic] = writer.register_channel(topic, "protobuf", schema, {"up": up} if up else {})
         writer.add_message(channels[topic], stamp, message.SerializeToString(), stamp)
 
     return put

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.detect.pipeline import find_people, only_named
 from voodoo_jax.markers.own_sites import apart_by_names
+from voodoo_jax.markers.upward import with_upward
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
@@ -53,7 +54,9 @@ class IcpTracker:
         visit: Any = None,
     ) -> list[Tracks]:
         """Tracks of people who were found before; the others as for `track`."""
-        if settings.detect.people != 1 and by_markers(people[0].frames):
+        of_points = by_markers(people[0].frames)
+        if settings.detect.people != 1 and of_points:
             people = apart_by_names(people[0], body.topology, settings.features)[: settings.detect.people or None]
         each = progress and (lambda count: progress(count / len(people)))
-        return track_subjects(body, people, settings, source.path, source.fixed_frame, source.notes(), each, visit)
+        tracks = track_subjects(body, people, settings, source.path, source.fixed_frame, source.notes(), each, visit)
+        return with_upward(tracks, source.up) if of_points and not source.up_is_given else tracks
