@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.convert.sources import convert, is_foreign
-from voodoo_jax.io.convert.target import ConvertError
+from voodoo_jax.io.convert.errors import ConvertError
 
 
 @contextmanager

@@ -45,6 +45,7 @@ def brought(job: Job, elsewhere: dict[str, str]) -> bool:
         for source, target in [(shown, mcap), *pairs]:  # the main one last: where it is, all are
             with replacing(target) as partial:
                 try:
+                    partial.unlink()
                     os.link(source, partial)
                 except OSError:
                     shutil.copy2(source, partial)

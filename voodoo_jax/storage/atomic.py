@@ -19,7 +19,10 @@ def replacing(path: str | os.PathLike[str], ending: str = "") -> Iterator[Path]:
     target = Path(path)
     partial = _partial(target, ending)
     try:
+        _made_new(partial)
         yield partial
+        if target.exists() and not target.is_file() and not target.is_dir():  # a pipe or a device
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(partial))
         os.replace(partial, target)
     except OSError as problem:
         ours = problem.filename == str(partial) or problem.filename is None and problem.errno in WHILE_WRITING
@@ -39,7 +42,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         if target.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         partial = _partial(target)
-        partial.open("wb").close()
+        _made_new(partial)
         partial.unlink(missing_ok=True)
     except OSError as problem:
         raise not_written(problem, target) from problem
@@ -52,6 +55,12 @@ def made_folder(path: str | os.PathLike[str]) -> Path:
     except OSError as problem:
         raise not_written(problem, path) from problem
     return Path(path)
+
+
+def _made_new(partial: Path) -> None:
+    """Makes an empty file, in place of one that was left there; what lies there is not followed, be it a link."""
+    partial.unlink(missing_ok=True)
+    os.close(os.open(os.fspath(partial), os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666))
 
 
 def _partial(target: Path, ending: str = "") -> Path:
