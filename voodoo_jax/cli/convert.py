@@ -7,8 +7,8 @@ from voodoo_jax.cli.commands import Convert
 
 def run_convert(command: Convert) -> int:
     """0 if all was converted, 1 if something could not be, 2 if nothing could be begun."""
-    from voodoo_jax.io.convert.sources import convert
     from voodoo_jax.io.convert.errors import ConvertError
+    from voodoo_jax.io.convert.sources import convert
     from voodoo_jax.storage.atomic import made_folder
 
     def say(problem: object) -> None:

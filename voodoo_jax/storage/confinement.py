@@ -24,8 +24,12 @@ LIBRARIES = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/share/zoneinfo", 
 # socket, connect, socketpair, bind, listen, sendto, execve, execveat, kill, tkill, ptrace, mount, unshare, keyctl,
 # perf_event_open, process_vm_readv, process_vm_writev, bpf, userfaultfd, io_uring_setup
 FORBIDDEN = {
-    "x86_64": (0xC000003E, (41, 42, 53, 49, 50, 44, 59, 322, 62, 200, 101, 165, 272, 250, 298, 310, 311, 321, 323, 425)),
-    "aarch64": (0xC00000B7, (198, 203, 199, 200, 201, 206, 221, 281, 129, 130, 117, 40, 97, 219, 241, 270, 271, 280, 282, 425)),
+    "x86_64": (
+        0xC000003E, (41, 42, 53, 49, 50, 44, 59, 322, 62, 200, 101, 165, 272, 250, 298, 310, 311, 321, 323, 425),
+    ),
+    "aarch64": (
+        0xC00000B7, (198, 203, 199, 200, 201, 206, 221, 281, 129, 130, 117, 40, 97, 219, 241, 270, 271, 280, 282, 425),
+    ),
 }  # fmt: skip
 X32 = 0x40000000  # calls of x86_64's other interface begin here
 OPEN_FILES = 256

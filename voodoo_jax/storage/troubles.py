@@ -78,9 +78,7 @@ def opened_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | N
     return stream
 
 
-def small_file(
-    path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None, most: int = SMALL
-) -> bytes:
+def small_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None, most: int = SMALL) -> bytes:
     """All of a file of at most so many bytes, such as somebody names beside logs: settings, a body, a calibration.
     Raises NotReadable for others, and as opened_file; OSError."""
     with opened_file(path, inside) as stream:
@@ -91,7 +89,9 @@ def small_file(
 
 
 def small_text(
-    path: str | os.PathLike[str], errors: str = "strict", inside: str | os.PathLike[str] | None = None,
+    path: str | os.PathLike[str],
+    errors: str = "strict",
+    inside: str | os.PathLike[str] | None = None,
     most: int = SMALL,
 ) -> str:
     """The same as text, UTF-8, with the ends of lines that Python likes. Raises UnicodeDecodeError besides."""

@@ -60,9 +60,7 @@ def convert(
     _check_ours(target)
     most = limits()
     sizes = [entry.stat().st_size for entry in os.scandir(source)] if source.is_dir() else [source.stat().st_size]
-    room = Room(
-        most.memory, most.seconds * (1 + (sum(sizes) >> 30)), most.log_bytes + most.log_times * sum(sizes)
-    )
+    room = Room(most.memory, most.seconds * (1 + (sum(sizes) >> 30)), most.log_bytes + most.log_times * sum(sizes))
     task = [module, function, str(source), {name: given[name] for name in more}, asdict(most)]
     with replacing(target) as partial, open(partial, "wb") as stream:
         try:
