@@ -50,7 +50,6 @@ def run_live(command: Live) -> int:
     except (CacheError, BodyFileError, SettingsError, OSError, ValueError) as problem:
         say(problem)
         return 2
-    begun = False
     try:
         with ExitStack() as stack:
             with limited(settings.limits):
@@ -59,13 +58,10 @@ def run_live(command: Live) -> int:
             publishers = _publishers(command, str(job.targets[1]), stack, say)
             if publishers is None:
                 return 2
-            begun = True
             _end_by_interrupt(source, stack)
             outcome = track_live(job, source, publishers, say, say)
     except (LogError, SettingsError, Unsuitable, OSError) as problem:
         say(problem)
-        if begun and not isinstance(problem, OSError):
-            job.targets[1].unlink(missing_ok=True)  # nothing is in it
         return 1
     print(outcome)
     return 0 if outcome.ok else 1

@@ -19,11 +19,9 @@ def replacing(path: str | os.PathLike[str], ending: str = "") -> Iterator[Path]:
     target = Path(path)
     partial = _partial(target, ending)
     try:
-        _made_new(partial)
+        made_new(partial)
         yield partial
-        if target.exists() and not target.is_file() and not target.is_dir():  # a pipe or a device
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(partial))
-        os.replace(partial, target)
+        moved(partial, target)
     except OSError as problem:
         ours = problem.filename == str(partial) or problem.filename is None and problem.errno in WHILE_WRITING
         if ours:
@@ -42,7 +40,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         if target.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         partial = _partial(target)
-        _made_new(partial)
+        made_new(partial)
         partial.unlink(missing_ok=True)
     except OSError as problem:
         raise not_written(problem, target) from problem
@@ -57,7 +55,25 @@ def made_folder(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def _made_new(partial: Path) -> None:
+def begun(path: str | os.PathLike[str]) -> Path:
+    """A temporary path in the same folder, with an empty file, for who moves it to `path` by `moved`. Raises
+    NotWritten."""
+    partial = _partial(Path(path))
+    try:
+        made_new(partial)
+    except OSError as problem:
+        raise not_written(problem, path) from problem
+    return partial
+
+
+def moved(partial: Path, target: Path) -> None:
+    """Puts a complete file in its place: over a file or link of this name, and nothing else. Raises OSError."""
+    if target.exists() and not target.is_file() and not target.is_dir():  # a pipe or a device
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(partial))
+    os.replace(partial, target)
+
+
+def made_new(partial: Path) -> None:
     """Makes an empty file, in place of one that was left there; what lies there is not followed, be it a link."""
     partial.unlink(missing_ok=True)
     os.close(os.open(os.fspath(partial), os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666))
