@@ -1,8 +1,12 @@
 """The command `convert`: recordings of other formats as MCAP logs."""
 
-import sys
+from functools import partial
 
+from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import Convert
+from voodoo_jax.cli.printing import tell
+
+say = partial(printing.say, "convert")
 
 
 def run_convert(command: Convert) -> int:
@@ -10,9 +14,6 @@ def run_convert(command: Convert) -> int:
     from voodoo_jax.io.convert.errors import ConvertError
     from voodoo_jax.io.convert.sources import convert
     from voodoo_jax.storage.atomic import made_folder
-
-    def say(problem: object) -> None:
-        print(f"voodoo-jax convert: {problem}", file=sys.stderr)
 
     if not command.sources or command.out is None:
         say("name recordings and a log: voodoo-jax convert IN... --out LOG.mcap (a folder for several)")
@@ -33,7 +34,7 @@ def run_convert(command: Convert) -> int:
             say(problem)
             failed = True
             continue
-        print(target)
+        tell(target)
         for note in notes:
-            print(f"    {note}")
+            tell(f"    {note}")
     return 1 if failed else 0

@@ -1,11 +1,16 @@
 """The command `live`: tracks while it is recorded."""
 
 import signal
-import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 
+from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import PRESET_BODIES, Live
+from voodoo_jax.cli.printing import tell
+
+say = partial(printing.say, "live")
+
 
 PORTS = 1 << 16  # of TCP
 
@@ -19,11 +24,7 @@ def run_live(command: Live) -> int:
     from voodoo_jax.io.container import LogError
     from voodoo_jax.io.live.sources import open_source
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
-    from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.trackers.stages import check_stages
-
-    def say(text: object) -> None:
-        print(f"voodoo-jax live: {plain(str(text), SENTENCE)}", file=sys.stderr, flush=True)
 
     if not command.source:
         say("name a growing .mcap file, the folder of a bag, or a Foxglove WebSocket such as ws://localhost:8765")
@@ -63,7 +64,7 @@ def run_live(command: Live) -> int:
     except (LogError, SettingsError, Unsuitable, OSError) as problem:
         say(problem)
         return 1
-    print(outcome)
+    tell(outcome)
     return 0 if outcome.ok else 1
 
 
