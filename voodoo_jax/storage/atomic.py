@@ -76,7 +76,7 @@ def moved(partial: Path, target: Path) -> None:
 def made_new(partial: Path) -> None:
     """Makes an empty file, in place of one that was left there; what lies there is not followed, be it a link."""
     partial.unlink(missing_ok=True)
-    os.close(os.open(os.fspath(partial), os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666))
+    open(partial, "xb").close()
 
 
 def _partial(target: Path, ending: str = "") -> Path:
