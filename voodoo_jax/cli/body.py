@@ -11,6 +11,7 @@ say = partial(printing.say, "body")
 
 def run_body(command: BodyCommand) -> int:
     """0 if the body file was written, 1 if the source cannot be used, 2 if nothing could be begun."""
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.model.body_file import BodyFileError, write_body
     from voodoo_jax.model.foreign.sources import body_from
     from voodoo_jax.storage.atomic import made_folder
@@ -28,7 +29,8 @@ def run_body(command: BodyCommand) -> int:
         say("--rest: joint values look like elbow=0.5 (radians)")
         return 2
     try:
-        body, notes = body_from(command.source, rest, command.least)
+        with limited(command.limits):
+            body, notes = body_from(command.source, rest, command.least)
         made_folder(command.out.parent)
         write_body(body, command.out)
     except (BodyFileError, OSError) as problem:

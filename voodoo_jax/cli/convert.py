@@ -11,6 +11,7 @@ say = partial(printing.say, "convert")
 
 def run_convert(command: Convert) -> int:
     """0 if all was converted, 1 if something could not be, 2 if nothing could be begun."""
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.io.convert.errors import ConvertError
     from voodoo_jax.io.convert.sources import convert
     from voodoo_jax.storage.atomic import made_folder
@@ -29,7 +30,8 @@ def run_convert(command: Convert) -> int:
             made_folder(target.parent)
             if target.exists() and target.samefile(source):
                 raise ConvertError(f"'{source}' would be replaced by itself: name another --out")
-            notes = convert(source, target, command.camera, command.rate)
+            with limited(command.limits):
+                notes = convert(source, target, command.camera, command.rate)
         except (ConvertError, OSError) as problem:
             say(problem)
             failed = True

@@ -13,6 +13,7 @@ say = partial(printing.say, "export")
 def run_export(command: Export) -> int:
     """0 if all was written, 1 if something could not be, 2 if nothing could be begun."""
     from voodoo_jax.batch.extra_files import exported_name
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.exporters.formats import ExportError, check_formats, export, gaps_note
     from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
     from voodoo_jax.storage.atomic import made_folder
@@ -32,7 +33,8 @@ def run_export(command: Export) -> int:
     failed = False
     for path in paths:
         try:
-            tracks = read_tracks_npz(path)
+            with limited(command.limits):
+                tracks = read_tracks_npz(path)
         except (TracksFileError, OSError) as problem:
             say(problem)
             failed = True

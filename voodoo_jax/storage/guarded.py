@@ -21,6 +21,8 @@ HEAD = struct.Struct("<cI")  # of a message: kind, bytes
 DATA, NOTE, REFUSED, DONE = b"D", b"N", b"E", b"Z"
 BLOCK = 1 << 18  # bytes of a piece of the result
 TEXT = 1 << 14  # bytes of a note
+NO_MEMORY = "it needs more memory than is allowed (--limits.memory)"
+NATIVE_MEMORY = "out of memory", "bad_alloc", "Insufficient memory", "Cannot allocate memory"  # as libraries say it
 REQUEST = 1 << 17  # bytes of a task: paths and numbers
 
 
@@ -70,9 +72,10 @@ def done_here(task: str, arguments: list[Any], answer: Answer) -> None:
             answer.note(note)
         answer.done()
     except MemoryError:
-        answer.note("it needs more memory than is allowed (--limits.memory)", REFUSED)
+        answer.note(NO_MEMORY, REFUSED)
     except Exception as problem:  # what a task expects it says itself
-        answer.note(str(problem) or type(problem).__name__, REFUSED)
+        text = str(problem) or type(problem).__name__
+        answer.note(NO_MEMORY if any(word in text for word in NATIVE_MEMORY) else text, REFUSED)
 
 
 def _alone(request: dict[str, Any], pipe: int, others: list[int]) -> None:

@@ -64,17 +64,16 @@ def check_text(place: str | os.PathLike[str], what: str) -> None:
 def opened_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None) -> BinaryIO:
     """A file opened for reading. Raises NotReadable for pipes and devices, for which one could wait for ever, and for
     what lies outside of the folder `inside`, be it by a link; OSError."""
+    place = os.path.realpath(path) if inside is not None else os.fspath(path)
+    if inside is not None and os.path.commonpath([place, folder := os.path.realpath(inside)]) != folder:
+        raise _unfit(f"it lies outside of '{os.fspath(inside)}'")
     # a pipe that nobody writes into must not be waited for
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    handle = os.open(place, flags | (getattr(os, "O_NOFOLLOW", 0) if inside is not None else 0))
     stream = os.fdopen(handle, "rb") if stat.S_ISREG((status := os.fstat(handle)).st_mode) else None
     if stream is None:
         os.close(handle)
         raise _unfit(f"it is a {'folder' if stat.S_ISDIR(status.st_mode) else 'pipe or a device'}: give a file")
-    if inside is not None:
-        place, folder = os.path.realpath(path), os.path.realpath(inside)
-        if os.path.commonpath([place, folder]) != folder or not os.path.samestat(os.stat(place), status):
-            stream.close()
-            raise _unfit(f"it lies outside of '{os.fspath(inside)}'")
     return stream
 
 

@@ -63,7 +63,16 @@ def convert_c3d(source: Path, target: Answer) -> list[str]:
 def listed(point: dict[str, Any], key: str) -> list[str]:
     """A parameter of the group POINT and what goes on in `key`2, `key`3, ...: each of these holds 255 names."""
     parts = {int(found[1] or 1): k for k in point if (found := re.fullmatch(f"{key}(\\d*)", k))}
-    return [str(name).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
+    return [_letters(str(name)).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
+
+
+def _letters(name: str) -> str:
+    """A name whose bytes are no UTF-8 as the Latin-1 that older programs wrote."""
+    data = name.encode("utf-8", "surrogateescape")
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
 
 
 def _names(point: dict[str, Any]) -> list[str]:

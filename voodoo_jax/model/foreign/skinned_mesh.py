@@ -41,7 +41,7 @@ class _File:
     """The JSON of a glTF file, and its arrays."""
 
     def __init__(self, path: Path):
-        data, self.folder, self.binary = small_file(path, path.parent), path.parent, b""
+        data, self.folder, self.binary = small_file(path), path.resolve().parent, b""
         self.tree: dict[str, Any] = {}
         if data[:4] == struct.pack("<I", MAGIC):
             at = 12

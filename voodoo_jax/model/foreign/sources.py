@@ -42,7 +42,7 @@ def body_from(
     try:
         if not path.exists():
             raise FileNotFoundError("there is no such file")
-        check_file(path, path.parent)
+        check_file(path)
     except OSError as problem:
         raise BodyFileError(str(path), None, problem.strerror or str(problem)) from problem
     kind = KINDS.get(path.suffix.lower())
@@ -57,10 +57,10 @@ def body_from(
     module, function = READERS[kind]
     most, text = limits(), bytearray()
     task = [module, function, str(path), dict(rest or {}), least, asdict(most)]
-    room, place = Room(most.memory, most.seconds, MOST), os.path.realpath(folder_of(path))
+    room, places = Room(most.memory, most.seconds, MOST), [str(path.resolve()), str(folder_of(path))]
     try:
         imports = [f"model.foreign.{module}"]
-        notes = guarded("model.foreign.sources:made", task, [place], room, text.extend, imports)
+        notes = guarded("model.foreign.sources:made", task, places, room, text.extend, imports)
     except Refused as problem:
         why = str(problem).removeprefix(f"{path}: ")
         raise BodyFileError(
@@ -73,7 +73,7 @@ def body_from(
 
 def folder_of(path: Path) -> Path:
     """The folder in which all files must lie that a file names: its own, or that in which its ROS package is."""
-    above = path.absolute().parents
+    above = path.resolve().parents
     return next((folder.parent for folder in above if (folder / "package.xml").is_file()), above[0])
 
 

@@ -52,7 +52,7 @@ def read_urdf(path: Path, rest: dict[str, float], least: float) -> tuple[str, li
     """The text of a body file: see sources.body_from. Links without surface and fixed joints become one with what they
     hang on."""
     try:
-        root = ElementTree.fromstring(small_file(path, path.parent))
+        root = ElementTree.fromstring(small_file(path))
     except (ElementTree.ParseError, OSError) as problem:
         raise BodyFileError(str(path), None, f"it cannot be read as XML: {problem}") from problem
     if root.tag != "robot":
@@ -201,7 +201,7 @@ def _file(name: str, path: Path) -> Path:
     if not name.startswith("package://"):
         return path.parent / name.removeprefix("file://")
     package, _, rest = name.removeprefix("package://").partition("/")
-    root = folder_of(path).resolve()
+    root = folder_of(path)
     for folder in path.resolve().parents:
         if not folder.is_relative_to(root):
             break
