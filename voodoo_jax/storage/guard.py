@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from voodoo_jax.storage.guarded import BLOCK, DATA, DONE, HEAD, NOTE, REFUSED, REQUEST, TEXT, Answer, done_here
+from voodoo_jax.storage.guarded import BLOCK, DATA, DONE, END, HEAD, NOTE, REFUSED, REQUEST, TEXT, Answer, done_here
 
 NOTES = 10_000  # of one task
 PATIENCE = 10.0  # times the time of a processor that is allowed, by the clock: other processes want it, too; by hand
@@ -70,7 +70,8 @@ def guarded(
                 notes, said = _heard(ours, room, take)
             finally:
                 os.close(ours)
-            status = int.from_bytes(helper.control.recv(4), "little", signed=True)
+            status, *used = END.unpack(helper.control.recv(END.size))
+            last[:] = used
             whole = True
         except (BrokenPipeError, ConnectionError) as problem:
             raise Refused("the process that reads it has ended") from problem
@@ -156,6 +157,7 @@ class _Helper:
         self._process.wait()
 
 
+last: list[float] = []  # of the last task that came to an end: most memory in bytes, seconds of the processor
 _lock = threading.Lock()
 _helpers: dict[int, _Helper] = {}  # by process: a copy of this one needs its own
 

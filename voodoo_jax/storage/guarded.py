@@ -18,6 +18,7 @@ from typing import Any
 from voodoo_jax.storage.confinement import confined, limited_resources, more_time
 
 HEAD = struct.Struct("<cI")  # of a message: kind, bytes
+END = struct.Struct("<iQd")  # how a copy ended: exit status, most memory in bytes, seconds of the processor
 DATA, NOTE, REFUSED, DONE = b"D", b"N", b"E", b"Z"
 BLOCK = 1 << 18  # bytes of a piece of the result
 TEXT = 1 << 14  # bytes of a note
@@ -110,7 +111,9 @@ def serve(control: socket.socket) -> None:
             finally:
                 os._exit(0)
         os.close(pipes[0])
-        control.send(struct.pack("<i", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])))
+        _, status, used = os.wait4(child, 0)
+        peak = used.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        control.send(END.pack(os.waitstatus_to_exitcode(status), peak, used.ru_utime + used.ru_stime))
 
 
 if __name__ == "__main__":

@@ -32,7 +32,8 @@ class FoxgloveClient:
     """Subscribes to all topics of a server that can be of use. Raises LogError where there is no such server, or the
     package `websockets` is missing."""
 
-    def __init__(self, url: str):
+    def __init__(self, url: str, socket: Any = None):
+        """`socket` an open connection, another one than to `url`."""
         try:
             from websockets.exceptions import WebSocketException
             from websockets.sync.client import connect
@@ -45,7 +46,7 @@ class FoxgloveClient:
         self._lost, self._of = 0, dict[int, tuple[Schema | None, Channel]]()
         self._room, self._most, self._unknown = limits().schemas_bytes, limits().memory // 2, 0
         try:
-            self._socket = connect(
+            self._socket: Any = socket or connect(
                 url, subprotocols=[Subprotocol(name) for name in PROTOCOLS], max_size=limits().chunk_bytes,
                 open_timeout=OPEN_SECONDS, compression=None,
             )  # fmt: skip
