@@ -39,11 +39,11 @@ def guarded(
     task: str, arguments: Sequence[Any], readable: Iterable[str], room: Room, take: Callable[[bytes], Any],
     imports: Iterable[str] = (),
 ) -> list[str]:  # fmt: skip
-    """Runs a function of this package in a process of its own that reads some files and folders only.
+    """Runs a function in a process of its own that reads some files and folders only.
 
     **Arguments:** `task` "module:function"; it is called with `arguments`, of which JSON has the kinds, and an Answer,
-    writes its result there and returns notes; `take` gets the result piece by piece; `imports` modules of this package
-    that it needs.
+    writes its result there and returns notes; `take` gets the result piece by piece; `imports` modules that it
+    needs.
 
     **Returns:** the notes. Raises Refused with what the function raises or what has ended its process; what `take`
     raises. Where processes cannot be copied (not on POSIX) the function runs here, without guard.

@@ -66,10 +66,10 @@ class Answer:
 
 
 def done_here(task: str, arguments: list[Any], answer: Answer) -> None:
-    """Does a task, `module:function` of this package, and says what came of it."""
+    """Does a task, `module:function`, and says what came of it."""
     module, _, name = task.partition(":")
     try:
-        for note in getattr(importlib.import_module(f"voodoo_jax.{module}"), name)(*arguments, answer):
+        for note in getattr(importlib.import_module(module), name)(*arguments, answer):
             answer.note(note)
         answer.done()
     except MemoryError:
@@ -104,7 +104,7 @@ def serve(control: socket.socket) -> None:
         request = json.loads(text)
         for module in (request["task"].partition(":")[0], *request["imports"]):
             with suppress(Exception):  # said by the copy, which tries again
-                importlib.import_module(f"voodoo_jax.{module}")
+                importlib.import_module(module)
         if (child := os.fork()) == 0:
             try:
                 _alone(request, pipes[0], [control.fileno(), nothing])

@@ -64,8 +64,8 @@ def convert(
     task = [module, function, str(source), {name: given[name] for name in more}, asdict(most)]
     with replacing(target) as partial, open(partial, "wb") as stream:
         try:
-            imports = [f"io.convert.{module}"]
-            notes = guarded("io.convert.sources:converted", task, readable, room, stream.write, imports)
+            imports = [f"voodoo_jax.io.convert.{module}"]
+            notes = guarded("voodoo_jax.io.convert.sources:converted", task, readable, room, stream.write, imports)
         except Refused as problem:
             text = str(problem) if f"'{source}" in str(problem) else f"'{source}' cannot be converted: {problem}"
             raise ConvertError(plain(text, SENTENCE)) from problem

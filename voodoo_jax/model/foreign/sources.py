@@ -59,8 +59,8 @@ def body_from(
     task = [module, function, str(path), dict(rest or {}), least, asdict(most)]
     room, places = Room(most.memory, most.seconds, MOST), [str(path.resolve()), str(folder_of(path))]
     try:
-        imports = [f"model.foreign.{module}"]
-        notes = guarded("model.foreign.sources:made", task, places, room, text.extend, imports)
+        imports = [f"voodoo_jax.model.foreign.{module}"]
+        notes = guarded("voodoo_jax.model.foreign.sources:made", task, places, room, text.extend, imports)
     except Refused as problem:
         why = str(problem).removeprefix(f"{path}: ")
         raise BodyFileError(
