@@ -98,6 +98,8 @@ def changed_text(text: str, rng: random.Random) -> str:
     """Words, numbers or lines that are others, twice there or gone."""
     parts = re.split(r"(\s+|[<>\"'=,])", text)
     for _ in range(rng.choice((1, 1, 2, 4))):
+        if not parts:
+            break
         k = rng.randrange(len(parts))
         words = [i for i, part in enumerate(parts) if part.strip() and part not in "<>\"'=,"]
         k = rng.choice(words) if words and rng.random() < 0.9 else k

@@ -133,7 +133,7 @@ def say_what_lacks(ray: Any, tasks: RayTasks) -> None:
     if not any(all(machine.get(name, 0) >= n for name, n in wanted.items()) for machine in machines):
         asked = " and ".join(f"{n:g} {name}" for name, n in wanted.items())
         text = f"--engine ray: no machine of the cluster has {asked} for a log (--ray-cpus, --ray-gpus)"
-        tqdm.write(f"{text}; it waits until one joins", file=sys.stderr)
+        tqdm.write(shown(f"{text}; it waits until one joins"), file=sys.stderr)
 
 
 def _ray() -> Any:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -46,9 +47,12 @@ class GrowingTracks:
         self._count += 1
 
     def close(self) -> None:
-        with self._file:
+        try:
             self._writer.finish()
-        self._partial.unlink(missing_ok=True)
+        finally:
+            with suppress(OSError):  # its disk is full, which was said
+                self._file.close()
+            self._partial.unlink(missing_ok=True)
 
 
 class FoxgloveServer:

@@ -18,7 +18,9 @@ from typing import Any, NamedTuple
 from voodoo_jax.storage.guarded import BLOCK, DATA, DONE, END, HEAD, NOTE, REFUSED, REQUEST, TEXT, Answer, done_here
 
 NOTES = 10_000  # of one task
-PATIENCE = 10.0  # times the time of a processor that is allowed, by the clock: other processes want it, too; by hand
+# seconds by the clock without a piece of the result, beside ten times those of a processor, which others want, too;
+# by hand
+PATIENCE = 100.0
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # else the process cannot be copied
 
 
@@ -88,7 +90,7 @@ def guarded(
 def _heard(pipe: int, room: Room, take: Callable[[bytes], Any]) -> tuple[list[str], str | None]:
     """Notes, and why there is no result: "" if there is one, None if its process has ended before it said so."""
     notes: list[str] = []
-    total, wait = 0, PATIENCE * room.seconds or None
+    total, wait = 0, PATIENCE + 10 * room.seconds if room.seconds else None
     while True:
         head = _read(pipe, HEAD.size, wait)
         if len(head) < HEAD.size:

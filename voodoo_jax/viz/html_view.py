@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.exporters.frames import upright
 from voodoo_jax.exporters.limb_meshes import side_of
 from voodoo_jax.geometry.rotations import rotations
+from voodoo_jax.records.markup import filled, for_script
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.figures import STATUS_WORDS
-from voodoo_jax.viz.template import filled, for_script, template
+from voodoo_jax.viz.template import template
 
 MOST_FRAMES = 900  # of a longer log every second one is shown, every third, ...
 POINTS = 700_000  # of all frames together: 6 bytes each, 5.6 MB as text
