@@ -2,6 +2,7 @@
 
 import pytest
 
+from experiments.fuzz.atheris_target import begin_at, try_door
 from experiments.fuzz.doors import DOORS, changed, rows, tried
 from experiments.fuzz.sound_files import sound_files
 
@@ -25,3 +26,13 @@ def test_the_same_seed_makes_the_same(tmp_path):
     (one,) = [sound for sound in sound_files("convert", tmp_path / "sound") if sound.name == "bag"]
     made = [changed(one, random.Random(k), tmp_path / name).read_bytes() for k, name in ((1, "a"), (1, "b"), (2, "c"))]
     assert made[0] == made[1] != made[2]
+
+
+def test_the_targets_of_the_fuzzer(tmp_path, monkeypatch):
+    """Each takes what its corpus begins with, without the fuzzer, which need not be installed."""
+    for module in ("voodoo_jax.io.convert.sources", "voodoo_jax.model.foreign.sources"):
+        monkeypatch.setattr(f"{module}.guarded", None)  # put back at the end
+    for door in ("convert", "results"):
+        begin_at(door, tmp_path / door)
+        seeds = sorted((tmp_path / door).iterdir())
+        assert len(seeds) >= 2 and try_door(door, seeds[0].read_bytes()) == "" != try_door(door, b"\0x")
