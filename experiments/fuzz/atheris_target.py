@@ -1,8 +1,8 @@
 """What a coverage-guided fuzzer calls: python -m experiments.fuzz.atheris_target [DOOR] [CORPUS] [options of libFuzzer]
 
-DOOR is log (the default), convert, body, live or results. Begins with sound and damaged inputs of experiments/fuzz in the
-folder CORPUS, if that is empty. Anything but a result or a sentence is a find, and so is what takes over a minute or
-2 GB. Parsers of foreign files run here, without their guard, so that the fuzzer sees where they go.
+DOOR is log (the default), convert, body, live or results. Begins with sound and damaged inputs of experiments/fuzz in
+the folder CORPUS, if that is empty. Anything but a result or a sentence is a find, and so is what takes over a minute
+or 2 GB. Parsers of foreign files run here, without their guard, so that the fuzzer sees where they go.
 """
 
 import json
@@ -55,6 +55,7 @@ def try_door(door: str, data: bytes) -> str:
     def here(task: str, arguments: Any, readable: Any, room: guard.Room, take: Any, imports: Any = ()) -> list[str]:
         return guard.unguarded(task, arguments, room, take)
 
+    module: Any
     for module in (voodoo_jax.io.convert.sources, voodoo_jax.model.foreign.sources):
         module.guarded = here
     name = f"a.{ENDINGS[door][data[0] % len(ENDINGS[door])]}" if data else "a"
