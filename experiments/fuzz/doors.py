@@ -30,7 +30,7 @@ from voodoo_jax.storage import guard
 Door = Literal["convert", "body", "live", "results", "pages"]
 DOORS: tuple[Door, ...] = ("convert", "body", "live", "results", "pages")
 SECONDS, PEAK = 60, 2 << 30  # docs/limits.md
-ALLOWED = 5.0  # seconds of a processor, for the limit is tried time and again
+ALLOWED = LimitSettings(seconds=5.0)  # for the limit is tried time and again
 NUMBERS = (-1, 0, 1, 2, 7, 255, 256, 65535, 2**31 - 1, 2**31, 2**32 - 1, 2**53, 2**63 - 1, 2**64 - 1, -(2**31), 10**9)
 WORDS = (
     "",
@@ -304,8 +304,8 @@ def _watch(event: str, arguments: tuple[Any, ...]) -> None:
         _events.append(f"{event} {str(arguments[1:2])[:80]}")
 
 
-def tried(door: Door, count: int, seed: int, only: str = "") -> Iterator[Tried]:
-    """So many inputs at one door, by chance."""
+def tried(door: Door, count: int, seed: int, only: str = "", allowed: LimitSettings = ALLOWED) -> Iterator[Tried]:
+    """So many inputs at one door, by chance, with these limits."""
     if not getattr(tried, "watched", False):
         sys.addaudithook(_watch)
         tried.watched = True  # type: ignore[attr-defined]
@@ -318,7 +318,9 @@ def tried(door: Door, count: int, seed: int, only: str = "") -> Iterator[Tried]:
             one = sound[number % len(sound)]
             if not re.search(only, one.name):
                 continue
-            yield _one(door, one, number, rng, root)
+            with limited(allowed):
+                found = _one(door, one, number, rng, root)
+            yield found
 
 
 def _one(door: Door, one: Sound, number: int, rng: random.Random, root: Path) -> Tried:
@@ -331,8 +333,7 @@ def _one(door: Door, one: Sound, number: int, rng: random.Random, root: Path) ->
     began, harm = time.process_time(), []
     refused, told, made = "", [], b""
     try:
-        with limited(LimitSettings(seconds=ALLOWED)):
-            refused, told, made = TRY[door](source, out, one)
+        refused, told, made = TRY[door](source, out, one)
     except Exception as problem:
         harm.append(f"crash: {type(problem).__name__}: {str(problem)[:300]}")
     spent = time.process_time() - began

@@ -234,8 +234,8 @@ def bodies(folder: Path) -> list[Sound]:
         Sound("urdf", "a.urdf", {"a.urdf": urdf, "a.stl": stl}, [80, 84], twist=links),
         Sound("urdf obj", "a.urdf", {"a.urdf": urdf.replace("a.stl", "a.obj"), "a.obj": obj}),
     ]
-    # three of four are read but not fitted, which takes ten times as long
-    return [replace(one, least=10.0 if k else 0.03) for k in range(4) for one in found]
+    # seven of eight are read but not fitted, which takes ten times as long
+    return [replace(one, least=10.0 if k else 0.03) for k in range(8) for one in found]
 
 
 # -- what a server of messages says, and files that grow

@@ -46,10 +46,12 @@ class FoxgloveClient:
         self._lost, self._of = 0, dict[int, tuple[Schema | None, Channel]]()
         self._room, self._most, self._unknown = limits().schemas_bytes, limits().memory // 2, 0
         try:
-            self._socket: Any = socket or connect(
-                url, subprotocols=[Subprotocol(name) for name in PROTOCOLS], max_size=limits().chunk_bytes,
-                open_timeout=OPEN_SECONDS, compression=None,
-            )  # fmt: skip
+            self._socket: Any = socket
+            if socket is None:
+                self._socket = connect(
+                    url, subprotocols=[Subprotocol(name) for name in PROTOCOLS], max_size=limits().chunk_bytes,
+                    open_timeout=OPEN_SECONDS, compression=None,
+                )  # fmt: skip
         except (OSError, WebSocketException, ValueError) as problem:
             raise LogError(
                 f"'{url}' cannot be connected to: {problem}. Is the server (foxglove_bridge, or another one of "
