@@ -17,8 +17,8 @@ from voodoo_jax.io.limits import TIME, limits, too_large
 from voodoo_jax.storage.guarded import Answer
 from voodoo_jax.storage.troubles import NotReadable, small_file
 
-# bytes that a message counts beside what it says, for it takes as long: a million of them in a small file (SQLite bags may
-# compute rows); by hand
+# bytes that a message counts beside what it says, for it takes as long: a million of them in a small file (SQLite may
+# compute them); by hand
 ROW = 4096
 START_NS = 1_000_000_000  # stamp of a first frame that has none: not 0, which means that there is no stamp
 RADIUS = 0.007  # metres, of the spheres that stand for markers (half of the usual 14 mm)
