@@ -1,26 +1,30 @@
 """Damaged and hostile files at the doors other than MCAP, some hundred at each by chance (all with --long)."""
 
-from dataclasses import replace
-
-import pytest
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 from experiments.fuzz.atheris_target import begin_at, try_door
-from experiments.fuzz.doors import ALLOWED, DOORS, changed, rows, tried
+from experiments.fuzz.doors import DOORS, changed
 from experiments.fuzz.sound_files import sound_files
 
 SEED, COUNT = 60, 250  # of the short run
 
 
-@pytest.mark.parametrize("door", DOORS)
-def test_some_hundred(door, request):
+def test_some_hundred(request):
     """No crash, hang, memory, foreign bytes, request, lost result or escape; not all is refused, and not all read."""
-    count = 2000 if request.config.getoption("--long") else COUNT
-    allowed = ALLOWED if count > COUNT else replace(ALLOWED, memory=200 << 20, seconds=2.0)  # reached in less time
-    found = list(tried(door, count, SEED, allowed=allowed))
-    assert {one.name: one.harm for one in found if one.harm} == {} and len(found) == count
-    assert 0.1 < sum(bool(one.refused) for one in found) / count < 0.97 or door == "pages"
-    ((_, told, *_, escapes),) = rows(found)
-    assert (told, escapes) == (str(count), "0")
+    count, quick = (2000, []) if request.config.getoption("--long") else (COUNT, ["--quick"])
+    # in a process of its own, where shapes and types are not checked, which takes four times as long
+    words = [sys.executable, "-m", "experiments.fuzz.doors", "--seed", str(SEED), "--count", str(count), *quick]
+    env = os.environ | {"OPENBLAS_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(words, env=env, capture_output=True, text=True, cwd=Path(__file__).parents[2])
+    assert done.returncode == 0 and "FAILED" not in done.stdout, done.stdout + done.stderr
+    rows = {
+        row[0]: row[1:] for row in (line.strip("| ").split(" | ") for line in done.stdout.splitlines()[2:]) if row[0]
+    }
+    assert set(rows) == set(DOORS) and all(int(row[0]) == count for row in rows.values())
+    assert all(0.1 < int(row[1]) / count < 0.97 for door, row in rows.items() if door != "pages")
 
 
 def test_the_same_seed_makes_the_same(tmp_path):
