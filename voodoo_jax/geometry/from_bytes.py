@@ -32,5 +32,6 @@ def array_at(
         return np.zeros(shape, dtype)
     last = at + sum((count - 1) * int(step) for count, step in zip(shape, strides)) + dtype.itemsize
     if last > size:
-        raise ValueError(f"{size} bytes are too few for an array of {shape} of {dtype}, which needs {last}")
+        count = " x ".join(map(str, shape))
+        raise ValueError(f"{size} bytes are too few for {count} of {dtype.itemsize} bytes, which need {last}")
     return np.ndarray(tuple(shape), dtype, view, at, tuple(int(step) for step in strides))
