@@ -156,6 +156,7 @@ class Export:
     out: Path | None = None
     """Folder for the files; none named: they are written beside the tracks."""
     style: OmitArgPrefixes[Style] = field(default_factory=Style)
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
@@ -179,6 +180,7 @@ class Convert:
     """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
     types: tuple[str, ...] = ()
     """Definitions of messages (.msg files of their packages) that an SQLite bag lacks; usual drivers' are known."""
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
@@ -295,6 +297,7 @@ class BodyCommand:
     """Parts smaller than this are one with what they hang on, metres."""
     overwrite: bool = False
     """Replace a file that exists."""
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)

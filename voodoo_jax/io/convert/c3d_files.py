@@ -1,13 +1,14 @@
 """C3D files by two libraries: ezc3d, and py-c3d for what that does not read (MIPS, parameters of other types)."""
 
 import warnings
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from voodoo_jax.io.convert.target import ConvertError
+from voodoo_jax.io.convert.target import ConvertError, content
 
 
 class Points(NamedTuple):
@@ -27,7 +28,7 @@ def points_of(source: Path) -> Points:
         raise ConvertError('C3D files need ezc3d: pip install "voodoo_jax[c3d]"') from problem
     try:
         return _by_ezc3d(source)
-    except (OSError, RuntimeError, KeyError, IndexError, ValueError) as problem:
+    except (OSError, RuntimeError, KeyError, IndexError, ValueError, SystemError) as problem:
         try:
             found = _by_c3d(source)
         except Exception:  # it has errors of all kinds; the other's say more
@@ -48,7 +49,7 @@ def _by_ezc3d(source: Path) -> Points:
 def _by_c3d(source: Path) -> Points:
     import c3d
 
-    with open(source, "rb") as stream, warnings.catch_warnings():
+    with BytesIO(content(source)) as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         reader = c3d.Reader(stream)
         frames = [np.array(points) for _, points, _ in reader.read_frames(copy=True)]

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from voodoo_jax.io.container import LogError, Place
+from voodoo_jax.io.convert.errors import ConvertError
 from voodoo_jax.io.convert.sources import convert, is_foreign
-from voodoo_jax.io.convert.target import ConvertError
 
 
 @contextmanager

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from voodoo_jax.io.convert.c3d_files import points_of
-from voodoo_jax.io.convert.target import START_NS, ConvertError, new_log, putter, scene_of_points
+from voodoo_jax.io.convert.target import START_NS, ConvertError, check_points, content, new_log, putter, scene_of_points
+from voodoo_jax.storage.guarded import Answer
 
 TOPIC, FRAME = "/markers", "lab"
 QUANTITIES = "ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS"  # parameters of POINT that list what is no place
@@ -21,10 +22,11 @@ WORDS = {
 SHORTEST = 4  # letters of a word for a unit: the format's first programs kept so many of each name
 
 
-def convert_c3d(source: Path, target: Path) -> list[str]:
+def convert_c3d(source: Path, target: Answer) -> list[str]:
     """Points of a C3D file; those with a negative residual are missing. Raises ConvertError, OSError."""
     point, points, missing, rate = points_of(source)
     names = _names(point)[: points.shape[1]]
+    check_points(len(names), len(points))
     points, missing = points[:, : len(names)], missing[:, : len(names)]
     missing = missing | ~np.isfinite(points).all(2) | (points == 0).all(2)
     points = np.where(missing[..., None], np.nan, points)
@@ -107,15 +109,16 @@ def unit_by_size(points: np.ndarray, source: Path, told: str) -> str:
     raise ConvertError(f"'{source}' names {_no_unit(told)} and its points are not as large as a body in mm, cm or m")
 
 
-def convert_trc(source: Path, target: Path) -> list[str]:
+def convert_trc(source: Path, target: Answer) -> list[str]:
     """Points of a TRC file; empty fields and NaN are missing. Raises ConvertError, OSError."""
-    lines = source.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = content(source).decode("utf-8", "replace").splitlines()
     try:
         header = dict(zip(*_fields(lines[1], lines[2])))
         names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
         unit = _unit(header["Units"].strip(), source)
         rows = [line.split("\t") for line in lines[5:] if line.strip() and line.split("\t")[0].strip().isdigit()]
         width = 2 + 3 * len(names)
+        check_points(len(names), len(rows))
         table = np.array([[_number(v) for v in (row + [""] * width)[:width]] for row in rows]).reshape(-1, width)
     except ConvertError:
         raise
@@ -152,7 +155,7 @@ def _upwards(point: dict[str, Any]) -> str:
 
 # 6 parameters: what there is, from where and to where
 def write_markers(
-    target: Path, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray, up: str
+    target: Answer, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray, up: str
 ) -> None:
     """Named points [frame, point, 3], metres, at seconds of any zero; `up` as in read.up.
 

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from voodoo_jax.io.convert.target import START_NS, ConvertError, new_log, putter, scene_of_points
+from voodoo_jax.io.convert.target import START_NS, ConvertError, check_points, content, new_log, putter, scene_of_points
 from voodoo_jax.model.marker_names import numbered_names
+from voodoo_jax.storage.guarded import Answer
 
 TOPIC, OPTICAL, CAMERA = "/skeletons", "depth_optical", "camera"
 MILLIMETRE = 0.001
@@ -35,11 +36,13 @@ Bodies = dict[str, dict[str, Float[np.ndarray, "3"]]]  # joints by name, metres,
 Told = tuple[list[tuple[int, Bodies]], str, str]  # bodies with their stamps (nanoseconds), their frame, and its up
 
 
-def convert(source: Path, target: Path) -> list[str]:
+def convert(source: Path, target: Answer) -> list[str]:
     """Writes the joints of all bodies as named 3D points, metres. Raises ConvertError, OSError."""
     try:
-        text = source.read_text(encoding="utf-8")
+        text = content(source).decode("utf-8")
         frames, frame, up = _ntu(text) if source.suffix.lower() == ".skeleton" else _json(json.loads(text))
+    except ConvertError:
+        raise
     except WRONG as problem:
         raise ConvertError(
             f"'{source}' cannot be read as skeletons: {type(problem).__name__}: {problem}; it needs joint_names and "
@@ -47,6 +50,7 @@ def convert(source: Path, target: Path) -> list[str]:
             "with body_list (ZED)"
         ) from problem
     bodies = {body for _, found in frames for body in found}
+    check_points(len(bodies), sum(len(places) for _, found in frames for places in found.values()))
     if not bodies:
         raise ConvertError(f"'{source}' has no body in any frame")
     first = min(stamp for stamp, _ in frames)

@@ -7,21 +7,23 @@ others (FreeMoCap, pandas): a line of names, then one for each frame; with a col
 
 import csv
 import re
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from voodoo_jax.io.convert.markers import METRES, unit_by_size, unit_name, write_markers
-from voodoo_jax.io.convert.target import ConvertError
+from voodoo_jax.io.convert.target import ConvertError, content
+from voodoo_jax.storage.guarded import Answer
 
 USUAL_HZ = 30.0  # of most cameras, where neither the file nor a user says it
 AXIS = re.compile(r"(.+?)[ _.:\-\[(]*([xyz])\W*(?:mm|cm|m)?\W*", re.IGNORECASE)
 TIMES = re.compile(r"(frame_?)?(time|timestamps?|seconds|t)(\W*\(?(s|sec|seconds)\)?)?(_s|_sec)?", re.IGNORECASE)
 
 
-def convert(source: Path, target: Path, rate: float = 0.0) -> list[str]:
+def convert(source: Path, target: Answer, rate: float = 0.0) -> list[str]:
     """Points of a table; empty fields and NaN are missing. Raises ConvertError, OSError."""
-    with open(source, newline="", encoding="utf-8-sig", errors="replace") as stream:
+    with StringIO(content(source).decode("utf-8-sig", "replace"), newline="") as stream:
         rows = [row for row in csv.reader(stream) if row]
     try:
         if rows and rows[0][0].strip() == "Format Version":
@@ -33,7 +35,7 @@ def convert(source: Path, target: Path, rate: float = 0.0) -> list[str]:
         raise ConvertError(f"'{source}' cannot be read as a table of points: {problem}") from problem
 
 
-def _motive(source: Path, target: Path, rows: list[list[str]]) -> list[str]:
+def _motive(source: Path, target: Answer, rows: list[list[str]]) -> list[str]:
     head = dict(zip(rows[0][::2], rows[0][1::2]))
     above = next(i for i, row in enumerate(rows) if row[0].strip() == "Frame")
     kinds, names, what = rows[1], rows[2], rows[above - 1]  # between them are numbers and parents
@@ -55,7 +57,7 @@ def _motive(source: Path, target: Path, rows: list[list[str]]) -> list[str]:
     return []
 
 
-def _table(source: Path, target: Path, rows: list[list[str]], rate: float) -> list[str]:
+def _table(source: Path, target: Answer, rows: list[list[str]], rate: float) -> list[str]:
     columns: dict[str, dict[str, int]] = {}
     for k, name in enumerate(rows[0]):
         if found := AXIS.fullmatch(name.strip()):
