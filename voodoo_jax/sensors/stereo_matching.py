@@ -35,7 +35,7 @@ _STEP = 0.03  # by hand: of the distance, between neighbours: another thing
 _BODY = (0.3, 2.4), 2.0  # by hand: metres that a body is high, or a part of it that is seen, and wide at most
 _FEWEST = 100  # by hand: pixels of the quick disparities that a thing has
 MARGIN = max(AROUND) + _BLOCK  # pixels around a window that what is in it depends on
-UPWARDS = np.array([0.0, -1.0, 0.0])
+UPWARDS = np.array([0.0, -1.0, 0.0])  # in an optical frame, as OpenCV has it: y is downwards
 _RIM = 0.25  # by hand: metres around a thing: its hands and feet, and what is hidden by it in one of the images
 
 
