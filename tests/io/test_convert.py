@@ -25,8 +25,8 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.exporters.formats import export
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.convert.clouds import read_pcd
+from voodoo_jax.io.convert.errors import ConvertError
 from voodoo_jax.io.convert.sources import convert
-from voodoo_jax.io.convert.target import ConvertError
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import make_motion, placed
@@ -274,7 +274,7 @@ def test_colour_images_beside_depth_images(log, tmp_path):
     cv2.imwrite(str(tmp_path / "plain" / "color" / "001.png"), colours[0, :20])
     (tmp_path / "plain" / "color" / "002.png").write_bytes(b"")
     notes = convert(tmp_path / "plain", tmp_path / "less.mcap")
-    assert len(notes) == 2 and "not registered to depth" in notes[0] and "no image" in notes[1]
+    assert len(notes) == 2 and "not registered to depth" in notes[0] and "002.png' was left out" in notes[1]
 
 
 def lzf(data: bytes) -> bytes:
@@ -323,10 +323,10 @@ def test_packed_clouds_that_are_damaged_are_said(tmp_path):
     for k, (name, data) in enumerate(cases.items()):
         (tmp_path / "a.pcd").write_bytes(head + data)
         if not k:
-            assert read_pcd(tmp_path / "a.pcd").tolist() == [[0, 0, 0]] * 2
+            assert read_pcd((tmp_path / "a.pcd").read_bytes(), "a.pcd").tolist() == [[0, 0, 0]] * 2
             continue
         with pytest.raises(ConvertError, match="cannot be read as PCD"):
-            read_pcd(tmp_path / "a.pcd")
+            read_pcd((tmp_path / "a.pcd").read_bytes(), "a.pcd")
             raise AssertionError(name)
 
 

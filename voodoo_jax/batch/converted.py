@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from voodoo_jax.io.container import LogError
+from voodoo_jax.io.convert.errors import ConvertError
 from voodoo_jax.io.convert.sources import convert, is_foreign
-from voodoo_jax.io.convert.target import ConvertError
 
 
 @contextmanager

@@ -10,12 +10,11 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from voodoo_jax.batch.cores import own_cores
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.geometry.arrays_file import arrays_in
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import SENTENCE, plain
@@ -246,8 +245,8 @@ def _person_in(place: str) -> int | None:
     from voodoo_jax.batch.resume import BROKEN
 
     try:
-        with opened(place) as stream, np.load(stream, allow_pickle=False) as data:
-            return int(data["person"]) if "person" in data.files else 1
+        with opened(place) as stream:
+            return int(arrays_in(stream, ("person",)).get("person", 1))
     except BROKEN:
         return None
 

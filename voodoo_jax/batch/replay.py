@@ -23,6 +23,7 @@ from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.ray_tasks import RayTasks, check_ray_tasks
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
+from voodoo_jax.records.notes import shown
 from voodoo_jax.storage.atomic import check_writable, made_folder
 from voodoo_jax.storage.troubles import NotWritten, check_text, not_written
 from voodoo_jax.storage.urls import NPZ, byte_size, expanded, file_system, is_url, joined, person_place
@@ -310,4 +311,4 @@ def parameters_of(settings: Settings, smooth_seconds: float = 0.0) -> tuple[tupl
 
 def _say(outcome: Outcome, quiet: bool) -> None:
     if not quiet:
-        tqdm.write(str(outcome))
+        tqdm.write(shown(str(outcome)))

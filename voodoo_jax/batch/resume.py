@@ -14,12 +14,13 @@ from mcap.stream_reader import StreamReader
 
 from voodoo_jax.compile.executable import code_fingerprint
 from voodoo_jax.config.options import Settings
+from voodoo_jax.exporters.npz import tracks_arrays
 from voodoo_jax.io.container import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
 from voodoo_jax.storage.urls import Readable, is_url, log_parts, opened, person_place
 
-KEPT = ("body_json", "residual", "tracked", "seconds", "notes", "person")  # of a tracks file
+KEPT = ("body_json", "residual", "tracked", "seconds", "notes")  # of a tracks file
 BLOCK = 1 << 16  # bytes of each sample of a log
 # what a file that is missing, cut or of another kind raises
 BROKEN = (OSError, ValueError, KeyError, EOFError, StopIteration, zipfile.BadZipFile, zlib.error, *READ_ERRORS)
@@ -87,19 +88,18 @@ def finished_arrays(log: str, npz: str, mcap: str, recipe: str) -> list[dict[str
     """What outcome_of_arrays needs of the tracks of each person in a log, if all result files are whole and carry this
     run's key; else None. `npz`, `mcap`: the main person's tracks, and what shows all."""
     try:
-        with opened(npz) as stream, np.load(stream, allow_pickle=False) as data:
-            if "run_key" not in data.files:
-                return None
-            key = run_key(recipe, fingerprint_of(log))
-            count = int(data["people"]) if "people" in data.files else 1
+        with opened(npz) as stream:
+            first = tracks_arrays(stream, npz)
+        if "run_key" not in first:
+            return None
+        key = run_key(recipe, fingerprint_of(log))
         arrays = []
-        for person in range(1, count + 1):
-            with opened(person_place(npz, person)) as stream, np.load(stream, allow_pickle=False) as data:
-                if str(data["run_key"]) != key or int(data.get("person", 1)) != person:
-                    return None
-                if data.zip.testzip() is not None:
-                    return None
-                arrays.append({name: data[name] for name in KEPT if name in data.files})
+        for person in range(1, int(first.get("people", 1)) + 1):
+            with opened(person_place(npz, person)) as stream:
+                data = first if person == 1 else tracks_arrays(stream, npz)
+            if str(data["run_key"]) != key or int(data.get("person", 1)) != person:
+                return None
+            arrays.append({name: data[name] for name in KEPT})
         with opened(mcap) as stream:
             metadata = [m.metadata for m in SeekingReader(stream).iter_metadata() if m.name == "voodoo_jax"]
             stream.seek(0)

@@ -152,6 +152,7 @@ class Export:
     formats: Annotated[str, arg(name="as", help=FORMATS_HELP)] = ""
     out: Path | None = None
     """Folder for the files; none named: they are written beside the tracks."""
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,7 @@ class Convert:
     (metres of a count), rate (Hz)."""
     rate: float = 0.0
     """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
@@ -289,6 +291,7 @@ class BodyCommand:
     """Parts smaller than this are one with what they hang on, metres."""
     overwrite: bool = False
     """Replace a file that exists."""
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,14 @@
 """The command `view`: a log and its tracks in a browser."""
 
-import sys
 from dataclasses import replace
+from functools import partial
 
+from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import View
+from voodoo_jax.cli.printing import tell
+
+say = partial(printing.say, "view")
+
 
 PORTS = 1 << 16  # of TCP
 
@@ -17,9 +22,6 @@ def run_view(command: View) -> int:
     from voodoo_jax.exporters.npz import TracksFileError, read_everybody
     from voodoo_jax.io.limits import limited
     from voodoo_jax.io.log_reader import LogError
-
-    def say(problem: object) -> None:
-        print(f"voodoo-jax view: {problem}", file=sys.stderr)
 
     if not 1 <= len(command.what) <= 2:
         say("name a log, and its tracks if there are some: voodoo-jax view LOG [TRACKS]")
@@ -46,7 +48,7 @@ def run_view(command: View) -> int:
     except (LogError, SettingsError, TracksFileError, OSError, ValueError) as problem:
         say(problem)
         return 1
-    print(f"Open http://localhost:{viewer.server.get_port()} in a browser; Ctrl-C ends it.", flush=True)
+    tell(f"Open http://localhost:{viewer.server.get_port()} in a browser; Ctrl-C ends it.", flush=True)
     if not command.once:
         viewer.play()
     viewer.server.stop()

@@ -341,6 +341,9 @@ class LimitSettings:
     # a person with all fingers has 55, a quadruped robot 20; a program for them is compiled for each pair of limbs
     limbs: int = 256
     """Limbs of a body file."""
+    # together with the libraries that read it (0.2 GB) this stays below 2 GB
+    memory: int = 3 << 29
+    """Bytes of memory for reading a file of another format."""
     # no recording at hand needs more than 6 s for its first frame (measured, one slow core): ten times that
     seconds: float = 60.0
     """Seconds of a processor in which a log must yield its next frame, for each GiB begun of its size; 0: no limit."""

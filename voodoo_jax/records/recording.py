@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from html import escape
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32
+
+from voodoo_jax.records.markup import filled
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Recording:
         return f"Recording({str(self).splitlines()[0]})"
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(str(self))}</pre>"
+        return filled("<pre>@TEXT@</pre>", TEXT=self)
 
     def __str__(self) -> str:
         n = len(self.frames)

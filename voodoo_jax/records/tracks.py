@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from html import escape
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -11,6 +10,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int8, Int32, Int64
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.isb_angles import Angles, joint_angles
 from voodoo_jax.model.joint_names import joint_row
+from voodoo_jax.records.markup import all_of, filled
 from voodoo_jax.records.track_table import track_columns
 
 SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named; by hand
@@ -113,8 +113,10 @@ class Tracks:
 
     def _repr_html_(self) -> str:
         rows = [*self._summary(), *(("note", note) for note in self.notes)]
-        cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
-        return f"<table><caption>Tracks</caption>{cells}</table>"
+        cells = all_of(
+            filled("<tr><th>@NAME@</th><td>@VALUE@</td></tr>", NAME=name, VALUE=value) for name, value in rows
+        )
+        return filled("<table><caption>Tracks</caption>@CELLS@</table>", CELLS=cells)
 
     def _summary(self) -> list[tuple[str, str]]:
         count, body = len(self.time_ns), self.body

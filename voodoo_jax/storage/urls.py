@@ -19,6 +19,11 @@ URL_HELP = 'pip install "voodoo_jax[urls]"'
 NPZ = ".tracks.npz"  # and those of files with tracks
 TRACKS = ".voodoo.mcap"  # how the names of MCAP files of tracks end
 ENDINGS = (".mcap", ".mcap.zstd", ".mcap.zst")
+# whose files are what their addresses say: no archives, copies or other addresses within them
+STORES = (
+    "file", "memory", "s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "http", "https", "hdfs", "webhdfs", "oss",
+    "oci", "hf",
+)  # fmt: skip
 TOGETHER = "+"  # between files that are one recording
 
 
@@ -30,6 +35,8 @@ def is_url(place: str | os.PathLike[str]) -> bool:
 def file_system(url: str) -> tuple[Any, str]:
     """The file system of a URL, and the path in it. Raises ValueError with what to install."""
     protocol = url.split("://", 1)[0]
+    if protocol not in STORES or "::" in url:
+        raise ValueError(f"{url}: such addresses are not read or written; what is: {', '.join(STORES)}")
     try:
         import fsspec
     except ImportError as problem:
@@ -157,6 +164,14 @@ def removed(place: str) -> None:
 def joined(folder: str, name: str) -> str:
     """A file in a folder, either of them a path or a URL; the folder if the name is empty."""
     return f"{folder.rstrip('/')}/{name}".rstrip("/") if is_url(folder) else str(Path(folder) / name)
+
+
+def within(place: str, folder: str) -> bool:
+    """Whether a file is in a folder or below it, each a path or a URL; not by a link that leads out."""
+    if is_url(folder) or is_url(place):
+        return place.startswith(folder.rstrip("/") + "/") and ".." not in place.split("/")
+    real = os.path.realpath(folder)
+    return os.path.commonpath([os.path.realpath(place), real]) == real
 
 
 def byte_size(place: str) -> int:

@@ -1,11 +1,9 @@
 """A log and its tracks as one HTML file that needs nothing else: cloud, bodies, time line, plots; opens offline."""
 
 import base64
-import json
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +14,12 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.exporters.frames import upright
 from voodoo_jax.exporters.limb_meshes import side_of
 from voodoo_jax.geometry.rotations import rotations
+from voodoo_jax.records.markup import filled, for_script
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.figures import STATUS_WORDS
+from voodoo_jax.viz.template import template
 
 MOST_FRAMES = 900  # of a longer log every second one is shown, every third, ...
 POINTS = 700_000  # of all frames together: 6 bytes each, 5.6 MB as text
@@ -67,9 +67,8 @@ def write_html(people: Sequence[Tracks], frames: Iterable[Frame], path: str | os
     for name, parts in (("starts", seen.points), ("mark_starts", seen.marks), ("ray_starts", seen.rays)):
         tables[name] = np.cumsum([0, *map(len, parts)]).astype(np.uint32)
     head |= {name: blob.add(values) for name, values in tables.items()}
-    text = resources.files("voodoo_jax.viz").joinpath("view.html").read_text(encoding="utf-8")
-    told = json.dumps(head, allow_nan=False).replace("<", "\\u003c")  # no tag in a name ends the script
-    text = text.replace("@HEAD@", told).replace("@BLOB@", base64.b64encode(bytes(blob.data)).decode())
+    told, data = for_script(head), base64.b64encode(bytes(blob.data)).decode()
+    text = filled(template("view.html"), HEAD=told, BLOB=data)
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return Path(path)

@@ -10,18 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.io.convert.target import START_NS, ConvertError, new_log, putter, scene_of_points
+from voodoo_jax.io.convert.target import START_NS, ConvertError, check_points, content, new_log, putter, scene_of_points
+from voodoo_jax.storage.guarded import Answer
 
 TOPIC, FRAME = "/skeletons", "depth_optical"
 MILLIMETRE = 0.001
 
 
-def convert(source: Path, target: Path) -> list[str]:
+def convert(source: Path, target: Answer) -> list[str]:
     """Writes the joints of all bodies as named 3D points, metres. Raises ConvertError, OSError."""
     try:
-        told = json.loads(source.read_text(encoding="utf-8"))
+        told = json.loads(content(source))
         names = [str(name) for name in told["joint_names"]]
+        check_points(len(names), sum(len(frame["bodies"]) for frame in told["frames"]))
         frames = [_frame(frame, len(names)) for frame in told["frames"]]
+    except ConvertError:
+        raise
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as problem:
         raise ConvertError(
             f"'{source}' cannot be read as skeletons of a Kinect: {type(problem).__name__}: {problem}; it needs "

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.io.convert.target import START_NS, ConvertError, new_log, putter, scene_of_points
+from voodoo_jax.io.convert.target import START_NS, ConvertError, check_points, content, new_log, putter, scene_of_points
+from voodoo_jax.storage.guarded import Answer
 
 TOPIC, FRAME = "/markers", "lab"
 QUANTITIES = "ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS"  # parameters of POINT that list what is no place
@@ -15,7 +16,7 @@ PLACES = "MARKERS", "MODELED_MARKERS"  # that list what is one
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "dm": 0.1, "in": 0.0254, "inches": 0.0254}
 
 
-def convert_c3d(source: Path, target: Path) -> list[str]:
+def convert_c3d(source: Path, target: Answer) -> list[str]:
     """Points of a C3D file; those with a negative residual are missing. Raises ConvertError, OSError."""
     try:
         import ezc3d
@@ -25,10 +26,13 @@ def convert_c3d(source: Path, target: Path) -> list[str]:
         file = ezc3d.c3d(str(source))
         point = file["parameters"]["POINT"]
         names = _names(point)
+        check_points(len(names), int(file["data"]["points"].shape[2]))
         rate = float(point["RATE"]["value"][0])
         points = np.asarray(file["data"]["points"][:3], float).transpose(2, 1, 0)
         residual = np.asarray(file["data"]["meta_points"]["residuals"], float)[0].T
-    except (OSError, RuntimeError, KeyError, IndexError, ValueError) as problem:
+    except ConvertError:
+        raise
+    except (OSError, RuntimeError, KeyError, IndexError, ValueError, SystemError) as problem:
         raise ConvertError(f"'{source}' cannot be read as C3D; ezc3d says: {problem}") from problem
     names = names[: points.shape[1]]
     points, residual = points[:, : len(names)], residual[:, : len(names)]
@@ -59,7 +63,16 @@ def convert_c3d(source: Path, target: Path) -> list[str]:
 def listed(point: dict[str, Any], key: str) -> list[str]:
     """A parameter of the group POINT and what goes on in `key`2, `key`3, ...: each of these holds 255 names."""
     parts = {int(found[1] or 1): k for k in point if (found := re.fullmatch(f"{key}(\\d*)", k))}
-    return [str(name).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
+    return [_letters(str(name)).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
+
+
+def _letters(name: str) -> str:
+    """A name whose bytes are no UTF-8 as the Latin-1 that older programs wrote."""
+    data = name.encode("utf-8", "surrogateescape")
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
 
 
 def _names(point: dict[str, Any]) -> list[str]:
@@ -90,15 +103,16 @@ def _unit_by_size(points: np.ndarray, source: Path) -> str:
     raise ConvertError(f"'{source}' names no unit, and its points are not as large as a body in mm, cm or m")
 
 
-def convert_trc(source: Path, target: Path) -> list[str]:
+def convert_trc(source: Path, target: Answer) -> list[str]:
     """Points of a TRC file; empty fields and NaN are missing. Raises ConvertError, OSError."""
-    lines = source.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = content(source).decode("utf-8", "replace").splitlines()
     try:
         header = dict(zip(*_fields(lines[1], lines[2])))
         names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
         unit = _unit(header["Units"].strip(), source)
         rows = [line.split("\t") for line in lines[5:] if line.strip() and line.split("\t")[0].strip().isdigit()]
         width = 2 + 3 * len(names)
+        check_points(len(names), len(rows))
         table = np.array([[_number(v) for v in (row + [""] * width)[:width]] for row in rows]).reshape(-1, width)
     except ConvertError:
         raise
@@ -126,7 +140,7 @@ def _unit(name: str, source: Path) -> float:
     return METRES[name.strip().lower()]
 
 
-def _write(target: Path, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray) -> None:
+def _write(target: Answer, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray) -> None:
     if not len(points) or not np.isfinite(points).any():
         raise ConvertError(f"'{source}' has no point")
     stamps = START_NS + np.round((seconds - seconds[0]) * 1e9).astype(np.int64)

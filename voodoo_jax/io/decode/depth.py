@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.geometry.from_bytes import array_at
 from voodoo_jax.io.decode.colour import colour_image
 from voodoo_jax.io.decode.image_codec import PIXELS
 from voodoo_jax.io.limits import too_large
@@ -166,9 +167,7 @@ def _grid(data: Any, rows: int, columns: int, step: int, row_step: int, fields: 
         raise ValueError(trouble)
     if rows == 1 or row_step < columns * step:
         row_step = columns * step  # some drivers leave row_step at 0
-    if len(data) < (rows - 1) * row_step + columns * step:
-        raise ValueError(f"{len(data)} bytes are too few for {rows} x {columns} points of {step} bytes")
-    return np.ndarray((rows, columns), dtype, buffer=data, strides=(row_step, step))
+    return array_at(data, dtype, (rows, columns), strides=(row_step, step))
 
 
 # 8 parameters: the fields of an image message
@@ -184,10 +183,9 @@ def _image(
     if kind:
         dtype = np.dtype(order + kind)
         step = max(step, columns * dtype.itemsize)
-        need = (rows - 1) * step + columns * dtype.itemsize
-        if rows * columns == 0 or len(data) < need:
-            raise ValueError(f"{len(data)} bytes are too few for {rows} x {columns} pixels, or the image is empty")
-        raw = np.ndarray((rows, columns), dtype, buffer=data, strides=(step, dtype.itemsize))
+        if rows * columns == 0:
+            raise ValueError("the image is empty")
+        raw = array_at(data, dtype, (rows, columns), strides=(step, dtype.itemsize))
     elif not encoding:
         raise ValueError("the image names no encoding")
     return Image(stamp_ns, frame_name(frame), encoding.strip(), (rows, columns), raw, unit, colour)
