@@ -76,7 +76,8 @@ def test_foreign_files_are_parsed_behind_the_guard_only():
     loads = {name for name, node in calls() if called(node) in ("trimesh.load", "av.open", "ezc3d.c3d")}
     own = {"exporters/c3d.py"}  # writes them
     assert (
-        loads == behind - {"model/foreign/skinned_mesh.py", "io/convert/ros_bags.py"} | {"io/convert/markers.py"} | own
+        loads
+        == behind - {"model/foreign/skinned_mesh.py", "io/convert/ros_bags.py"} | {"io/convert/c3d_files.py"} | own
     )
 
 
