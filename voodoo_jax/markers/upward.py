@@ -17,7 +17,7 @@ from voodoo_jax.records.tracks import Tracks
 UPRIGHT = np.cos(np.radians(40))  # of the way from the feet to the neck: nearer to upwards somebody stands; by hand
 SELDOM = 0.1  # of the frames: who stands in so many does stand; by hand
 CLIMB = 1.5  # metres: hips that go farther go along the floor, not upwards; by hand
-# between trunk, thighs and shanks of who stands straight: in 12 laboratories they are upright to 4 degrees on average
+# between trunk and legs of who stands straight: in 12 laboratories they are upright to 4 degrees (measured)
 STRAIGHT = np.cos(np.radians(15))
 KNEES = np.cos(np.radians(35))  # bent by no more; by hand
 ALONG = np.cos(np.radians(8))  # so near to an axis of the frame upwards is that axis; by hand
