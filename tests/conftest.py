@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import platformdirs
 import pytest
 from jaxtyping import install_import_hook
 
@@ -15,20 +16,29 @@ from jaxtyping import install_import_hook
 # tower: an int is welcome where a float is asked for (PEP 484), as for the type checker
 install_import_hook(["voodoo_jax"], "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
+from voodoo_jax.compile.cache_dir import link_all  # noqa: E402  not before the hook
+
 # compiled in two thirds of the time, see compile/xla_options.py; whatever is compiled without its options, too
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
-# the user's own compile cache stays as it is; one for all processes of a test run saves minutes
-if "VOODOO_JAX_COMPILE_CACHE" not in os.environ:
-    os.environ["VOODOO_JAX_COMPILE_CACHE"] = tempfile.mkdtemp(prefix="voodoo-tests-")
-    atexit.register(shutil.rmtree, os.environ["VOODOO_JAX_COMPILE_CACHE"], ignore_errors=True)
+# Compiled programs are kept from one run of the tests to the next, under names that their content gives: to compile
+# them takes most of a first run. The user's own compile cache stays as it is.
+KEPT = Path(os.environ.get("VOODOO_JAX_COMPILE_CACHE") or platformdirs.user_cache_path("voodoo_jax_tests"))
+MOST = 4_000_000_000  # bytes; when there are more all are forgotten
+if "PYTEST_XDIST_WORKER" not in os.environ and KEPT.name == "voodoo_jax_tests" and KEPT.is_dir():
+    if sum(file.stat().st_size for file in KEPT.rglob("*-cache")) > MOST:
+        shutil.rmtree(KEPT, ignore_errors=True)
+OF_JAX = KEPT / "of-jax"  # what jax itself keeps
+for folder in (KEPT, OF_JAX):
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+os.environ["VOODOO_JAX_COMPILE_CACHE"] = str(KEPT)
 
-# what this process has let go of (see room_for_programs) need not be compiled again; a folder of its own, for jax does
-# not write at once, and not for child processes
-if not jax.config.jax_compilation_cache_dir:
-    own = tempfile.mkdtemp(prefix="voodoo-tests-own-")
-    atexit.register(shutil.rmtree, own, ignore_errors=True)
-    jax.config.update("jax_compilation_cache_dir", own)
+# jax does not write at once: it has a folder of this process's own, which is not for child processes
+OWN = None if jax.config.jax_compilation_cache_dir else Path(tempfile.mkdtemp(prefix="run-tests-"))
+if OWN is not None:
+    link_all(OF_JAX, OWN)
+    atexit.register(shutil.rmtree, OWN, ignore_errors=True)
+    jax.config.update("jax_compilation_cache_dir", str(OWN))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
@@ -79,8 +89,12 @@ MAPS = Path("/proc/self/maps")  # of this process's memory; Linux only
 
 @pytest.fixture(autouse=True, scope="module")
 def room_for_programs():
-    """Forgets compiled programs where there are many: each maps memory anew, and past 65,530 maps a process dies."""
+    """Forgets compiled programs where there are many: each maps memory anew, and past 65,530 maps a process dies. Gives
+    those of jax to later runs, and to the other process of this one."""
     yield
+    if OWN is not None:
+        link_all(OWN, OF_JAX)
+        link_all(OF_JAX, OWN)
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > 15_000:
         jax.clear_caches()
         from voodoo_jax.compile.executable import forget  # not before the hook

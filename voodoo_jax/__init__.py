@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from voodoo_jax.config.fit_options import FitSettings as FitSettings
     from voodoo_jax.config.options import Change as Change
     from voodoo_jax.config.options import Settings as Settings
+    from voodoo_jax.config.output_style import Style as Style
     from voodoo_jax.config.presets import online as online
     from voodoo_jax.config.presets import preset as preset
     from voodoo_jax.detect.opening import read_log as read_log
@@ -57,6 +58,7 @@ _PUBLIC = {
     "LogError": ("io.log_reader", "LogError"),
     "Recording": ("records.recording", "Recording"),
     "Settings": ("config.options", "Settings"),
+    "Style": ("config.output_style", "Style"),
     "Tracks": ("records.tracks", "Tracks"),
     "attach": ("model.attachments", "attach"),
     "body_from": ("model.foreign.sources", "body_from"),

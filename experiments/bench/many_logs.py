@@ -43,12 +43,13 @@ def recorded_seconds(log: Path) -> float:
     return (stamps[-1] - stamps[0]) / 1e9
 
 
-def measured(logs: list[Path], workers: int, cache: Path) -> Measured:
-    """Replays the logs into a folder that is thrown away. Raises CalledProcessError if one cannot be tracked."""
+def measured(logs: list[Path], workers: int, cache: Path, python: str = sys.executable) -> Measured:
+    """Replays the logs into a folder that is thrown away, by the package that an interpreter has. Raises
+    CalledProcessError if one cannot be tracked."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as out:
         words = ["replay", *map(str, logs), "--out", out, "--workers", str(workers), "--compile-cache", str(cache)]
-        command = [sys.executable, "-P", "-m", "voodoo_jax.cli", *words]
+        command = [python, "-P", "-m", "voodoo_jax.cli", *words]
         with tempfile.TemporaryFile() as said:
             process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT, env=users_environment())
             _, status, used = os.wait4(process.pid, 0)  # what it and its workers used

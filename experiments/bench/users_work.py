@@ -54,14 +54,14 @@ def camera(width: int, height: int, across: float, down: float) -> Camera:
     return Camera(width, height, float(fx), float(fy), (width - 1) / 2, (height - 1) / 2, (0.0, 0.0, 1.2), 0.07)
 
 
-def clip(view: Camera, people: int) -> Simulation:
-    """Two seconds of people who come up, side by side: who waves only stands stiller here than anybody does."""
+def clip(view: Camera, people: int, seconds: float = CLIP) -> Simulation:
+    """Some seconds of people who come up, side by side: who waves only stands stiller here than anybody does."""
     sides = (np.arange(people) - (people - 1) / 2) * 0.95
     statures = (1.75, 1.62, 1.86)
     found = []
     for k, (side, stature) in enumerate(zip(sides, statures)):
         body = scaled(human(), stature)
-        motion = placed(make_motion(body, "walk", CLIP, RATE), 4.0 + 0.1 * k, float(side), float(np.pi))
+        motion = placed(make_motion(body, "walk", seconds, RATE), 4.0 + 0.1 * k, float(side), float(np.pi))
         found.append(simulate(body, motion, view, room=Room(), seed=k))
     return in_one_picture(*found)
 

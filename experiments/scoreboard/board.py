@@ -50,6 +50,7 @@ class Figure:
     better: Literal["less", "more"] = "less"
     tolerance: float = math.inf  # by so much it may be worse than the figure of before; infinite: it never gates
     digits: int = 2
+    relative: bool = False  # the tolerance is a share of the figure of before
 
     def kept(self, value: float) -> bool:
         """Whether the promise is kept. A number that could not be measured keeps none."""
@@ -64,7 +65,7 @@ class Figure:
         if math.isinf(self.tolerance) or math.isnan(before):
             return False
         worse = value - before if self.better == "less" else before - value
-        return math.isnan(value) or worse > self.tolerance
+        return math.isnan(value) or worse > self.tolerance * (abs(before) if self.relative else 1.0)
 
 
 @dataclass(frozen=True)
@@ -115,9 +116,10 @@ def fallen(found: Sequence[Measured], before: Mapping[str, Mapping[str, float]])
                 continue
             value = one.values.get(figure.name, math.nan)
             if figure.fallen(value, old[figure.name]):
+                allowed = f"{100 * figure.tolerance:g} %" if figure.relative else f"{figure.tolerance:g}"
                 lines.append(
                     f"{one.promise.name}: {figure.name} is {figure.text(value)}, was "
-                    f"{figure.text(old[figure.name])} (at most {figure.tolerance:g} worse is allowed)"
+                    f"{figure.text(old[figure.name])} (at most {allowed} worse is allowed)"
                 )
     return lines
 

@@ -23,6 +23,7 @@ from voodoo_jax.batch.process_pool import default_workers, in_workers, usable_co
 from voodoo_jax.batch.replay import Outcome, replay
 from voodoo_jax.batch.worker_start import can_copy, environment
 from voodoo_jax.cli.main import main
+from voodoo_jax.config.output_style import Style
 
 FRAMES = {"a": 12, "b": 5, "c": 33, "d": 20}
 
@@ -154,7 +155,7 @@ def test_what_was_done_elsewhere_is_not_done_twice(some_logs, reference, tmp_pat
 
     assert skipped(mine, theirs) == {"mine/b.tracks.npz": True, "theirs/b.tracks.npz": False}
     assert skipped(theirs) == {"b.tracks.npz": True}
-    assert skipped(mine, tmp_path / "in") == {"b.tracks.npz": True, "theirs/b.tracks.npz": True}
+    assert skipped(mine, tmp_path / "in") == {"mine/b.tracks.npz": True, "theirs/b.tracks.npz": True}
     (out / "b.tracks.npz").write_bytes(b"cut")
     (out / "mine" / "b.tracks.npz").write_bytes(b"cut")
     assert skipped(mine) == {"b.tracks.npz": False}
@@ -174,6 +175,8 @@ def test_other_settings_and_again_do_logs_anew(some_logs, reference, tmp_path):
     assert not skipped(smooth_seconds=0.05) and skipped(smooth_seconds=0.05) and not skipped()
     other = replace(SETTINGS, solve=replace(SETTINGS.solve, prior=0.0004))
     assert not skipped(settings=other) and skipped(settings=other)
+    named = Style(names="common")
+    assert not skipped(style=named) and skipped(style=named)
 
 
 def test_a_picture_of_a_finished_log(some_logs, reference, tmp_path):

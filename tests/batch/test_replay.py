@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import voodoo_jax.trackers.icp.runner
 from tests.support import logs
-from voodoo_jax.batch.output_paths import folders_within
+from voodoo_jax.batch.output_paths import folders_within, logs_of
 from voodoo_jax.batch.replay import output_paths, replay
 from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import Settings
@@ -176,7 +176,7 @@ def test_one_compilation_for_all_logs(many_run):
 def test_results_do_not_depend_on_process_or_other_logs(demo_run, many_run):
     alone, together = demo_run.arrays("demo"), many_run.arrays("demo")
     assert alone.keys() == together.keys()
-    for name in alone.keys() - {"seconds"}:
+    for name in alone.keys() - {"seconds", "digest"}:
         np.testing.assert_array_equal(alone[name], together[name], err_msg=name)
 
 
@@ -211,14 +211,27 @@ def test_same_files_are_refused_before_any_work(tmp_path):
 
 def test_folders_of_logs_of_one_name():
     logs = ["/x/mon/walk.mcap", "/x/tue/walk.mcap", "/x/walk.mcap", "/x/tue/run.mcap", "s3://x/bow.mcap", "/bow.mcap"]
-    assert folders_within(logs) == dict(zip(logs, ["mon", "tue", "", "", "s3/x", ""]))
+    assert folders_within(dict.fromkeys(logs, "")) == dict(zip(logs, ["mon", "tue", "", "", "s3/x", ""]))
 
 
-def test_a_log_that_was_given_itself_stays_where_it_is():
-    logs = ["/y/a.mcap", "/y/below/a.mcap", "/x/a.mcap"]
-    assert folders_within(logs, {"/y/a.mcap"})["/y/a.mcap"] == "" != folders_within(logs)["/y/a.mcap"]
-    assert folders_within(logs, {"/y/a.mcap"})["/y/below/a.mcap"] == "y/below"
-    assert folders_within(logs, {"/y/a.mcap", "/x/a.mcap"}) == folders_within(logs)
+def test_results_lie_where_paths_say(tmp_path):
+    paths = [tmp_path / "logs" / name for name in ("a.mcap", "mon/a.mcap", "mon/am/b.mcap")]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    logs, folder = [str(path) for path in paths], str(tmp_path / "logs")
+    below = [(folder, log) for log in logs]
+    wanted = dict(zip(logs, ["", "mon", "mon/am"]))
+    assert logs_of(below) == wanted == folders_within(wanted)
+    # whatever else is there, and one log if it is named besides
+    assert logs_of(below[2:]) == {logs[2]: "mon/am"}
+    assert logs_of([(logs[1], logs[1]), *below]) == wanted == logs_of([*below, (logs[1], logs[1])])
+    assert logs_of([(f"{folder}/mon", logs[2])]) == {logs[2]: "am"} and logs_of([(logs[2],) * 2]) == {logs[2]: ""}
+    assert logs_of([("s3://b/x/*/a.mcap", f"s3://b/x/{day}/a.mcap") for day in "12"]) == {
+        "s3://b/x/1/a.mcap": "1", "s3://b/x/2/a.mcap": "2",
+    }  # fmt: skip
+    # a bag and a file of it
+    assert list(logs_of([("/x/bag", "/x/bag"), ("/x/bag/bag_0.mcap", "/x/bag/bag_0.mcap")])) == ["/x/bag"]
 
 
 def test_output_names():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.exporters.test_tracks_files import make_tracks
+from tests.support.browser import in_browser
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.batch.report import write_report
 from voodoo_jax.batch.summary_file import write_summary
@@ -92,3 +93,14 @@ def test_two_bodies_over_each_other():
     # heads are above arms, and the body before is the taller one
     assert tops["before"] < tops["m"] < min(tops["l"], tops["r"])
     assert sum(look == "before" for look, _ in shapes) == 2 * before.limb_count
+
+
+def test_it_runs_in_a_browser_and_logs_can_be_chosen(page, tmp_path):
+    choose = """<script>
+      const shown = () => rows.filter(([row]) => !row.hidden).map(([row]) => row.querySelector("b").textContent);
+      words.value = "WALK"; words.dispatchEvent(new Event("input")); document.body.dataset.shown = shown();
+      words.value = ""; bad.checked = true; bad.dispatchEvent(new Event("change")); document.body.dataset.bad = shown();
+    </script></body>"""
+    (tmp_path / "report.html").write_text(page[0].replace("</body>", choose))
+    seen = in_browser(f"file://{tmp_path / 'report.html'}", tmp_path)
+    assert 'data-shown="walk.mcap"' in seen and 'data-bad="bad.mcap"' in seen

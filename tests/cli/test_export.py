@@ -12,6 +12,10 @@ def test_export_writes_beside_the_tracks_or_elsewhere(tmp_path, capsys):
     assert capsys.readouterr().out.strip().endswith("a.csv") and (tmp_path / "day" / "a.csv").exists()
     assert main(["export", str(tmp_path / "day"), "--as", "bvh,trc", "--out", str(tmp_path / "there")]) == 0
     assert {path.name for path in (tmp_path / "there").iterdir()} == {"a.bvh", "a.trc"}
+    words = ["--as", "bvh,trc", "--names", "common", "--rig", "humanoid", "--pose", "a"]
+    assert main(["export", str(tmp_path / "day"), *words]) == 0
+    assert "left_wrist" in (tmp_path / "day" / "a.trc").read_text()
+    assert "LeftLowerArm" in (tmp_path / "day" / "a.bvh").read_text()
     assert "4 of 75 frames are not tracked: in bvh they repeat the last pose." in capsys.readouterr().out
 
 

@@ -9,6 +9,7 @@ import pytest
 from tests.support.rooms import FLOOR
 from tests.support.still_things import block, sway, watched
 from voodoo_jax.detect.drop_motionless import NOTE, DropMotionless
+from voodoo_jax.detect.static_points import resting
 from voodoo_jax.detect.stillness import Stillness, directions
 from voodoo_jax.records.scene import Scene
 
@@ -55,3 +56,11 @@ def test_what_moves_is_found_once_for_the_same_frames(rng):
     assert one.directions(list(frames)) is first
     assert other.directions(frames) is not first and one.directions(frames[1:]) is not first
     np.testing.assert_array_equal(other.directions(frames).ratio, first.ratio)
+
+
+def test_copies_of_a_frame_tell_nothing():
+    """A scan that is given again and again: no sensor measures the same noise twice."""
+    frame = watched(np.random.default_rng(0), [(block(0.45, 0.1, 1.75), sway(0.0))])[0]
+    copies = [replace(frame, time_ns=frame.time_ns + k * 100_000_000) for k in range(60)]
+    assert not DropMotionless().is_thing(copies, Stillness())
+    assert len(resting(copies).points) == 0

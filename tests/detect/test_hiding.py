@@ -3,7 +3,8 @@
 import numpy as np
 import trimesh
 
-from voodoo_jax.detect.visibility import BIN, NEARER, Nearest
+from tests.support.still_things import block, watched
+from voodoo_jax.detect.visibility import BIN, NEARER, Nearest, has_far_sides
 
 
 def test_what_is_hidden_is_what_rays_meet_something_before(rng):
@@ -46,3 +47,12 @@ def test_nothing_is_hidden_by_nothing():
     assert Nearest.of(points, sensor, origins).hides(2 * points, sensor).all()
     assert not Nearest.of(none, sensor[:0], origins).empty(points, sensor).any()
     assert Nearest.of(2 * points, sensor, origins).empty(points, sensor).all()
+
+
+def test_joined_clouds_have_points_behind_points(rng):
+    front, hand = block(0.45, 0.1, 1.75), block(0.1, 0.9, 1.1, far=2.7)
+    still = np.zeros((5, 3))
+    assert not has_far_sides(watched(rng, [(front, still), (hand, still)], 5))  # a limb hides another one
+    back = block(0.43, 0.1, 1.75, far=3.25)
+    assert has_far_sides(watched(rng, [(front, still), (back, still)], 5))
+    assert not has_far_sides([])

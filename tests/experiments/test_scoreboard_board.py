@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from experiments.bench import work_ratios as ratios_of
 from experiments.bench.users_work import Work
 from experiments.scoreboard import __main__ as command
 from experiments.scoreboard import kept, run
@@ -14,7 +15,7 @@ from experiments.scoreboard.promises import NAMES, all_promises, users_work
 from experiments.scoreboard.promises.users_work import measure
 
 ERROR, SHARE = Figure("error, cm", 2.0, tolerance=0.1), Figure("within, %", 99.0, "more", 0.5, 1)
-TOLD = Figure("seconds", None)
+TOLD, COST = Figure("seconds", None), Figure("of calibration work", None, tolerance=0.15, relative=True)
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ def test_a_promise_is_kept_up_to_its_limit(figure, value, is_kept):
     [
         (ERROR, 1.65, 1.6, False), (ERROR, 1.75, 1.6, True), (ERROR, 1.0, 1.6, False), (ERROR, math.nan, 1.6, True),
         (SHARE, 99.0, 99.4, False), (SHARE, 98.8, 99.4, True), (TOLD, 1e9, 1.0, False), (ERROR, 9.0, math.nan, False),
+        (COST, 4.5, 4.0, False), (COST, 4.7, 4.0, True), (COST, 0.45, 0.4, False), (COST, 0.47, 0.4, True),
     ],
 )  # fmt: skip
 def test_what_falls_by_more_than_its_tolerance_is_said(figure, value, before, has_fallen):
@@ -156,3 +158,17 @@ def test_a_quick_part_is_spread_over_all():
     assert data.part(list(range(9)), 3) == [0, 4, 8] and data.part([1, 2], 3) == [1, 2] and data.part([5, 6], 1) == [5]
     assert Data(None).part(list(range(9)), 3) == list(range(9))
     assert data.logs() == [] and data.cases is None
+
+
+def test_ratios_cancel_a_busy_machine_and_show_a_slower_version(monkeypatch):
+    """A machine that gets slower from minute to minute makes both the replays and the fixed work dearer."""
+    slower = iter(1.02**n for n in range(1000))
+    monkeypatch.setattr(ratios_of, "calibrated", lambda: 1.6 * next(slower))
+    kinds = [ratios_of.Kind("short", ()), ratios_of.Kind("long", ())]
+    cost = lambda by: lambda kind: by * {"short": 3.2, "long": 8.0}[kind.name] * next(slower)  # noqa: E731
+    found = ratios_of.in_turns(kinds, {"before": cost(1.0), "after": cost(1.2)}, 3)
+    assert found["before"] == pytest.approx({"short": 2.0, "long": 5.0}, rel=1e-3)
+    told = [Measured(Promise("p", "", "", (COST,), lambda d: [], lambda f: {}), {COST.name: v["long"]})
+            for v in found.values()]  # fmt: skip
+    committed = {"p": {COST.name: 5.0}}
+    assert not fallen(told[:1], committed) and "15 %" in fallen(told[1:], committed)[0]

@@ -1,6 +1,10 @@
 """Exports are read back by other libraries: joints, skeleton, units and gaps."""
 
 import csv
+import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import bvhio
@@ -16,8 +20,10 @@ from scipy.spatial.transform import Rotation
 
 import voodoo_jax as vj
 from tests.exporters.test_tracks_files import make_tracks
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.formats import FORMATS, ExportError, check_formats, export, gaps_note
 from voodoo_jax.exporters.frames import evenly, upright
+from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import joint_centres
 from voodoo_jax.records.tracks import Status, Tracks
@@ -35,7 +41,7 @@ LOST = 10
 
 def loose_tracks(name: str = "human", frames: int = 24) -> Tracks:
     """A body that turns and walks, whose limbs each have a turn and a place of their own: elastic bands are stretched
-    by some centimetres. Not tracked at first, and in one frame in between."""
+    by some centimetres, and joints are beside them. Not tracked at first, and in one frame in between."""
     tracks, rng = make_tracks(name), np.random.default_rng(5)
     limbs, part = tracks.body.limb_count, slice(30, 30 + frames)
     shake = Rotation.from_rotvec(np.cumsum(rng.normal(0, 0.06, (frames, limbs, 3)), 0).reshape(-1, 3))
@@ -44,7 +50,9 @@ def loose_tracks(name: str = "human", frames: int = 24) -> Tracks:
     place = (tracks.translation[part] + rng.normal(0, 0.01, (frames, limbs, 3))).astype(np.float32)
     turn[:3] = np.nan
     tracks.status[30:33] = Status.NOT_STARTED
-    joints = np.stack([joint_centres(tracks.body, Poses(q, p)) for q, p in zip(turn, place)]).astype(np.float32)
+    joints = np.stack([joint_centres(tracks.body, Poses(q, p)) for q, p in zip(turn, place)])
+    # joints that are moved and poses that are not, as by place_joints
+    joints = (joints + 0.01 + np.cumsum(rng.normal(0, 0.003, joints.shape), 0)).astype(np.float32)
     cut = {k: v[part] for k, v in vars(tracks).items() if isinstance(v, np.ndarray) and len(v) == len(tracks.time_ns)}
     return replace(tracks, **(cut | dict(rotation=turn, translation=place, joints=joints)))
 
@@ -64,15 +72,110 @@ def bvh_positions(path) -> tuple[dict[str, np.ndarray], float]:
 @pytest.mark.parametrize("name, bones", [("human", HUMAN), ("human10", HUMAN), ("dog", DOG)])
 def test_forward_kinematics_of_bvh_gives_the_joints(name, bones, tmp_path):
     tracks = loose_tracks(name)
-    found, step = bvh_positions(export(tracks, tmp_path / "a.bvh"))
+    write_tracks_npz(tracks, tmp_path / "a.tracks.npz")
+    found, step = bvh_positions(export(read_tracks_npz(tmp_path / "a.tracks.npz"), tmp_path / "a.bvh"))
     assert step == pytest.approx(1 / 30, rel=1e-4)
     for centre, bone in bones.items():
         expected = tracks.joint(centre)[tracks.tracked] @ Y_UP.T * 100
         np.testing.assert_allclose(found[bone][tracks.tracked], expected, atol=0.1, err_msg=centre)  # 1 mm
         np.testing.assert_allclose(found[bone][LOST], found[bone][LOST - 1], atol=1e-3)  # held
     if name != "dog":
-        assert list(found)[:2] == ["Hips", "Spine"] or name == "human10"
-        assert {"Hips", "Spine", "Neck", "Head"} <= set(found)
+        hips = (tracks.joint("l_hip") + tracks.joint("r_hip"))[tracks.tracked] / 2 @ Y_UP.T * 100
+        np.testing.assert_allclose(found["Hips"][tracks.tracked], hips, atol=0.1)
+        assert list(found)[:2] == ["Hips", "LeftUpLeg"] and {"Spine", "Spine1", "Spine2"} <= set(found)
+
+
+# what others' files have: of Mixamo's characters, Unity's HumanBodyBones, LAFAN1's BVH, in its order
+LAFAN1 = (
+    "Hips LeftUpLeg LeftLeg LeftFoot LeftToe RightUpLeg RightLeg RightFoot RightToe Spine Spine1 Spine2 Neck Head "
+    "LeftShoulder LeftArm LeftForeArm LeftHand RightShoulder RightArm RightForeArm RightHand"
+)
+UNITY = (
+    "Hips LeftUpperLeg LeftLowerLeg LeftFoot LeftToes RightUpperLeg RightLowerLeg RightFoot RightToes Spine Chest "
+    "UpperChest Neck Head LeftShoulder LeftUpperArm LeftLowerArm LeftHand RightShoulder RightUpperArm RightLowerArm "
+    "RightHand"
+)
+
+
+@pytest.mark.parametrize("rig, names", [("lafan1", LAFAN1), ("humanoid", UNITY)])
+def test_rigs_have_the_bones_that_programs_know(rig, names, tmp_path):
+    tracks = loose_tracks()
+    found, _ = bvh_positions(export(tracks, tmp_path / "a.bvh", style=Style(rig=rig)))
+    assert list(found) == names.split()
+    # on the feet's balls and under the collar, with the limbs
+    ball = next(name for name in found if name.startswith("LeftToe"))
+    limb, t = tracks.body.topology.limbs.index("l_foot"), tracks.body.topology
+    sites = [np.asarray(tracks.body.sites)[t.sites.index(f"l_metatarsal_phalanx_{k}")] for k in (1, 5)]
+    turn = Rotation.from_quat(tracks.rotation[20, limb], scalar_first=True)
+    expected = (turn.apply(np.mean(sites, 0)) + tracks.translation[20, limb]) @ Y_UP.T * 100
+    np.testing.assert_allclose(found[ball][20], expected, atol=0.1)
+
+
+def test_the_bind_pose_is_a_t_or_an_a(tmp_path):
+    for pose, down in (("t", 0.0), ("a", 1.0)):
+        root = bvhio.readAsHierarchy(str(export(make_tracks(), tmp_path / "a.bvh", style=Style(pose=pose))))
+        root.loadRestPose()
+        at = {joint.Name: np.array(joint.PositionWorld) for joint, _, _ in root.layout()}
+        for side in ("Left", "Right"):
+            arm = at[f"{side}ForeArm"] - at[f"{side}Arm"]
+            assert -arm[1] / abs(arm[0]) == pytest.approx(down, abs=0.12), (pose, side)
+
+
+BLENDER = """
+import json, sys
+import bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+path, frames = sys.argv[-2], json.loads(sys.argv[-1])
+if path.endswith(".bvh"):
+    bpy.ops.import_anim.bvh(filepath=path, global_scale=0.01, update_scene_fps=True)
+else:
+    bpy.ops.import_scene.gltf(filepath=path)
+rig = next(o for o in bpy.data.objects if o.type == "ARMATURE")
+found = {}
+for frame in frames:
+    bpy.context.scene.frame_set(frame)
+    found[frame] = {b.name: list(rig.matrix_world @ b.head) for b in rig.pose.bones}
+print("FOUND" + json.dumps(found))
+"""
+
+
+@pytest.mark.parametrize("ending", [".bvh", ".glb"])
+def test_blender_opens_rigs(ending, tmp_path):
+    python = os.environ.get("VOODOO_JAX_BPY", sys.executable)  # a Python that has Blender as a module
+    if subprocess.run([python, "-c", "import bpy"], capture_output=True).returncode:
+        pytest.skip("Blender is not installed as a module: pip install bpy (350 MB); VOODOO_JAX_BPY names its Python")
+    tracks = loose_tracks()
+    path = export(tracks, tmp_path / f"a{ending}", style=Style(rig="mixamo", pose="a"))
+    # Blender's frames: BVH begins with 1, glTF's seconds are 24 frames long
+    rows = {1 + row if ending == ".bvh" else round(0.8 * row): row for row in (5, 20)}
+    (tmp_path / "open.py").write_text(BLENDER)
+    done = subprocess.run([python, tmp_path / "open.py", path, json.dumps(list(rows))], capture_output=True, text=True)
+    assert done.returncode == 0 and "FOUND" in done.stdout, done.stderr
+    found = json.loads(done.stdout.split("FOUND")[1].splitlines()[0])
+    for frame, row in rows.items():
+        for centre, bone in HUMAN.items():  # z up, as in the tracks, but turned: the figure looks along -y there
+            expected = tracks.joint(centre)[row] @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], float).T
+            np.testing.assert_allclose(found[str(frame)][bone], expected, atol=2e-3, err_msg=f"{centre} {frame}")
+
+
+def test_files_have_joints_by_the_names_asked_for(tmp_path):
+    tracks, other = make_tracks(), {}
+    for names in ("common", "h36m", "smpl", "opensim"):
+        header = export(tracks, tmp_path / "a.csv", style=Style(names=names)).read_text().split("\n", 1)[0]
+        other[names] = [name.removesuffix("_x_m") for name in header.split(",") if name.endswith("_x_m")]
+    assert other["common"][:5] == ["head", "neck", "left_shoulder", "left_elbow", "left_wrist"] == other["smpl"][:5]
+    assert other["h36m"][-3:] == ["RHip", "RKnee", "RFoot"] and other["opensim"][-3:] == ["RHJC", "RKJC", "RAJC"]
+    named = tracks.with_names("common")
+    write_tracks_npz(named, tmp_path / "a.tracks.npz")
+    again = read_tracks_npz(tmp_path / "a.tracks.npz")
+    with np.load(tmp_path / "a.tracks.npz") as file:
+        assert list(file["joint_names"]) == other["common"] == list(again.joint_names)
+    for name in ("left_wrist", "l_radiocarpal", "LWJC", "LWrist"):
+        np.testing.assert_array_equal(again.joint(name), tracks.joint("l_radiocarpal"))
+    assert again.with_names("hanim").joint_names == tracks.joint_names
+    with pytest.raises(ValueError, match="did you mean 'left_wrist'"):
+        tracks.joint("left_wrst")
+    assert bvh_positions(export(again, tmp_path / "a.bvh"))[0].keys() >= set(HUMAN.values())
 
 
 def test_a_rigid_bvh_is_read_by_strict_readers(tmp_path):

@@ -1,6 +1,7 @@
 """Recordings of other formats become logs that are read as the recording itself would be."""
 
 import json
+import sqlite3
 import struct
 from dataclasses import replace
 from fractions import Fraction
@@ -19,19 +20,20 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import voodoo_jax as vj
 from tests.exporters.test_tracks_files import make_tracks
-from voodoo_jax.batch.converted import as_mcap
 from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.exporters.formats import export
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.convert.clouds import read_pcd
+from voodoo_jax.io.convert.errors import ConvertError
+from voodoo_jax.io.convert.in_passing import as_mcap
 from voodoo_jax.io.convert.sources import convert
-from voodoo_jax.io.convert.target import ConvertError
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import Camera
+from voodoo_jax.storage.urls import expanded
 
 CAMERA = Camera(40, 31, 45.5, 43.1, 19.5, 15.0, (0.0, 0.0, 1.0), 0.07)
 
@@ -68,6 +70,74 @@ def test_sqlite_bags_of_ros_2_are_copied_to_the_byte(log, tmp_path):
         assert convert(source, tmp_path / "out.mcap") == []
         assert sorted(messages(tmp_path / "out.mcap")) == sorted(messages(log))
     assert_same_frames(vj.read_log(tmp_path / "out.mcap"), vj.read_log(log))
+
+
+def without_definitions(folder: Path) -> None:
+    """A bag as Humble and those before it write it (schema 3)."""
+    for path in folder.glob("*.db3"):
+        with sqlite3.connect(path) as base:
+            base.execute("drop table message_definitions")
+            base.execute("update schema set schema_version=3")
+            kept = "id, name, type, serialization_format, offered_qos_profiles"
+            base.execute(f"create table other as select {kept} from topics")
+            base.execute("drop table topics")
+            base.execute("alter table other rename to topics")
+
+
+POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
+CLOUD = (
+    "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n{}/CustomPoint[] points"
+)
+
+
+def lidar_bag(folder: Path, package: str) -> Path:
+    """A bag of clouds of a driver's type, without its definition."""
+    store, kind = get_typestore(Stores.ROS2_HUMBLE), f"{package}/msg/CustomMsg"
+    store.register(get_types_from_msg(POINT, f"{package}/msg/CustomPoint"))
+    store.register(get_types_from_msg(CLOUD.format(package), kind))
+    t = store.types
+    with Bag2(folder, version=9) as bag:
+        topic = bag.add_connection("/lidar", kind, typestore=store)
+        for i in range(4):
+            head = t["std_msgs/msg/Header"](t["builtin_interfaces/msg/Time"](5, i * 10**8), "lidar")
+            points = [t[f"{package}/msg/CustomPoint"](0, 2.0 + i, float(k), 0.5, 1, 0, 0) for k in range(50)]
+            message = t[kind](head, 0, 50, 0, np.zeros(3, np.uint8), points)
+            bag.write(topic, 5 * 10**9 + i * 10**8, store.serialize_cdr(message, kind))
+    without_definitions(folder)
+    return folder
+
+
+def test_bags_without_definitions(tmp_path, capsys):
+    """The usual drivers' types are known, others are read with the files of their packages."""
+    known = vj.read_log(lidar_bag(tmp_path / "livox", "livox_ros_driver2"))
+    assert len(known) == 4 and float(known.frames[2].points[:, 0].mean()) == 4.0
+    other = lidar_bag(tmp_path / "other", "acme_msgs")
+    with pytest.raises(ConvertError, match="nothing left to track by.*--read.types"):
+        convert(other, tmp_path / "a.mcap")
+    assert main(["info", str(other)]) == 1 and "--read.types" in capsys.readouterr().err
+    for name, text in (("CustomMsg", CLOUD.format("acme_msgs")), ("CustomPoint", POINT)):
+        (tmp_path / f"{name}.msg").write_text(text)
+    file = str(tmp_path / "CustomMsg.msg")
+    assert_same_frames(vj.read_log(other, ReadSettings(types=(file,))), known)
+    assert main(["info", str(other), "--read.types", file]) == 0 and "point cloud" in capsys.readouterr().out
+    with pytest.raises(LogError, match="no definition"):
+        vj.read_log(other, ReadSettings(types=(str(tmp_path / "none.msg"),)))
+
+
+def test_folders_of_recordings(tmp_path, capsys):
+    """All in them are found, but for what was exported from tracks."""
+    tracks = make_tracks()
+    (tmp_path / "a" / "deep").mkdir(parents=True)
+    names = ["walk.trc", "deep/RUN.C3D"]
+    for name in names:
+        export(tracks, tmp_path / "a" / name.lower()).rename(tmp_path / "a" / name)
+    lidar_bag(tmp_path / "a" / "bag", "livox_ros_driver2")
+    (tmp_path / "a" / "done.tracks.npz").touch()
+    export(tracks, tmp_path / "a" / "done.trc")
+    found = [Path(log).relative_to(tmp_path / "a").as_posix() for log in expanded(tmp_path / "a")]
+    assert found == ["bag/bag.db3", *sorted(names)]
+    assert main(["info", str(tmp_path / "a")]) == 0
+    assert capsys.readouterr().out.count("protobuf  named points") == 2
 
 
 def test_ros_1_bags_are_read_as_their_ros_2_twins(log, tmp_path):
@@ -133,6 +203,7 @@ def test_exported_points_come_back(ending, tmp_path):
     at = dict(zip(frame.pairs.names, frame.pairs.points))
     expected = tracks.joint("l_knee")[23]
     expected = expected if ending == "c3d" else np.array([expected[0], expected[2], -expected[1]])
+    np.testing.assert_array_equal(recording.up, [0, 0, 1] if ending == "c3d" else [0, 1, 0])
     np.testing.assert_allclose(at["l_knee"], expected, atol=1e-4)
     times = np.array([f.time_ns for f in recording])
     np.testing.assert_allclose(np.diff(times)[:30], 33_333_333, atol=2000)
@@ -168,6 +239,23 @@ def test_what_a_model_computed_is_no_marker(tmp_path):
     notes = convert(c3d_of(tmp_path / "a.c3d", names, points, **groups, **listed), tmp_path / "a.mcap")
     assert notes == ["5 outputs of a model were left out (angles, forces, axes of bones): they are no markers"]
     assert set(vj.read_log(tmp_path / "a.mcap").frames[0].pairs.names) == {"LASI", "CentreOfMass", "RFEO"}
+
+
+@pytest.mark.parametrize(("told", "unit"), [("mete", 1.0), ("Millimeters", 0.001), ("CM", 0.01), ("furlong", 0.001)])
+def test_words_for_units(told, unit, tmp_path):
+    """They may be cut; one that is none is found by size."""
+    points = np.random.default_rng(0).uniform(-0.8, 0.8, (5, 6, 3))
+    source = c3d_of(tmp_path / "a.c3d", [f"M{i}" for i in range(6)], points / unit, UNITS=[told])
+    frame = vj.read_log(source).frames[2]
+    np.testing.assert_allclose(frame.pairs.points, points[2], atol=1e-5)
+
+
+def test_labels_in_other_letters(tmp_path):
+    """Latin-1."""
+    points = np.random.default_rng(0).uniform(-800, 800, (5, 6, 3))
+    source = c3d_of(tmp_path / "a.c3d", [f"EpauleX{i}" for i in range(6)], points)
+    source.write_bytes(source.read_bytes().replace(b"Epaule", b"\xc9paule"))
+    assert "\xc9pauleX3" in vj.read_log(source).frames[2].pairs.names
 
 
 def test_names_that_were_cut_to_the_same_letters_are_told_apart_by_their_descriptions(tmp_path):
@@ -274,7 +362,7 @@ def test_colour_images_beside_depth_images(log, tmp_path):
     cv2.imwrite(str(tmp_path / "plain" / "color" / "001.png"), colours[0, :20])
     (tmp_path / "plain" / "color" / "002.png").write_bytes(b"")
     notes = convert(tmp_path / "plain", tmp_path / "less.mcap")
-    assert len(notes) == 2 and "not registered to depth" in notes[0] and "no image" in notes[1]
+    assert len(notes) == 2 and "not registered to depth" in notes[0] and "002.png' was left out" in notes[1]
 
 
 def lzf(data: bytes) -> bytes:
@@ -323,10 +411,10 @@ def test_packed_clouds_that_are_damaged_are_said(tmp_path):
     for k, (name, data) in enumerate(cases.items()):
         (tmp_path / "a.pcd").write_bytes(head + data)
         if not k:
-            assert read_pcd(tmp_path / "a.pcd").tolist() == [[0, 0, 0]] * 2
+            assert read_pcd((tmp_path / "a.pcd").read_bytes(), "a.pcd").tolist() == [[0, 0, 0]] * 2
             continue
         with pytest.raises(ConvertError, match="cannot be read as PCD"):
-            read_pcd(tmp_path / "a.pcd")
+            read_pcd((tmp_path / "a.pcd").read_bytes(), "a.pcd")
             raise AssertionError(name)
 
 

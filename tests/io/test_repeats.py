@@ -20,6 +20,7 @@ from tests.support.logs import (
     ros_image,
     ros_tf,
 )
+from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.log_reader import read_log
 
 STOOD, RUNS = 6, (4, 3)  # pictures that come again, pictures that are new before and after them
@@ -100,3 +101,15 @@ def test_darkness_is_no_picture_that_comes_again(tmp_path, kind):
     found = read_log(log_of(dark, kind).write(tmp_path / "a.mcap"))
     assert len(found.frames) == len(dark) and found.notes == ()
     assert [len(frame.points) == 0 for frame in found.frames] == [False, False, True, True, True, False]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sensor_that_never_changes_is_left_out_beside_one_that_does(tmp_path, kind):
+    pictures = standing_still(0.01)
+    log = log_of(pictures[: RUNS[0]], kind)
+    for i in range(RUNS[0]):
+        log.add("/frozen/depth", START + i * PERIOD, kind(START + i * PERIOD, pictures[0]))
+    log.add("/frozen/camera_info", START, ros_calibration("cam_optical"))
+    found = read_log(log.write(tmp_path / "a.mcap"), ReadSettings(topics=("/cam/depth", "/frozen/depth")))
+    assert [len({*frame.sensor.tolist()}) for frame in found.frames[2:]] == [1] * (RUNS[0] - 2)
+    assert any(note.startswith("'/frozen/depth'") and "stood still" in note for note in found.notes)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.support.truth import truth_tracks
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.model.isb_angles import CONVENTIONS, joint_angles
 from voodoo_jax.simulate.motion import make_motion, placed
-from voodoo_jax.simulate.recording import simulate, truth_tracks
+from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import Camera
 
 MIRROR = np.diag([1.0, -1, 1])

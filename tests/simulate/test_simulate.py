@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from tests.support.truth import truth_tracks
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
@@ -16,7 +17,7 @@ from voodoo_jax.model.body import bands, scaled, segment_lengths, with_proportio
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import MOTIONS, make_motion, placed, pose_body, sequence
-from voodoo_jax.simulate.recording import render, simulate, truth_tracks
+from voodoo_jax.simulate.recording import render, simulate
 from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import (
     KINECT_NOISE,

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.support.fixed_point import solve_fixed_point
 from tests.support.helpers import (
     all_finite,
     cast,
@@ -19,7 +20,6 @@ from tests.support.helpers import (
     two_limbs,
 )
 from voodoo_jax.kernels.correspondences import Points
-from voodoo_jax.solve.fixed_point import solve_fixed_point
 from voodoo_jax.solve.frame import Problem, solve_frame
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")

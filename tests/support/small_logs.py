@@ -21,7 +21,7 @@ SETTINGS = Settings(
     start=StartSettings(scale=0.8, headings=3, frames=2),
     track=TrackSettings(chunk=16, skip=("looks_ahead",)),
 )
-NOT_COMPARED = {"seconds", "source", "run_key"}  # of the time taken, and of where the log lay
+NOT_COMPARED = {"seconds", "source", "run_key", "digest"}  # of the time taken, and of where the log lay
 
 
 def small_body() -> Body:

@@ -1,5 +1,6 @@
 """What README and docs/ tell people to type exists: commands, flags, settings, public names."""
 
+import importlib.util
 import re
 import tomllib
 from pathlib import Path
@@ -90,3 +91,16 @@ def test_versions_and_extras_agree():
     assert {"all", "view", "mkv"} <= asked | extras and asked <= extras
     everything = re.fullmatch(r"voodoo_jax\[(.*)\]", project["optional-dependencies"]["all"][0])
     assert everything and set(everything[1].split(",")) == extras - {"all", "ray", "pose", "dev", "docs", "fuzz"}
+
+
+def test_links_of_the_readme_lead_somewhere_from_a_package_index():
+    spec = importlib.util.spec_from_file_location("absolute_links", ROOT / "docs" / "absolute_links.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    text = module.absolute((ROOT / "README.md").read_text(), "https://host/o/n", "v1")
+    links = re.findall(r"\]\(([^)\s]+)\)", text)
+    assert len(links) > 20 and all(link.startswith(("https://", "#")) for link in links)
+    for kind in ("raw", "blob"):
+        found = [link.split(f"/{kind}/v1/")[1] for link in links if f"/{kind}/v1/" in link]
+        assert found and all((ROOT / path).exists() for path in found)

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.truth import truth_tracks
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.recording import Frame, Pairs, Recording
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.simulate.motion import make_motion, placed
-from voodoo_jax.simulate.recording import simulate, truth_tracks
+from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import Camera
 from voodoo_jax.viz.figures import picture, show
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.browser import in_browser
 from tests.viz.test_picture import simulated
 from voodoo_jax.cli.main import main
 from voodoo_jax.exporters.npz import write_tracks_npz
@@ -67,6 +68,16 @@ def test_the_scene_follows_the_frames():
         viewer.by.value = "confidence"
         viewer.show(3)
         assert "person 2: not here" in viewer.said.content and not any(mesh.visible for mesh in viewer.limbs[1])
+    finally:
+        viewer.server.stop()
+
+
+def test_the_page_runs_in_a_browser(tmp_path):
+    _, tracks, recording = simulated()
+    viewer = Viewer(recording, [tracks], port=0)
+    try:
+        seen = in_browser(f"http://localhost:{viewer.server.get_port()}", tmp_path)
+        assert "<canvas" in seen
     finally:
         viewer.server.stop()
 

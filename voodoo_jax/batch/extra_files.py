@@ -1,9 +1,11 @@
 """What is made of a log's tracks besides them: exports to other formats, a view in a browser."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from voodoo_jax.config.options import Settings
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.formats import FORMATS, export, gaps_note
 from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.records.tracks import Tracks
@@ -25,7 +27,7 @@ def extra_files(npz: Path, formats: Sequence[str]) -> list[Path]:
     return [npz.with_name(npz.name.removesuffix(NPZ) + VIEW), *people[1:], *exported]
 
 
-def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str]) -> list[str]:
+def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str], style: Style) -> list[str]:
     """Exports the tracks of all people of a log, beside `npz`, the file of the first one's.
 
     **Returns:** what a user should know: frames that are not tracked, and what could not be written and why.
@@ -35,7 +37,7 @@ def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str]) -
         path = Path(person_place(str(npz), own.person))
         for name in formats:
             try:
-                export(own, path.parent / exported_name(path, name), name)
+                export(own, path.parent / exported_name(path, name), name, style)
             except Exception as problem:  # the tracks are there all the same
                 notes.append(f"No {exported_name(path, name)}: {reason(problem)}")
     return [note for note in notes if note]
@@ -44,11 +46,13 @@ def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str]) -
 def write_view(people: Sequence[Tracks], npz: Path, settings: Settings, log: str) -> list[str]:
     """Writes `<log>.html` beside the tracks, reading the log once more; why that did not work, or nothing."""
     from voodoo_jax.io.log_reader import open_log
+    from voodoo_jax.records.tracks import given_from
     from voodoo_jax.viz.html_view import write_html
 
     target = npz.with_name(npz.name.removesuffix(NPZ) + VIEW)
     try:
-        write_html(people, open_log(log, settings.read).frames(), target)
+        reader = open_log(log, replace(settings.read, images=True))
+        write_html([given_from(one, -reader.origin) for one in people], reader.frames(), target)
     except Exception as problem:  # as above
         return [f"No {target.name}: {reason(problem)}"]
     return []

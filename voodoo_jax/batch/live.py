@@ -92,6 +92,7 @@ class LiveJob:
     out: str  # folder
     body: Body
     settings: Settings  # with online
+    names: str = ""  # of joints
 
     def __post_init__(self):
         if self.settings.tracker != "icp":
@@ -136,7 +137,7 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
         say("ready; Ctrl-C ends it")
         pace = _followed(tracker, live, reader, job, publishers, progress)
         tracks = tracker.whole(source.path, reader.fixed_frame, live.notes)
-    tracks = for_users(tracks, reader)
+    tracks = for_users(tracks.with_names(job.names), reader)
     say(str(pace))
     return _written(job, tracks)
 
@@ -152,7 +153,7 @@ def _followed(
     def give(found: list[Tracks]) -> None:
         nonlocal said
         for one in found:
-            shown = for_users(replace(one, fixed_frame=reader.fixed_frame), reader)
+            shown = for_users(replace(one, fixed_frame=reader.fixed_frame).with_names(job.names), reader)
             for publisher in publishers:
                 publisher.frame(shown)
             pace.note(*times.pop(int(one.time_ns[0]), (None, None)))

@@ -10,12 +10,12 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from voodoo_jax.batch.cores import own_cores
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.config.output_style import Style
+from voodoo_jax.geometry.arrays_file import arrays_in
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import SENTENCE, plain
@@ -43,6 +43,7 @@ class Job:
     picture: bool
     only_picture: bool = False  # the tracks are there already, what is drawn or exported from them is not
     exports: tuple[str, ...] = ()  # formats, see exporters/formats.py
+    style: Style = Style()
     html: bool = False
     compile_cache: str = ""  # folder; empty: none
     size: int = 1  # bytes of the log
@@ -61,6 +62,7 @@ def output_places(log: str, out: str) -> tuple[str, str, str]:
     return joined(out, npz.name), joined(out, mcap.name), joined(out, npz.name.removesuffix(".tracks.npz") + ".png")
 
 
+# 7 parameters: what is tracked by what, who watches it, and how joints are called
 def track_log(
     path: str | os.PathLike[str],
     body: Body,
@@ -68,9 +70,10 @@ def track_log(
     progress: Progress | None = None,
     visit: Visit | None = None,
     timeout: float = 0.0,
+    names: str = "",
 ) -> list[Tracks]:
-    """Reads a log frame by frame and tracks everybody in it; `visit` see do_job. Raises LogError, also after `timeout`
-    seconds if that is not 0; Unsuitable."""
+    """Reads a log frame by frame and tracks everybody in it; `visit` see do_job, `names` Tracks.with_names.
+    Raises LogError, also after `timeout` seconds if that is not 0; Unsuitable."""
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of
     from voodoo_jax.io.ahead import ahead
@@ -101,7 +104,7 @@ def track_log(
             yield frame
 
     found = tracker.track(body, counted(), source, settings, more, visit)
-    return [for_users(tracks, log) for tracks in found]
+    return [for_users(tracks.with_names(names), log) for tracks in found]
 
 
 def out_of_time(seconds: float) -> str:
@@ -119,8 +122,8 @@ def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4,
 
     tracks = people[0]
     build = build_of(tracks.body, settings.start.scale)
-    # clouds are drawn; a network would look at all images for four frames
-    read = replace(settings.read, images=False, pose_net="", matching="fine")
+    # a network would look at all images for four frames
+    read = replace(settings.read, images=True, pose_net="", matching="fine")
     reader = open_checked(log or tracks.source, read, build, settings.detect)
     wanted = set(tracks.time_ns[spread(len(tracks.time_ns), count)].tolist())
     frames = tuple(frame for frame in reader.frames() if frame.time_ns in wanted)
@@ -159,12 +162,12 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
-    from voodoo_jax.batch.converted import as_mcap
     from voodoo_jax.batch.extra_files import extra_files, write_exports, write_view
     from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
+    from voodoo_jax.io.convert.in_passing import as_mcap
     from voodoo_jax.trackers.base import Unsuitable
     from voodoo_jax.trackers.smoothing import smooth
 
@@ -175,7 +178,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         except Exception as problem:  # every store has its own errors
             raise LogError(f"'{job.log}' cannot be fetched: {type(problem).__name__}: {problem}") from problem
         original = log
-        log, converted = stack.enter_context(as_mcap(log))
+        log, converted = stack.enter_context(as_mcap(log, job.settings.read.types))
         folder = stack.enter_context(delivered(job.out))
         npz, mcap = output_paths(job.log, folder)
         target = npz.with_name(Path(drawn).name)
@@ -192,7 +195,9 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             with suppress(OSError):  # before reading: it may be changed meanwhile
                 key = run_key(job.recipe, fingerprint_of(original, far=is_url(job.log)))
             try:
-                people = track_log(log, on_device(job.body), job.settings, progress, visit, job.timeout)
+                people = track_log(
+                    log, on_device(job.body), job.settings, progress, visit, job.timeout, job.style.names
+                )
             except (LogError, Unsuitable) as problem:
                 raise LogError(str(problem).replace(log, job.log)) from problem
             people = [replace(one, source=job.log, notes=(*converted, *one.notes)) for one in people]
@@ -203,7 +208,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
                 write_tracks_npz(one, Path(person_place(str(npz), one.person)), key)
             remove_others(place, len(people))
         trouble = _picture(people, target, job, log) if job.picture else ""
-        told = write_exports(people, npz, job.exports)
+        told = write_exports(people, npz, job.exports, job.style)
         told += write_view(people, npz, job.settings, log) if job.html else []
     others = tuple(outcome_of(job.log, person_place(place, one.person), one) for one in people[1:])
     outcome = outcome_of(job.log, place, people[0], picture=drawn if job.picture and not trouble else "", others=others)
@@ -246,8 +251,8 @@ def _person_in(place: str) -> int | None:
     from voodoo_jax.batch.resume import BROKEN
 
     try:
-        with opened(place) as stream, np.load(stream, allow_pickle=False) as data:
-            return int(data["person"]) if "person" in data.files else 1
+        with opened(place) as stream:
+            return int(arrays_in(stream, ("person",)).get("person", 1))
     except BROKEN:
         return None
 

@@ -1,6 +1,5 @@
 """What became of a log, as replay reports it: small, so that thousands fit in memory; the tracks stay in their file."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -127,10 +126,10 @@ def outcome_of(path: str, npz: str, tracks: Tracks, **more: Any) -> Outcome:
 
 def outcome_of_arrays(path: str, npz: str, data: Mapping[str, np.ndarray], **more: Any) -> Outcome:
     """The same from the arrays of a tracks file."""
-    summary = json.loads(str(data["body_json"]))
-    scale = next(name for name in summary if name not in ("name", "segment_lengths"))
-    notes = tuple(str(note) for note in data["notes"])
-    size, seconds = f"{scale} {summary[scale]:.3f} m", float(data["seconds"])
+    from voodoo_jax.exporters.npz import scale_of
+
+    notes, (name, scale) = tuple(str(note) for note in data["notes"]), scale_of(data)
+    size, seconds = f"{name} {scale:.3f} m", float(data["seconds"])
     person = int(data.get("person", 1))
     return _of(path, npz, data["tracked"], data["residual"], size, notes=notes, seconds=seconds, person=person, **more)
 

@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Iterable, Mapping
 
 from voodoo_jax.batch.log_job import output_paths
 from voodoo_jax.storage.urls import NPZ, joined
@@ -18,28 +18,43 @@ def _second(log: str) -> str | None:
     return stem if dot and number.isdigit() else None
 
 
-def folders_within(logs: Sequence[str], direct: Collection[str] = ()) -> dict[str, str]:
-    """For each log the folder for its results, relative to that of all: "", the same one.
+def logs_of(given: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Logs, and for each the folder in which its results lie, relative to that of all: its own one below the place that
+    was given, as the path says; "" of a log that was given itself.
 
-    Logs of one name have folders of their own, named as those that they lie in, from where their paths part; so has
-    `a.2` beside `a`, whose second person has the files `a.2`. `direct` are those that were given themselves, or lie
-    directly in a given folder: where one of several of one name is, it has no folder of its own. Raises ValueError if
-    two logs would still write the same files.
+    **Arguments:** `given` pairs of a place that was given and a log that it stands for, as in urls.expanded; a log that
+    is given as such and in a folder is one log, and so are a bag and a file of it.
     """
-    named: dict[str, list[str]] = {}
-    for log in logs:
-        named.setdefault(output_paths(log, "")[0].name, []).append(log)
-    found = {}
-    stems = {_stem(log) for log in logs}
-    for same in named.values():
-        parts = [[part.strip(":") for part in log.replace("\\", "/").split("/")[:-1] if part] for log in same]
-        shared = len(os.path.commonprefix(parts))
-        near = [log for log in same if log in direct] if len(same) > 1 else same
-        own = {log: "/".join(some[shared:]) for log, some in zip(same, parts)}
-        found |= own | ({near[0]: ""} if len(near) == 1 else {})
+    found: dict[str, str] = {}
+    for place, log in given:
+        top = place.rstrip("/") if log == place or os.path.isdir(place) else place.split("*")[0].rpartition("/")[0]
+        below = log.removeprefix(top + "/") if log.startswith(top + "/") else ""
+        folder = below.rpartition("/")[0]
+        found[log] = max(found.get(log, ""), folder, key=len)
+    return {log: folder for log, folder in found.items() if os.path.dirname(log) not in found}
+
+
+def folders_within(logs: Mapping[str, str]) -> dict[str, str]:
+    """For each log the folder for its results, relative to that of all.
+
+    **Arguments:** `logs` the folders that paths say, see logs_of. Logs that would write the same files have folders
+    named as those that they lie in, from where their paths part; `a.2` has one of its own beside `a`, whose second
+    person has the files `a.2`. Raises ValueError if two logs would still write the same files.
+    """
+    place = lambda log, folder: joined(folder, output_paths(log, "")[0].name)  # noqa: E731
+    same: dict[str, list[str]] = {}
+    for log, folder in logs.items():
+        same.setdefault(place(log, folder), []).append(log)
+    found = dict(logs)
+    for several in same.values():
+        if len(several) > 1:
+            parts = [[part.strip(":") for part in log.replace("\\", "/").split("/")[:-1] if part] for log in several]
+            shared = len(os.path.commonprefix(parts))
+            found |= {log: "/".join(some[shared:]) for log, some in zip(several, parts)}
     # where a log has the name that the second person of another one has, it has a folder of its own
+    stems = {_stem(log) for log in logs}
     found |= {log: joined(f, _stem(log)) if f else _stem(log) for log, f in found.items() if _second(log) in stems}
-    written = Counter(joined(folder, output_paths(log, "")[0].name) for log, folder in found.items())
+    written = Counter(place(log, folder) for log, folder in found.items())
     if twice := sorted(place for place, count in written.items() if count > 1):
         raise ValueError(f"several logs would write {', '.join(twice)}: replay them into different folders")
     return found

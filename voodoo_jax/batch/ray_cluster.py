@@ -14,6 +14,7 @@ from voodoo_jax.batch.outcome import Outcome
 from voodoo_jax.batch.process_pool import Report, Results
 from voodoo_jax.batch.worker_start import environment
 from voodoo_jax.config.ray_tasks import RayTasks
+from voodoo_jax.records.notes import shown
 
 RAY_HELP = (
     '--engine ray needs the package ray: pip install "voodoo_jax[ray]", here and on every machine of the cluster; '
@@ -133,7 +134,7 @@ def say_what_lacks(ray: Any, tasks: RayTasks) -> None:
     if not any(all(machine.get(name, 0) >= n for name, n in wanted.items()) for machine in machines):
         asked = " and ".join(f"{n:g} {name}" for name, n in wanted.items())
         text = f"--engine ray: no machine of the cluster has {asked} for a log (--ray-cpus, --ray-gpus)"
-        tqdm.write(f"{text}; it waits until one joins", file=sys.stderr)
+        tqdm.write(shown(f"{text}; it waits until one joins"), file=sys.stderr)
 
 
 def _ray() -> Any:

@@ -13,16 +13,18 @@ from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
 from voodoo_jax.batch.log_job import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.batch.outcome import Outcome, outcome_of_arrays
-from voodoo_jax.batch.output_paths import folders_within
+from voodoo_jax.batch.output_paths import folders_within, logs_of
 from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers, may_have_gpu
 from voodoo_jax.batch.results_elsewhere import brought, keys_elsewhere
 from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.batch.worker_start import can_copy, in_a_copy
 from voodoo_jax.compile.cache_dir import safe_folder
 from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.config.ray_tasks import RayTasks, check_ray_tasks
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.model.body import Body
+from voodoo_jax.records.notes import shown
 from voodoo_jax.storage.atomic import check_writable, made_folder
 from voodoo_jax.storage.troubles import NotWritten, check_text, not_written
 from voodoo_jax.storage.urls import NPZ, byte_size, expanded, file_system, is_url, joined, person_place
@@ -59,7 +61,7 @@ class NotSummedUp(NotWritten):
         self.outcomes = outcomes
 
 
-# 17 parameters, the options of the command, each by name; half of the lines say what they are
+# 18 parameters, the options of the command, each by name; half of the lines say what they are
 def replay(
     logs: Iterable[str | os.PathLike[str]],
     out: str | os.PathLike[str],
@@ -72,6 +74,7 @@ def replay(
     html: bool = False,
     report: bool = False,
     export: Iterable[str] = (),
+    style: Style | None = None,
     again: bool = False,
     workers: int = 1,
     engine: Literal["local", "batch", "ray"] = "local",
@@ -80,8 +83,8 @@ def replay(
     log_timeout: float = 0.0,
     ray: RayTasks | None = None,
 ) -> list[Outcome]:
-    """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, of logs of one
-    name into folders of their own in it (see output_paths.py).
+    """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, those of
+    logs below a given folder into folders as theirs (see output_paths.py).
 
     A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
     under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
@@ -90,13 +93,13 @@ def replay(
 
     **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
     trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
-    `report` writes `report.html`, with a row for each log whose results are in `out`;
-    `export` formats to which tracks are exported besides (exporters/formats.py), such as "bvh"; `again` does finished
-    logs anew; `workers` processes that track, 0: as many as are good for this machine, 1: a copy of this process, or
-    this one where it cannot be copied (see worker_start.py); `engine` "batch": in this process, several logs as one
-    batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight parts of the logs only;
-    `compile_cache` folder for compiled programs, "": the user's, "off": none; `log_timeout` seconds after which a log
-    is given up, 0: never; `ray` what each log asks of a Ray cluster.
+    `report` writes `report.html`, with a row for each log whose results are in `out`; `export` formats to which tracks
+    are exported besides (exporters/formats.py), such as "bvh"; `style` how joints and bones are called; `again` does
+    finished logs anew; `workers` processes that track, 0: as many as are good for this machine, 1: a copy of this
+    process, or this one where it cannot be copied (see worker_start.py); `engine` "batch": in this process, several
+    logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight parts of the
+    logs only; `compile_cache` folder for compiled programs, "": the user's, "off": none; `log_timeout` seconds after
+    which a log is given up, 0: never; `ray` what each log asks of a Ray cluster.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
@@ -115,7 +118,7 @@ def replay(
         raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
     if not 0 <= log_timeout <= LONGEST:
         raise ValueError(f"--log-timeout {log_timeout}: must not be negative, and at most {LONGEST:g} seconds")
-    tasks = ray or RayTasks()
+    tasks, style = ray or RayTasks(), style or Style()
     check_ray_tasks(tasks)
     check_stages(settings or Settings())
     check_changes(body or load_on_host("human"), settings or Settings())
@@ -127,8 +130,8 @@ def replay(
     number, count = parse_shard(shard)
     summary = summary_name(number, count)
     named = [(_absolute(log), _absolute(place)) for log in logs for place in expanded(log)]
-    places = list(dict.fromkeys(place for _, place in named))
-    within = folders_within(places, {place for log, place in named if log in (place, os.path.dirname(place))})
+    within = folders_within(logs_of(named))
+    places = list(within)
     out, settings, body = _absolute(out), settings or Settings(), body or load_on_host("human")
     check_text(out, "--out")
     if not is_url(out):
@@ -140,10 +143,11 @@ def replay(
         body=body,
         settings=settings,
         smooth_seconds=smooth_seconds,
-        recipe=recipe_key(body, settings, smooth_seconds),
+        recipe=recipe_key(body, settings, smooth_seconds, style),
         parameters=parameters_of(settings, smooth_seconds),
         picture=picture,
         exports=exports,
+        style=style,
         html=html,
         compile_cache=safe_folder(compile_cache),
         timeout=log_timeout,
@@ -310,4 +314,4 @@ def parameters_of(settings: Settings, smooth_seconds: float = 0.0) -> tuple[tupl
 
 def _say(outcome: Outcome, quiet: bool) -> None:
     if not quiet:
-        tqdm.write(str(outcome))
+        tqdm.write(shown(str(outcome)))

@@ -1,18 +1,17 @@
 """report.html: what replay.jsonl and the tracks of a folder say, to look at in a browser."""
 
-import json
 import os
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from voodoo_jax.batch.extra_files import VIEW, exported_name
 from voodoo_jax.batch.log_job import remove_partials
+from voodoo_jax.batch.summary_file import rows_in
 from voodoo_jax.exporters.formats import FORMATS
-from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
-from voodoo_jax.storage.urls import NPZ, TRACKS, delivered, fetched, is_url, joined, opened
+from voodoo_jax.exporters.npz import read_tracks_npz
+from voodoo_jax.storage.urls import NPZ, TRACKS, delivered, fetched, is_url, joined, within
 from voodoo_jax.viz.report_page import Row, person_cells, write_report_page
 
 NAME = "report.html"
@@ -29,8 +28,9 @@ def write_report(folder: str, summary: str) -> str:
         names += sorted(p.name for p in Path(folder).glob("replay*.jsonl") if p.name != summary)
     logs: dict[str, list[dict[str, Any]]] = {}
     for name in names:
-        for log, rows in _rows(joined(folder, name)).items():
+        for log, rows in rows_in(joined(folder, name)).items():
             logs.setdefault(log, rows)
+    logs = {log: rows for log, rows in logs.items() if os.path.dirname(log) not in logs}  # a bag and a file of it
     ordered = sorted(logs, key=lambda log: (os.path.basename(log), log))
     title = f"Tracks in {Path(folder).name if not is_url(folder) else folder}"
     if not is_url(folder):
@@ -38,16 +38,6 @@ def write_report(folder: str, summary: str) -> str:
     with delivered(folder) as made:
         write_report_page((_row(logs[log], folder) for log in ordered), Path(made) / NAME, title)
     return joined(folder, NAME)
-
-
-def _rows(place: str) -> dict[str, list[dict[str, Any]]]:
-    """The rows of a summary by log; none of a file that is missing or somebody else's."""
-    found: dict[str, list[dict[str, Any]]] = {}
-    with suppress(OSError, ValueError, KeyError, TypeError), opened(place) as stream:
-        for line in stream.read().decode().splitlines():
-            row = json.loads(line)
-            found.setdefault(row["log"], []).append(row)
-    return found
 
 
 def _row(rows: list[dict[str, Any]], folder: str) -> Row:
@@ -58,16 +48,17 @@ def _row(rows: list[dict[str, Any]], folder: str) -> Row:
         if not row["tracks"]:
             continue
         try:
+            if not within(row["tracks"], folder):  # whoever wrote that line does not say what is fetched
+                raise ValueError(f"'{row['tracks']}' is not in the folder of this report")
             with fetched(row["tracks"]) as path:
                 tracks = read_tracks_npz(path)
-        except (TracksFileError, OSError) as problem:
+        except (ValueError, OSError) as problem:
             troubles.append(f"The tracks cannot be read: {problem}")
             continue
         people.append(person_cells(tracks, row["person"] if len(rows) > 1 else 0))
     error = " ".join([main["error"], *troubles]).strip()
-    return Row(
-        os.path.basename(main["log"]), main["status"], error, tuple(_links(main["tracks"], folder)), tuple(people)
-    )
+    links = tuple(_links(main["tracks"], folder)) if people else ()
+    return Row(os.path.basename(main["log"]), main["status"], error, links, tuple(people))
 
 
 def _links(npz: str, folder: str) -> Iterable[tuple[str, str]]:

@@ -6,10 +6,9 @@ from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
 from voodoo_jax.batch.log_job import Job, check_names, output_places, remove_others
 from voodoo_jax.batch.resume import BROKEN, fingerprint_of, finished_arrays, run_key
+from voodoo_jax.geometry.arrays_file import arrays_in
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.urls import NPZ, TRACKS, is_url, opened, person_place
 
@@ -21,7 +20,8 @@ def keys_elsewhere(folder: str, expected: Collection[str]) -> dict[str, str]:
     for place in sorted(Path(folder).rglob(f"*{NPZ}")) if not is_url(folder) else ():
         if str(place) in expected:
             continue
-        with suppress(*BROKEN), opened(str(place)) as stream, np.load(stream, allow_pickle=False) as data:
+        with suppress(*BROKEN), opened(str(place)) as stream:
+            data = arrays_in(stream, ("person", "run_key"))
             if int(data.get("person", 1)) == 1:
                 found.setdefault(str(data["run_key"]), str(place))
     return found
@@ -45,6 +45,7 @@ def brought(job: Job, elsewhere: dict[str, str]) -> bool:
         for source, target in [(shown, mcap), *pairs]:  # the main one last: where it is, all are
             with replacing(target) as partial:
                 try:
+                    partial.unlink()
                     os.link(source, partial)
                 except OSError:
                     shutil.copy2(source, partial)

@@ -14,12 +14,14 @@ from mcap.stream_reader import StreamReader
 
 from voodoo_jax.compile.executable import code_fingerprint
 from voodoo_jax.config.options import Settings
+from voodoo_jax.config.output_style import Style
+from voodoo_jax.exporters.npz import tracks_arrays
 from voodoo_jax.io.container import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
 from voodoo_jax.storage.urls import Readable, is_url, log_parts, opened, person_place
 
-KEPT = ("body_json", "residual", "tracked", "seconds", "notes", "person")  # of a tracks file
+KEPT = ("body_json", "residual", "tracked", "seconds", "notes")  # of a tracks file
 BLOCK = 1 << 16  # bytes of each sample of a log
 # what a file that is missing, cut or of another kind raises
 BROKEN = (OSError, ValueError, KeyError, EOFError, StopIteration, zipfile.BadZipFile, zlib.error, *READ_ERRORS)
@@ -61,10 +63,12 @@ def _body_bytes(body: Body) -> bytes:
     return format_body(body).encode() + b"".join(repr((a.dtype.str, a.shape)).encode() + a.tobytes() for a in arrays)
 
 
-def recipe_key(body: Body, settings: Settings, smooth_seconds: float) -> str:
-    """A key of all that tracks depend on but the log: body, settings, smoothing, this package's code."""
+def recipe_key(body: Body, settings: Settings, smooth_seconds: float, style: Style | None = None) -> str:
+    """A key of all that results depend on but the log: body, settings, smoothing, names, this package's code."""
     stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
-    digest = hashlib.sha256(repr((stages, smooth_seconds, code_fingerprint())).encode() + _body_bytes(body))
+    digest = hashlib.sha256(
+        repr((stages, smooth_seconds, style or Style(), code_fingerprint())).encode() + _body_bytes(body)
+    )
     for change in settings.changes:
         fields = {name: value for name, value in vars(change).items() if name != "add"}
         digest.update(repr(fields).encode() + _thing_bytes(change.add))
@@ -87,19 +91,18 @@ def finished_arrays(log: str, npz: str, mcap: str, recipe: str) -> list[dict[str
     """What outcome_of_arrays needs of the tracks of each person in a log, if all result files are whole and carry this
     run's key; else None. `npz`, `mcap`: the main person's tracks, and what shows all."""
     try:
-        with opened(npz) as stream, np.load(stream, allow_pickle=False) as data:
-            if "run_key" not in data.files:
-                return None
-            key = run_key(recipe, fingerprint_of(log))
-            count = int(data["people"]) if "people" in data.files else 1
+        with opened(npz) as stream:
+            first = tracks_arrays(stream, npz)
+        if "run_key" not in first:
+            return None
+        key = run_key(recipe, fingerprint_of(log))
         arrays = []
-        for person in range(1, count + 1):
-            with opened(person_place(npz, person)) as stream, np.load(stream, allow_pickle=False) as data:
-                if str(data["run_key"]) != key or int(data.get("person", 1)) != person:
-                    return None
-                if data.zip.testzip() is not None:
-                    return None
-                arrays.append({name: data[name] for name in KEPT if name in data.files})
+        for person in range(1, int(first.get("people", 1)) + 1):
+            with opened(person_place(npz, person)) as stream:
+                data = first if person == 1 else tracks_arrays(stream, npz)
+            if str(data["run_key"]) != key or int(data.get("person", 1)) != person:
+                return None
+            arrays.append({name: data[name] for name in KEPT})
         with opened(mcap) as stream:
             metadata = [m.metadata for m in SeekingReader(stream).iter_metadata() if m.name == "voodoo_jax"]
             stream.seek(0)

@@ -1,19 +1,20 @@
 """The command `body`: body files of robots and meshes."""
 
-import sys
+from functools import partial
 
+from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import BodyCommand
+from voodoo_jax.cli.printing import tell
+
+say = partial(printing.say, "body")
 
 
 def run_body(command: BodyCommand) -> int:
     """0 if the body file was written, 1 if the source cannot be used, 2 if nothing could be begun."""
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.model.body_file import BodyFileError, write_body
     from voodoo_jax.model.foreign.sources import body_from
-    from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.storage.atomic import made_folder
-
-    def say(problem: object) -> None:
-        print(f"voodoo-jax body: {problem}", file=sys.stderr)
 
     if command.source is None:
         say("name a robot description (.urdf) or a skinned mesh (.glb, .gltf)")
@@ -28,13 +29,14 @@ def run_body(command: BodyCommand) -> int:
         say("--rest: joint values look like elbow=0.5 (radians)")
         return 2
     try:
-        body, notes = body_from(command.source, rest, command.least)
+        with limited(command.limits):
+            body, notes = body_from(command.source, rest, command.least)
         made_folder(command.out.parent)
         write_body(body, command.out)
     except (BodyFileError, OSError) as problem:
-        say(plain(str(problem), SENTENCE))
+        say(problem)
         return 1
-    print(f"{command.out}: {body.limb_count} limbs, {body.scale_name} {float(body.scale):.4f} m")
+    tell(f"{command.out}: {body.limb_count} limbs, {body.scale_name} {float(body.scale):.4f} m")
     for note in notes:
-        print(f"    {note}")
+        tell(f"    {note}")
     return 0

@@ -18,6 +18,7 @@ from voodoo_jax.config.options import (
     StartSettings,
     TrackSettings,
 )
+from voodoo_jax.config.output_style import Names, Style
 from voodoo_jax.config.tune_options import TuneSettings
 
 BODY_HELP = (
@@ -38,20 +39,20 @@ EXPORT_HELP = f"Also write the tracks for other programs. {FORMATS_HELP}"
 
 
 @dataclass(frozen=True)
-class Results:
+class Results(Style):
     """What is written."""
 
     out: str = "voodoo-out"
-    """Folder for the results, or a URL; made if it is missing."""
+    """Folder for the results, or a URL."""
     picture: bool = False
-    """Also write <log>.png: cloud and tracked body side by side."""
+    """Also write <log>.png: image, cloud, tracked body."""
     html: bool = False
-    """Also write <log>.html: cloud, tracked bodies and quality over time, to play and turn in a browser, offline."""
+    """Also write <log>.html: cloud, bodies, angles and quality over time, for a browser, offline."""
     report: bool = False
-    """Also write report.html: a row for each log in --out, with drawings, what was found, and what is in doubt."""
+    """Also write report.html: a row for each log in --out, with what was found and is in doubt."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
     smooth: float = 0.0
-    """Average the finished tracks over so many seconds before and after each frame (Gaussian); 0: as tracked."""
+    """Average finished tracks over so many seconds before and after (Gaussian); 0: as tracked."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,8 @@ class Live:
     serve: int = -1
     """Port of a Foxglove WebSocket on this machine's own address, on which transforms and the body are given out; 0:
     any that is free; -1: none."""
+    names: Names = ""
+    """Names of joints; common: left_wrist."""
     idle: float = 10.0
     """A file that has not grown for so many seconds is finished."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
@@ -152,6 +155,8 @@ class Export:
     formats: Annotated[str, arg(name="as", help=FORMATS_HELP)] = ""
     out: Path | None = None
     """Folder for the files; none named: they are written beside the tracks."""
+    style: OmitArgPrefixes[Style] = field(default_factory=Style)
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
@@ -173,6 +178,9 @@ class Convert:
     (metres of a count), rate (Hz)."""
     rate: float = 0.0
     """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
+    types: tuple[str, ...] = ()
+    """Definitions of messages (.msg files of their packages) that an SQLite bag lacks; usual drivers' are known."""
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
@@ -289,6 +297,7 @@ class BodyCommand:
     """Parts smaller than this are one with what they hang on, metres."""
     overwrite: bool = False
     """Replace a file that exists."""
+    limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,20 @@
 """The command `convert`: recordings of other formats as MCAP logs."""
 
-import sys
+from functools import partial
 
+from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import Convert
+from voodoo_jax.cli.printing import tell
+
+say = partial(printing.say, "convert")
 
 
 def run_convert(command: Convert) -> int:
     """0 if all was converted, 1 if something could not be, 2 if nothing could be begun."""
+    from voodoo_jax.config.limited import limited
+    from voodoo_jax.io.convert.errors import ConvertError
     from voodoo_jax.io.convert.sources import convert
-    from voodoo_jax.io.convert.target import ConvertError
     from voodoo_jax.storage.atomic import made_folder
-
-    def say(problem: object) -> None:
-        print(f"voodoo-jax convert: {problem}", file=sys.stderr)
 
     if not command.sources or command.out is None:
         say("name recordings and a log: voodoo-jax convert IN... --out LOG.mcap (a folder for several)")
@@ -28,12 +30,13 @@ def run_convert(command: Convert) -> int:
             made_folder(target.parent)
             if target.exists() and target.samefile(source):
                 raise ConvertError(f"'{source}' would be replaced by itself: name another --out")
-            notes = convert(source, target, command.camera, command.rate)
+            with limited(command.limits):
+                notes = convert(source, target, command.camera, command.rate, command.types)
         except (ConvertError, OSError) as problem:
             say(problem)
             failed = True
             continue
-        print(target)
+        tell(target)
         for note in notes:
-            print(f"    {note}")
+            tell(f"    {note}")
     return 1 if failed else 0

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voodoo_jax.cli.printing import tell
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
@@ -34,7 +35,7 @@ def demo(out: Path) -> int:
 
     with as_file(files("voodoo_jax") / "data") as data:
         log, truth_file = data / "demo.mcap", data / "demo.truth.npz"
-        print("Tracking a simulated person who waves and bows, seen by one depth camera; nothing about them is given.")
+        tell("Tracking a simulated person who waves and bows, seen by one depth camera; nothing about them is given.")
         outcome = replay([log], out, again=True)[0]
         tracks = outcome.tracks
         if tracks is None or not outcome.ok:
@@ -44,8 +45,8 @@ def demo(out: Path) -> int:
         _print_errors(tracks, truth, "2 to 4 cm")
         target = Path(out) / "demo.png"
         picture(tracks, read_log(log), target, truth=_on_frames(tracks, truth))
-    print(f"\nLook at {target}: cloud and tracked body side by side; crosses are the truth.")
-    print(f"In Foxglove open {Path(out) / 'demo.voodoo.mcap'}.")
+    tell(f"\nLook at {target}: cloud and tracked body side by side; crosses are the truth.")
+    tell(f"In Foxglove open {Path(out) / 'demo.voodoo.mcap'}.")
     return 0
 
 
@@ -59,9 +60,9 @@ def demo_flexible(out: Path) -> int:
 
     out, settings = Path(out), preset("flexible")
     out.mkdir(parents=True, exist_ok=True)
-    print("Simulating a stereo camera's images of a person who waves and bows (half a minute).")
+    tell("Simulating a stereo camera's images of a person who waves and bows (half a minute).")
     log = write_colour(stereo_demo(), out / "demo-flexible.mcap")
-    print("Tracking the person in these images with masses, springs and particle filters; nothing about them is given.")
+    tell("Tracking the person in these images with masses, springs and particle filters; nothing about them is given.")
     outcome = replay([log], out, settings=settings, again=True)[0]
     tracks = outcome.tracks
     if tracks is None or not outcome.ok:
@@ -71,8 +72,8 @@ def demo_flexible(out: Path) -> int:
     _print_errors(tracks, truth, "3 to 5 cm")
     target = out / "demo-flexible.png"
     _over_images(tracks, read_log(log, settings.read), target, _on_frames(tracks, truth))
-    print(f"\nLook at {target}: the tracked body over the left images; crosses are the truth.")
-    print(f"In Foxglove open {out / 'demo-flexible.voodoo.mcap'}, and {log} for the images.")
+    tell(f"\nLook at {target}: the tracked body over the left images; crosses are the truth.")
+    tell(f"In Foxglove open {out / 'demo-flexible.voodoo.mcap'}, and {log} for the images.")
     return 0
 
 
@@ -108,11 +109,11 @@ def _over_images(tracks: Tracks, recording: Recording, target: Path, truth: np.n
 
 def _print_errors(tracks: Tracks, truth: dict[str, np.ndarray], real: str) -> None:
     errors = joint_errors(tracks, truth)
-    print("\nMean distance to the true joint centres:")
+    tell("\nMean distance to the true joint centres:")
     for name, error in zip(truth["names"], np.nanmean(errors, 0)):
-        print(f"  {name:16s} {100 * error:5.1f} cm")
-    print(f"  {'all joints':16s} {100 * np.nanmean(errors):5.1f} cm")
-    print(f"(The simulated person is made of the tracker's own kind of limbs: on real people expect {real}.)")
+        tell(f"  {name:16s} {100 * error:5.1f} cm")
+    tell(f"  {'all joints':16s} {100 * np.nanmean(errors):5.1f} cm")
+    tell(f"(The simulated person is made of the tracker's own kind of limbs: on real people expect {real}.)")
 
 
 def _on_frames(tracks: Tracks, truth: dict[str, np.ndarray]) -> np.ndarray:

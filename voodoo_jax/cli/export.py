@@ -1,21 +1,23 @@
 """The command `export`: tracks in formats of other programs."""
 
-import sys
+from functools import partial
 from pathlib import Path
 
+from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import Export
+from voodoo_jax.cli.printing import tell
+
+say = partial(printing.say, "export")
 
 
 def run_export(command: Export) -> int:
     """0 if all was written, 1 if something could not be, 2 if nothing could be begun."""
     from voodoo_jax.batch.extra_files import exported_name
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.exporters.formats import ExportError, check_formats, export, gaps_note
     from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz
     from voodoo_jax.storage.atomic import made_folder
     from voodoo_jax.storage.urls import NPZ
-
-    def say(problem: object) -> None:
-        print(f"voodoo-jax export: {problem}", file=sys.stderr)
 
     try:
         formats = check_formats([command.formats])
@@ -31,7 +33,8 @@ def run_export(command: Export) -> int:
     failed = False
     for path in paths:
         try:
-            tracks = read_tracks_npz(path)
+            with limited(command.limits):
+                tracks = read_tracks_npz(path)
         except (TracksFileError, OSError) as problem:
             say(problem)
             failed = True
@@ -39,12 +42,12 @@ def run_export(command: Export) -> int:
         for name in formats:
             target = (command.out or path.parent) / exported_name(path, name)
             try:
-                print(export(tracks, target, name))
+                tell(export(tracks, target, name, command.style))
             except (ValueError, OSError) as problem:
                 say(f"{target} could not be written: {problem}")
                 failed = True
         if note := gaps_note(tracks, formats):
-            print(f"    {note}")
+            tell(f"    {note}")
     return 1 if failed else 0
 
 

@@ -1,12 +1,12 @@
 """`voodoo-jax fit`: logs in, a report and, if it is better, a body file out."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 from tqdm.auto import tqdm
 
 from voodoo_jax.cli.commands import FitCommand
+from voodoo_jax.cli.printing import say, tell
 from voodoo_jax.config.fit_options import check_fit
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.toml import settings_text
@@ -19,6 +19,7 @@ from voodoo_jax.fitting.result import Fit
 from voodoo_jax.io.limits import limited
 from voodoo_jax.io.log_reader import LogError
 from voodoo_jax.model.body_file import BodyFileError, load_body, write_body
+from voodoo_jax.records.notes import shown
 from voodoo_jax.storage.atomic import check_writable, made_folder, replacing
 from voodoo_jax.storage.urls import expanded
 
@@ -35,7 +36,7 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
     try:
         logs = [path for place in command.logs for path in expanded(place)]
     except ValueError as problem:
-        print(f"voodoo-jax fit: {problem}", file=sys.stderr)
+        say("fit", problem)
         return 2
     bodies = outputs(command.out, 1 if command.fit.persons == "one" or command.fit.folds else len(logs))
     report, state = command.out.with_suffix(".md"), command.out.with_name(f".{command.out.name}.fit-state.npz")
@@ -44,15 +45,15 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         p for p in (*bodies, report, report.with_suffix(".png"), report.with_suffix(".html"), config) if p.exists()
     ]
     if command.out.suffix != ".toml":
-        print(f"voodoo-jax fit: --out '{command.out}': name a body file, with the ending .toml", file=sys.stderr)
+        say("fit", f"--out '{command.out}': name a body file, with the ending .toml")
         return 2
     if there and not command.overwrite:
-        print(f"voodoo-jax fit: {there[0]} exists: name another --out, or say --overwrite", file=sys.stderr)
+        say("fit", f"{there[0]} exists: name another --out, or say --overwrite")
         return 2
     with tqdm(total=command.fit.iterations * command.fit.rounds, unit="step", leave=False, disable=None) as bar:
 
-        def say(what: str, progress: Progress | None) -> None:
-            bar.set_description(what)
+        def show(what: str, progress: Progress | None) -> None:
+            bar.set_description(shown(what))
             if progress is not None:
                 bar.n = progress.step
                 bar.set_postfix(loss=f"{progress.losses[-1]:.2f}" if progress.losses else "compiling")
@@ -65,24 +66,24 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
                 check_writable(path)
             with limited(settings.limits):
                 body = load_body(command.body or "human")
-                found = fit(body, logs, settings, command.fit, command.truth, state=state, say=say)
+                found = fit(body, logs, settings, command.fit, command.truth, state=state, say=show)
         except KeyboardInterrupt:
-            print("voodoo-jax fit: interrupted; the same command goes on from the last step", file=sys.stderr)
+            say("fit", "interrupted; the same command goes on from the last step")
             return 130
         except (BodyFileError, TruthError, FitError, LogError, ValueError, OSError) as problem:
-            print(f"voodoo-jax fit: {problem}", file=sys.stderr)
+            say("fit", problem)
             return 1 if isinstance(problem, (FitError, LogError)) and logs else 2
     try:
         files = _write(command, settings, found, bodies)
         state.unlink(missing_ok=True)
     except OSError as problem:
-        print(f"voodoo-jax fit: {problem}; what was fitted is kept in {state}", file=sys.stderr)
+        say("fit", f"{problem}; what was fitted is kept in {state}")
         return 1
-    print(found.verdict.why)
+    tell(found.verdict.why)
     if not found.better:
         kept = "The fitted body is written all the same."
-        print(kept if command.keep_anyway else "No body is written; --keep-anyway writes it.")
-    print(f"written: {', '.join(map(str, files))}")
+        tell(kept if command.keep_anyway else "No body is written; --keep-anyway writes it.")
+    tell(f"written: {', '.join(map(str, files))}")
     return 0
 
 

@@ -1,11 +1,16 @@
 """The command `live`: tracks while it is recorded."""
 
 import signal
-import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 
+from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import PRESET_BODIES, Live
+from voodoo_jax.cli.printing import tell
+
+say = partial(printing.say, "live")
+
 
 PORTS = 1 << 16  # of TCP
 
@@ -19,11 +24,7 @@ def run_live(command: Live) -> int:
     from voodoo_jax.io.container import LogError
     from voodoo_jax.io.live.sources import open_source
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
-    from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.trackers.stages import check_stages
-
-    def say(text: object) -> None:
-        print(f"voodoo-jax live: {plain(str(text), SENTENCE)}", file=sys.stderr, flush=True)
 
     if not command.source:
         say("name a growing .mcap file, the folder of a bag, or a Foxglove WebSocket such as ws://localhost:8765")
@@ -46,11 +47,10 @@ def run_live(command: Live) -> int:
         from voodoo_jax.batch.live import LiveJob, track_live
         from voodoo_jax.trackers.base import Unsuitable
 
-        job = LiveJob(command.source, command.out, body, settings)
+        job = LiveJob(command.source, command.out, body, settings, command.names)
     except (CacheError, BodyFileError, SettingsError, OSError, ValueError) as problem:
         say(problem)
         return 2
-    begun = False
     try:
         with ExitStack() as stack:
             with limited(settings.limits):
@@ -59,15 +59,12 @@ def run_live(command: Live) -> int:
             publishers = _publishers(command, str(job.targets[1]), stack, say)
             if publishers is None:
                 return 2
-            begun = True
             _end_by_interrupt(source, stack)
             outcome = track_live(job, source, publishers, say, say)
     except (LogError, SettingsError, Unsuitable, OSError) as problem:
         say(problem)
-        if begun and not isinstance(problem, OSError):
-            job.targets[1].unlink(missing_ok=True)  # nothing is in it
         return 1
-    print(outcome)
+    tell(outcome)
     return 0 if outcome.ok else 1
 
 

@@ -4,9 +4,10 @@ import atexit
 import gc
 import os
 import sys
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
@@ -28,17 +29,24 @@ from voodoo_jax.cli.commands import (
     UsualSettings,
     View,
 )
-from voodoo_jax.config.old_names import with_new_flags, with_new_names
+from voodoo_jax.cli.printing import say, tell
 from voodoo_jax.config.options import Settings, SettingsError
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.config.presets import PRESETS, preset
 from voodoo_jax.config.ray_tasks import RayTasks
-from voodoo_jax.config.toml import check_settings, read_settings, settings_from, settings_text
+from voodoo_jax.config.toml import check_settings, read_settings, settings_text
 from voodoo_jax.storage.troubles import WHILE_WRITING, NotWritten
 
 if TYPE_CHECKING:
     from voodoo_jax.batch.outcome import Outcome
 
 ALL_HELP = "--help-all"
+# modules of this package with a function run_<name>
+ELSEWHERE = {
+    Live: "live", Export: "export", Convert: "convert", View: "view", BodyCommand: "body", FitCommand: "fit",
+    TuneCommand: "tune",
+}  # fmt: skip
+ALL = 1 << 20  # characters of a list of logs: not cut
 _T = TypeVar("_T")
 
 
@@ -51,28 +59,27 @@ def run_replay(command: Replay) -> int:
     """0 if every log was tracked, 1 if one failed, 2 if nothing could be begun, 3 if all were but one lost frames to
     damage."""
     if not command.logs:
-        print("voodoo-jax replay: name at least one log", file=sys.stderr)
+        say("replay", "name at least one log")
         return 2
     if command.settings.online and command.results.smooth:
-        print("voodoo-jax replay: --smooth averages over later frames too; leave it out with --online", file=sys.stderr)
+        say("replay", "--smooth averages over later frames too; leave it out with --online")
         return 2
     gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.batch.replay import NotSummedUp, replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
     from voodoo_jax.config.limited import limited
     from voodoo_jax.model.body_file import BodyFileError, load_on_host
-    from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.trackers.stages import check_stages
 
     gc.enable()
 
     def without_cache(problem: str) -> None:
-        print(f"voodoo-jax replay: {problem}; it goes on without", file=sys.stderr)
+        say("replay", f"{problem}; it goes on without")
 
     try:
         cache = safe_folder(command.running.compile_cache, without_cache)
     except CacheError as problem:
-        print(f"voodoo-jax replay: {problem}", file=sys.stderr)
+        say("replay", problem)
         return 2
     if problem := use_compile_cache(cache):
         without_cache(problem)
@@ -82,19 +89,20 @@ def run_replay(command: Replay) -> int:
             body = load_on_host(body_name(command))
         check_stages(command.settings)
         wanted, how = command.results, command.running
+        style = Style(wanted.names, wanted.rig, wanted.pose)
         outcomes = replay(
             command.logs, wanted.out, body, command.settings, smooth_seconds=wanted.smooth, picture=wanted.picture,
-            html=wanted.html, report=wanted.report, export=[wanted.export], again=how.again, workers=how.workers,
-            engine=how.engine, shard=how.shard, compile_cache=cache or "off", log_timeout=how.log_timeout,
-            ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
+            html=wanted.html, report=wanted.report, export=[wanted.export], style=style, again=how.again,
+            workers=how.workers, engine=how.engine, shard=how.shard, compile_cache=cache or "off",
+            log_timeout=how.log_timeout, ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
         )  # fmt: skip
     except NotSummedUp as problem:
-        print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)
+        say("replay", problem)
         outcomes, unsummed = problem.outcomes, True
     except (BodyFileError, ValueError, OSError) as problem:
         if _of_printing(problem):
             raise
-        print(f"voodoo-jax replay: {plain(str(problem), SENTENCE)}", file=sys.stderr)
+        say("replay", problem)
         return 2
     return 1 if _summed_up(outcomes, command.results.out) or unsummed else 3 if _damaged(outcomes) else 0
 
@@ -106,11 +114,11 @@ def _summed_up(outcomes: "list[Outcome]", out: str) -> bool:
     failed = [o for o in outcomes if not o.ok]
     frames, skipped = sum(o.frames for o in outcomes), sum(o.skipped for o in outcomes)
     before = f" ({skipped} of them finished before)" if skipped else ""
-    print(f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked{before}, {frames} frames, results in {out}")
+    tell(f"{len(outcomes) - len(failed)} of {len(outcomes)} logs tracked{before}, {frames} frames, results in {out}")
     if failed:
-        print("not tracked: " + ", ".join(plain(o.name) for o in failed), file=sys.stderr)
+        say("replay", "not tracked: " + ", ".join(plain(o.name) for o in failed), ALL)
     if damaged := _damaged(outcomes):
-        print("damaged, frames are missing: " + ", ".join(plain(o.name) for o in damaged), file=sys.stderr)
+        say("replay", "damaged, frames are missing: " + ", ".join(plain(o.name) for o in damaged), ALL)
     return bool(failed)
 
 
@@ -122,11 +130,10 @@ def _damaged(outcomes: "list[Outcome]") -> "list[Outcome]":
 def run_info(command: Info) -> int:
     """0 if every log could be read, 1 if one could not, 2 if none was named or found."""
     if not command.logs:
-        print("voodoo-jax info: name at least one log", file=sys.stderr)
+        say("info", "name at least one log")
         return 2
     from voodoo_jax.io.limits import limited
     from voodoo_jax.io.log_reader import LogError, survey
-    from voodoo_jax.records.notes import SENTENCE, plain
     from voodoo_jax.storage.urls import expanded
 
     status = 0
@@ -134,21 +141,20 @@ def run_info(command: Info) -> int:
         check_settings(Settings(read=command.read, limits=command.limits))
         paths = [path for place in command.logs for path in expanded(place)]
     except ValueError as problem:
-        print(f"voodoo-jax info: {problem}", file=sys.stderr)
+        say("info", problem)
         return 2
     for path in paths:
         try:
             with limited(command.limits):
                 found = str(survey(path, command.read))
         except (LogError, SettingsError) as problem:
-            print(f"voodoo-jax info: {problem}", file=sys.stderr)
+            say("info", problem)
             status = 1
         except Exception as problem:  # one log's trouble is not the others'
-            text = plain(f"'{path}': unexpected {type(problem).__name__}: {problem}", SENTENCE)
-            print(f"voodoo-jax info: {text}", file=sys.stderr)
+            say("info", f"'{path}': unexpected {type(problem).__name__}: {problem}")
             status = 1
         else:
-            print(found)
+            tell(found)
     return status
 
 
@@ -161,7 +167,7 @@ def run_demo(command: Demo) -> int:
     except (OSError, ValueError) as problem:
         if _of_printing(problem):
             raise
-        print(f"voodoo-jax demo: {problem}", file=sys.stderr)
+        say("demo", problem)
         return 2
 
 
@@ -199,23 +205,17 @@ def main(argv: list[str] | None = None) -> int:
     if argv == ["--version"]:
         from voodoo_jax._version import __version__
 
-        print(f"voodoo-jax {__version__}")
+        tell(f"voodoo-jax {__version__}")
         return 0
     try:
-        with warnings.catch_warnings(record=True) as hints:
-            warnings.simplefilter("always", FutureWarning)
-            argv, said = with_new_flags(argv)
-            path, name = _flag(argv, "--config"), _flag(argv, "--preset")
-            base = preset(name) if name in PRESETS else Settings()
-            base = read_settings(path, base) if path else base
-            base = settings_from(with_new_names(said, base), base, "command line")
-        for text in dict.fromkeys(str(hint.message) for hint in hints):
-            print(f"voodoo-jax: {text}", file=sys.stderr)
+        path, name = _flag(argv, "--config"), _flag(argv, "--preset")
+        base = preset(name) if name in PRESETS else Settings()
+        base = read_settings(path, base) if path else base
     except SettingsError as problem:
-        print(f"voodoo-jax: {problem}", file=sys.stderr)
+        say("", problem)
         return 2
     except OSError as problem:
-        print(f"voodoo-jax: cannot read the settings file {path}: {problem.strerror}", file=sys.stderr)
+        say("", f"cannot read the settings file {path}: {problem.strerror}")
         return 2
     if argv[:1] in (["replay"], ["live"]):
         # NumPy makes no threads then, and workers can be copies of this process; its matrices are small here
@@ -226,7 +226,7 @@ def main(argv: list[str] | None = None) -> int:
         try:
             check_settings(command.settings)
         except SettingsError as problem:
-            print(f"voodoo-jax {name}: {problem}", file=sys.stderr)
+            say(name, problem)
             return 2
     else:
         argv = ["--help" if word == ALL_HELP else word for word in argv]
@@ -238,7 +238,7 @@ def main(argv: list[str] | None = None) -> int:
         # a progress bar that is interrupted as it takes its lock raises RuntimeError while it lets go of it (tqdm)
         if not isinstance(problem, KeyboardInterrupt) and not isinstance(problem.__context__, KeyboardInterrupt):
             raise
-        print("voodoo-jax: interrupted; finished logs are complete", file=sys.stderr)
+        say("", "interrupted; finished logs are complete")
         return 130
 
 
@@ -255,7 +255,7 @@ def _quietly(do: Callable[[], _T]) -> _T:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more at its end
         if isinstance(problem, BrokenPipeError):
             raise SystemExit(141) from None  # 128 + SIGPIPE, as of other commands
-        print(f"voodoo-jax: what it prints cannot be written: {problem.strerror}", file=sys.stderr)
+        say("", f"what it prints cannot be written: {problem.strerror}")
         raise SystemExit(1) from None
 
 
@@ -283,46 +283,18 @@ def _open_standard_files() -> None:
 
 
 def _run(command: Command, base: Settings) -> int:
-    if isinstance(command, Layout):
-        from importlib.resources import files
-
-        print(files("voodoo_jax").joinpath("data", "foxglove_layout.json").read_text(), end="")
-        return 0
-    if isinstance(command, Live):
-        from voodoo_jax.cli.live import run_live
-
-        return run_live(command)
-    if isinstance(command, Export):
-        from voodoo_jax.cli.export import run_export
-
-        return run_export(command)
-    if isinstance(command, Convert):
-        from voodoo_jax.cli.convert import run_convert
-
-        return run_convert(command)
-    if isinstance(command, View):
-        from voodoo_jax.cli.view import run_view
-
-        return run_view(command)
-    if isinstance(command, BodyCommand):
-        from voodoo_jax.cli.body import run_body
-
-        return run_body(command)
-    if isinstance(command, FitCommand):
-        from voodoo_jax.cli.fit import run_fit
-
-        return run_fit(command, base)
-    if isinstance(command, TuneCommand):
-        from voodoo_jax.cli.tune import run_tune
-
-        return run_tune(command, base)
+    for kind, name in ELSEWHERE.items():
+        if isinstance(command, kind):
+            run = getattr(import_module(f"voodoo_jax.cli.{name}"), f"run_{name}")
+            return run(command, base) if kind in (FitCommand, TuneCommand) else run(command)
     if isinstance(command, Replay):
         return run_replay(command)
     if isinstance(command, Info):
         return run_info(command)
     if isinstance(command, Demo):
         return run_demo(command)
-    print(settings_text(base), end="")
+    layout = files("voodoo_jax").joinpath("data", "foxglove_layout.json")
+    tell((layout.read_text() if isinstance(command, Layout) else settings_text(base)).rstrip("\n"))
     return 0
 
 

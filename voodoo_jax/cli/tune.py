@@ -1,6 +1,5 @@
 """`voodoo-jax tune`: logs with truth in, settings of the flexible tracker out, if they are better."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ from tqdm.auto import tqdm
 
 from voodoo_jax.cli.commands import TuneCommand
 from voodoo_jax.cli.demo import RATE
+from voodoo_jax.cli.printing import say, tell
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.presets import preset
 from voodoo_jax.config.toml import settings_text
@@ -20,6 +20,7 @@ from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.io.limits import limited
 from voodoo_jax.io.log_reader import LogError
 from voodoo_jax.model.body_file import BodyFileError, load_body
+from voodoo_jax.records.notes import shown
 from voodoo_jax.storage.atomic import check_writable, made_folder, replacing
 from voodoo_jax.storage.urls import expanded
 from voodoo_jax.trackers.base import Unsuitable
@@ -43,31 +44,31 @@ def run_tune(command: TuneCommand, base: Settings) -> int:
         truths = command.truth or [Path(log).with_suffix(".truth.npz") for log in logs]
         with limited(settings.limits), tqdm(total=command.tune.evaluations, leave=False, disable=None) as bar:
 
-            def say(what: str, count: int) -> None:
-                bar.set_description(what)
+            def show(what: str, count: int) -> None:
+                bar.set_description(shown(what))
                 bar.n = count
                 bar.refresh()
 
-            found = tune(load_body(command.body or "human"), logs, truths, settings, command.tune, say)
+            found = tune(load_body(command.body or "human"), logs, truths, settings, command.tune, show)
     except KeyboardInterrupt:
-        print("voodoo-jax tune: interrupted; nothing was written", file=sys.stderr)
+        say("tune", "interrupted; nothing was written")
         return 130
     except ModuleNotFoundError as problem:
         if problem.name != "cma":
             raise
-        print('voodoo-jax tune: needs the package cma: pip install -e ".[tune]"', file=sys.stderr)
+        say("tune", 'needs the package cma: pip install -e ".[tune]"')
         return 2
     except (BodyFileError, TruthError, FitError, LogError, Unsuitable, ValueError, OSError) as problem:
-        print(f"voodoo-jax tune: {problem}", file=sys.stderr)
+        say("tune", problem)
         return 1 if isinstance(problem, (FitError, LogError, Unsuitable)) and command.logs else 2
-    print("\n".join(report(found)))
+    tell("\n".join(report(found)))
     if found.better:
         with replacing(command.out) as partial:
             partial.write_text(settings_text(found.found), encoding="utf-8")
-        print(f"written: {command.out}")
+        tell(f"written: {command.out}")
     else:
         command.out.unlink(missing_ok=True)  # an older one would be taken for this search's
-        print("No settings are written.")
+        tell("No settings are written.")
     return 0
 
 

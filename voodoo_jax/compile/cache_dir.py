@@ -242,21 +242,14 @@ def spoiled(name: str) -> None:
 @contextmanager
 def alone(name: str) -> Iterator[None]:
     """Waits until no other process is busy with this name, or for so long that it is not worth it."""
+    from filelock import FileLock, Timeout  # takes a while, and few processes compile
+
     with ExitStack() as stack:
         for shared, _ in list(_own.values()):
-            with suppress(OSError, ImportError):
-                import fcntl  # not on Windows
-
+            with suppress(OSError, Timeout):
                 lock = shared / f"{LOCK}{name}"
-                stream = stack.enter_context(os.fdopen(os.open(lock, OPENED | os.O_RDWR | os.O_CREAT, 0o600), "r+"))
+                stack.enter_context(FileLock(lock, PATIENCE, mode=0o600))
                 stack.callback(lock.unlink, missing_ok=True)
-                until = time.monotonic() + PATIENCE
-                while time.monotonic() < until:
-                    try:
-                        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                        break
-                    except BlockingIOError:
-                        time.sleep(0.05)
         yield
 
 

@@ -23,3 +23,9 @@ def limited(to: LimitSettings) -> Iterator[None]:
         yield
     finally:
         _now.reset(before)
+
+
+def too_large(what: str, size: int, limit: str, unit: str = "bytes") -> str:
+    """The sentence's end for something that is larger than a limit, "" for what is not."""
+    most = getattr(limits(), limit)
+    return f"{what} {size} {unit}, more than the {most} that are allowed (--limits.{limit})" if size > most else ""

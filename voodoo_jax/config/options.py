@@ -47,13 +47,20 @@ class ReadSettings:
     scale: tuple[str, ...] = ()
     """Topic = metres per unit of its distances or coordinates (0.001: millimetres); without an entry it is found."""
     mirror: tuple[str, ...] = ()
-    """Topic = axis (x, y or z) that is turned round, of named points in left-handed coordinates, such as Unity's; none:
+    """Topic = axis (x, y or z) that is turned round: of named points in left-handed coordinates, such as Unity's, and
+    of clouds; of depth images x where they are mirrored left to right, y upside down. none, of named points:
     coordinates are right-handed, and it is names that are on the wrong sides."""
+    radial: tuple[str, ...] = ()
+    """Depth image topic = yes where its values are distances along the rays, no where they are depths along the optical
+    axis; without an entry floor and walls tell it."""
     delays: tuple[str, ...] = ()
     """Topic = seconds by which its stamps are late (negative: early); without an entry clocks are brought together."""
     camera: tuple[str, ...] = ()
     """Calibration of depth images and cameras: topic = file (a camera_info as YAML, TOML or JSON), or one file for all
     images whose calibration is not in the log."""
+    types: tuple[str, ...] = ()
+    """Definitions of messages (.msg files of their packages) that an SQLite bag of ROS 2 lacks; usual drivers' are
+    known."""
     transform: tuple[str, ...] = ()
     """Transforms that the log lacks or has wrong: "parent child x y z qx qy qz qw" (metres), each of them a text."""
 
@@ -344,6 +351,9 @@ class LimitSettings:
     # a person with all fingers has 55, a quadruped robot 20; a program for them is compiled for each pair of limbs
     limbs: int = 256
     """Limbs of a body file."""
+    # together with the libraries that read it (0.2 GB) this stays below 2 GB
+    memory: int = 3 << 29
+    """Bytes of memory for reading a file of another format."""
     # no recording at hand needs more than 6 s for its first frame (measured, one slow core): ten times that
     seconds: float = 60.0
     """Seconds of a processor in which a log must yield its next frame, for each GiB begun of its size; 0: no limit."""

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from voodoo_jax.config.bounds import LARGEST, LEAST, SIZES
-from voodoo_jax.config.old_names import with_new_names
 from voodoo_jax.config.options import (
     Change,
     DetectSettings,
@@ -82,6 +81,8 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
                 int(key)
             if name == "read.mirror" and value not in ("x", "y", "z", "none"):
                 good = False
+            if name == "read.radial" and value not in ("yes", "no"):
+                good = False
         except ValueError:
             good = False
         if not good:
@@ -114,7 +115,7 @@ def read_settings(path: str | os.PathLike[str], base: "Settings | None" = None) 
     except (ValueError, RecursionError) as problem:  # of its syntax, its bytes, or numbers of thousands of digits
         raise SettingsError(f"{path}: not a TOML file: {problem}") from problem
     try:
-        return settings_from(with_new_names(content, base), base, path)
+        return settings_from(content, base, path)
     except SettingsError as problem:
         raise problem if str(problem).startswith(f"{path}") else SettingsError(f"{path}: {problem}") from None
 
@@ -280,6 +281,7 @@ _PAIRS = {
     "read.scale": True,
     "read.delays": True,
     "read.mirror": False,
+    "read.radial": False,
 }
 # seconds between two clocks may be those since 1970; no unit of length is smaller than a picometre
 _PAIR_BOUNDS = {"read.delays": (-4e9, 4e9), "read.scale": (1e-12, LARGEST)}
@@ -293,6 +295,7 @@ _EXAMPLES = {
     "read.weights": "topic=number, such as /stereo/points=0.5",
     "read.scale": "topic=metres per unit, such as /camera/depth=0.001",
     "read.mirror": "topic=axis (x, y, z or none), such as /markers=z",
+    "read.radial": "topic=yes or no, such as /tof/distance=yes",
     "read.delays": "topic=seconds, such as /lidar/points=0.25",
 }
 _BOUNDS: dict[str, tuple[float, float]] = {

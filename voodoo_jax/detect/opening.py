@@ -10,6 +10,7 @@ from voodoo_jax.detect.delays import offsets
 from voodoo_jax.detect.smeared_edges import without_smeared_edges
 from voodoo_jax.detect.units import with_units
 from voodoo_jax.io.container import LogFile, Place
+from voodoo_jax.io.convert.in_passing import as_mcap
 from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
 from voodoo_jax.records.recording import Recording
 
@@ -51,9 +52,12 @@ def read_log(
     settings: ReadSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Recording:
-    """Read a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`.
+    """Read a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`. Recordings of other formats
+    are converted in passing.
 
     Raises LogError if the log cannot be read, holds nothing to track, or its units are in doubt; ValueError if
     `settings.max_points` is less than 1.
     """
-    return read_whole(open_checked(path, settings), progress)
+    with as_mcap(path, (settings or ReadSettings()).types) as (log, notes):
+        read = read_whole(open_checked(log, settings), progress)
+    return read if log is path else replace(read, path=str(path), notes=(*notes, *read.notes))

@@ -17,13 +17,13 @@ from scipy.spatial import KDTree
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.drop_motionless import DropMotionless
-from voodoo_jax.detect.segmentation import SPEED, STILL, TELLING, BodySegmenter
+from voodoo_jax.detect.segmentation import SPEED, STILL, TELLING, BodySegmenter, Cleared
 from voodoo_jax.detect.stillness import NOISE, Stillness, directions, filled, seen_long
 from voodoo_jax.detect.target_selection import LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import picked
 from voodoo_jax.geometry.voxels import cells_of, touching, unique_cells, within
-from voodoo_jax.records.observation import BodyObservation, whole
+from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
@@ -122,7 +122,7 @@ class Sighting:
         walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
         return (speed if walks else 0 * speed).astype(np.float32)
 
-    def see(self, frame: BodyObservation, mine: Bool[np.ndarray, " point"], number: int) -> None:
+    def see(self, frame: Cleared, mine: Bool[np.ndarray, " point"], number: int) -> None:
         """Follows them in the next frame, among the points that may be theirs (`mine`)."""
         if self.is_person:  # and remains one: nothing is compared any more
             self.add(self.finder(frame, mine=mine), number)
@@ -170,7 +170,7 @@ class People:
         self._left: list[Sighting] = []
         self._things: list[np.ndarray] = []  # points of what has not moved for long
         self._passed = np.zeros((0, 3), np.int32)  # where things are among which nobody was found: see BodySegmenter
-        self._recent: deque[tuple[Frame, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
+        self._recent: deque[tuple[Frame | Cleared, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
         self._origin: Follower | None = None  # of the chooser, whom the first one continues
         self._continued: Sighting | None = None  # that one
         self._before: list[BodyObservation] = []  # what waited of them then
@@ -202,29 +202,31 @@ class People:
     # -- frame by frame
 
     def _see(self, frame: Frame) -> None:
-        if self._followed or self._left:
-            self._follow(frame)
+        looks = self._number % LOOK == 0 and len(self._followed) < ALL
+        clear = self.chooser.finder.cleared(frame) if self._followed or looks else frame
+        if isinstance(clear, Cleared) and (self._followed or self._left):
+            self._follow(clear)
             self._several = self._several or _are_several(self._followed)
         taken = [s.finder.last for s in self._followed if s.finder.last is not None]
         if not self._followed and self.chooser.finder.last is not None:
             taken = [self.chooser.finder.last]
-        self._recent.append((frame, taken))
-        if self._number % LOOK == 0 and taken and len(self._followed) < ALL:
-            self._look(frame, taken)
+        self._recent.append((clear, taken))
+        if looks and isinstance(clear, Cleared) and taken:
+            self._look(clear, taken)
 
-    def _follow(self, frame: Frame) -> None:
+    def _follow(self, clear: Cleared) -> None:
         """Shares the points out among those who are followed, the nearer ones to the sensors first."""
         self._followed.sort(key=lambda s: s.finder.unseen)
-        seen = whole(frame)
+        seen = clear.seen
         owner = _owners(seen, [s.finder for s in self._followed], self.settings.move)
         before = [s.finder.last for s in self._followed]
-        seconds, self._last_ns = max(0.0, (frame.time_ns - self._last_ns) / 1e9), frame.time_ns
+        seconds, self._last_ns = max(0.0, (seen.time_ns - self._last_ns) / 1e9), seen.time_ns
         for k, sighting in enumerate(self._followed):
             mine = sighting.finder.last
             others = [p for j, p in enumerate(before) if j != k and p is not None]
             # by an arm alone somebody is known who stands still else, unless it may be another one's
             sighting.follower.alone = mine is not None and not sighting.is_person and not _beside(mine, others)
-            sighting.see(seen, (owner == k) | (owner < 0), self._number)
+            sighting.see(clear, (owner == k) | (owner < 0), self._number)
             owner[sighting.finder.taken] = k
         owned = np.flatnonzero(owner >= 0)
         whose, nearest = owner[owned], Nearest.shared(seen.points[owned], seen.sensor[owned], seen.origins)
@@ -235,7 +237,7 @@ class People:
             twice = any(same(sighting.follower, s.follower) for s in others)
             if sighting.finder.last is None or twice:
                 self._end(sighting)
-            elif not sighting.is_person and frame.time_ns - sighting.born_ns > IDLE_NS and not sighting.sways():
+            elif not sighting.is_person and seen.time_ns - sighting.born_ns > IDLE_NS and not sighting.sways():
                 self._things.append(sighting.finder.last[:: max(1, len(sighting.finder.last) // SOME)])
                 self._followed.remove(sighting)
 
@@ -244,7 +246,7 @@ class People:
         if sighting.is_person or sighting.sways():
             self._left.append(sighting)
 
-    def _look(self, frame: Frame, taken: list[np.ndarray]) -> None:
+    def _look(self, frame: Cleared, taken: list[np.ndarray]) -> None:
         """Begins to follow somebody else, if there is anybody of a body's shape."""
         if self._number % (AGAIN * LOOK) == 0:
             self._passed = self._passed[:0]
@@ -262,27 +264,27 @@ class People:
             if len(self._followed) >= ALL:
                 return
 
-    def _main(self, frame: Frame) -> Sighting:
+    def _main(self, frame: Cleared) -> Sighting:
         """Whom the chooser follows, from here on together with others."""
         main = self.chooser.main
         self._origin, self._before = main, list(main.frames)
         self._continued = Sighting(main.forked(), self._number + 1, born_ns=frame.time_ns)
         return self._continued
 
-    def _found(self, frame: Frame, finder: BodySegmenter, seen: BodyObservation) -> Sighting:
+    def _found(self, frame: Cleared, finder: BodySegmenter, seen: BodyObservation) -> Sighting:
         """Somebody, followed back to when they came into view, which was after the last look."""
-        earlier: list[tuple[BodyObservation, Frame]] = []
+        earlier: list[tuple[BodyObservation, Frame | Cleared]] = []
         if self.ahead:
             back = finder.another(self.settings)
-            back.last, back.last_ns = seen.points, frame.time_ns
+            back.last, back.last_ns = seen.points, seen.time_ns
             for old, taken in list(self._recent)[-2::-1]:
                 earlier.append((back(old, taken), old))
                 if len(earlier[-1][0].points) < TELLING:
                     earlier.pop()
                     break
-        sighting = Sighting(Follower(finder), self._number - len(earlier), born_ns=frame.time_ns)
+        sighting = Sighting(Follower(finder), self._number - len(earlier), born_ns=seen.time_ns)
         for k, (each, old) in enumerate([*earlier[::-1], (seen, frame)]):
-            sighting.follower.note(each, old)
+            sighting.follower.note(each, old.frame if isinstance(old, Cleared) else old)
             sighting.add(each, sighting.first + k)
         return sighting
 

@@ -27,7 +27,7 @@ from voodoo_jax.detect.target_selection import Chooser
 from voodoo_jax.detect.weigh_by_noise import WeighByNoise
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.rest_shape import rest_box, rest_height
-from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.observation import BodyObservation, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.subject import Subject
@@ -84,6 +84,14 @@ def find_people(
         seen = [*one.early, *spilled(_corrected(one.frames, one, body, settings))]
         subjects.append(Subject(number, one.scene, seen))
     return subjects or [Subject(1, chooser.finder.scene, main)]
+
+
+def only_named(
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
+) -> list[Subject]:
+    """As `find_people`, for recordings without depth: there are no points among which a body could be looked for."""
+    found = surroundings(frames, up, body, settings, up_is_given)
+    return [Subject(1, found.scene, [whole(frame) for frame in found.frames])]
 
 
 def surroundings(

@@ -4,7 +4,9 @@ Nothing here knows what the body looks like but its height and width at rest.
 """
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
@@ -59,6 +61,18 @@ MANY_BESIDE, SOME_BESIDE = 600, 200  # points beside the body that are kept in a
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
+class Cleared(NamedTuple):
+    """A frame without floor, walls and flying pixels: made once where several things are followed in it."""
+
+    seen: BodyObservation  # what is left of it
+    scene: Scene  # whose floor and walls are gone
+    frame: Frame | BodyObservation  # all of it
+
+    @property
+    def time_ns(self) -> int:
+        return self.frame.time_ns
+
+
 class BodySegmenter:
     """Follows one thing of a body's height and width through the frames: first the best candidate, then what hangs
     together with where it was. Places where other things were seen several times count as background from then on.
@@ -97,15 +111,24 @@ class BodySegmenter:
         self.scene = scene
         self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
 
+    def cleared(self, frame: Frame | BodyObservation) -> Cleared:
+        """The frame without floor, walls and flying pixels, for all who are followed in it."""
+        seen = whole(frame)
+        known = assigned(seen)
+        index = self._without_strays(seen, np.flatnonzero(self.off_planes(seen.points) & ~known))
+        index = index if seen.part is None else np.sort(np.concatenate([index, np.flatnonzero(known)]))
+        return Cleared(seen.only(index), self.scene, frame)
+
     def __call__(
         self,
-        frame: Frame | BodyObservation,
+        frame: Frame | BodyObservation | Cleared,
         taken: Sequence[Float32[np.ndarray, "_ 3"]] = (),
         mine: Bool[np.ndarray, " point"] | None = None,
     ) -> BodyObservation:
         """What is seen of the body in a frame, but for what is near points that are `taken` by others; `mine`: which
         points may be its own, None: all."""
-        s, frame = self.settings, whole(frame)
+        s, is_clear = self.settings, isinstance(frame, Cleared) and frame.scene is self.scene
+        frame = frame.seen if isinstance(frame, Cleared) else whole(frame)
         if len(taken) and frame.part is not None:
             frame, taken = frame.only(~near_taken(frame.points, taken)), ()
         points = frame.points
@@ -114,10 +137,11 @@ class BodySegmenter:
         if self.last is not None and len(sure):
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
-        index, distant = self._free(frame, known, mine)
+        index, distant = self._free(frame, known, mine, is_clear)
         if len(taken):  # here, where fewer are left to ask
             index, distant = index[~near_taken(points[index], taken)], distant[~near_taken(distant, taken)]
-        index = self._without_strays(frame, index[fair_share(frame.sensor[index], 20_000)])
+        index = index[fair_share(frame.sensor[index], 20_000)]
+        index = index if is_clear else self._without_strays(frame, index)
         # not where something else than the body was seen before
         index = index[self._background.at(points[index]) < 3]
         if self.last is None:
@@ -154,7 +178,11 @@ class BodySegmenter:
         return replace(seen, before=before, before_sensor=sensor) if len(before) else seen
 
     def _free(
-        self, frame: BodyObservation, known: Bool[np.ndarray, " point"], mine: Bool[np.ndarray, " point"] | None
+        self,
+        frame: BodyObservation,
+        known: Bool[np.ndarray, " point"],
+        mine: Bool[np.ndarray, " point"] | None,
+        is_clear: bool,
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
         """Indices of the points that may be its own (`mine`), are off floor and walls, not `known` already, and near
         where the body was; and, where it is time to look at the whole room, the points that are farther off."""
@@ -175,7 +203,9 @@ class BodySegmenter:
             survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
         free = ~known if mine is None else mine & ~known
         free = free if some is None else free[some]
-        if survey or self.last is None:
+        if is_clear:
+            index = np.flatnonzero(free if survey else near & free)
+        elif survey or self.last is None:
             index = np.flatnonzero(self.off_planes(points) & free)
         else:
             asked = np.flatnonzero(near & free)
@@ -223,6 +253,12 @@ class BodySegmenter:
         """One that follows nothing yet, for the same sensors."""
         other = BodySegmenter(self._given, self.body, settings)
         other._spacing, other._gap = dict(self._spacing), dict(self._gap)
+        return other
+
+    def forked(self) -> "BodySegmenter":
+        """One that goes on from here by itself, in the same scene."""
+        other = deepcopy(self, {id(scene): scene for scene in (self.scene, self._given)})
+        other.thins = False
         return other
 
     def lying(self, settings: DetectSettings, scene: Scene) -> "BodySegmenter":

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from voodoo_jax.geometry.point_cloud import point_spacing
-from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.observation import BodyObservation, that_differ
 
 FRAMES = 90  # are looked at, evenly spread
 OFTEN, FEWEST = 0.25, 8  # of them in which a thing at rest is seen, and how many at least
@@ -31,7 +31,7 @@ NOTHING = Resting(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, i
 
 def resting(frames: list[BodyObservation]) -> Resting:
     """What is at rest in the frames, of each sensor by itself; nothing of a sensor that moves."""
-    there = [k for k, f in enumerate(frames) if len(f.points) >= 30]
+    there = that_differ(frames, 30)
     there = np.array(there[:: len(there) // FRAMES + 1], int)
     if len(there) < FEWEST / OFTEN / 2:
         return NOTHING

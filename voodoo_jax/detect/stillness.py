@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from voodoo_jax.geometry.voxels import numbered
-from voodoo_jax.records.observation import BodyObservation, assigned
+from voodoo_jax.records.observation import BodyObservation, assigned, that_differ
 
 BIN = 0.035  # radians, two degrees: of the directions in which distances are averaged; by hand
 NOISE = 0.6  # measured: of von Neumann's ratio: noise alone is below in 1.4 % of the directions of 30 frames
@@ -35,7 +35,7 @@ class Directions(NamedTuple):
 def seen_long(frames: Sequence[BodyObservation], count: int, seconds: float) -> bool:
     """Whether so many frames have points, over so many seconds, by sensors that do not move, and nobody has said whose
     they are: then stillness tells something."""
-    there = [f for f in frames if len(f.points) >= TELLING]
+    there = [frames[k] for k in that_differ(frames, TELLING)]
     if len(there) < count or (there[-1].time_ns - there[0].time_ns) / 1e9 < seconds:
         return False
     moved = any(f.T_fixed_steady is not None or np.any(f.origins != there[0].origins) for f in there)

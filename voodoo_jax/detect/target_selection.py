@@ -5,7 +5,7 @@ the body is followed, too.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from copy import copy, deepcopy
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +17,7 @@ from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.drop_motionless import DropMotionless
 from voodoo_jax.detect.lying import extent
 from voodoo_jax.detect.raise_floor import with_beds
-from voodoo_jax.detect.segmentation import BodySegmenter, near_taken
+from voodoo_jax.detect.segmentation import BodySegmenter, Cleared, near_taken
 from voodoo_jax.detect.stillness import Stillness, breathes, seen_long
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import fair_share
@@ -112,16 +112,16 @@ class Follower:
         self.stirred = 0  # frames in which it was where nothing was before, if it left no place for that
         self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
-    def __call__(self, frame: Frame | BodyObservation) -> BodyObservation:
+    def __call__(self, frame: Frame | Cleared) -> BodyObservation:
         seen = self.see(frame)
         self.frames.append(seen)
         return seen
 
-    def see(self, frame: Frame | BodyObservation, mine: Bool[np.ndarray, " point"] | None = None) -> BodyObservation:
+    def see(self, frame: Frame | Cleared, mine: Bool[np.ndarray, " point"] | None = None) -> BodyObservation:
         """What is seen of it in a frame, among the points that are not another one's (`mine`, None: all)."""
         anew = self.finder.last is None
         seen = self.finder(frame) if mine is None else self.finder(frame, mine=mine)
-        self.note(seen, frame, anew)
+        self.note(seen, frame.frame if isinstance(frame, Cleared) else frame, anew)
         return seen
 
     def note(self, seen: BodyObservation, frame: Frame | BodyObservation, anew: bool = False) -> None:
@@ -136,8 +136,7 @@ class Follower:
     def forked(self) -> "Follower":
         """One that goes on from here by itself."""
         other = copy(self)
-        other.finder, other.frames = deepcopy(self.finder), []
-        other.finder.thins = False
+        other.finder, other.frames = self.finder.forked(), []
         return other
 
     def _compare(self, now: Sight) -> None:
@@ -221,9 +220,11 @@ class Chooser:
         yield from self._release()
 
     def _follow(self, frame: Frame) -> None:
-        self._main(frame)
+        looks = self._seen % LOOK == 0 and len(self._others) < MOST
+        clear = self.finder.cleared(frame) if self._others or looks or self.finder.last is None else frame
+        self._main(clear)
         for other in self._others:
-            other(frame)
+            other(clear)
         main = self._main  # what it has just found may be followed already
         known = (f for f in self._others if main.there == 1 < f.there and f.moved >= main.earlier and same(f, main))
         self._main = next(known, main)
@@ -235,18 +236,18 @@ class Chooser:
             if other.moves or (other.finder.last is not None and not any(same(other, one) for one in kept)):
                 kept.append(other)
         self._others = kept[1:]
-        if self._seen % LOOK == 0 and len(self._others) < MOST:
-            self._look(frame)
+        if looks and len(self._others) < MOST:
+            self._look(frame, clear)
         self._seen += 1
 
-    def _look(self, frame: Frame) -> None:
+    def _look(self, frame: Frame, clear: Frame | Cleared) -> None:
         """Begins to follow another thing, if there is one: a small one only where there is no other."""
         s = self.settings
         taken = [f.finder.last for f in (self._main, *self._others) if f.finder.last is not None]
         if self.finder.last is None:
             s = replace(s, min_height=min(s.min_height, LOW))
         finder = self.finder.another(s)
-        seen = finder(frame, taken)
+        seen = finder(clear, taken)
         if len(seen.points) < 30 or finder.likely < LIKELY * self.finder.likely:
             finder, seen = self._lying(frame, taken)
         if len(seen.points) >= 30:

@@ -11,6 +11,7 @@ import warnings
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.frames import ANIMATION, evenly
 from voodoo_jax.exporters.skeleton import Skeleton, skeleton
 from voodoo_jax.records.tracks import Tracks
@@ -21,19 +22,19 @@ PLACES = "Xposition Yposition Zposition"
 CENTIMETRES = 100.0
 
 
-def write(tracks: Tracks, path: str | os.PathLike[str]) -> None:
+def write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None = None) -> None:
     """Writes a BVH whose joints are those of the tracks. Raises OSError."""
-    _write(tracks, path, rigid=False)
+    _write(tracks, path, style, rigid=False)
 
 
-def write_rigid(tracks: Tracks, path: str | os.PathLike[str]) -> None:
+def write_rigid(tracks: Tracks, path: str | os.PathLike[str], style: Style | None = None) -> None:
     """Writes a BVH of limbs of fixed lengths, without positions but the root's. Raises OSError."""
-    _write(tracks, path, rigid=True)
+    _write(tracks, path, style, rigid=True)
 
 
-def _write(tracks: Tracks, path: str | os.PathLike[str], rigid: bool) -> None:
+def _write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None, rigid: bool) -> None:
     tracks, rate = evenly(tracks)
-    bones = skeleton(tracks, ANIMATION)
+    bones = skeleton(tracks, ANIMATION, style, rigid)
     lines = ["HIERARCHY", *_joint(bones, 0, 0, rigid), "MOTION", f"Frames: {len(tracks.time_ns)}"]
     lines.append(f"Frame Time: {1 / rate:.9f}")
     columns = []

@@ -28,7 +28,7 @@ def write(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     point["UNITS"]["value"] = ["mm"]
     point["RATE"]["value"] = [rate]
     point["LABELS"]["value"] = names
-    centres = len(tracks.body.topology.centres)
+    centres = len(tracks.joint_names)
     what = ["joint centre"] * centres + ["landmark of the tracked body"] * (len(names) - centres)
     point["DESCRIPTIONS"]["value"] = what
     file.add_parameter("POINT", "X_SCREEN", ["+X"])

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.troubles import check_text
 
@@ -21,6 +22,7 @@ class Format(NamedTuple):
     other_suffixes: tuple[str, ...] = ()
     package: str = ""  # module that has to be installed
     extra: str = ""  # by which this package installs it
+    bones: bool = False  # it holds a skeleton, which a Style names
 
 
 HELD = "repeat the last pose"
@@ -28,11 +30,11 @@ FORMATS = {
     "csv": Format(".csv", "table", "are marked as not tracked"),
     "trc": Format(".trc", "trc", "have NaN"),
     "c3d": Format(".c3d", "c3d", "have points with the residual -1", package="ezc3d", extra="c3d"),
-    "bvh": Format(".bvh", "bvh", HELD),
-    "bvh-rigid": Format(".rigid.bvh", "bvh", HELD, function="write_rigid"),
+    "bvh": Format(".bvh", "bvh", HELD, bones=True),
+    "bvh-rigid": Format(".rigid.bvh", "bvh", HELD, function="write_rigid", bones=True),
     "mot": Format(".mot", "mot", "are left out"),
-    "gltf": Format(".glb", "gltf", HELD, other_suffixes=(".gltf",)),
-    "usd": Format(".usd", "usd", HELD, other_suffixes=(".usda", ".usdc"), package="pxr", extra="usd"),
+    "gltf": Format(".glb", "gltf", HELD, other_suffixes=(".gltf",), bones=True),
+    "usd": Format(".usd", "usd", HELD, other_suffixes=(".usda", ".usdc"), package="pxr", extra="usd", bones=True),
 }
 
 
@@ -62,11 +64,12 @@ def format_of(path: str | os.PathLike[str]) -> str:
     raise ExportError(f"'{path}': which format is that? Names end in {', '.join(ends)}")
 
 
-def export(tracks: Tracks, path: str | os.PathLike[str], format: str = "") -> Path:
+def export(tracks: Tracks, path: str | os.PathLike[str], format: str = "", style: Style | None = None) -> Path:
     """Writes tracks as a file for other programs, and returns its path.
 
     **Arguments:** `path` by whose ending the format is chosen: .csv, .trc, .c3d, .bvh, .mot, .glb or .gltf, .usd or
-    .usda; `format` another one of exporters.formats.FORMATS. What each holds is in docs/results.md.
+    .usda; `format` another one of exporters.formats.FORMATS; `style` names of joints and bones, and the bind pose. What
+    each format holds is in docs/results.md.
 
     Raises ExportError (a ValueError) for an unknown format, a missing package or tracks without frames; OSError.
     """
@@ -78,7 +81,8 @@ def export(tracks: Tracks, path: str | os.PathLike[str], format: str = "") -> Pa
     except ValueError as problem:
         raise ExportError(str(problem)) from problem
     how = FORMATS[name]
-    getattr(import_module(f"voodoo_jax.exporters.{how.module}"), how.function)(tracks, path)
+    tracks, bones = tracks.with_names(style.names) if style else tracks, (style,) if how.bones else ()
+    getattr(import_module(f"voodoo_jax.exporters.{how.module}"), how.function)(tracks, path, *bones)
     return Path(path)
 
 

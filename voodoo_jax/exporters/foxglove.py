@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -31,17 +30,15 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Float32
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
+from voodoo_jax.exporters.limb_shapes import loft, profile
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.storage.atomic import replacing
-
-if TYPE_CHECKING:
-    import trimesh
 
 SCENE_PERIOD_NS = 1_000_000_000  # the body is written again this often, for readers that seek without looking back
 SAME_RATIO = 0.02  # ends whose axis ratios differ less are one CylinderPrimitive
@@ -104,6 +101,7 @@ class BodyMessages:
 
     def __init__(self, person: int = 1):
         self._prefix = "voodoo/" if person == 1 else f"voodoo/{person}/"
+        self._tracks: Tracks | None = None
         self._body: Body | None = None  # that is shown
         self._next_scene: int | None = None
         self._shown: frozenset[str] = frozenset()
@@ -116,7 +114,10 @@ class BodyMessages:
         """Messages of frame `i` by what they say; `confidence` as in Tracks."""
         if tracks.body is not self._body:
             self._entities, self._named = body_entities(tracks.body, tracks.person), _named(tracks)
+            self._cloud = _joint_cloud(tracks)
             self._body, self._next_scene = tracks.body, None
+        if tracks is not self._tracks:
+            self._tracks, (self._points, self._there) = tracks, _joint_points(tracks)
         stamp = int(tracks.time_ns[i])
         seconds, nanos = divmod(stamp, 1_000_000_000)
         time = Timestamp(seconds=seconds, nanos=nanos)
@@ -130,7 +131,9 @@ class BodyMessages:
         if len(poses) == tracks.body.limb_count:  # a list with gaps would name the wrong limbs
             message = PosesInFrame(timestamp=time, frame_id=tracks.fixed_frame, poses=poses)
             messages["poses"] = message.SerializeToString()
-        messages["joints"] = _joint_cloud(tracks, i, time).SerializeToString()
+        self._cloud.timestamp.CopyFrom(time)
+        self._cloud.data = self._points[i][self._there[i]].tobytes()
+        messages["joints"] = self._cloud.SerializeToString()
         there = frozenset(t.child_frame_id.removeprefix(self._prefix) for t in limbs)
         if self._next_scene is None or stamp >= self._next_scene or there != self._shown:
             messages["body"] = self._scene(there, stamp, time).SerializeToString()
@@ -169,17 +172,18 @@ def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, b
         yield [(channel[name], stamp, data, i) for name, data in said.of(tracks, i, confidence[i]).items()]
 
 
-def _joint_cloud(tracks: Tracks, frame: int, time: Timestamp) -> PointCloud:
-    """Joint centres as points; those that are NaN are left out."""
-    sure = np.ones(len(tracks.joints[frame])) if tracks.joint_confidence is None else tracks.joint_confidence[frame]
-    table = np.concatenate([tracks.joints[frame], sure[:, None]], 1).astype("<f4")
-    table = table[np.isfinite(table[:, :3]).all(1)]
+def _joint_points(tracks: Tracks) -> tuple[Float32[np.ndarray, "frame joint 4"], Bool[np.ndarray, "frame joint"]]:
+    """Joint centres and their confidence, as _joint_cloud says, and which of them are there."""
+    sure = np.ones(tracks.joints.shape[:2]) if tracks.joint_confidence is None else tracks.joint_confidence
+    return np.concatenate([tracks.joints, sure[..., None]], -1).astype("<f4"), np.all(np.isfinite(tracks.joints), -1)
+
+
+def _joint_cloud(tracks: Tracks) -> PointCloud:
+    """Joint centres as points, yet without time and places."""
     kind = PackedElementField.FLOAT32
     names = ("x", "y", "z", "confidence")
     fields = [PackedElementField(name=name, offset=4 * k, type=kind) for k, name in enumerate(names)]
-    cloud = PointCloud(
-        timestamp=time, frame_id=tracks.fixed_frame, point_stride=16, fields=fields, data=table.tobytes()
-    )
+    cloud = PointCloud(frame_id=tracks.fixed_frame, point_stride=16, fields=fields)
     cloud.pose.orientation.w = 1
     return cloud
 
@@ -188,7 +192,7 @@ def _named(tracks: Tracks) -> list[FrameTransform]:
     """A transform for each limb and joint centre, yet without time and place."""
     prefix = _prefix(tracks)
     names = [f"{prefix}{name}" for name in tracks.body.topology.limbs]
-    names += [f"{prefix}joint/{name}" for name in tracks.body.topology.centres]
+    names += [f"{prefix}joint/{name}" for name in tracks.joint_names]
     return [FrameTransform(parent_frame_id=tracks.fixed_frame, child_frame_id=name) for name in names]
 
 
@@ -215,7 +219,7 @@ def quality_of(tracks: Tracks, frame: int, confidence: float) -> bytes:
         "explained": number(tracks.explained[frame]),
         "confidence": number(confidence),
         "steps": int(tracks.steps[frame]),
-        "tracked": bool(tracks.tracked[frame]),
+        "tracked": bool(tracks.status[frame] == Status.TRACKED),
         "status": int(tracks.status[frame]),
     }
     return json.dumps(scalars, allow_nan=False).encode()
@@ -238,10 +242,11 @@ def body_entities(body: Body, person: int = 1) -> list[SceneEntity]:
         r, g, b = colorsys.hsv_to_rgb(hue * 0.618 % 1, 0.55, bright)
         color = Color(r=r, g=g, b=b, a=0.7)
         a0, b0, a1, b1, _ = sizes
-        if abs(a0 * b1 / (a1 * b0) - 1) < SAME_RATIO:
+        rings = profile(body, i)
+        if len(rings) == 2 and abs(a0 * b1 / (a1 * b0) - 1) < SAME_RATIO:
             entity.cylinders.append(_cylinder(sizes, color))
         else:
-            entity.triangles.append(_triangles(sizes, color))
+            entity.triangles.append(_triangles(rings, color))
         entities.append(entity)
     return entities
 
@@ -261,31 +266,8 @@ def _cylinder(sizes: Float[np.ndarray, "5"], color: Color) -> CylinderPrimitive:
     )
 
 
-def limb_mesh(sizes: Float[np.ndarray, "5"], sections: int = 24) -> "trimesh.Trimesh":
-    """Closed mesh of one limb in its limb frame, metres; vertices lie on the elliptic frustum."""
-    import trimesh  # takes as long as tracking a hundred frames, and what is written by default does without
-
-    return trimesh.Trimesh(*frustum(sizes, sections), process=False)
-
-
-def frustum(
-    sizes: Float[np.ndarray, "5"], sections: int = 24
-) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
-    """Vertices and faces of limb_mesh: both centres, and two vertices for each of so many angles."""
-    a0, b0, a1, b1, length = np.asarray(sizes, float)
-    angle = np.linspace(0, 2 * np.pi, sections + 1)[:-1]
-    rims = [np.stack([a * np.cos(angle), b * np.sin(angle), np.full(sections, z)], -1)
-            for a, b, z in ((a0, b0, 0.0), (a1, b1, length))]  # fmt: skip
-    points = np.concatenate([[[0, 0, 0], [0, 0, length]], np.stack(rims, 1).reshape(-1, 3)])
-    low = 2 + 2 * np.arange(sections)
-    after = np.roll(low, -1)
-    bottom, top = np.zeros_like(low), np.ones_like(low)
-    corners = [(low, bottom, after), (low, after, low + 1), (low + 1, after, after + 1), (low + 1, after + 1, top)]
-    return points, np.stack([np.stack(some, -1) for some in corners], 1).reshape(-1, 3)
-
-
-def _triangles(sizes: Float[np.ndarray, "5"], color: Color) -> TriangleListPrimitive:
-    vertices, faces = frustum(sizes)
+def _triangles(rings: Float[np.ndarray, "ring 3"], color: Color) -> TriangleListPrimitive:
+    vertices, faces = loft(rings)
     return TriangleListPrimitive(
         pose=Pose(position=Vector3(), orientation=Quaternion(w=1)),
         points=[Point3(x=x, y=y, z=z) for x, y, z in vertices.tolist()],

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.frames import ANIMATION, seconds
 from voodoo_jax.exporters.limb_meshes import SIDE_COLOURS, limb_meshes
 from voodoo_jax.exporters.skeleton import Skeleton, skeleton
@@ -22,9 +23,9 @@ FLOAT, UINT, BYTE = 5126, 5125, 5121  # component types of the format
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
-def write(tracks: Tracks, path: str | os.PathLike[str]) -> None:
+def write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None = None) -> None:
     """Writes a binary file, or text if the name ends in .gltf. Raises OSError."""
-    document, data = _document(tracks)
+    document, data = _document(tracks, style)
     if Path(path).suffix.lower() == ".gltf":
         document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
         written = json.dumps(document, allow_nan=False).encode()
@@ -65,8 +66,8 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def _document(tracks: Tracks) -> tuple[dict, bytes]:
-    bones, buffer = skeleton(tracks, ANIMATION), _Buffer()
+def _document(tracks: Tracks, style: Style | None) -> tuple[dict, bytes]:
+    bones, buffer = skeleton(tracks, ANIMATION, style), _Buffer()
     count, f32 = len(bones.names), np.float32
     nodes: list[dict] = []
     for i, name in enumerate(bones.names):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from voodoo_jax.exporters.foxglove import limb_mesh
+from voodoo_jax.exporters.limb_shapes import loft, profile, side_of
 from voodoo_jax.exporters.skeleton import Skeleton
 from voodoo_jax.model.body import Body
 
@@ -25,22 +25,19 @@ class LimbMesh:
     bones: Int[np.ndarray, " vertex"]  # bone that moves the vertex
 
 
-def side_of(limb: str) -> str:
-    """Left, right or middle, by the beginning of a limb's name."""
-    return "left" if limb.startswith("l_") else "right" if limb.startswith("r_") else "middle"
-
-
 def limb_meshes(body: Body, bones: Skeleton) -> list[LimbMesh]:
     """One mesh for each side that the body has."""
     turn, place = bones.bind_limbs
     parts: dict[str, list] = {side: [] for side in SIDES}
     for limb, name in enumerate(body.topology.limbs):
-        mesh = limb_mesh(np.asarray(body.sizes, float)[limb])
-        corners = mesh.faces.ravel()  # faces do not share vertices: edges of the ends are sharp
-        smooth = np.repeat(mesh.face_normals, 3, 0)
-        bone = bones.main[limb]
+        points, faces = loft(profile(body, limb))
+        corners = points[faces]  # faces do not share vertices: edges of the ends are sharp
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        there = np.linalg.norm(normals, axis=1) > 0.5  # at the end of a round limb faces have no area
+        vertices, smooth = corners[there].reshape(-1, 3), np.repeat(normals[there], 3, 0)
         parts[side_of(name)].append(
-            (turn[limb].apply(mesh.vertices[corners]) + place[limb], turn[limb].apply(smooth), bone)
+            (turn[limb].apply(vertices) + place[limb], turn[limb].apply(smooth), bones.main[limb])
         )
     found = []
     for side, pieces in parts.items():

@@ -2,7 +2,9 @@
 
 import json
 import os
+from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from mcap.writer import Writer
@@ -10,6 +12,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from voodoo_jax.exporters.foxglove import QUALITY_SCHEMA, TOPICS, BodyMessages, registered
 from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.storage.atomic import begun, moved
 
 CHUNK = 1 << 14  # bytes of the file after which a chunk is closed, that a reader may have it: some frames; by hand
 
@@ -23,10 +26,12 @@ class Publisher(Protocol):
 
 
 class GrowingTracks:
-    """A `.voodoo.mcap` file that can be read while it is written, in Foxglove or by another program. Raises OSError."""
+    """A `.voodoo.mcap` file that can be read while it is written, in Foxglove or by another program. It appears, in
+    place of an earlier one, with its first frame; where none comes, nothing changes. Raises OSError."""
 
     def __init__(self, path: str | os.PathLike[str]):
-        self._file = open(path, "wb")
+        self._target, self._partial = Path(path), begun(path)
+        self._file = open(self._partial, "wb")
         self._writer, self._said, self._count = Writer(self._file, chunk_size=CHUNK), BodyMessages(), 0
         self._writer.start(profile="", library="voodoo_jax live")
         self._channel = registered(self._writer, self._said)
@@ -36,12 +41,18 @@ class GrowingTracks:
         stamp, data = int(tracks.time_ns[0]), self._said.of(tracks, 0, float(tracks.confidence[0]))
         for name, message in data.items():
             self._writer.add_message(self._channel[name], stamp, message, stamp, self._count)
-        self._count += 1
         self._file.flush()
+        if not self._count:
+            moved(self._partial, self._target)
+        self._count += 1
 
     def close(self) -> None:
-        self._writer.finish()
-        self._file.close()
+        try:
+            self._writer.finish()
+        finally:
+            with suppress(OSError):  # its disk is full, which was said
+                self._file.close()
+            self._partial.unlink(missing_ok=True)
 
 
 class FoxgloveServer:

@@ -1,21 +1,19 @@
 """Tracks as one `.npz` file: what score.py and notebooks read, and all that is needed to have the Tracks again."""
 
 import json
+import math
 import os
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from voodoo_jax.geometry.arrays_file import DIGEST, NotArrays, arrays_in, digest
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.model.body_file import BodyFileError, format_body, parse_body
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.storage.troubles import check_file
+from voodoo_jax.storage.troubles import opened_file
 from voodoo_jax.storage.urls import person_place
 
 FRAME_ARRAYS = (
@@ -42,10 +40,7 @@ FARTHEST = 1e30  # covariances are huge where nothing is known; not infinite
 LATEST = 1 << 62  # nanoseconds, as io.limits.TIME
 UNEVEN = 0.01  # of a unit quaternion's length: rounding
 MOST = 10_000  # people
-UNREADABLE = (
-    zipfile.BadZipFile, zlib.error, ValueError, EOFError, AttributeError, TypeError, KeyError, NotImplementedError,
-    RuntimeError, MemoryError, OverflowError, SyntaxError, struct.error, tokenize.TokenError,
-)  # fmt: skip
+TEXTS = ("run_key", "source", "fixed_frame", "body_json")
 
 
 class TracksFileError(ValueError):
@@ -63,7 +58,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     fixed frame), limb_beside, limb_distance (metres), limb_bare and limb_own (see trackers/icp/misfit.py), facing_odds
     (logarithm; see trackers/icp/refine/choose_facing.py), fixed_frame, source, seconds, notes, body_toml; marker_names
     and marker_residual (metres) where markers alone were tracked; person and people (which of how many) where there are
-    several; run_key if one is given (see batch/resume.py).
+    several; run_key if one is given (see batch/resume.py); digest of all others.
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
@@ -76,7 +71,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     arrays |= {name: value for name in MORE_ARRAYS if (value := getattr(tracks, name)) is not None}
     arrays |= {
         "tracked": tracks.tracked,
-        "joint_names": np.array(body.topology.centres, np.str_),
+        "joint_names": np.array(tracks.joint_names, np.str_),
         "body_joint_names": np.array(body.topology.joints, np.str_),
         "limb_names": np.array(body.topology.limbs, np.str_),
         "body_json": np.array(json.dumps(summary, allow_nan=False)),
@@ -93,18 +88,14 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     if run_key:
         arrays["run_key"] = np.array(run_key)
     with replacing(path) as partial, open(partial, "wb") as file:
+        arrays[DIGEST] = np.array(digest(arrays))
         np.savez_compressed(file, **arrays)
 
 
 def read_tracks_npz(path: str | os.PathLike) -> Tracks:
     """Reads what write_tracks_npz wrote. Raises TracksFileError if it is something else, OSError if it is not there."""
-    try:
-        check_file(path)
-        # opened here, because np.load leaves a file open that it refuses
-        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
-            data = {name: file[name] for name in file.files}
-    except UNREADABLE as error:
-        raise TracksFileError(f"{path}: not a tracks file: {error}") from error
+    with opened_file(path) as stream:
+        data: dict[str, Any] = tracks_arrays(stream, path)
     missing = [name for name in (*FRAME_ARRAYS, "body_toml", "fixed_frame", "source") if name not in data]
     if missing:
         raise TracksFileError(f"{path}: not a tracks file of this version: it has no {', '.join(missing)}")
@@ -124,7 +115,13 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
         notes=tuple(str(note) for note in data.get("notes", ())),
         person=int(data.get("person", 1)),
         people=int(data.get("people", 1)),
+        names=_other_names(data, body),
     )
+
+
+def _other_names(data: Mapping[str, np.ndarray], body: Body) -> tuple[str, ...]:
+    names = tuple(map(str, data["joint_names"])) if "joint_names" in data else ()
+    return () if names == body.topology.centres or len(names) != len(body.topology.centres) else names
 
 
 def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) -> None:
@@ -148,14 +145,52 @@ def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) 
         raise TracksFileError(f"{path}: 'time_ns' does not rise, or holds impossible times")
     if not (np.isnan(norms) | (np.abs(norms - 1) < UNEVEN)).all():
         raise TracksFileError(f"{path}: 'rotation' holds quaternions that are no rotations")
+
+
+def tracks_arrays(stream: Any, path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """The arrays of an open tracks file by name, of which those are checked that are of no body. Raises
+    TracksFileError, which calls the file `path`."""
+    try:
+        data = arrays_in(stream)
+        _check_plain(data)
+    except NotArrays as problem:
+        raise TracksFileError(f"{path}: not a tracks file: {problem}") from problem
+    return data
+
+
+def scale_of(data: Mapping[str, np.ndarray]) -> tuple[str, float]:
+    """What the scale of a body is called, and its value in metres, of the arrays of a tracks file. Raises NotArrays."""
+    try:
+        told = json.loads(str(data["body_json"]))
+        ((name, value),) = [item for item in told.items() if item[0] not in ("name", "segment_lengths")]
+        if math.isfinite(value):
+            return name, float(value)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
+        pass
+    raise NotArrays("'body_json' does not say how large its body is")
+
+
+def _check_plain(data: Mapping[str, np.ndarray]) -> None:
+    """Raises NotArrays for what no tracks file has beside its arrays of a body."""
     for name in ("person", "people"):
         if name in data and not (data[name].dtype.kind in "iu" and data[name].shape == () and 1 <= data[name] <= MOST):
-            raise TracksFileError(f"{path}: '{name}' is no number of people")
-    if "seconds" in data and not (data["seconds"].dtype.kind in "iuf" and data["seconds"].shape == ()):
-        raise TracksFileError(f"{path}: 'seconds' is no number")
-    for name in ("notes", "marker_names"):
-        if name in data and data[name].ndim != 1:
-            raise TracksFileError(f"{path}: '{name}' is no list")
+            raise NotArrays(f"'{name}' is no number of people")
+    if "seconds" in data:
+        seconds = data["seconds"]
+        if seconds.dtype.kind not in "iuf" or seconds.shape != () or not 0 <= seconds < math.inf:
+            raise NotArrays("'seconds' is no number of seconds")
+    for name in (name for name in ("notes", "marker_names", "joint_names") if name in data):
+        if data[name].ndim != 1 or data[name].dtype.kind != "U" and data[name].size:
+            raise NotArrays(f"'{name}' is no list of texts")
+    for name in (name for name in TEXTS if name in data):
+        if data[name].shape != () or data[name].dtype.kind != "U":
+            raise NotArrays(f"'{name}' is no text")
+    count = data["time_ns"].shape if "time_ns" in data else None
+    for name, kinds in (("tracked", "b"), ("residual", "f")):
+        if name in data and (data[name].shape != count or data[name].dtype.kind not in kinds):
+            raise NotArrays(f"'{name}' is not one for each frame")
+    if "body_json" in data:
+        scale_of(data)
 
 
 def read_everybody(path: str | os.PathLike) -> list[Tracks]:

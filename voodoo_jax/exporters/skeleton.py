@@ -1,11 +1,12 @@
 """Tracks as a skeleton of bones: what animation formats (BVH, glTF, USD) share.
 
-A bone for each limb, with its joint as pivot: the joint centre that tracks report, where there is one near the joint.
-In the bind pose all bones' axes are those of the file; a person stands in a T, other bodies as their body file says.
-Joints are held by elastic bands, so a bone's place in its parent changes by some millimetres from frame to frame.
+A bone's place is the joint of the tracks that it begins in; bones between these (parts of the spine, clavicles, toes)
+lie in fixed places of their limb. People have the bones of a rig that animation programs know, other bodies one for
+each limb. In the bind pose all bones' axes are those of the file; a person stands in a T or an A, other bodies as their
+body file says. Joints are held by elastic bands, so a bone's place in its parent changes by some millimetres from frame
+to frame.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,22 +14,41 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.frames import known, upright
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body, tree_order
+from voodoo_jax.model.joint_names import row_of
 from voodoo_jax.records.tracks import Tracks
 
-# limb or joint centre of a person: bone, as Mixamo calls it, whom Blender's add-ons and Unity's humanoid mapping know
-HUMANOID = {"pelvis": "Hips", "torso": "Hips", "chest": "Spine", "vc7": "Neck", "head": "Head"} | {
-    f"{side}_{limb}": f"{word}{bone}"
-    for side, word in (("l", "Left"), ("r", "Right"))
-    for limb, bone in {
-        "upper_arm": "Arm", "forearm": "ForeArm", "hand": "Hand", "radiocarpal": "Hand", "thigh": "UpLeg",
-        "shank": "Leg", "foot": "Foot", "talocrural": "Foot",
-    }.items()
-}  # fmt: skip
+
+class _Part(NamedTuple):
+    """A bone of a person's rig; `#` stands for l or r in the names of body files."""
+
+    parent: int
+    limbs: tuple[str, ...]  # that turns it: the first one that the body has
+    at: str | float  # joint centre, sites with commas between, or a share of the way from between the hips to the neck
+    aims: bool = False  # it points to its only child, whatever its limb does
+
+
+# the waist is at 0.32 of that way in the built-in body; legs come first, as in LAFAN1's files
+PARTS = (
+    _Part(-1, ("pelvis", "torso"), 0.0), _Part(0, ("#_thigh",), "#_hip"), _Part(1, ("#_shank",), "#_knee"),
+    _Part(2, ("#_foot", "#_shank"), "#_talocrural"),
+    _Part(3, ("#_foot",), "#_metatarsal_phalanx_1,#_metatarsal_phalanx_5"), _Part(0, ("chest", "torso"), 0.32),
+    _Part(5, ("chest", "torso"), 0.55), _Part(6, ("chest", "torso"), 0.78),
+    _Part(7, ("chest", "torso"), "vc7", aims=True), _Part(8, ("head",), "skullbase"),
+    _Part(7, ("chest", "torso"), "#_sternoclavicular", aims=True), _Part(10, ("#_upper_arm",), "#_shoulder"),
+    _Part(11, ("#_forearm",), "#_elbow"), _Part(12, ("#_hand", "#_forearm"), "#_radiocarpal"),
+)  # fmt: skip
+# what programs call the bones of PARTS
+RIGS = {
+    "mixamo": "Hips UpLeg Leg Foot ToeBase Spine Spine1 Spine2 Neck Head Shoulder Arm ForeArm Hand",
+    "lafan1": "Hips UpLeg Leg Foot Toe Spine Spine1 Spine2 Neck Head Shoulder Arm ForeArm Hand",
+    "humanoid": "Hips UpperLeg LowerLeg Foot Toes Spine Chest UpperChest Neck Head Shoulder UpperArm LowerArm Hand",
+}
+RAISED = {"t": 90.0, "a": 45.0}  # degrees by which hanging arms are raised in the bind pose
 NEAR = 0.08  # shares of the body's scale: a joint centre that is so near to a joint is the joint's
-ABOVE = {"head": "vc7"}  # a centre that is a bone of its own between a limb and its parent
 
 
 class _Bone(NamedTuple):
@@ -39,8 +59,8 @@ class _Bone(NamedTuple):
     limb: int
     carrier: int
     pivot: Float[np.ndarray, "3"]
-    aims: bool = False  # it points to its only child, whatever its limb does
-    whole: bool = False  # it is the limb, and not a place on it
+    centres: tuple[int, ...] = ()  # joints of the tracks in whose middle it begins; none: where the pivot is
+    aims: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +92,19 @@ class Skeleton:
         return [i for i, parent in enumerate(self.parents) if parent == bone]
 
 
-def skeleton(tracks: Tracks, axes: Float[np.ndarray, "3 3"]) -> Skeleton:
-    """The bones of a body and their poses, in a frame whose axes are the rows of `axes` in one with z up."""
-    body = tracks.body
-    turn, place = bind_pose(body)
-    bones = _bones(body)
+def skeleton(
+    tracks: Tracks, axes: Float[np.ndarray, "3 3"], style: Style | None = None, rigid: bool = False
+) -> Skeleton:
+    """The bones of a body and their poses, in a frame whose axes are the rows of `axes` in one with z up; `rigid`:
+    bones point to the next one, for programs in which they keep their lengths."""
+    style, body = style or Style(), tracks.body
+    turn, place = bind_pose(body, RAISED[style.pose])
+    bones, places = _places(tracks, _bones(body, RIGS[style.rig].split()))
     at = lambda limb, point: turn[limb].apply(point) + place[limb]  # noqa: E731
     bind = np.array([at(b.carrier, b.pivot) for b in bones])
     lengths = np.asarray(body.sizes, float)[:, 4]
     tips = np.array([at(b.limb, [0, 0, lengths[b.limb]]) for b in bones])
-    rotation, position, there = _poses(tracks, bones, bind, turn)
+    rotation, position, there = _poses(tracks, bones, places, bind, turn, rigid)
     out, parents = axes @ upright(tracks), [b.parent for b in bones]
     position = position @ out.T
     # of frames in the body's axes at first: in the file's axes both before and after
@@ -101,15 +124,16 @@ def skeleton(tracks: Tracks, axes: Float[np.ndarray, "3 3"]) -> Skeleton:
         _hold(local_turn[:, i], there[:, i], np.array([1.0, 0, 0, 0]))
         _hold(local_place[:, i], there[:, i], offsets[i])
     _continuous(local_turn)
-    main = tuple(next(i for i, b in enumerate(bones) if b.limb == limb and b.whole) for limb in range(body.limb_count))
+    main = tuple(_main(bones, limb) for limb in range(body.limb_count))
     return Skeleton(
         tuple(b.name for b in bones), tuple(parents), tuple(b.limb for b in bones), main, binds, ends,
         (Rotation.from_matrix(axes) * turn, place @ axes.T), local_turn, local_place, ~there[:, 0],
     )  # fmt: skip
 
 
-def bind_pose(body: Body) -> tuple[Rotation, Float[np.ndarray, "limb 3"]]:
-    """Limbs in the body frame (z up, x forwards): the rest pose, with a person's hanging arms raised to their sides."""
+def bind_pose(body: Body, raised: float = 90.0) -> tuple[Rotation, Float[np.ndarray, "limb 3"]]:
+    """Limbs in the body frame (z up, x forwards): the rest pose, with a person's hanging arms raised to
+    their sides by so many degrees."""
     t = body.topology
     turn = Rotation.from_quat(np.asarray(body.rest.rotation, float), scalar_first=True)
     turns, place = turn.as_matrix(), np.asarray(body.rest.translation, float).copy()
@@ -120,10 +144,10 @@ def bind_pose(body: Body) -> tuple[Rotation, Float[np.ndarray, "limb 3"]]:
         joint = t.children.index(t.limbs.index(name))
         parent = t.parents[joint]
         at = turns[parent] @ np.asarray(body.parent_anchor.translation, float)[joint] + place[parent]
-        raised = Rotation.from_euler("x", sign * 90, degrees=True).as_matrix()
+        lift = Rotation.from_euler("x", sign * raised, degrees=True).as_matrix()
         for limb in _subtree(body, t.children[joint]):
-            turns[limb] = raised @ turns[limb]
-            place[limb] = raised @ (place[limb] - at) + at
+            turns[limb] = lift @ turns[limb]
+            place[limb] = lift @ (place[limb] - at) + at
     return Rotation.from_matrix(turns), place
 
 
@@ -136,56 +160,91 @@ def _subtree(body: Body, limb: int) -> list[int]:
     return found
 
 
-def _bones(body: Body) -> list[_Bone]:
-    """Bones in such an order that BVH can write them: each followed by all that hangs on it."""
+def _bones(body: Body, names: list[str]) -> list[_Bone]:
+    """Bones in such an order that BVH can write them: each followed by all that hangs on it. `names` of a person's."""
     t = body.topology
-    centres, centre_of = np.asarray(body.centres, float), _centre_of_joint(body)
-    anchors = np.asarray(body.parent_anchor.translation, float)
-    free = [c for c in range(len(t.centres)) if c not in centre_of.values()]
+    person = {"l_upper_arm", "l_thigh"} <= set(t.limbs)
+    bones = _of_rig(body, names) if person else [_Bone("_".join(t.limbs[0].split()), -1, 0, 0, np.zeros(3))]
+    centre_of, anchors = _centre_of_joint(body), np.asarray(body.child_anchor.translation, float)
+    has = {bone.limb for bone in bones if not bone.aims}
+    for j in tree_order(t):  # limbs that the rig does not know, such as a thing that somebody carries
+        child = t.children[j]
+        if child not in has:
+            own = (centre_of[j],) if j in centre_of else ()
+            carrier = t.centre_limbs[own[0]] if own else child
+            pivot = np.asarray(body.centres, float)[own[0]] if own else anchors[j]
+            name = "_".join(t.limbs[child].split())
+            bones.append(_Bone(name, _main(bones, t.parents[j]), child, carrier, pivot, own))
+    for c in set(range(len(t.centres))) - {c for bone in bones for c in bone.centres}:
+        limb = t.centre_limbs[c]
+        bones.append(_Bone(t.centres[c], _main(bones, limb), limb, limb, np.asarray(body.centres, float)[c], (c,)))
+    return _unlike(_in_depth(bones))
+
+
+def _of_rig(body: Body, names: list[str]) -> list[_Bone]:
+    """A person's bones; those that the body has no place for are left out."""
+    t = body.topology
+    turn, place = rotations(np.asarray(body.rest.rotation)), np.asarray(body.rest.translation, float)
+    at = lambda limb, point: turn[limb].apply(np.asarray(point, float)) + place[limb]  # noqa: E731
+    spots = {name: at(limb, point) for name, limb, point in zip(t.sites, t.site_limbs, body.sites)}
+    centres = np.array([at(limb, point) for limb, point in zip(t.centre_limbs, body.centres)])
+
+    def begins(at: str | float) -> tuple[tuple[int, ...], list[np.ndarray]]:
+        """The joint centres that are meant, and points between which the place is."""
+        if isinstance(at, str):
+            rows = [row for name in [at] if (row := row_of(t.centres, name)) is not None]
+            return tuple(rows), [centres[row] for row in rows] or [spots[n] for n in at.split(",") if n in spots]
+        hips, neck = (
+            [row for side in "lr" if (row := row_of(t.centres, f"{side}_hip")) is not None],
+            row_of(t.centres, "vc7"),
+        )
+        low = centres[hips].mean(0) if hips else place[0]
+        if not at:
+            return tuple(hips), [low]
+        return (), [] if neck is None else [low + at * (centres[neck] - low)]
+
     bones: list[_Bone] = []
-    name = _named(body)
-
-    def add(limb: int, parent: int, carrier: int, pivot: np.ndarray) -> None:
-        above = [c for c in free if t.centres[c] == ABOVE.get(t.limbs[limb]) and parent >= 0]
-        for c in above:
-            free.remove(c)
-            bones.append(_Bone(name(t.centres[c]), parent, bones[parent].limb, t.centre_limbs[c], centres[c], True))
-            parent = len(bones) - 1
-        bones.append(_Bone(name(t.limbs[limb]), parent, limb, carrier, pivot, whole=True))
-        own = len(bones) - 1
-        hanging = [j for j in range(len(t.joints)) if t.parents[j] == limb]
-        half, upper = float(np.asarray(body.sizes)[limb, 4]) / 2, -1
-        if t.limbs[limb] == "torso":  # of one piece: humanoid mappings ask for a spine
-            hanging.sort(key=lambda j: anchors[j, 2] > half)
-        for j in hanging:
-            above = own
-            if t.limbs[limb] == "torso" and anchors[j, 2] > half:
-                if upper < 0:
-                    bones.append(_Bone("Spine", own, limb, limb, np.array([0, 0, half])))
-                    upper = len(bones) - 1
-                above = upper
-            child, c = t.children[j], centre_of.get(j)
-            if c is None:
-                add(child, above, child, np.asarray(body.child_anchor.translation, float)[j])
-            else:
-                add(child, above, t.centre_limbs[c], centres[c])
-        for c in [c for c in free if t.centre_limbs[c] == limb and t.centres[c] not in ABOVE.values()]:
-            free.remove(c)
-            bones.append(_Bone(name(t.centres[c]), own, limb, limb, centres[c]))
-
-    add(0, -1, 0, _root_pivot(body, centre_of))
-    names: dict[str, int] = {}
-    for i, bone in enumerate(bones):  # a centre may have the name of a limb
-        names[bone.name] = names.get(bone.name, 0) + 1
-        if names[bone.name] > 1:
-            bones[i] = bone._replace(name=f"{bone.name}_{names[bone.name]}")
+    made: dict[tuple[int, str], int] = {}  # part and side: its bone, or its parent's where it was left out
+    for k, (part, name) in enumerate(zip(PARTS, names)):
+        for side, word in (("l", "Left"), ("r", "Right")) if "#" in str(part) else (("", ""),):
+            parent = made.get((part.parent, side), made.get((part.parent, ""), -1))
+            limb = next((t.limbs.index(n) for own in part.limbs if (n := own.replace("#", side)) in t.limbs), None)
+            own, points = begins(part.at.replace("#", side) if isinstance(part.at, str) else part.at)
+            made[k, side] = parent
+            if limb is not None and points:
+                carrier = t.centre_limbs[own[0]] if own else limb
+                pivot = turn[carrier].inv().apply(np.mean(points, 0) - place[carrier])
+                made[k, side] = len(bones)
+                bones.append(_Bone(word + name, parent, limb, carrier, pivot, own, part.aims))
     return bones
 
 
-def _named(body: Body) -> Callable[[str], str]:
-    """What the bone of a limb or joint centre is called: by HUMANOID for a person, else as in the body file."""
-    person = {"l_upper_arm", "l_thigh"} <= set(body.topology.limbs)
-    return lambda own: (HUMANOID if person else {}).get(own, "_".join(own.split()))
+def _main(bones: list[_Bone], limb: int) -> int:
+    """The bone that moves with a limb."""
+    return next(i for i, bone in enumerate(bones) if bone.limb == limb and not bone.aims)
+
+
+def _in_depth(bones: list[_Bone]) -> list[_Bone]:
+    order: list[int] = []
+
+    def follow(bone: int) -> None:
+        order.append(bone)
+        for child, other in enumerate(bones):
+            if other.parent == bone:
+                follow(child)
+
+    follow(0)
+    return [bones[i]._replace(parent=order.index(bones[i].parent) if i else -1) for i in order]
+
+
+def _unlike(bones: list[_Bone]) -> list[_Bone]:
+    """The same with a number behind a name that another bone has: a centre may have the name of a limb."""
+    count = {bone.name: 0 for bone in bones}
+    for i, bone in enumerate(bones):
+        count[bone.name] += 1
+        if count[bone.name] > 1:
+            bones[i] = bone._replace(name=f"{bone.name}_{count[bone.name]}")
+    return bones
 
 
 def _centre_of_joint(body: Body) -> dict[int, int]:
@@ -210,38 +269,33 @@ def _centre_of_joint(body: Body) -> dict[int, int]:
     return found
 
 
-def _root_pivot(body: Body, centre_of: dict[int, int]) -> Float[np.ndarray, "3"]:
-    """In the root limb's frame: between the pair of joints (left and right) that is nearest to its bottom, or there."""
-    t, pairs = body.topology, []
-    anchors = np.asarray(body.parent_anchor.translation, float)
-    for j, name in enumerate(t.joints):
-        other = f"r_{name[2:]}"
-        if name.startswith("l_") and other in t.joints and t.parents[j] == t.parents[t.joints.index(other)] == 0:
-            ends = [
-                np.asarray(body.centres, float)[centre_of[k]]
-                if k in centre_of and t.centre_limbs[centre_of[k]] == 0
-                else anchors[k]
-                for k in (j, t.joints.index(other))
-            ]
-            pairs.append((abs(float(np.mean(ends, 0)[2])), np.mean(ends, 0)))
-    return min(pairs, key=lambda pair: pair[0])[1] if pairs else np.zeros(3)
+def _places(tracks: Tracks, bones: list[_Bone]) -> tuple[list[_Bone], Float[np.ndarray, "frame bone 3"]]:
+    """Where bones begin, NaN: not known; and bones with pivots that are those of most frames."""
+    places, there = [], known(tracks)
+    for i, bone in enumerate(bones):
+        turn, at = rotations(tracks.rotation[:, bone.carrier]), tracks.translation[:, bone.carrier]
+        if bone.centres:
+            place = tracks.joints[:, list(bone.centres)].astype(float).mean(1)
+            own = turn.inv().apply(np.where(np.isfinite(place), place - at, 0))
+            own = own[np.isfinite(place).all(1) & there[:, bone.carrier]]
+            bones[i] = bone._replace(pivot=np.median(own, 0)) if len(own) else bone
+        else:
+            place = turn.apply(bone.pivot) + at
+        places.append(np.where(there[:, bone.carrier, None], place, np.nan))
+    return bones, np.stack(places, 1)
 
 
 def _poses(
-    tracks: Tracks, bones: list[_Bone], bind: Float[np.ndarray, "bone 3"], bind_turn: Rotation
-) -> tuple[list[Rotation], Float[np.ndarray, "frame bone 3"], Bool[np.ndarray, "frame bone"]]:
+    tracks: Tracks, bones: list[_Bone], position: Float[np.ndarray, "frame bone 3"],
+    bind: Float[np.ndarray, "bone 3"], bind_turn: Rotation, rigid: bool,
+) -> tuple[list[Rotation], Float[np.ndarray, "frame bone 3"], Bool[np.ndarray, "frame bone"]]:  # fmt: skip
     """Rotation of each bone since the bind pose (body frame to fixed frame), its place, and where both are known."""
-    limb, carrier = [b.limb for b in bones], [b.carrier for b in bones]
-    poses = known(tracks)
-    there = poses[:, limb] & poses[:, carrier]
-    position = np.stack(
-        [rotations(tracks.rotation[:, b.carrier]).apply(b.pivot) + tracks.translation[:, b.carrier] for b in bones], 1
-    )
+    there = known(tracks)[:, [b.limb for b in bones]] & np.isfinite(position).all(2)
     position = np.where(there[..., None], position, 0.0)
     turned = [rotations(tracks.rotation[:, b.limb]) * bind_turn[b.limb].inv() for b in bones]
     for i, bone in enumerate(bones):
         children = [c for c, other in enumerate(bones) if other.parent == i]
-        if bone.aims and len(children) == 1:
+        if (bone.aims or rigid) and len(children) == 1:
             there[:, i] &= there[:, children[0]]
             now = position[:, children[0]] - position[:, i]
             turned[i] = _towards(turned[i].apply(bind[children[0]] - bind[i]), now) * turned[i]

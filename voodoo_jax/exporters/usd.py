@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
+from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.frames import Z_UP, seconds, usual_rate
 from voodoo_jax.exporters.limb_meshes import SIDE_COLOURS, limb_meshes
 from voodoo_jax.exporters.skeleton import Skeleton, skeleton
@@ -20,17 +21,17 @@ from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 
 
-def write(tracks: Tracks, path: str | os.PathLike[str]) -> None:
+def write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None = None) -> None:
     """Writes a binary layer (.usd, .usdc), or text if the name ends in .usda. Raises OSError."""
-    stage = _stage(tracks)
+    stage = _stage(tracks, style)
     ending = ".usda" if Path(path).suffix.lower() == ".usda" else ".usdc"
     with replacing(path, ending) as partial:
         if not stage.GetRootLayer().Export(str(partial)):
             raise OSError(f"{path}: USD could not write it")
 
 
-def _stage(tracks: Tracks) -> Usd.Stage:
-    bones, rate = skeleton(tracks, Z_UP), usual_rate(tracks)
+def _stage(tracks: Tracks, style: Style | None) -> Usd.Stage:
+    bones, rate = skeleton(tracks, Z_UP, style), usual_rate(tracks)
     time = seconds(tracks)
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)

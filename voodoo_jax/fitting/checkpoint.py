@@ -1,15 +1,14 @@
 """Where a search stands, and the file it is saved in."""
 
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
+from voodoo_jax.geometry.arrays_file import arrays_in
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.storage.troubles import check_file
+from voodoo_jax.storage.troubles import opened_file
 
 
 @dataclass(frozen=True)
@@ -35,11 +34,11 @@ def save_progress(progress: Progress, path: str | os.PathLike[str], fingerprint:
 def load_progress(path: str | os.PathLike[str], fingerprint: str) -> Progress | None:
     """What save_progress wrote; None if there is no file, or one of another fit."""
     try:
-        check_file(path)
-        with np.load(path, allow_pickle=False) as file:
-            if str(file["fingerprint"]) != fingerprint:
-                return None
-            losses = tuple(float(v) for v in file["losses"])
-            return Progress(file["x"], int(file["step"]), float(file["damping"]), losses, bool(file["done"]))
-    except (OSError, ValueError, KeyError, EOFError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error):
+        with opened_file(path) as stream:
+            file = arrays_in(stream)
+        if str(file["fingerprint"]) != fingerprint:
+            return None
+        losses = tuple(float(v) for v in file["losses"])
+        return Progress(file["x"], int(file["step"]), float(file["damping"]), losses, bool(file["done"]))
+    except (OSError, ValueError, KeyError, TypeError):
         return None

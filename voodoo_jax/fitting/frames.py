@@ -4,8 +4,6 @@ Host side. Which frames and points are chosen depends on the recording alone: th
 """
 
 import os
-import zipfile
-import zlib
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.detect.camera_motion import as_measured
 from voodoo_jax.fitting.objective import FitFrames
+from voodoo_jax.geometry.arrays_file import arrays_in
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.model.body import Topology
 from voodoo_jax.model.marker_sets import V1_NAMES
@@ -26,7 +25,7 @@ from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket, pad_features, pad_frames
-from voodoo_jax.storage.troubles import check_file
+from voodoo_jax.storage.troubles import opened_file
 
 RUNS, EVERY = 16, 3  # a log is cut into so many runs of time; every third is fitted to, the others judge
 FEWEST = 8  # frames to fit to
@@ -53,15 +52,15 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
     Raises TruthError.
     """
     try:
-        check_file(path)
-        with np.load(path, allow_pickle=False) as file:
-            key = "joint_names" if "joint_names" in file else "names"
-            missing = [k for k in ("time_ns", "joints", key) if k not in file]
-            if missing:
-                raise TruthError(f"{path}: no array '{missing[0]}'; a truth has time_ns, joints and joint_names")
-            names = tuple(V1_NAMES.get(str(n), str(n)) for n in file[key])
-            stamps, joints = file["time_ns"].astype(np.int64), file["joints"].astype(np.float64)
-    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as problem:
+        with opened_file(path) as stream:
+            file = arrays_in(stream)
+        key = "joint_names" if "joint_names" in file else "names"
+        missing = [k for k in ("time_ns", "joints", key) if k not in file]
+        if missing:
+            raise TruthError(f"{path}: no array '{missing[0]}'; a truth has time_ns, joints and joint_names")
+        names = tuple(V1_NAMES.get(str(n), str(n)) for n in file[key])
+        stamps, joints = file["time_ns"].astype(np.int64), file["joints"].astype(np.float64)
+    except (OSError, ValueError, TypeError) as problem:
         if isinstance(problem, TruthError):
             raise
         raise TruthError(f"{path}: cannot be read as a truth: {problem}") from problem

@@ -36,7 +36,7 @@ from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
 ZSTD = b"\x28\xb5\x2f\xfd"  # how data packed with zstd begin
-METADATA = ("latching", "offered_qos_profiles")  # of a channel
+METADATA = ("latching", "offered_qos_profiles", "up")  # of a channel
 COMPRESSIONS = ("", "lz4", "zstd")
 KEPT = 256 << 20  # bytes of unpacked chunks that stay in memory until the next pass
 UNPACKERS = 2  # threads that unpack chunks: as many as a small machine has cores; by hand

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int64
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import camera_of
 from voodoo_jax.io.frame_sync import join, period_of
+from voodoo_jax.io.key_points import Sight, order_of, people_of, sights
 from voodoo_jax.io.landmark_table import Gathered
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.point_labels import Parts
@@ -67,6 +68,50 @@ def plan_features(
         plan.pairs[i] = Pairs(names, points, weight)
     plan.topics = tuple(used)
     return plan
+
+
+def plan_key_points(
+    scan: Scan, fixed: str, topics: list[str], times: Int64[np.ndarray, " frame"], weights: Parts
+) -> FeaturePlan:
+    """Key points of several cameras alone as named 3D points and the lines of sight to them, each person's by
+    themselves; frames as for plan_features."""
+    plan, frames = FeaturePlan(), {}
+    counted: Counter[str] = Counter()
+    for camera, name in enumerate(sorted(topics)):
+        for i, some in _sights(scan, fixed, name, times, weights.weight(name), counted).items():
+            frames.setdefault(i, [[] for _ in topics])[camera] = some
+    plan.notes += [f"{n} {'feature' if n == 1 else 'features'} {what}." for what, n in counted.items()]
+    plan.pairs, plan.rays = people_of(frames)
+    plan.topics = tuple(sorted(topics))
+    return plan
+
+
+# 6 parameters, as _place
+def _sights(
+    scan: Scan, fixed: str, name: str, times: np.ndarray, weight: float, counted: Counter[str]
+) -> dict[int, list[Sight]]:
+    """What a camera sees of each person, by frame: of several messages the nearest in time."""
+    found = scan.topics[name].gathered
+    assert found is not None
+    sources, directions = _rays(scan, name, counted)
+    nearest, joins = join(times, period_of(times), found.stamps)
+    weights = weight * _sure(found)
+    order, messages = order_of(found.names, found.stamps), dict[int, int]()
+    for i, stamp in dict.fromkeys(zip(nearest[joins].tolist(), found.stamps[joins].tolist())):
+        if i not in messages or abs(stamp - times[i]) < abs(messages[i] - times[i]):
+            messages[i] = stamp
+    kept = np.flatnonzero(joins & np.isfinite(directions).all(axis=1))
+    rows: dict[int, list[int]] = {}
+    for k in kept.tolist():
+        if messages[i := int(nearest[k])] == int(found.stamps[k]):
+            rows.setdefault(i, []).append(k)
+    out = {}
+    for i, some in rows.items():
+        pose = scan.tree.lookup(fixed, str(sources[some[0]]), messages[i])
+        if pose is not None:
+            names = [found.names[k] for k in some]
+            out[i] = sights(pose[1], names, directions[some] @ pose[0].T, weights[some], order)
+    return out
 
 
 def _by_frame(parts: list[_Placed]):

@@ -4,7 +4,7 @@ Together with what is kept of a log between its passes these keep reading below 
 that is read in the same thread: what decodes a message need not be told.
 """
 
-from voodoo_jax.config.limited import limited, limits
+from voodoo_jax.config.limited import limited, limits, too_large
 
 __all__ = ["PLACE", "QUATERNION", "TIME", "limited", "limits", "too_large"]
 
@@ -14,9 +14,3 @@ TIME = 1 << 62
 PLACE = 1e8
 # Lengths of quaternions that are taken for one of length 1 with rounding: drivers round to 3 digits at worst.
 QUATERNION = 1e-3, 1e3
-
-
-def too_large(what: str, size: int, limit: str, unit: str = "bytes") -> str:
-    """The sentence's end for something that is larger than a limit, "" for what is not."""
-    most = getattr(limits(), limit)
-    return f"{what} {size} {unit}, more than the {most} that are allowed (--limits.{limit})" if size > most else ""

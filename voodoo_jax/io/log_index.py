@@ -184,7 +184,8 @@ class Scan:
         if channel.topic not in self.topics:
             encoding = "/".join(filter(None, [channel.message_encoding, schema.encoding if schema else ""]))
             name, why = schema.name if schema else "?", reason_unused(schema, channel)
-            self.topics[channel.topic] = Topic(name, encoding, self.kind(schema, channel), why)
+            up = channel.metadata.get("up", "")
+            self.topics[channel.topic] = Topic(name, encoding, self.kind(schema, channel), why, up=up)
         return self.topics[channel.topic]
 
     def _take(self, topic: Topic, schema: Schema, channel: Channel, message: Any) -> None:

@@ -24,6 +24,7 @@ from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted, leeway, moved
+from voodoo_jax.io.image_planes import flat_share, planes, seen_pixels
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader, shape_of
@@ -33,6 +34,7 @@ from voodoo_jax.io.repeats import Repeats
 from voodoo_jax.io.skin_rays import add_rays
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS, Transform
+from voodoo_jax.io.which_depth import calibrated
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording
@@ -42,6 +44,11 @@ __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "rea
 
 Progress = Callable[[int, int], None]
 UNREADABLE = "cannot be decoded, left out"
+LEVEL = np.cos(np.radians(15))  # so near to upwards a normal is a floor's; by hand
+# degrees, or 2 centimetres, by which a floor is off level at most where transforms are right; and the probability that
+# they are where two contradict each other and nothing tells; by hand
+FITS, TORN = 2.5, 0.5
+BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical axes to those of a body (REP 103)
 STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
 BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
 TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
@@ -65,9 +72,49 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "Lo
         check_pose_net(settings.pose_net)
     scan = Scan(path, settings)
     try:
-        return LogReader(scan, make_plan(scan, settings), settings)
+        return _with_images_as_shown(_with_settled_frames(LogReader(scan, make_plan(scan, settings), settings)))
     except LogError as problem:
         raise LogError(f"{damaged(scan, problem)} {scan.part_of}".strip()) from problem
+
+
+def _with_settled_frames(reader: "LogReader") -> "LogReader":
+    """The reader with the one of two places of each frame that two publishers disagree about: that with which the floor
+    is level and at the height 0, if it tells."""
+    for child, count in reader.torn.items():
+        off, lines = zip(*((reader.off_level(), line) for line in (reader.choose(child, k) for k in (0, 1))))
+        best = int(np.argmin(off))
+        reader.choose(child, best)
+        told = off[best] < FITS and off[1 - best] > 2 * max(off[best], FITS / 4)
+        reader.sure *= 1.0 if told else TORN
+        why = "the floor is level with the one that is used" if told else "nothing tells which is right"
+        reader.say(
+            f"Frame '{child}' jumps between two places, {count} times: two publishers say where it is; {why}. "
+            f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
+        )
+    return reader
+
+
+def _with_images_as_shown(reader: "LogReader") -> "LogReader":
+    """The reader with depth images taken for what their planes show them to be: distances along the rays, and optical
+    ones in a frame of a camera's body."""
+    for topic in reader.sensors:
+        if not reader.is_image(topic) or (found := reader.first_pixels(topic)) is None:
+            continue
+        xy, values = found
+        if topic not in reader.radial and flat_share(xy, values)[1]:
+            reader.radial[topic] = True
+            reader.say(
+                f"'{topic}' has distances along the rays, not along the optical axis, to judge by the planes in it "
+                f"(read.radial={topic}=yes; =no says that they are depths)."
+            )
+        if reader.in_body_frame(topic, xy, values):
+            reader.of_body |= {topic}
+            reader.say(
+                f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor stands upright: that is the "
+                "frame of a camera's body, and its images are taken for optical ones (z ahead, x to the right) at that "
+                "place. A transform of an optical frame, or read.up, settles it."
+            )
+    return reader
 
 
 def read_log(path: Place, settings: ReadSettings | None = None, progress: Progress | None = None) -> Recording:
@@ -126,12 +173,74 @@ class LogReader:
         }  # metres per unit, where it is not the usual
         self.moved: dict[str, tuple[float, float]] = {}  # principal points of cropped images, see detect.crops; pixels
         self.sure = 1.0  # probability that places are right for which a calibration was assumed
+        radial = check_pairs("read.radial", settings.radial, numbers=False)
+        # by topic: whether the values of depth images are distances along the rays
+        self.radial: dict[str, bool] = {name: word == "yes" for name, word in radial.items()}
+        self.of_body: frozenset[str] = frozenset()  # images in a frame of their camera's body: x ahead, z up
+        mirrors = check_pairs("read.mirror", settings.mirror, numbers=False)
+        self._mirrored = {name: "xyz".index(axis) for name, axis in mirrors.items() if axis in ("x", "y", "z")}
         self.smeared: frozenset[str] = frozenset()  # depth images without what lies in their smeared edges
 
     def unit(self, topic: str) -> float:
         """Metres per unit of a depth topic's numbers, as is usual for its encoding."""
         sample = self._scan.topics[topic].sample
         return sample.unit if isinstance(sample, Image) else 1.0
+
+    def first_pixels(self, topic: str) -> tuple[np.ndarray, np.ndarray] | None:
+        """Of some pixels of a topic's first image the rays to a depth of 1, and the values: see calibrated()."""
+        return calibrated(self._scan.topics, topic)
+
+    @property
+    def torn(self) -> dict[str, int]:
+        """Frames that jump between two places, and how often."""
+        return {child: 2 * min(len(e.stamps) for e in both) for child, both in self._scan.tree.torn.items()}
+
+    def choose(self, child: str, which: int) -> str:
+        """Takes one of these places; how read.transform says it."""
+        return self._scan.tree.choose(child, which)
+
+    def off_level(self) -> float:
+        """How far the floor in the first image of a depth camera is from lying level at the height 0 of the fixed
+        frame, in degrees, or 2 centimetres; the best of all cameras; infinite where none sees one. Walls beside the
+        axes of the frame count a tenth of that: rooms are often measured along them."""
+        least = np.inf
+        for topic in self.sensors:
+            found = self.first_pixels(topic) if self.is_image(topic) else None
+            at = int(self.stamps(topic)[0])
+            pose = self._scan.tree.lookup(self.fixed_frame, self.frame_name(topic), at, hold_ns=None)
+            if found is None or pose is None:
+                continue
+            ways, value = seen_pixels(*found)
+            seen = planes(ways, value) if len(value) >= 100 else None
+            if seen is None or not len(seen.shares):
+                continue
+            normals = seen.normals @ pose[0].T
+            level = normals @ self.up
+            walls = normals[np.abs(level) < 0.2]
+            aside = np.degrees(np.arccos(np.clip(np.abs(walls).max(1), 0, 1))).mean() if len(walls) else 0.0
+            heights = float((pose[1] + self.origin) @ self.up) - seen.distances
+            off = np.degrees(np.arccos(np.clip(level, -1, 1))) + np.abs(heights) / 0.02
+            least = min(least, float(off[level > LEVEL].min(initial=np.inf)) + 0.1 * float(aside))
+        return least
+
+    def frame_name(self, topic: str) -> str:
+        """The frame in which a depth topic is given."""
+        return self._scan.topics[topic].sample.frame
+
+    def in_body_frame(self, topic: str, xy: np.ndarray, values: np.ndarray) -> bool:
+        """Whether the floor in a topic's first image is level only if its frame is that of a camera's body, as the
+        transforms place it."""
+        frame, tree = self.frame_name(topic), self._scan.tree
+        pose = tree.lookup(self.fixed_frame, frame, int(self.stamps(topic)[0]), hold_ns=None)
+        if self.up_is_given or pose is None or frame == tree.root(frame) or "optical" in frame.lower():
+            return False
+        ways, value = seen_pixels(xy, values)
+        if len(value) < 100:
+            return False
+        length = np.linalg.norm(ways, axis=1) if self.radial.get(topic) else 1.0
+        normals = planes(ways, value / length).normals
+        told, body = (np.max(normals @ turn.T @ self.up, initial=-1.0) for turn in (pose[0], pose[0] @ BODY_OPTICAL))
+        return bool(told < LEVEL < body)
 
     def is_image(self, topic: str) -> bool:
         """Whether a topic's messages are images, not clouds."""
@@ -179,6 +288,8 @@ class LogReader:
         raw = image.raw if image.packed is None else unpacked(image)
         if raw is None:
             return None
+        if (axis := self._mirrored.get(topic)) in (0, 1):  # x: left to right, y: upside down
+            raw = raw[:, ::-1] if axis == 0 else raw[::-1]
         return raw[::every, ::every].astype(np.float32) * np.float32(self.scales.get(topic, image.unit))
 
     def continued(self, scan: Scan, plan: Plan) -> "LogReader":
@@ -367,7 +478,7 @@ class LogReader:
                     if self._settings.matching == "none":
                         parts.setdefault(i, [])
                     else:
-                        content = stereo.cloud(item, partner)
+                        content = stereo.cloud(item, partner, self.fixed_frame, self.up)
                 else:
                     self._counted[topic, "left out, without an image of the other camera at the same time"] += 1
                 if content is not None and self._is_new(topic, content):
@@ -473,6 +584,8 @@ class LogReader:
             self._counted[topic, why] += 1
             return None
         rotation, translation = found
+        if topic in self.of_body:
+            rotation = rotation @ BODY_OPTICAL
         labels = None
         if isinstance(content, Image):
             k = stride(*content.shape, s.max_points)
@@ -495,6 +608,8 @@ class LogReader:
             points = content.points(s.max_points)
             if topic in self.scales:
                 points *= self.scales[topic]
+            if topic in self._mirrored:
+                points[:, self._mirrored[topic]] *= -1
             if field := self._plan_parts.field(topic):
                 if field in content.fields:
                     labels = content.field(field, s.max_points)
@@ -524,6 +639,8 @@ class LogReader:
         if before is None or not np.array_equal(before[0], rotation):
             xy = self._pixel_rays(topic, image, k).reshape(-1, 2)
             rays = np.column_stack([xy, np.ones(len(xy))])
+            if self.radial.get(topic):
+                rays /= np.linalg.norm(rays, axis=1, keepdims=True)
             limits = self._depths(rays) if before is None else before[2:]
             self._turned[key] = rotation, (rotation @ rays.T).astype(np.float32), *limits
         return self._turned[key][1:]

@@ -1,11 +1,12 @@
 """What a log holds, as a table for a person, without reading its depth data."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from voodoo_jax.config.options import FeatureSettings, ReadSettings
 from voodoo_jax.io.container import LogError, Place
+from voodoo_jax.io.convert.in_passing import as_mcap
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE
@@ -73,9 +74,16 @@ def _named(scan: Scan, topics: Iterable[str]) -> list[str]:
 
 
 def survey(path: Place, settings: ReadSettings | None = None) -> LogSurvey:
-    """List what a log holds, and what of it is used with `settings`. Raises LogError only if nothing can be read at
-    all, or a topic in the settings is not in the log."""
+    """List what a log holds, and what of it is used with `settings`; recordings of other formats are converted in
+    passing. Raises LogError only if nothing can be read at all, or a topic in the settings is not in the log."""
     settings = settings or ReadSettings()
+    with as_mcap(path, settings.types) as (log, notes):
+        found = _surveyed(log, settings)
+    return found if log is path else replace(found, path=str(path), warnings=(*notes, *found.warnings))
+
+
+def _surveyed(path: Place, settings: ReadSettings) -> LogSurvey:
+    """Of an MCAP log."""
     scan = Scan(path, settings)
     said = dict.fromkeys(scan.topics, "")
     try:

@@ -1,5 +1,6 @@
 """The plan for reading a log: the fixed frame, the sensors that are connected to it, and what makes up which frame."""
 
+import re
 from collections import Counter
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,7 @@ from voodoo_jax.io.calibrations import frame_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.registry import DEPTH_KINDS
 from voodoo_jax.io.frame_sync import clean_stamps, in_pauses, join_one, plan_frames
-from voodoo_jax.io.landmark_plan import plan_features
+from voodoo_jax.io.landmark_plan import plan_features, plan_key_points
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.pictures import PicturePlan, plan_pictures
 from voodoo_jax.io.point_labels import BODY, FREE, Parts
@@ -86,6 +87,7 @@ def make_plan(
         "a stereo pair, but the",
         "no message can be decoded",
         "its clock is",
+        "no depth, to judge",
     )
     for name, use in scan.uses.items():
         if any(why in use for why in reported):
@@ -123,7 +125,11 @@ def make_plan(
                 frames[frame][1].append((sensors.index(name), message))
     origin = _near_origin(scan, fixed, leaders[0], frames[0][0], notes) if origin is None else origin
     scan.tree.give_from(fixed, origin)
-    features = plan_features(scan, fixed, of[RAYS] + of[PAIRS], at, parts, after_ns)
+    cameras = [n for n in of[RAYS] if n in kept]
+    if leaders[0] in cameras and len(cameras) > 1:
+        features = plan_key_points(scan, fixed, cameras, at, parts)
+    else:
+        features = plan_features(scan, fixed, of[RAYS] + of[PAIRS], at, parts, after_ns)
     if settings.skin:
         skin = plan_skin(scan, fixed, at, parts)
         features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}
@@ -245,8 +251,11 @@ def _near_origin(scan: Scan, fixed: str, sensor: str, time_ns: int, notes: list[
 
 
 def _upward(scan: Scan, fixed: str, sensor: str, time_ns: int) -> np.ndarray:
-    """Up in the fixed frame: the root frame's z (REP 103), or -y for a camera that is the root itself."""
-    tree = scan.tree
+    """Up in the fixed frame: the root frame's z (REP 103), or -y for a camera that is the root itself, or what the
+    format says that the log was converted from."""
+    tree, told = scan.tree, scan.topics[sensor].up
+    if not tree.frames and re.fullmatch("-?[xyz]", told):
+        return np.array(direction(told), np.float32)
     root = tree.root(fixed)
     cameras = ("depth image", STEREO_USE, RAYS)
     if "optical" in root.lower() or (root not in tree.frames and scan.uses[sensor] in cameras):

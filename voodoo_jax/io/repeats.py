@@ -52,6 +52,9 @@ class Repeats:
         before = self._before.get(topic)
         if last is not None and last[1].same(shown):
             if before is None:
+                # what never changes while others do shows nobody who moves: frozen, or a still room without noise
+                if any(other != topic for other in self._before) and _seen(_distances(content)).sum() >= TELLING:
+                    return True
                 self._at_first[topic] += 1
             return before is not None and differing(last[0], before) >= NOISY
         if last is not None:

@@ -160,10 +160,11 @@ class StereoReader:
             elif not is_right:
                 yield *key, item, None
 
-    def cloud(self, left: Item, right: Item) -> Cloud:
-        """What a pair of images shows, in the left camera's frame. Raises one of DECODE_ERRORS for broken images."""
+    def cloud(self, left: Item, right: Item, fixed_frame: str, up: np.ndarray) -> Cloud:
+        """What a pair of images shows, in the left camera's frame; `up` is upwards in the fixed one. Raises one of
+        DECODE_ERRORS for broken images."""
         from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only for logs with pairs
-        from voodoo_jax.sensors.stereo_matching import StereoMatcher
+        from voodoo_jax.sensors.stereo_matching import UPWARDS, StereoMatcher
 
         contents = [self._decoder.message(s, c, m.data) for s, c, m in (left, right) if s is not None]
         images = [pixels(picture) for content in contents if (picture := picture_of(content)) is not None]
@@ -173,8 +174,11 @@ class StereoReader:
         if (topic, shape) not in self._matchers:
             rig = make_rig(self._topics, self._tree, self.pairs[topic], shape)
             self._matchers[topic, shape] = StereoMatcher(rig, shape, s.min_range)
-        points = self._matchers[topic, shape].points(images[0], images[1], s.max_points)
+        stamp, frame = contents[0].stamp_ns, contents[0].frame
+        pose = self._tree.lookup(fixed_frame, frame, stamp, hold_ns=None)
+        upwards = UPWARDS if pose is None else up @ pose[0]
+        points = self._matchers[topic, shape].points(images[0], images[1], s.max_points, upwards)
         grid = np.zeros((1, len(points)), np.dtype([(axis, "f8") for axis in "xyz"]))
         for i, axis in enumerate("xyz"):
             grid[axis] = points[:, i]
-        return Cloud(contents[0].stamp_ns, contents[0].frame, grid)
+        return Cloud(stamp, frame, grid)

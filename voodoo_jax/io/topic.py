@@ -30,4 +30,5 @@ class Topic:
     gathered: Gathered | None = None  # all of them, for a topic of features
     count: int = 0
     foreign: str = ""  # why it cannot be used though it can be decoded: its clock
+    up: str = ""  # which way is up by the format that the log was converted from, as in read.up
     stated: int = 0  # number of messages by the file's own statistics

@@ -10,6 +10,7 @@ from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import label_field
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Topic
+from voodoo_jax.io.which_depth import compared
 from voodoo_jax.records.messages import DEPTH_ENCODINGS, RAYS, Colour, Image
 
 
@@ -27,6 +28,8 @@ def decide_uses(
             uses[name] = _depth_use(topics, name)
         elif topic.kind == COLOUR_KIND:
             uses[name] = _empty(topic) or f"not used: {_picture(name, topic)}"
+    none, place = compared(topics, [n for n, use in uses.items() if use == "depth image"])
+    uses |= {name: f"not used: {why}" for name, why in none.items() if name not in settings.topics}
     for pair in pairs:
         rig = [n for n, use in uses.items() if use in ("depth image", "point cloud") and n.startswith(pair.rig)]
         if pair.problem:
@@ -50,7 +53,7 @@ def decide_uses(
     seen: dict[str, str] = {}
     cut_out = {word.partition("=")[0] for word in settings.parts}  # of what another topic may give as a whole
     labelled = {n for n in uses if uses[n] == "point cloud" and label_field(topics[n].sample, settings)}
-    rank = lambda n: (n not in labelled, _is_mono(topics, n), order[uses[n]], n)  # noqa: E731
+    rank = lambda n: (n not in labelled, _is_mono(topics, n), order[uses[n]], place.get(n, 0), n)  # noqa: E731
     ranked = sorted((n for n in uses if uses[n] in order and n not in cut_out), key=rank)
     for name in ranked:
         frame = topics[name].sample.frame

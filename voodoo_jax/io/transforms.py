@@ -11,6 +11,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from voodoo_jax.io.limits import PLACE, QUATERNION, TIME, limits
 
+# of a frame that jumps between two places: samples that tell it, how far (metres, with so many for a radian), how near
+# to where it was before (of the jump), and in how many of the samples; by hand
+FEWEST, JUMP, LEVER, SAME, OFTEN = 8, 0.03, 1.0, 0.25, 0.25
 HOLD_NS = 500_000_000  # a moving transform is believed for this long before its first and after its last sample
 
 
@@ -92,7 +95,18 @@ class TransformTree:
         self._odd: Counter[str] = Counter()
         self._unused: dict[str, str] = {}  # frames that the log places, too, and where they are given
         self._near = "", np.zeros(3)  # the frame that is given from another origin, and where that is in it
+        self.torn: dict[
+            str, tuple[_Edge, ...]
+        ] = {}  # frames that jump between two places, and where they are by either
         self.notes: list[str] = []
+
+    def choose(self, child: str, which: int) -> str:
+        """Takes one of the two places of a frame that jumps between them; how read.transform says it."""
+        edge = self._edges[child] = self.torn[child][which]
+        self._cache.clear()
+        middle = len(edge.stamps) // 2
+        numbers = (*edge.translations[middle], *edge.rotations[middle].as_quat())
+        return f"{edge.parent} {child} {' '.join(f'{x:.4g}' for x in numbers)}"
 
     def add(self, transform: Transform, static: bool) -> None:
         """Keep one sample. A static transform holds for the whole log, the last one given wins."""
@@ -163,6 +177,12 @@ class TransformTree:
                 stamps, translations, quaternions = stamps[:1], translations[:1], quaternions[:1]
             moving = stamps if len(stamps) > 1 else stamps[:0]
             self._edges[child] = _Edge(parent, moving, translations, Rotation.from_quat(quaternions))
+            if (second := to_and_fro(translations, quaternions)) is not None:
+                self.torn[child] = tuple(
+                    _Edge(parent, stamps[own], translations[own], Rotation.from_quat(quaternions[own]))
+                    for own in (~second, second)
+                )
+                self._edges[child] = self.torn[child][0]
         for child, parent in self._unused.items():
             self.notes.append(f"Frame '{child}' is where read.transform puts it in '{parent}', not where the log does.")
         self.notes += [f"{n} {what}." for what, n in self._odd.items()]
@@ -228,6 +248,30 @@ class TransformTree:
         if all(len(self._edges[frame].stamps) == 0 for frame in chains[0] + chains[1]):
             self._cache[target, source] = result
         return result
+
+
+def to_and_fro(
+    translations: Float[np.ndarray, "sample 3"], quaternions: Float[np.ndarray, "sample 4"]
+) -> Bool[np.ndarray, " sample"] | None:
+    """Which samples of a frame are of another place than the first one, where it jumps between two, time and again: two
+    publishers say where it is. None where it does not."""
+    if len(translations) < FEWEST:
+        return None
+    q = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+    def away(a: slice, b: slice) -> np.ndarray:
+        turn = 2 * np.arccos(np.clip(np.abs((q[a] * q[b]).sum(1)), 0, 1))
+        return np.linalg.norm(translations[a] - translations[b], axis=1) + LEVER * turn
+
+    step = away(slice(1, None), slice(None, -1))
+    back = np.full(len(step), np.inf)
+    for skip in (2, 3, 4):
+        found = away(slice(skip, None), slice(None, -skip))
+        back[: len(found)] = np.minimum(back[: len(found)], found)
+    jumps = step > JUMP
+    if (jumps & (back < SAME * step)).mean() < OFTEN:
+        return None
+    return np.append(False, np.cumsum(jumps) % 2 == 1)
 
 
 def plausible(

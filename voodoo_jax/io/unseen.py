@@ -63,7 +63,10 @@ def _placeholders(found: Gathered) -> Bool[np.ndarray, " feature"]:
     # one name that has never been elsewhere is where it is, and so are all if nothing else is seen
     elsewhere = count < np.where(names > 1, len(name), total[some])
     shared = (names >= NAMES) & (found.values.shape[1] == 3)
-    return ((count > REPEATS) & elsewhere & (alike | shared))[index]
+    # joints that a tracker has put together are in one place at one time, and in another the next
+    stamp = np.unique(found.stamps, return_inverse=True)[1].ravel()
+    times = np.bincount(np.unique(index * (int(stamp.max()) + 1) + stamp) // (int(stamp.max()) + 1))
+    return (elsewhere & (alike & (count > REPEATS) | shared & (times > REPEATS)))[index]
 
 
 def _held(found: Gathered) -> Bool[np.ndarray, " feature"]:

@@ -34,8 +34,13 @@ def jumps(markers: Markers) -> list[Exchange]:
     """Exchanges within a recording."""
     found = []
     count = markers.points.shape[1]
+    # of those that are seen throughout two that never jump need not be compared
+    steps = np.linalg.norm(np.diff(markers.points, axis=0), axis=2).max(0, initial=0)
+    calm = markers.seen.all(0) & (steps < JUMP / 2)
     for a in range(count):
         for b in range(a + 1, count):
+            if calm[a] and calm[b]:
+                continue
             both = np.flatnonzero(markers.seen[:, a] & markers.seen[:, b])
             if len(both) < 2:
                 continue

@@ -19,7 +19,6 @@ from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.model.marker_names import LEAST, Known, places_of, split_place, subjects
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.recording import Pairs
 from voodoo_jax.records.subject import Subject
 
 OWN = " marker "  # in the names of such points: no body file has it
@@ -91,11 +90,12 @@ def of_subject(people: list[BodyObservation], named: Named) -> list[BodyObservat
         return people
     out = []
     for frame in people:
-        p = frame.pairs
-        keep = np.array([n not in others for n in p.names], bool)
+        keep = np.array([n not in others for n in frame.pairs.names], bool)
         if not keep.all():
-            kept = tuple(n for n, k in zip(p.names, keep) if k)
-            frame = replace(frame, pairs=Pairs(kept, p.points[keep], None if p.weights is None else p.weights[keep]))
+            frame = replace(frame, pairs=frame.pairs.only(keep))
+        keep = np.array([n not in others for n in frame.rays.names], bool)
+        if not keep.all():
+            frame = replace(frame, rays=frame.rays.only(keep))
         out.append(frame)
     return out
 

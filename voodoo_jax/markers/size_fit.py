@@ -179,7 +179,7 @@ def personal(body: Body, markers: Markers, fit: Fit) -> Body:
     """
     t = body.topology
     grown = fit.factors * fit.scale / float(body.scale)
-    limbs, _ = named_points(body)
+    limbs_of = np.asarray(named_points(body)[0])
     of_limb = lambda points, limb: np.asarray(points) * grown[np.asarray(limb, int)]  # noqa: E731
     sites, centres = of_limb(body.sites, t.site_limbs), of_limb(body.centres, t.centre_limbs)
     # where several names share a point, the last one holds
@@ -196,6 +196,10 @@ def personal(body: Body, markers: Markers, fit: Fit) -> Body:
             owner = t.centre_limbs[k]
             if owner in (t.parents[j], t.children[j]):
                 centres[k] = (fit.on_parent if owner == t.parents[j] else fit.on_child)[j]
+    for row, spot, place in zip(markers.rows, spots, fit.places):
+        # a key point that is a joint says itself where that is
+        if spot in t.centres and limbs_of[row] == t.centre_limbs[t.centres.index(spot)]:
+            centres[t.centres.index(spot)] = place
     at = np.asarray(body.rest.translation) * fit.scale / float(body.scale)
     array = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
     new = (

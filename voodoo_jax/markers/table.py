@@ -14,7 +14,6 @@ from voodoo_jax.markers.label_swaps import Exchange, sides
 from voodoo_jax.markers.size_fit import Markers, fit_markers, personal
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.recording import Pairs
 from voodoo_jax.solve.names import FeatureNames
 
 ENOUGH = 4  # named points in a frame to track by
@@ -42,9 +41,7 @@ def without_gaps(frames: list[BodyObservation]) -> list[BodyObservation]:
         p = frame.pairs
         keep = np.isfinite(p.points).all(1) & (p.points != 0).any(1)
         if not keep.all():
-            names = tuple(n for n, k in zip(p.names, keep) if k)
-            weights = None if p.weights is None else p.weights[keep]
-            frame = replace(frame, pairs=Pairs(names, p.points[keep], weights))
+            frame = replace(frame, pairs=p.only(keep))
         out.append(frame)
     return out
 

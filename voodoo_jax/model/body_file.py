@@ -4,7 +4,6 @@ Positions are in the body frame of the rest pose (z up, x forward, y left, origi
 multiple of the key `scale`. A file that does not describe a body is refused with its name, the line and the reason.
 """
 
-import json
 import os
 from functools import cache
 from importlib import resources
@@ -18,7 +17,9 @@ from voodoo_jax.config.limited import limits
 from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.model.body import Body, Mode, Topology, without_side
-from voodoo_jax.model.checked_toml import Table, TomlFile, TomlFileError, nearest, unique_names
+from voodoo_jax.model.body_text import number_text, numbers_text, string_text
+from voodoo_jax.model.checked_toml import BodyFileError as BodyFileError
+from voodoo_jax.model.checked_toml import Table, TomlFile, nearest, unique_names
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.troubles import small_text
 
@@ -57,10 +58,6 @@ MOST = 1.0  # logarithm or share: no people of one size differ by a factor of e
 LIMITS = ("swing_x", "swing_y", "twist")
 RESERVED = ("name", "segment_lengths")  # keys of body_json in results, beside which the scale stands by its name
 BUILT_IN = ("human", "human10", "arm", "dog", "stick")
-
-
-class BodyFileError(TomlFileError):
-    """A body file that does not describe a body: `path`, `line` (1-based, None for the file itself) and `reason`."""
 
 
 def load_body(name_or_path: str | os.PathLike) -> Body:
@@ -351,19 +348,3 @@ def _quaternion(m: np.ndarray) -> np.ndarray:
     q = outer[np.argmax(np.diag(outer))]
     q = q / np.linalg.norm(q)
     return q * np.sign(q[np.argmax(np.abs(q) > 1e-4)])
-
-
-def number_text(value: float) -> str:
-    """A number as body files have it."""
-    text = f"{float(value) + 0.0:.9g}"  # + 0.0: no minus zero
-    return text if any(c in text for c in ".e") else text + ".0"
-
-
-def numbers_text(values: np.ndarray) -> str:
-    """Numbers as body files have them."""
-    return "[" + ", ".join(number_text(v) for v in np.round(values, 9) + 0.0) + "]"
-
-
-def string_text(text: str) -> str:
-    """A text as body files have it."""
-    return json.dumps(text, ensure_ascii=False)

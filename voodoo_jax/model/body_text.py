@@ -1,9 +1,9 @@
 """Text of a body file, table by table, from lengths in metres."""
 
+import json
+
 import numpy as np
 from jaxtyping import Float
-
-from voodoo_jax.model.body_file import number_text, numbers_text, string_text
 
 Vector = Float[np.ndarray, "3"]
 
@@ -51,3 +51,19 @@ class TextOfBody:
 
     def _lengths(self, values: np.ndarray) -> str:
         return numbers_text(np.asarray(values, float) / self._scale)
+
+
+def number_text(value: float) -> str:
+    """A number as body files have it."""
+    text = f"{float(value) + 0.0:.9g}"  # + 0.0: no minus zero
+    return text if any(c in text for c in ".e") else text + ".0"
+
+
+def numbers_text(values: np.ndarray) -> str:
+    """Numbers as body files have them."""
+    return "[" + ", ".join(number_text(v) for v in np.round(values, 9) + 0.0) + "]"
+
+
+def string_text(text: str) -> str:
+    """A text as body files have it."""
+    return json.dumps(text, ensure_ascii=False)

@@ -27,6 +27,10 @@ class TomlFileError(ValueError):
         self.path, self.line, self.reason = path, line, reason
 
 
+class BodyFileError(TomlFileError):
+    """A body file that does not describe a body: `path`, `line` (1-based, None for the file itself) and `reason`."""
+
+
 class TomlFile:
     """TOML text with the line of every table and key, which tomllib does not tell."""
 

@@ -25,6 +25,43 @@ LIMB_WORDS = {
 PIECES = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 
 
+# what conventions call the joint centres of people: how a name gets its side, and the words that differ from H-Anim v2;
+# SMPL's neck and head are what is meant by C7 and the base of the skull; RFoot is Human3.6M's ankle; OpenSim's models
+# have joint centres as markers of such names
+CONVENTIONS: dict[str, tuple[str, str, dict[str, str]]] = {
+    "common": ("left_{}", "right_{}", {
+        "skullbase": "head", "vc7": "neck", "radiocarpal": "wrist", "talocrural": "ankle",
+    }),
+    "h36m": ("L{}", "R{}", {
+        "skullbase": "Neck", "vc7": "Thorax", "shoulder": "Shoulder", "elbow": "Elbow", "radiocarpal": "Wrist",
+        "hip": "Hip", "knee": "Knee", "talocrural": "Foot",
+    }),
+    "opensim": ("L{}", "R{}", {
+        "skullbase": "Head", "vc7": "Neck", "shoulder": "SJC", "elbow": "EJC", "radiocarpal": "WJC", "hip": "HJC",
+        "knee": "KJC", "talocrural": "AJC",
+    }),
+}  # fmt: skip
+CONVENTIONS["smpl"] = CONVENTIONS["common"]
+
+
+def named(centres: Sequence[str], convention: str) -> tuple[str, ...]:
+    """Joint centres by the names of a convention: hanim (as body files have them), common, h36m, smpl or opensim. Those
+    that it has no name for keep theirs. Raises ValueError for another convention."""
+    if convention == "hanim":
+        return tuple(centres)
+    if convention not in CONVENTIONS:
+        raise ValueError(f"no names '{convention}'{nearest(convention, ['hanim', *CONVENTIONS])}")
+    left, right, words = CONVENTIONS[convention]
+    known = {*words, "shoulder", "elbow", "hip", "knee"}
+    found = []
+    for centre in centres:
+        side, plain = (
+            ({"l_": left, "r_": right}[centre[:2]], centre[2:]) if centre[:2] in ("l_", "r_") else ("{}", centre)
+        )
+        found.append(side.format(words.get(plain, plain)) if plain in known else centre)
+    return tuple(found)
+
+
 def joint_row(centres: Sequence[str], name: str) -> int:
     """Which of a body's joint centres a name means: its own name, or that of another convention.
 
@@ -32,7 +69,11 @@ def joint_row(centres: Sequence[str], name: str) -> int:
     """
     if (row := row_of(centres, name)) is not None:
         return row
-    raise ValueError(f"no joint centre '{name}'{nearest(name, centres)}; there are {', '.join(centres)}")
+    common = named(centres, "common")
+    for convention in ("common", "h36m", "opensim"):
+        if name in (others := named(centres, convention)):
+            return others.index(name)
+    raise ValueError(f"no joint centre '{name}'{nearest(name, [*centres, *common])}; there are {', '.join(common)}")
 
 
 def row_of(names: Sequence[str], name: str, words: Mapping[str, str] = WORDS) -> int | None:

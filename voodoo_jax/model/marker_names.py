@@ -15,6 +15,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
+from itertools import permutations
 
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.config.toml import check_pairs
@@ -23,10 +24,13 @@ from voodoo_jax.model.marker_sets import V1_NAMES
 LEAST = 5  # names of a set that must be there for it to be believed
 SHARE = 0.15  # of the names: a second set explains at least so many, or is chance
 SUBJECT = 6  # names with one prefix that make a subject of their own
+REORDERED = 3  # words of a name beside its side that are tried in other orders; by hand
 ALIKE = 0.5  # share of the names that two subjects have in common
 _SIDES = {"l": "l", "left": "l", "r": "r", "right": "r"}
 _NO_MEANING = {"study", "marker", "mkr", "static", "kp", "keypoint"}
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z][a-z]*|[a-z]+|\d+")
+# a side behind capitals or a number: ASISr, STERl, D1Ml
+_SIDE_BEHIND = re.compile(r"(.*[A-Z0-9])([lr])")
 # what systems call points that nobody named: "*12", "C_7", "Unlabeled 3", "x52", "M012", bare numbers; not C7
 _NOBODY = re.compile(
     r"\W*(unl\w*|unknown|unnamed|untitled|mkr|marker|trajectory)?[\W_]*\d+|[cmux]([\W_]+\d+|\d{2,})", re.IGNORECASE
@@ -80,19 +84,23 @@ class Known:
 
 def readings(name: str) -> list[tuple[str, str]]:
     """Ways to read a name: side ("l", "r", or "" for none) and the rest in small letters without separators."""
-    words = [w.lower() for w in _WORD.findall(name)]
+    behind = _SIDE_BEHIND.fullmatch(name)
+    words = [w.lower() for w in _WORD.findall(f"{behind[1]} {behind[2]}" if behind else name)]
     words = [w for w in words if w not in _NO_MEANING] or words
     flat = "".join(words)
-    found = [("", flat)]
+    found, others = [("", flat)], []
     for i, word in enumerate(words):
         if side := _SIDES.get(word):
-            found.append((side, "".join(words[:i] + words[i + 1 :])))
+            rest = words[:i] + words[i + 1 :]
+            found.append((side, "".join(rest)))
+            if 1 < len(rest) <= REORDERED:  # MalleolusLateral for LateralMalleolus
+                others += [(side, "".join(order)) for order in permutations(rest)][1:]
     for mark, side in (("left", "l"), ("right", "r"), ("l", "l"), ("r", "r")):
         if flat.startswith(mark):
             found.append((side, flat[len(mark) :]))
         if len(mark) > 1 and flat.endswith(mark):
             found.append((side, flat[: -len(mark)]))
-    return found
+    return found + others
 
 
 def nobodys(name: str) -> bool:
@@ -115,6 +123,12 @@ def _parsed(text: str) -> MarkerSet:
     numbers = tuple(map(tuple, content.get("numbers", {}).values()))
     one = content["title"], content.get("weight"), table("middle"), table("sides")
     return MarkerSet(*one, numbered, numbers, newington)
+
+
+@lru_cache(maxsize=16)
+def numbered_names(count: int) -> tuple[str, ...] | None:
+    """Names of the points of a system that has so many and tells them by their order only; None: none is known."""
+    return next((table for one in marker_sets() for table in one.numbers if len(table) == count), None)
 
 
 def split_place(place: str) -> tuple[str, float | None]:

@@ -13,6 +13,7 @@ from voodoo_jax.records.notes import plain_name
 DEPTH_ENCODINGS = {"16UC1": ("u2", 0.001), "MONO16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # pixels, metres per unit
 # what topics of Features are used as: lines of sight, and markers and the like
 RAYS, PAIRS = "2D features", "named points"
+FARTHEST = 1e9  # larger numbers are none of metres or pixels, and overflow later
 
 
 @dataclass(frozen=True)
@@ -123,8 +124,8 @@ def features(stamp_ns: int, items: Sequence[Named], dim: int) -> Features:
     stamps = np.array([i.stamp_ns for i in items], np.int64)
     if (np.abs(stamps) >= 1 << 62).any() or abs(stamp_ns) >= 1 << 62:  # after 2116: differences would not fit
         raise OverflowError("a stamp is impossible")
-    # NaN fails every comparison; larger numbers are none of metres or pixels, and overflow later.
-    kept: list[int] = np.flatnonzero((np.abs(values) < 1e9).all(axis=1)).tolist()
+    # NaN fails every comparison
+    kept: list[int] = np.flatnonzero((np.abs(values) < FARTHEST).all(axis=1)).tolist()
     return Features(
         int(np.int64(stamp_ns)) or int(min(stamps[stamps != 0], default=0)),
         # The same few texts come with every message: keep one copy of each.

@@ -21,6 +21,11 @@ def plain(text: str, most: int = NAME) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
 
 
+def shown(text: str) -> str:
+    """The same of a text of several lines."""
+    return "\n".join(plain(line, 4 * SENTENCE) for line in text.split("\n"))
+
+
 def plain_name(text: str) -> str:
     """The same of a name by which things are told apart: what is changed gets a sign of its own, so that names which
     differ stay different."""

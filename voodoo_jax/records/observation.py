@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -85,6 +86,14 @@ def with_places(
     if isinstance(moved, BodyObservation) and moved.before is not None:
         moved = replace(moved, before=place(moved.before))
     return moved
+
+
+def that_differ(frames: Sequence[BodyObservation], least: int) -> list[int]:
+    """Which frames with so many points at least are no copies of the one before: no sensor measures the same noise
+    twice, and copies tell nothing of what is at rest."""
+    there = [k for k, f in enumerate(frames) if len(f.points) >= least]
+    same = (np.array_equal(frames[a].points, frames[b].points) for a, b in pairwise(there))
+    return there[:1] + [k for k, copied in zip(there[1:], same) if not copied]
 
 
 def assigned(frame: Frame | BodyObservation) -> Bool[np.ndarray, " point"]:

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from html import escape
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32
+from jaxtyping import Bool, Float32, Float64, Int32
+
+from voodoo_jax.records.markup import filled
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,12 @@ class Rays:
     directions: Float32[np.ndarray, "ray 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # unit
     weights: Float32[np.ndarray, " ray"] | None = None  # of the source, times the name's weight; None: all 1
 
+    def only(self, keep: Bool[np.ndarray, " ray"]) -> "Rays":
+        """Some of them."""
+        names = tuple(n for n, k in zip(self.names, keep) if k)
+        weights = None if self.weights is None else self.weights[keep]
+        return Rays(names, self.origins[keep], self.directions[keep], weights)
+
 
 @dataclass(frozen=True)
 class Pairs:
@@ -25,6 +32,11 @@ class Pairs:
     names: tuple[str, ...] = ()  # as the log calls them
     points: Float32[np.ndarray, "pair 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))  # metres
     weights: Float32[np.ndarray, " pair"] | None = None  # of the source, times the name's weight; None: all 1
+
+    def only(self, keep: Bool[np.ndarray, " pair"]) -> "Pairs":
+        """Some of them."""
+        names = tuple(n for n, k in zip(self.names, keep) if k)
+        return Pairs(names, self.points[keep], None if self.weights is None else self.weights[keep])
 
 
 # in all frames without any: an object of its own in each would be half a kilobyte
@@ -93,7 +105,7 @@ class Recording:
         return f"Recording({str(self).splitlines()[0]})"
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(str(self))}</pre>"
+        return filled("<pre>@TEXT@</pre>", TEXT=self)
 
     def __str__(self) -> str:
         n = len(self.frames)

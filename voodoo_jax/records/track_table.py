@@ -18,7 +18,7 @@ def track_columns(tracks: "Tracks") -> dict[str, np.ndarray]:
         "tracked": np.asarray(tracks.tracked),
         "residual_m": np.asarray(tracks.residual, float),
     }
-    names = tracks.body.topology.centres
+    names = tracks.joint_names
     for i, name in enumerate(names):
         columns |= {f"{name}_{axis}_m": tracks.joints[:, i, k].astype(float) for k, axis in enumerate("xyz")}
     sure = tracks.joint_confidence

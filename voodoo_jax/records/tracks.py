@@ -1,8 +1,7 @@
 """The result of tracking one recording, on the host: NumPy arrays and the body they belong to."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
-from html import escape
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -10,7 +9,8 @@ from jaxtyping import Bool, Float, Float32, Float64, Int8, Int32, Int64
 
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.isb_angles import Angles, joint_angles
-from voodoo_jax.model.joint_names import joint_row
+from voodoo_jax.model.joint_names import joint_row, named
+from voodoo_jax.records.markup import all_of, filled
 from voodoo_jax.records.track_table import track_columns
 
 SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named; by hand
@@ -77,6 +77,20 @@ class Tracks:
     notes: tuple[str, ...] = field(default=())
     person: int = 1  # number among the people of the recording: 1 who is seen longest
     people: int = 1  # how many of them are tracked
+    names: tuple[str, ...] = ()  # of the joint centres where a convention gives them others than the body: with_names
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joint centres, as files have them."""
+        return self.names or self.body.topology.centres
+
+    def with_names(self, convention: str) -> "Tracks":
+        """The same with joint centres named by a convention, here and in files that are written of them: hanim (as in
+        the body file), common (left_wrist), h36m, smpl, opensim; "": as they are. Raises ValueError for another one."""
+        if not convention:
+            return self
+        names = named(self.body.topology.centres, convention)
+        return replace(self, names=() if names == self.body.topology.centres else names)
 
     @property
     def tracked(self) -> Bool[np.ndarray, " frame"]:
@@ -90,13 +104,20 @@ class Tracks:
             return np.full(len(self.time_ns), np.nan, np.float32)
         return expected_share(self.joint_confidence)
 
+    def since(self, first: int) -> "Tracks":
+        """The same without the frames before `first`."""
+        each = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("up", "marker_residual")}
+        rows = {name: value[first:] for name, value in each.items() if isinstance(value, np.ndarray)}
+        return replace(self, **rows) if first else self
+
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
         """Positions of one joint centre over time, metres.
 
         Names of other conventions are understood: left_wrist, LWrist, WRIST_LEFT (see model/joint_names.py). Raises
         ValueError with near names.
         """
-        return self.joints[:, joint_row(self.body.topology.centres, name)]
+        own = self.joint_names
+        return self.joints[:, own.index(name) if name in own else joint_row(self.body.topology.centres, name)]
 
     def to_pandas(self) -> Any:
         """A pandas DataFrame, a row for each frame: the columns of an exported CSV file (metres, degrees), by seconds
@@ -113,8 +134,10 @@ class Tracks:
 
     def _repr_html_(self) -> str:
         rows = [*self._summary(), *(("note", note) for note in self.notes)]
-        cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
-        return f"<table><caption>Tracks</caption>{cells}</table>"
+        cells = all_of(
+            filled("<tr><th>@NAME@</th><td>@VALUE@</td></tr>", NAME=name, VALUE=value) for name, value in rows
+        )
+        return filled("<table><caption>Tracks</caption>@CELLS@</table>", CELLS=cells)
 
     def _summary(self) -> list[tuple[str, str]]:
         count, body = len(self.time_ns), self.body
@@ -162,7 +185,7 @@ def _doubtful(tracks: Tracks) -> list[str]:
     if tracks.joint_confidence is None or not tracked.any():
         return []
     share = tracks.joint_confidence[tracked].mean(0)
-    few = [f"{tracks.body.topology.centres[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
+    few = [f"{tracks.joint_names[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
     return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
 
 

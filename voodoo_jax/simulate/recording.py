@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt16
 
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body, joint_centres
-from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.simulate.motion import Motion, as_arrays, pose_body
 from voodoo_jax.simulate.room import Room, keep_nearest, render_room
 from voodoo_jax.simulate.sensor import TOF_NOISE, Camera, Noise, add_noise, tof_camera
@@ -153,26 +152,3 @@ def in_one_picture(*people: Simulation) -> Simulation:
     nothing = np.iinfo(np.uint16).max
     depth = np.min([np.where(p.depth > 0, p.depth, nothing) for p in people], 0)
     return replace(first, depth=np.where(depth < nothing, depth, 0).astype(np.uint16))
-
-
-def truth_tracks(simulation: Simulation, source: str = "simulation") -> Tracks:
-    """The truth as if it had been tracked: what a perfect tracker would return."""
-    s, count = simulation, len(simulation.time_ns)
-    zeros, steps = np.zeros(count, np.float32), np.zeros(count, np.int32)
-    points = (s.depth > 0).sum((1, 2)).astype(np.int32)
-    weight = np.ones(s.rotation.shape[:2], np.float32)
-    return Tracks(
-        source=source,
-        fixed_frame=s.fixed_frame,
-        body=s.body,
-        time_ns=s.time_ns,
-        rotation=s.rotation,
-        translation=s.translation,
-        joints=s.joints,
-        status=np.full(count, Status.TRACKED, np.int8),
-        residual=zeros,
-        explained=zeros + 1,
-        steps=steps,
-        points=points,
-        limb_weight=weight,
-    )

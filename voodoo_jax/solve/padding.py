@@ -38,18 +38,24 @@ def pad_features(
     point = np.zeros((length, capacity, choices), np.int32)
     origin, direction = np.zeros((2, length, capacity, 3), np.float32)
     weight = np.zeros((length, capacity), np.float32)
+    looked_up: dict[tuple[str, ...], tuple[list[int], list[tuple[int, ...]], list[float]]] = {}
     for i, frame in enumerate(frames):
         rays, pairs = frame.rays, frame.pairs
-        ones = np.ones(len(rays.names) + len(pairs.names))
-        sources = [ones[: len(rays.names)] if rays.weights is None else rays.weights]
-        sources += [ones[len(rays.names) :] if pairs.weights is None else pairs.weights]
-        rows = [(n, rays.origins[k], rays.directions[k]) for k, n in enumerate(rays.names)]
-        rows += [(n, pairs.points[k], np.zeros(3)) for k, n in enumerate(pairs.names)]
-        known = [(*f, s, o, d) for (n, o, d), s in zip(rows, np.concatenate(sources)) if (f := names.find(n))]
-        for k, (found, w, source, o, d) in enumerate(known[:capacity]):
+        said = (*rays.names, *pairs.names)  # mostly those of the frame before
+        if said not in looked_up:
+            found = [(k, *f) for k, n in enumerate(said) if (f := names.find(n))][:capacity]
             # the first one again where a name stands for fewer points than another
-            point[i, k] = (found + found[:1] * choices)[:choices]
-            weight[i, k], origin[i, k], direction[i, k] = w * source, o, d
+            padded = [(rows + rows[:1] * choices)[:choices] for _, rows, _ in found]
+            looked_up[said] = [k for k, *_ in found], padded, [w for *_, w in found]
+        kept, rows, own = looked_up[said]
+        if not kept:
+            continue
+        at = slice(len(kept))
+        sources = [np.ones(len(some.names)) if some.weights is None else some.weights for some in (rays, pairs)]
+        source = np.concatenate(sources)[kept]
+        point[i, at], weight[i, at] = rows, np.array(own, source.dtype) * source
+        origin[i, at] = np.concatenate([rays.origins, pairs.points])[kept]
+        direction[i, at] = np.concatenate([rays.directions, np.zeros_like(pairs.points)])[kept]
     return Features(*jax.device_put((point, origin, direction, weight)))
 
 

@@ -19,8 +19,9 @@ def replacing(path: str | os.PathLike[str], ending: str = "") -> Iterator[Path]:
     target = Path(path)
     partial = _partial(target, ending)
     try:
+        made_new(partial)
         yield partial
-        os.replace(partial, target)
+        moved(partial, target)
     except OSError as problem:
         ours = problem.filename == str(partial) or problem.filename is None and problem.errno in WHILE_WRITING
         if ours:
@@ -39,7 +40,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         if target.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         partial = _partial(target)
-        partial.open("wb").close()
+        made_new(partial)
         partial.unlink(missing_ok=True)
     except OSError as problem:
         raise not_written(problem, target) from problem
@@ -52,6 +53,30 @@ def made_folder(path: str | os.PathLike[str]) -> Path:
     except OSError as problem:
         raise not_written(problem, path) from problem
     return Path(path)
+
+
+def begun(path: str | os.PathLike[str]) -> Path:
+    """A temporary path in the same folder, with an empty file, for who moves it to `path` by `moved`. Raises
+    NotWritten."""
+    partial = _partial(Path(path))
+    try:
+        made_new(partial)
+    except OSError as problem:
+        raise not_written(problem, path) from problem
+    return partial
+
+
+def moved(partial: Path, target: Path) -> None:
+    """Puts a complete file in its place: over a file or link of this name, and nothing else. Raises OSError."""
+    if target.exists() and not target.is_file() and not target.is_dir():  # a pipe or a device
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(partial))
+    os.replace(partial, target)
+
+
+def made_new(partial: Path) -> None:
+    """Makes an empty file, in place of one that was left there; what lies there is not followed, be it a link."""
+    partial.unlink(missing_ok=True)
+    open(partial, "xb").close()
 
 
 def _partial(target: Path, ending: str = "") -> Path:

@@ -3,6 +3,7 @@
 import errno
 import os
 import stat
+from typing import BinaryIO
 
 ROOM = "make room, or name another folder for results; the same command then goes on"
 RIGHTS = "you may not write there", "name another folder for results"
@@ -60,29 +61,46 @@ def check_text(place: str | os.PathLike[str], what: str) -> None:
             ) from problem
 
 
-def small_file(path: str | os.PathLike[str]) -> bytes:
-    """All of a file that somebody names beside logs: settings, a body, a calibration. Raises NotReadable for pipes and
-    devices, for which one could wait for ever, and for what is far too large; OSError."""
+def opened_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None) -> BinaryIO:
+    """A file opened for reading. Raises NotReadable for pipes and devices, for which one could wait for ever, and for
+    what lies outside of the folder `inside`, be it by a link; OSError."""
+    place = os.path.realpath(path) if inside is not None else os.fspath(path)
+    if inside is not None and os.path.commonpath([place, folder := os.path.realpath(inside)]) != folder:
+        raise _unfit(f"it lies outside of '{os.fspath(inside)}'")
     # a pipe that nobody writes into must not be waited for
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with os.fdopen(handle, "rb") as stream:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise _unfit(f"it is a {'folder' if stat.S_ISDIR(status.st_mode) else 'pipe or a device'}: give a file")
-        if status.st_size > SMALL:
-            raise _unfit(f"it has {status.st_size} bytes, more than the {SMALL} that are read of such files")
-        return stream.read(SMALL + 1)
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    handle = os.open(place, flags | (getattr(os, "O_NOFOLLOW", 0) if inside is not None else 0))
+    stream = os.fdopen(handle, "rb") if stat.S_ISREG((status := os.fstat(handle)).st_mode) else None
+    if stream is None:
+        os.close(handle)
+        raise _unfit(f"it is a {'folder' if stat.S_ISDIR(status.st_mode) else 'pipe or a device'}: give a file")
+    return stream
 
 
-def small_text(path: str | os.PathLike[str], errors: str = "strict") -> str:
+def small_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None, most: int = SMALL) -> bytes:
+    """All of a file of at most so many bytes, such as somebody names beside logs: settings, a body, a calibration.
+    Raises NotReadable for others, and as opened_file; OSError."""
+    with opened_file(path, inside) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > most:
+            raise _unfit(f"it has {size} bytes, more than the {most} that are read of such files")
+        return stream.read(most + 1)
+
+
+def small_text(
+    path: str | os.PathLike[str],
+    errors: str = "strict",
+    inside: str | os.PathLike[str] | None = None,
+    most: int = SMALL,
+) -> str:
     """The same as text, UTF-8, with the ends of lines that Python likes. Raises UnicodeDecodeError besides."""
-    return small_file(path).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
+    return small_file(path, inside, most).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
-def check_file(path: str | os.PathLike[str]) -> None:
-    """Raises NotReadable for a pipe or a device, for which one could wait for ever."""
-    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
-        raise _unfit("it is a pipe or a device: give a file")
+def check_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None) -> None:
+    """Raises what opened_file raises, for what is opened by a library; folders pass if no `inside` is asked for."""
+    if inside is not None or os.path.exists(path) and not os.path.isdir(path):
+        opened_file(path, inside).close()
 
 
 def _unfit(why: str) -> NotReadable:

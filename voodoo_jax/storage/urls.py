@@ -19,6 +19,15 @@ URL_HELP = 'pip install "voodoo_jax[urls]"'
 NPZ = ".tracks.npz"  # and those of files with tracks
 TRACKS = ".voodoo.mcap"  # how the names of MCAP files of tracks end
 ENDINGS = (".mcap", ".mcap.zstd", ".mcap.zst")
+SQLITE = ".db3"  # of ROS 2's bags before MCAP
+# recordings of other formats that are converted in passing, by io/convert; .json and .csv are by name only, for there
+# are others
+FOREIGN = (".bag", SQLITE, ".mkv", ".c3d", ".trc", ".skeleton")
+# whose files are what their addresses say: no archives, copies or other addresses within them
+STORES = (
+    "file", "memory", "s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "http", "https", "hdfs", "webhdfs", "oss",
+    "oci", "hf",
+)  # fmt: skip
 TOGETHER = "+"  # between files that are one recording
 
 
@@ -30,6 +39,8 @@ def is_url(place: str | os.PathLike[str]) -> bool:
 def file_system(url: str) -> tuple[Any, str]:
     """The file system of a URL, and the path in it. Raises ValueError with what to install."""
     protocol = url.split("://", 1)[0]
+    if protocol not in STORES or "::" in url:
+        raise ValueError(f"{url}: such addresses are not read or written; what is: {', '.join(STORES)}")
     try:
         import fsspec
     except ImportError as problem:
@@ -72,11 +83,11 @@ def bag_of(path: str) -> tuple[str, list[str]]:
 
 
 def _bag_files(folder: str) -> list[str]:
-    """Files of a split recording of rosbag2 in their order, as metadata.yaml says or else as they are called; a file
+    """Files of a recording of rosbag2 in their order, as metadata.yaml says or else as they are called; a file
     that it names and that is not there is left out. Empty if the folder is none."""
     there: list[str] = []
     with suppress(OSError):  # none, or one that must not be looked into, which is said when it is read
-        there = sorted(name for name in os.listdir(folder) if _is_log(name))
+        there = sorted(name for name in os.listdir(folder) if _is_log(name) or _is_foreign(name, SQLITE))
     metadata = os.path.join(folder, "metadata.yaml")
     if os.path.isfile(metadata):
         text = small_text(metadata, "replace")
@@ -90,7 +101,7 @@ def _bag_files(folder: str) -> list[str]:
     # a recorder that was stopped hard writes no metadata: NAME/NAME_0.mcap, NAME/NAME_1.mcap, ...
     stem, number = os.path.basename(os.path.abspath(folder)), {}
     for name in there:
-        if match := re.fullmatch(re.escape(stem) + r"_(\d+)\.mcap(\.zstd)?", name):
+        if match := re.fullmatch(re.escape(stem) + r"_(\d+)\.(mcap(\.zstd)?|db3)", name):
             number[int(match[1])] = name
     whole = len(number) == len(there) and sorted(number) == list(range(len(number)))
     return [os.path.join(folder, number[k]) for k in sorted(number)] if whole else []
@@ -98,6 +109,18 @@ def _bag_files(folder: str) -> list[str]:
 
 def _is_log(name: str) -> bool:
     return name.endswith(ENDINGS) and not name.endswith(TRACKS) and not name.startswith(".")
+
+
+def _is_foreign(name: str, endings: str | tuple[str, ...] = FOREIGN) -> bool:
+    return name.lower().endswith(endings) and not name.startswith(".")
+
+
+def _foreign_in(folder: str, names: list[str]) -> list[str]:
+    """Recordings of other formats among the files of a folder, without what was exported from tracks there."""
+    there = {name.removesuffix(NPZ) for name in names if name.endswith(NPZ)}
+    return [
+        os.path.join(folder, name) for name in names if _is_foreign(name) and os.path.splitext(name)[0] not in there
+    ]
 
 
 def _inside(folder: str, above: frozenset[str] = frozenset()) -> list[str]:
@@ -109,11 +132,13 @@ def _inside(folder: str, above: frozenset[str] = frozenset()) -> list[str]:
     try:
         if len(_bag_files(folder)) > 1:
             return [folder]
-        found = [os.path.join(folder, name) for name in os.listdir(folder)]
+        names = os.listdir(folder)
     except OSError:
         return [folder]
+    found = [os.path.join(folder, name) for name in names]
     below = [log for path in found if os.path.isdir(path) for log in _inside(path, above | {own})]
-    return [path for path in found if os.path.isfile(path) and _is_log(os.path.basename(path))] + below
+    logs = [path for path in found if _is_log(os.path.basename(path))] + _foreign_in(folder, names)
+    return [path for path in logs if os.path.isfile(path)] + below
 
 
 def expanded(place: str | os.PathLike[str]) -> list[str]:
@@ -124,7 +149,10 @@ def expanded(place: str | os.PathLike[str]) -> list[str]:
     if os.path.isdir(place):
         if logs := sorted(_inside(place)):
             return logs
-        raise ValueError(f"'{place}' is a folder without any .mcap log in it; name the logs, or the folder they are in")
+        raise ValueError(
+            f"'{place}' is a folder without any log in it ({', '.join((*ENDINGS[:1], *FOREIGN))}): name the logs, or "
+            "the folder they are in; folders of images, or of point clouds, become a log by voodoo-jax convert"
+        )
     if len(several := log_parts(place)) > 1:
         return [TOGETHER.join(os.path.abspath(part) for part in several)]
     if not is_url(place) or not any(mark in place for mark in "*?["):
@@ -157,6 +185,14 @@ def removed(place: str) -> None:
 def joined(folder: str, name: str) -> str:
     """A file in a folder, either of them a path or a URL; the folder if the name is empty."""
     return f"{folder.rstrip('/')}/{name}".rstrip("/") if is_url(folder) else str(Path(folder) / name)
+
+
+def within(place: str, folder: str) -> bool:
+    """Whether a file is in a folder or below it, each a path or a URL; not by a link that leads out."""
+    if is_url(folder) or is_url(place):
+        return place.startswith(folder.rstrip("/") + "/") and ".." not in place.split("/")
+    real = os.path.realpath(folder)
+    return os.path.commonpath([os.path.realpath(place), real]) == real
 
 
 def byte_size(place: str) -> int:

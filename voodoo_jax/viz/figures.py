@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.exporters.limb_shapes import limb_rings, side_of
 from voodoo_jax.records.recording import Frame, Recording
 from voodoo_jax.records.tracks import Status, Tracks, given_from
 from voodoo_jax.storage.atomic import replacing
@@ -26,7 +27,6 @@ STATUS_WORDS: dict[int, str] = {
     Status.FEATURES: "features only",
 }
 LABELS = {"cloud": "cloud, from the sensor", "front": "body, from the sensor", "side": "body, from the side"}
-RING = 32  # points on each end ellipse
 MARK: dict = {"marker": "D", "markersize": 3.2, "color": "#f2c200", "markeredgecolor": "black", "markeredgewidth": 0.5}
 RAY_COLOUR, RAY_LENGTH = "#2a9d4a", 8.0  # metres
 # origin and axes (rows: right, up, away) of a drawing, and which of them are a panel's right, up and away
@@ -61,7 +61,8 @@ def show(
     frames: int = 4,
     truth: Float[np.ndarray, "frame joint 3"] | None = None,
 ) -> "Figure":
-    """Figure of evenly spaced frames, one column each: cloud, body over the cloud, body from the side.
+    """Figure of evenly spaced frames, one column each: the camera image with the body over it, where the recording has
+    images; cloud, body over the cloud, body from the side.
 
     The front view is that of the first sensor, the side view that from the right edge of its image; without sensors
     (markers alone) it is that of the body, and there is no cloud. Axes in metres, equal scale; each column's window
@@ -85,21 +86,19 @@ def show(
     nearest = [recording.frames[int(np.abs(stamps - tracks.time_ns[i]).argmin())] for i in chosen]
     middle, axes3 = _view(tracks, recording, nearest, int(chosen[len(chosen) // 2]))
     windows = _windows(people, nearest, chosen, middle, axes3)
-    rows = [((0, 1, 2), "front"), ((2, 1, 0), "side")]
-    if any(len(frame.points) for frame in nearest):  # else there are markers alone, which are drawn with the body
-        rows.insert(0, ((0, 1, 2), "cloud"))
-
-    # room under the axes for the labels; height follows the drawn region so that panels fill their cells
-    spans = windows[0][1] - windows[0][0]
+    rows, tall = _rows(nearest, windows[0])
     width = 2.9
-    height = 1.1 + len(rows) * width * min(spans[1] / max(spans[0], spans[2]), 1.6)
+    height = 1.1 + width * sum(tall)  # with room under the axes for the labels
     figure = ShownFigure(figsize=(width * len(chosen) + 0.6, height))
     figure.set_layout_engine("constrained")
-    grid = figure.subplots(len(rows), len(chosen), squeeze=False)
+    grid = figure.subplots(len(rows), len(chosen), squeeze=False, height_ratios=tall)
     colours = [limb_colours(one.body.topology.limbs, number) for number, one in enumerate(people)]
     start = int(recording.frames[0].time_ns)
     for column, (i, frame, window) in enumerate(zip(chosen, nearest, windows)):
         for ax, (view, what) in zip(grid[:, column], rows):
+            if what == "image":
+                _draw_image(ax, frame, people, int(i))
+                continue
             drawing = (middle, axes3, view)
             _draw_measured(ax, frame, drawing, window, marks=what != "cloud" or len(frame.points) == 0)
             if what != "cloud":
@@ -109,6 +108,30 @@ def show(
         grid[0, column].set_title(_title(tracks, int(i), start), fontsize=9)
     _legend(figure, people, nearest, truth is not None)
     return figure
+
+
+def _rows(frames: list[Frame], window: np.ndarray) -> tuple[list[tuple[tuple[int, int, int], str]], list[float]]:
+    """Views of a picture's rows, and their heights as shares of the width: so that panels fill their cells."""
+    spans = window[1] - window[0]
+    tall = min(spans[1] / max(spans[0], spans[2]), 1.6)
+    rows, heights = [((0, 1, 2), "front"), ((2, 1, 0), "side")], [tall, tall]
+    if any(len(frame.points) for frame in frames):  # else there are markers alone, which are drawn with the body
+        rows.insert(0, ((0, 1, 2), "cloud"))
+        heights.append(tall)
+    image = next((frame.pictures[0].unpack()[0].shape for frame in frames if frame.pictures), None)
+    if image is not None:
+        rows.insert(0, ((0, 1, 2), "image"))
+        heights.insert(0, image[0] / image[1])
+    return rows, heights
+
+
+def _draw_image(ax: "Axes", frame: Frame, people: list[Tracks], i: int) -> None:
+    """The first camera's image, with the bodies over it."""
+    from voodoo_jax.viz.overlay import drawn_over
+
+    ax.set_axis_off()
+    if frame.pictures:
+        ax.imshow(drawn_over(frame.pictures[0], people, [i] * len(people))[..., ::-1])
 
 
 def _frame_axes(ax: "Axes", window, view: tuple[int, int, int], label: str, first: bool, sensors: bool) -> None:
@@ -128,7 +151,7 @@ def _legend(figure: "Figure", people: list[Tracks], frames: list[Frame], truth: 
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    sides = {_side(name) for name in people[0].body.topology.limbs}
+    sides = {side_of(name) for name in people[0].body.topology.limbs}
     handles: list[Patch | Line2D] = []
     if {"left", "right"} <= sides:
         handles += [Patch(color=_shades(side)[0], label=side, alpha=0.7) for side in ("left", "right")]
@@ -240,24 +263,6 @@ def _windows(people: list[Tracks], frames: list[Frame], chosen, middle, axes3) -
     return out
 
 
-def limb_rings(tracks: Tracks, i: int) -> np.ndarray:
-    """Points on both end ellipses of all limbs [limb, 2 RING, 3] in the fixed frame, metres; NaN: not there."""
-    return rings(np.asarray(tracks.body.sizes, float), tracks.rotation[i], tracks.translation[i])
-
-
-def rings(sizes: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """The same of limbs of these sizes [limb, 5] and poses (quaternions wxyz, metres)."""
-    sizes = sizes[:, :, None]
-    angle = np.linspace(0, 2 * np.pi, RING, endpoint=False)
-    c, s, flat = np.cos(angle), np.sin(angle), np.zeros((len(sizes), RING))
-    bottom = np.stack([sizes[:, 0] * c, sizes[:, 1] * s, flat], -1)
-    top = np.stack([sizes[:, 2] * c, sizes[:, 3] * s, flat + sizes[:, 4]], -1)
-    # a limb that is not there stays NaN by its place
-    turn = np.where(np.isfinite(rotation), rotation, 1.0).astype(float)
-    turn = Rotation.from_quat(turn, scalar_first=True).as_matrix()
-    return np.concatenate([bottom, top], 1) @ turn.transpose(0, 2, 1) + translation[:, None]
-
-
 # 7 parameters: what is drawn, where and how
 def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int, int, int], colours) -> None:
     """The limbs' outlines, farthest first, and joint centres in frame `i`; `view`: axes for right, up and away."""
@@ -282,10 +287,6 @@ def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int
     ax.scatter(joints[:, h], joints[:, v], s=16, c=white_to_red, edgecolors="black", linewidths=1.0, zorder=800)
 
 
-def _side(limb: str) -> str:
-    return "left" if limb.startswith("l_") else "right" if limb.startswith("r_") else "middle"
-
-
 def _shades(side: str, number: int = 0) -> list:
     """Colours of the limbs of a side, neighbours well apart; `number` of the person, from 0."""
     from matplotlib import colormaps
@@ -301,7 +302,7 @@ def limb_colours(limbs: tuple[str, ...], number: int = 0) -> list:
     in the list well apart. Of the second person (`number` 1) and so on shades of one colour."""
     from matplotlib import colormaps
 
-    sides = [_side(name) for name in limbs]
+    sides = [side_of(name) for name in limbs]
     if number:
         return [_shades(side, number)[sides[:i].count(side) % 3] for i, side in enumerate(sides)]
     if not {"left", "right"} <= set(sides):

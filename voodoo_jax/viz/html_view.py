@@ -1,31 +1,34 @@
 """A log and its tracks as one HTML file that needs nothing else: cloud, bodies, time line, plots; opens offline."""
 
 import base64
-import json
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.exporters.frames import upright
-from voodoo_jax.exporters.limb_meshes import side_of
+from voodoo_jax.exporters.limb_shapes import profile, side_of
 from voodoo_jax.geometry.rotations import rotations
+from voodoo_jax.records.markup import filled, for_script
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.figures import STATUS_WORDS
+from voodoo_jax.viz.overlay import drawn_over
+from voodoo_jax.viz.template import template
 
 MOST_FRAMES = 900  # of a longer log every second one is shown, every third, ...
 POINTS = 700_000  # of all frames together: 6 bytes each, 5.6 MB as text
 POINTS_A_FRAME = 4000  # more do not show more
 AROUND = 0.35  # metres around the body within which half of a frame's points are taken
 REACH = 30.0  # metres from the body beyond which nothing is shown; 16 bits of millimetres hold 32
+IMAGES, IMAGE_WIDTH = 150, 320  # of a camera at most, and their width in pixels: 10 kB each
 RAY = 6.0  # metres of a line of sight that are drawn
 
 
@@ -48,7 +51,7 @@ def write_html(people: Sequence[Tracks], frames: Iterable[Frame], path: str | os
         raise ValueError(f"nothing to show: the tracks of {first.source} have no frame")
     turn = upright(first)
     middle = _middle(people, turn)
-    seen = _gathered(first, shown, frames, turn, middle)
+    seen = _gathered(people, shown, frames, turn, middle)
     blob = _Blob()
     head: dict[str, Any] = {
         "name": Path(first.source).name,
@@ -58,6 +61,7 @@ def write_html(people: Sequence[Tracks], frames: Iterable[Frame], path: str | os
         "times": [round(float(t), 4) for t in (first.time_ns[shown] - first.time_ns[0]) / 1e9],
         "floor": _floor(people, turn),
         "eye": _eye(seen.origin, middle),
+        "images": seen.images,
         "people": [_person(tracks, first.time_ns[shown], turn, blob) for tracks in people],
     }
     millimetres = np.clip(np.round(1000 * np.concatenate([*seen.points, np.zeros((0, 3))])), -32767, 32767)
@@ -67,9 +71,8 @@ def write_html(people: Sequence[Tracks], frames: Iterable[Frame], path: str | os
     for name, parts in (("starts", seen.points), ("mark_starts", seen.marks), ("ray_starts", seen.rays)):
         tables[name] = np.cumsum([0, *map(len, parts)]).astype(np.uint32)
     head |= {name: blob.add(values) for name, values in tables.items()}
-    text = resources.files("voodoo_jax.viz").joinpath("view.html").read_text(encoding="utf-8")
-    told = json.dumps(head, allow_nan=False).replace("<", "\\u003c")  # no tag in a name ends the script
-    text = text.replace("@HEAD@", told).replace("@BLOB@", base64.b64encode(bytes(blob.data)).decode())
+    told, data = for_script(head), base64.b64encode(bytes(blob.data)).decode()
+    text = filled(template("view.html"), HEAD=told, BLOB=data)
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return Path(path)
@@ -94,12 +97,14 @@ class _Seen:
     points: list[np.ndarray] = field(default_factory=list)
     marks: list[np.ndarray] = field(default_factory=list)
     rays: list[np.ndarray] = field(default_factory=list)
+    images: dict[int, str] = field(default_factory=dict)  # JPEG as base64 by the number of the frame shown
     origin: np.ndarray | None = None  # of the first sensor
 
 
 def _gathered(
-    tracks: Tracks, shown: np.ndarray, frames: Iterable[Frame], turn: np.ndarray, middle: np.ndarray
+    people: Sequence[Tracks], shown: np.ndarray, frames: Iterable[Frame], turn: np.ndarray, middle: np.ndarray
 ) -> _Seen:
+    tracks = people[0]
     place = {int(stamp): k for k, stamp in enumerate(tracks.time_ns[shown].tolist())}
     empty = [np.zeros((0, 3))] * len(shown)
     seen = _Seen(list(empty), list(empty), list(empty))
@@ -119,7 +124,23 @@ def _gathered(
         start = np.asarray(frame.rays.origins, float)
         ends = np.stack([start, start + RAY * np.asarray(frame.rays.directions, float)], 1)
         seen.rays[k] = ends.reshape(-1, 3) @ turn.T
+        if frame.pictures and k % max(1, -(-len(shown) // IMAGES)) == 0:
+            seen.images[k] = _small(drawn_over(frame.pictures[0], people, _rows(people, frame.time_ns)))
     return seen
+
+
+def _small(image: np.ndarray) -> str:
+    """A JPEG of some kilobytes, as text."""
+    height, width = image.shape[:2]
+    scale = min(1.0, IMAGE_WIDTH / width)
+    image = cv2.resize(image, (round(scale * width), round(scale * height)), interpolation=cv2.INTER_AREA)
+    return base64.b64encode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 70])[1].tobytes()).decode()
+
+
+def _rows(people: Sequence[Tracks], stamp: int) -> list[int]:
+    """The frame of each person's tracks with a stamp, -1: none."""
+    found = [int(np.searchsorted(tracks.time_ns, stamp)) for tracks in people]
+    return [i if i < len(t.time_ns) and t.time_ns[i] == stamp else -1 for i, t in zip(found, people)]
 
 
 def _thinned(points: np.ndarray, limbs: np.ndarray, count: int) -> np.ndarray:
@@ -148,7 +169,7 @@ def _person(tracks: Tracks, stamps: np.ndarray, turn: np.ndarray, blob: _Blob) -
     sure = limb_confidence(tracks)[at]
     sure = np.where(np.isfinite(sure), np.round(254 * np.clip(np.nan_to_num(sure), 0, 1)), 255).astype(np.uint8)
     return {
-        "sizes": [[round(float(v), 4) for v in row] for row in np.asarray(tracks.body.sizes)],
+        "shapes": [np.round(profile(tracks.body, limb), 4).tolist() for limb in range(limbs)],
         "sides": [side_of(name) for name in tracks.body.topology.limbs],
         "status": [str(int(s)) if ok else "1" for s, ok in zip(tracks.status[at], there)],
         "poses": blob.add(poses),
@@ -156,7 +177,15 @@ def _person(tracks: Tracks, stamps: np.ndarray, turn: np.ndarray, blob: _Blob) -
         "residual": blob.add(np.where(there, tracks.residual[at], np.nan).astype(np.float32)),
         "confidence": blob.add(np.where(there, tracks.confidence[at], np.nan).astype(np.float32)),
         "tracked": blob.add((tracks.tracked[at] & there).astype(np.uint8)),
+        "angles": {name: blob.add(values) for name, values in _angles(tracks, at, there).items()},
     }
+
+
+def _angles(tracks: Tracks, at: np.ndarray, there: np.ndarray) -> dict[str, Float[np.ndarray, " shown"]]:
+    """Joint angles in the frames shown, degrees; those that are never known are left out."""
+    angles = tracks.angles()
+    table = np.where(there[:, None], np.degrees(angles.table[at]), np.nan).astype(np.float32)
+    return {name: values for name, values in zip(angles.columns, table.T) if np.isfinite(values).any()}
 
 
 def limb_confidence(tracks: Tracks) -> Float[np.ndarray, "frame limb"]:

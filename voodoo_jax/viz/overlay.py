@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from voodoo_jax.exporters.limb_meshes import side_of
+from voodoo_jax.exporters.limb_shapes import limb_rings, side_of
 from voodoo_jax.records.recording import Picture
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.viz.figures import limb_rings
 
 NEAR = 0.05  # metres before the camera, nearer than which nothing is drawn
 COLOURS = {"left": (43, 86, 210), "right": (207, 98, 47), "middle": (210, 210, 210)}  # blue, green, red; as in reports

@@ -3,8 +3,6 @@
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from html import escape
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +10,11 @@ import numpy as np
 from voodoo_jax._version import __version__
 from voodoo_jax.exporters.frames import seconds
 from voodoo_jax.model.body import segment_lengths
+from voodoo_jax.records.markup import Html, all_of, filled
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.sketch import strip, time_line, untracked
+from voodoo_jax.viz.template import page, template
 
 MOST_STRETCHES = 4  # of time that are named; of more their number
 UNSURE = 3  # joints that are named: the least sure ones
@@ -29,19 +29,20 @@ class Row:
     status: str  # tracked, nothing tracked, failed
     error: str = ""
     links: tuple[tuple[str, str], ...] = ()  # word and address
-    people: tuple[str, ...] = field(default=())  # what person_cells makes of the tracks of each
+    people: tuple[Html, ...] = field(default=())  # what person_cells makes of the tracks of each
 
 
-def person_cells(tracks: Tracks, number: int = 0) -> str:
+def person_cells(tracks: Tracks, number: int = 0) -> Html:
     """The cells of one person: drawings, what was found, what is in doubt; `number`: among several, 0: alone."""
-    who = f"<b>person {number}</b>" if number else ""
-    drawn = strip(tracks) or '<p class="none">no pose</p>'
-    found = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in _found(tracks))
-    doubts = "".join(f"<li>{escape(text)}</li>" for text in _doubts(tracks))
-    return (
-        f'<td class="seen">{who}{drawn}{time_line(tracks)}</td><td><table class="found">{found}</table></td>'
-        f"<td><ul>{doubts}</ul></td>"
-    )
+    who = filled("<b>person @N@</b>", N=number) if number else ""
+    drawn = Html(strip(tracks) or '<p class="none">no pose</p>')
+    found = all_of(filled("<tr><th>@NAME@</th><td>@VALUE@</td></tr>", NAME=n, VALUE=v) for n, v in _found(tracks))
+    doubts = all_of(filled("<li>@TEXT@</li>", TEXT=text) for text in _doubts(tracks))
+    return filled(
+        '<td class="seen">@WHO@@DRAWN@@LINE@</td><td><table class="found">@FOUND@</table></td>'
+        "<td><ul>@DOUBTS@</ul></td>",
+        WHO=who, DRAWN=drawn, LINE=Html(time_line(tracks)), FOUND=found, DOUBTS=doubts,
+    )  # fmt: skip
 
 
 def write_report_page(rows: Iterable[Row], path: str | os.PathLike[str], title: str) -> Path:
@@ -50,37 +51,24 @@ def write_report_page(rows: Iterable[Row], path: str | os.PathLike[str], title: 
     counts = {word: sum(row.status == word for row in rows) for word in ("tracked", "nothing tracked", "failed")}
     about = ", ".join(f"{count} {word}" for word, count in counts.items() if count) or "no log"
     about = f"{len(rows)} logs: {about}; voodoo_jax {__version__}"
-    text = page("report", title, _file("report.html"), ABOUT=about, ROWS="".join(map(_row, rows)))
+    body = filled(template("report.html"), TITLE=title, ABOUT=about, ROWS=all_of(map(_row, rows)))
+    text = page("report", title, body)
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return Path(path)
 
 
-def page(name: str, title: str, body: str, **parts: str) -> str:
-    """A page of its own, with the style of all pages and that of viz/NAME.css; `parts` (HTML) stand in the body in
-    place of @WORDS@."""
-    styles = _file("page.css") + _file(f"{name}.css")
-    text = _file("page.html")
-    for word, part in ({"STYLE": styles, "BODY": body.rstrip("\n"), "TITLE": escape(title)} | parts).items():
-        text = text.replace(f"@{word}@", part)
-    return text
-
-
-def _file(name: str) -> str:
-    return resources.files("voodoo_jax.viz").joinpath(name).read_text(encoding="utf-8")
-
-
-def _row(row: Row) -> str:
-    links = " ".join(f'<a href="{escape(address)}">{escape(word)}</a>' for word, address in row.links)
-    told = f'<p class="error">{escape(row.error)}</p>' if row.error else ""
+def _row(row: Row) -> Html:
+    links = [filled('<a href="@TO@">@WORD@</a>', TO=address, WORD=word) for word, address in row.links]
+    told = filled('<p class="error">@TEXT@</p>', TEXT=row.error) if row.error else ""
     state = row.status.split()[0]
-    head = (
-        f'<td class="log" rowspan="{max(1, len(row.people))}"><b>{escape(row.name)}</b>'
-        f'<span class="state {state}">{escape(row.status)}</span><p>{links}</p>{told}</td>'
-    )
-    first, *others = row.people or ('<td colspan="3" class="none">no tracks</td>',)
-    lines = [f"<tr>{head}{first}</tr>", *(f"<tr>{cells}</tr>" for cells in others)]
-    return f'<tbody class="{state}">{"".join(lines)}</tbody>\n'
+    first, *others = row.people or (Html('<td colspan="3" class="none">no tracks</td>'),)
+    return filled(
+        '<tbody class="@STATE@"><tr><td class="log" rowspan="@COUNT@"><b>@NAME@</b><span class="state @STATE@">@STATUS@'
+        "</span><p>@LINKS@</p>@TOLD@</td>@FIRST@</tr>@OTHERS@</tbody>\n",
+        STATE=state, COUNT=max(1, len(row.people)), NAME=row.name, STATUS=row.status, LINKS=Html(" ".join(links)),
+        TOLD=told, FIRST=first, OTHERS=all_of(filled("<tr>@CELLS@</tr>", CELLS=cells) for cells in others),
+    )  # fmt: skip
 
 
 def _found(tracks: Tracks) -> list[tuple[str, str]]:
@@ -117,6 +105,6 @@ def _doubts(tracks: Tracks) -> list[str]:
         mean = np.where(known, values, 0).sum(0) / np.maximum(known.sum(0), 1)
         order = [i for i in np.argsort(mean) if known[:, i].any() and mean[i] < DOUBT][:UNSURE]
         if order:
-            words = [f"{tracks.body.topology.centres[i]} ({100 * mean[i]:.0f} %)" for i in order]
+            words = [f"{tracks.joint_names[i]} ({100 * mean[i]:.0f} %)" for i in order]
             doubts.append(f"least sure to be within 10 cm: {', '.join(words)}")
     return [*doubts, *tracks.notes]

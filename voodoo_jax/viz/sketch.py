@@ -9,11 +9,11 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.exporters.frames import seconds, upright
-from voodoo_jax.exporters.limb_meshes import side_of
+from voodoo_jax.exporters.limb_shapes import limb_rings, rings, side_of
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.viz.figures import limb_rings, rings, spread
+from voodoo_jax.viz.figures import spread
 
 CLASSES = {"left": "l", "right": "r", "middle": "m"}  # of outlines, for a page's style sheet
 CELL = 100.0  # width of a cell in the drawing's units; numbers are rounded to whole ones
@@ -38,7 +38,7 @@ def compared(before: Body, after: Body) -> str:
     before has the class "before"."""
     views = np.array([[[0.0, 1, 0], [0, 0, 1], [-1, 0, 0]], [[-1.0, 0, 0], [0, 0, 1], [0, -1, 0]]])
     there = [
-        [rings(*(np.asarray(v, float) for v in (b.sizes, b.rest.rotation, b.rest.translation))) @ v.T for v in views]
+        [rings(b, np.asarray(b.rest.rotation), np.asarray(b.rest.translation)) @ v.T for v in views]
         for b in (after, before)
     ]
     return _drawn(there[0], after.topology.limbs, there[1])

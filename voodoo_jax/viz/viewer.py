@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.exporters.foxglove import limb_mesh
-from voodoo_jax.exporters.limb_meshes import side_of
+from voodoo_jax.exporters.limb_shapes import loft, profile, side_of
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.viz.html_view import limb_confidence
@@ -43,10 +42,13 @@ class Viewer:
         self.show(0)
 
     def _meshes(self, person: int, tracks: Tracks) -> list[Any]:
-        return [
-            self.server.scene.add_mesh_simple(f"/person {person + 1}/{name}", *_mesh(size), color=SIDES[side_of(name)])
-            for name, size in zip(tracks.body.topology.limbs, np.asarray(tracks.body.sizes))
-        ]
+        limbs = []
+        for limb, name in enumerate(tracks.body.topology.limbs):
+            points, faces = loft(profile(tracks.body, limb))
+            mesh = points.astype(np.float32), faces.astype(np.uint32)
+            where, colour = f"/person {person + 1}/{name}", SIDES[side_of(name)]
+            limbs.append(self.server.scene.add_mesh_simple(where, *mesh, color=colour))
+        return limbs
 
     def _panel(self) -> None:
         gui, last = self.server.gui, len(self.times) - 1
@@ -131,11 +133,6 @@ class Viewer:
                 began = now, self.times[i]
             at = began[1] + (now - began[0]) * 1e9 * self.speed.value
             self.frame.value = int(min(np.searchsorted(self.times, at), len(self.times) - 1))
-
-
-def _mesh(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    mesh = limb_mesh(size)
-    return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
 
 
 def _rows(stamps: np.ndarray, wanted: np.ndarray) -> np.ndarray:

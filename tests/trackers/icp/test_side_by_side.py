@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.truth import truth_tracks
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import read_log
@@ -16,7 +17,7 @@ from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import motion_of_turns, placed
-from voodoo_jax.simulate.recording import in_one_picture, simulate, truth_tracks
+from voodoo_jax.simulate.recording import in_one_picture, simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.limb_distance import body_distance
 from voodoo_jax.trackers.icp.people import NEAR, close_in, touching_in

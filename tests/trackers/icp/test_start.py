@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.support.helpers import frustum_mesh
 from voodoo_jax.config.options import DetectSettings, Settings, StartSettings
 from voodoo_jax.detect.pipeline import find_body
-from voodoo_jax.exporters.foxglove import limb_mesh
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import joint_centres, scaled
@@ -46,7 +46,7 @@ def test_the_box_around_the_body_at_rest(name, scale):
     surface = []
     for i, size in enumerate(np.asarray(body.sizes)):
         turn = Rotation.from_quat(np.asarray(body.rest.rotation[i]), scalar_first=True)
-        surface.append(turn.apply(limb_mesh(size, 256).vertices) + np.asarray(body.rest.translation[i]))
+        surface.append(turn.apply(frustum_mesh(size).vertices) + np.asarray(body.rest.translation[i]))
     surface = np.concatenate(surface)
     np.testing.assert_allclose(rest_box(body), [surface.min(0), surface.max(0)], atol=1e-3)
     top = surface[:, 2].max()

@@ -55,6 +55,13 @@ def nobody(standing, tmp_path_factory) -> list[Frame]:
     return list(read_log(write_simulation(empty, tmp_path_factory.mktemp("sim") / "empty.mcap")).frames)
 
 
+def test_a_single_scan_is_tracked(standing, recording):
+    one = track(human(), replace(recording, frames=recording.frames[3:4]))
+    assert one.status.tolist() == [YES] and len(one.time_ns) == len(one.joint_confidence) == 1
+    assert one.time_ns[0] == recording.frames[3].time_ns
+    assert np.linalg.norm(one.joints[0] - standing.joints[3], axis=-1).mean() < 0.03
+
+
 def joined(recording: Recording, *parts: list[Frame]) -> Recording:
     """The frames one after the other, at new stamps."""
     frames = [f for part in parts for f in part]

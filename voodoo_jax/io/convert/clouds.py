@@ -1,13 +1,16 @@
 """Folders of point clouds, a file for each frame: PCD and PLY; metres."""
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
-from voodoo_jax.io.convert.target import ConvertError, named_times, new_log, putter
+from voodoo_jax.geometry.from_bytes import array_at
+from voodoo_jax.io.convert.target import ConvertError, content, named_times, new_log, putter
+from voodoo_jax.io.limits import too_large
+from voodoo_jax.storage.guarded import Answer
 
 TOPIC, FRAME = "/points", "sensor"
 ENDINGS = (".pcd", ".ply")
@@ -15,7 +18,7 @@ AXES = ("x", "y", "z")
 MOST = 88  # bytes that a byte of LZF can become: 264 for a repetition of 3
 
 
-def convert(source: Path, target: Path, rate: float) -> list[str]:
+def convert(source: Path, target: Answer, rate: float) -> list[str]:
     """Writes x, y, z of all points, 32 bits; points that are no number are left out. Raises ConvertError, OSError."""
     clouds = named_times(source, ENDINGS, rate)
     notes, written = [], 0
@@ -23,8 +26,11 @@ def convert(source: Path, target: Path, rate: float) -> list[str]:
         put = putter(writer)
         for stamp, path in clouds:
             try:
-                points = read_pcd(path) if path.suffix.lower() == ".pcd" else _read_ply(path)
-            except ConvertError as problem:
+                read = read_pcd if path.suffix.lower() == ".pcd" else _read_ply
+                points = read(content(path, source), path.name)
+                if trouble := too_large("the cloud has", len(points), "points", "points"):
+                    raise ConvertError(f"'{path.name}': {trouble}")
+            except (ConvertError, OSError) as problem:
                 notes.append(str(problem))
                 continue
             points = points[np.isfinite(points).all(1)].astype("<f4")
@@ -40,28 +46,29 @@ def convert(source: Path, target: Path, rate: float) -> list[str]:
     return notes
 
 
-def read_pcd(path: Path) -> np.ndarray:
-    """x, y, z of the points of a PCD file [point, 3]. Raises ConvertError.
+def read_pcd(data: bytes, name: str) -> np.ndarray:
+    """x, y, z of the points of a PCD file of this name [point, 3]. Raises ConvertError.
 
     The format: pointclouds.org, "The PCD file format", version 0.7.
     """
-    data = path.read_bytes()
     header, at = {}, 0
     while "DATA" not in header:
         end = data.find(b"\n", at)
         if end < 0 or at > 4096:
-            raise ConvertError(f"'{path.name}' is no PCD file: it has no DATA line")
+            raise ConvertError(f"'{name}' is no PCD file: it has no DATA line")
         words = data[at:end].decode("ascii", "replace").split()
         if words and not words[0].startswith("#"):
             header[words[0]] = words[1:]
         at = end + 1
     try:
         names, count = header["FIELDS"], int(header["POINTS"][0])
+        if trouble := too_large("it has", count, "points", "points"):
+            raise ValueError(trouble)
         widths = [int(n) for n in header.get("COUNT", ["1"] * len(names))]
         kinds = [f"<{ {'F': 'f', 'I': 'i', 'U': 'u'}[t] }{s}" for t, s in zip(header["TYPE"], header["SIZE"])]
         # fields of no name occur several times in padded clouds
         row = np.dtype(
-            [(f"{name}.{i}", kind, (width,)) for i, (name, kind, width) in enumerate(zip(names, kinds, widths))]
+            [(f"{field}.{i}", kind, (width,)) for i, (field, kind, width) in enumerate(zip(names, kinds, widths))]
         )
         where = [names.index(axis) for axis in AXES]
         if header["DATA"] == ["ascii"]:
@@ -71,26 +78,26 @@ def read_pcd(path: Path) -> np.ndarray:
         if header["DATA"] == ["binary_compressed"]:
             table = _columns(data[at:], row, count)
         elif header["DATA"] == ["binary"]:
-            table = np.frombuffer(data, row, count, at)
+            table = array_at(data, row, (count,), at)
         else:
-            raise ConvertError(f"'{path.name}': PCD data of the kind '{' '.join(header['DATA'])}' are not read")
+            raise ConvertError(f"'{name}': PCD data of the kind '{' '.join(header['DATA'])}' are not read")
         return np.stack([table[f"{names[i]}.{i}"][:, 0].astype(float) for i in where], 1)
     except (KeyError, IndexError, ValueError) as problem:
         if isinstance(problem, ConvertError):
             raise
-        raise ConvertError(f"'{path.name}' cannot be read as PCD: {type(problem).__name__}: {problem}") from problem
+        raise ConvertError(f"'{name}' cannot be read as PCD: {type(problem).__name__}: {problem}") from problem
 
 
 def _columns(data: bytes, row: np.dtype, count: int) -> np.ndarray:
     """Rows of compressed data: two sizes, then all values of the first field, of the second, ... Raises ValueError."""
-    packed, size = (int(n) for n in np.frombuffer(data, "<u4", 2))
+    packed, size = array_at(data, "<u4", (2,)).tolist()
     if size != count * row.itemsize or size > MOST * packed or len(data) < 8 + packed:
         raise ValueError(f"{packed} bytes for {count} points of {row.itemsize} bytes")
     plain, at = _unpacked(data[8 : 8 + packed], size), 0
     table = np.empty(count, row)
     for name in row.names or ():
         field = row[name]
-        table[name] = np.frombuffer(plain, field.base, count * field.shape[0], at).reshape(count, -1)
+        table[name] = array_at(plain, field.base, (count, field.shape[0]), at)
         at += count * field.itemsize
     return table
 
@@ -118,8 +125,11 @@ def _unpacked(data: bytes, size: int) -> bytes:
     return bytes(out)
 
 
-def _read_ply(path: Path) -> np.ndarray:
+def _read_ply(data: bytes, name: str) -> np.ndarray:
+    import trimesh  # takes a second, which other recordings need not wait for
+
     try:
-        return np.asarray(trimesh.load(path, process=False).vertices, float).reshape(-1, 3)  # type: ignore[union-attr]
+        made = trimesh.load(BytesIO(data), file_type="ply", process=False)
+        return np.asarray(made.vertices, float).reshape(-1, 3)  # type: ignore[union-attr]
     except Exception as problem:  # trimesh has no error of its own
-        raise ConvertError(f"'{path.name}' cannot be read as PLY: {type(problem).__name__}: {problem}") from problem
+        raise ConvertError(f"'{name}' cannot be read as PLY: {type(problem).__name__}: {problem}") from problem

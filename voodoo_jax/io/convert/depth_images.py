@@ -16,7 +16,9 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from voodoo_jax.io.convert.target import ConvertError, Put, named_times, new_log, putter
+from voodoo_jax.io.convert.target import ConvertError, Put, content, named_times, new_log, putter
+from voodoo_jax.io.decode.image_codec import stored
+from voodoo_jax.storage.guarded import Answer
 from voodoo_jax.storage.troubles import small_text
 
 IMAGE, INFO, FRAME = "/depth/image", "/depth/camera_info", "depth_optical"
@@ -30,7 +32,7 @@ MILLIMETRE = 0.001
 LARGEST = 1e6  # of a camera's numbers: images have at most 65,535 pixels a side
 
 
-def convert(source: Path, target: Path, given: Path | None = None, rate: float = 0.0) -> list[str]:
+def convert(source: Path, target: Answer, given: Path | None = None, rate: float = 0.0) -> list[str]:
     """Writes depth images in millimetres, and colour images as they are. Raises ConvertError, OSError."""
     listed = source / "depth.txt"
     camera = camera_file(given or source / CAMERA_FILE, TUM if listed.is_file() else None, given is not None)
@@ -41,16 +43,24 @@ def convert(source: Path, target: Path, given: Path | None = None, rate: float =
         raise ConvertError(f"'{folder}' has no depth images (.png)")
     colours = _listed(source / "rgb.txt") if (source / "rgb.txt").is_file() else _beside(source, images, rate)
     notes, bad, rounded = [], 0, 0
+    how = {True: cv2.IMREAD_UNCHANGED, False: cv2.IMREAD_COLOR}
     with new_log(target) as writer:
         put = putter(writer)
         for topic in (INFO, COLOUR_INFO) if colours else (INFO,):
             put(topic, images[0][0], pinhole(camera, images[0][0]))
         for stamp, path, is_depth in sorted([*((*i, True) for i in images), *((*i, False) for i in colours)]):
-            if not is_depth:
-                notes += _put_colour(put, stamp, path, camera)
+            try:
+                data = content(path, source)
+                image = stored(data, "depth" if is_depth else "colour", how[is_depth])
+            except (ValueError, OSError) as problem:
+                notes.append(f"'{path.name}' was left out: {problem}")
+                bad += is_depth
                 continue
-            depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-            if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
+            if not is_depth:
+                notes += _put_colour(put, stamp, path, camera, data, image)
+                continue
+            depth = image
+            if depth.dtype != np.uint16 or depth.ndim != 2:
                 notes.append(f"'{path.name}' was left out: it is no 16-bit image of one channel")
                 bad += 1
                 continue
@@ -77,16 +87,16 @@ def _beside(source: Path, depth: list[tuple[int, Path]], rate: float) -> list[tu
     return []
 
 
-def _put_colour(put: Put, stamp: int, path: Path, camera: dict) -> list[str]:
+# 6 parameters: the image, as its file has it and unpacked
+def _put_colour(put: Put, stamp: int, path: Path, camera: dict, data: bytes, image: np.ndarray) -> list[str]:
     """Writes a colour image as it is; what was wrong with it."""
-    data, size = path.read_bytes(), (int(camera["height"]), int(camera["width"]))
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    if image is None:
-        return [f"'{path.name}' was left out: it is no image"]
+    size, kind = (int(camera["height"]), int(camera["width"])), COLOUR_FILES.get(path.suffix.lower())
+    if kind is None:
+        return [f"'{path.name}' was left out: colour images end in {', '.join(COLOUR_FILES)}"]
     if image.shape[:2] != size:
         own, wanted = (f"{columns} x {rows}" for rows, columns in (image.shape[:2], size))
         return [f"'{path.name}' was left out: it is {own}, and so not registered to depth, which is {wanted}"]
-    put(COLOUR, stamp, colour_image(data, COLOUR_FILES[path.suffix.lower()], FRAME, stamp))
+    put(COLOUR, stamp, colour_image(data, kind, FRAME, stamp))
     return []
 
 
@@ -111,9 +121,9 @@ def camera_file(path: Path, usual: dict | None = None, asked: bool = True) -> di
 
 def _listed(path: Path) -> list[tuple[int, Path]]:
     try:
-        rows = [line.split() for line in small_text(path).splitlines() if line.strip()]
+        rows = [line.split() for line in small_text(path, inside=path.parent).splitlines() if line.strip()]
         return sorted((round(float(row[0]) * 1e9), path.parent / row[1]) for row in rows if not row[0].startswith("#"))
-    except (ValueError, IndexError, OverflowError) as problem:
+    except (ValueError, IndexError, OverflowError, OSError) as problem:
         raise ConvertError(f"'{path}': a line must be a time in seconds and a file") from problem
 
 

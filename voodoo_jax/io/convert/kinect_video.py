@@ -24,6 +24,8 @@ from voodoo_jax.io.convert.depth_images import (
     pinhole,
 )
 from voodoo_jax.io.convert.target import START_NS, ConvertError, Put, new_log, putter
+from voodoo_jax.io.limits import too_large
+from voodoo_jax.storage.guarded import Answer
 
 DEPTH, COLOUR = "depth_optical", "color_optical"
 # side of the sensor's image, first column and row, width and height of the image: k4a's transformation_mode_info
@@ -44,7 +46,7 @@ class _Streams(NamedTuple):
     mode: str
 
 
-def convert(source: Path, target: Path, camera: Path | None = None) -> list[str]:
+def convert(source: Path, target: Answer, camera: Path | None = None) -> list[str]:
     """Writes depth in millimetres as it is, and colour images that are JPEG. `camera`: see depth_images.py, where the
     file has no calibration. Raises ConvertError, OSError."""
     try:
@@ -54,10 +56,12 @@ def convert(source: Path, target: Path, camera: Path | None = None) -> list[str]
         raise ConvertError('.mkv files need PyAV: pip install "voodoo_jax[mkv]"') from problem
     notes: list[str] = []
     try:
-        with av.open(str(source)) as container, new_log(target) as writer:
+        with av.open(str(source), format="matroska") as container, new_log(target) as writer:
             streams = _streams(container, source)
             put = putter(writer)
             size = streams.depth.width, streams.depth.height
+            if trouble := too_large("its depth images have", size[0] * size[1], "pixels", "pixels"):
+                raise ConvertError(f"'{source}': {trouble}")
             put("/depth/camera_info", START_NS, _depth_camera(streams, size, camera, source, notes))
             colour = _colour(streams, put, notes)
             count = 0

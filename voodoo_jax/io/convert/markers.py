@@ -7,32 +7,28 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.io.convert.target import START_NS, ConvertError, new_log, putter, scene_of_points
+from voodoo_jax.io.convert.c3d_files import points_of
+from voodoo_jax.io.convert.target import START_NS, ConvertError, check_points, content, new_log, putter, scene_of_points
+from voodoo_jax.storage.guarded import Answer
 
 TOPIC, FRAME = "/markers", "lab"
 QUANTITIES = "ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS"  # parameters of POINT that list what is no place
 PLACES = "MARKERS", "MODELED_MARKERS"  # that list what is one
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "dm": 0.1, "in": 0.0254, "inches": 0.0254}
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "dm": 0.1, "in": 0.0254}
+WORDS = {
+    "m": ("meters", "metres"), "mm": ("millimeters", "millimetres"), "cm": ("centimeters", "centimetres"),
+    "dm": ("decimeters", "decimetres"), "in": ("inches",),
+}  # fmt: skip
+SHORTEST = 4  # letters of a word for a unit: the format's first programs kept so many of each name
 
 
-def convert_c3d(source: Path, target: Path) -> list[str]:
+def convert_c3d(source: Path, target: Answer) -> list[str]:
     """Points of a C3D file; those with a negative residual are missing. Raises ConvertError, OSError."""
-    try:
-        import ezc3d
-    except ImportError as problem:
-        raise ConvertError('C3D files need ezc3d: pip install "voodoo_jax[c3d]"') from problem
-    try:
-        file = ezc3d.c3d(str(source))
-        point = file["parameters"]["POINT"]
-        names = _names(point)
-        rate = float(point["RATE"]["value"][0])
-        points = np.asarray(file["data"]["points"][:3], float).transpose(2, 1, 0)
-        residual = np.asarray(file["data"]["meta_points"]["residuals"], float)[0].T
-    except (OSError, RuntimeError, KeyError, IndexError, ValueError) as problem:
-        raise ConvertError(f"'{source}' cannot be read as C3D; ezc3d says: {problem}") from problem
-    names = names[: points.shape[1]]
-    points, residual = points[:, : len(names)], residual[:, : len(names)]
-    missing = (residual < 0) | ~np.isfinite(points).all(2) | (points == 0).all(2)
+    point, points, missing, rate = points_of(source)
+    names = _names(point)[: points.shape[1]]
+    check_points(len(names), len(points))
+    points, missing = points[:, : len(names)], missing[:, : len(names)]
+    missing = missing | ~np.isfinite(points).all(2) | (points == 0).all(2)
     points = np.where(missing[..., None], np.nan, points)
     computed = _computed(point, names)
     kept = [k for k, name in enumerate(names) if name not in computed]
@@ -42,16 +38,17 @@ def convert_c3d(source: Path, target: Path) -> list[str]:
         notes.append(
             f"{left_out} outputs of a model were left out (angles, forces, axes of bones): they are no markers"
         )
-    unit = next(iter(listed(point, "UNITS")), "")
-    if not unit:
-        unit = _unit_by_size(points, source)
-        notes.append(f"'{source}' names no unit: by the size of what was recorded it is {unit}")
-    _write(
+    told = next(iter(listed(point, "UNITS")), "")
+    if (unit := unit_name(told)) is None:
+        unit = unit_by_size(points, source, told)
+        notes.append(f"'{source}' names {_no_unit(told)}: by the size of what was recorded it is {unit}")
+    write_markers(
         target,
         source,
         names,
-        points * _unit(unit, source),
+        points * METRES[unit],
         np.arange(len(points)) / rate if rate > 0 else np.zeros(len(points)),
+        _upwards(point),
     )
     return notes
 
@@ -59,7 +56,16 @@ def convert_c3d(source: Path, target: Path) -> list[str]:
 def listed(point: dict[str, Any], key: str) -> list[str]:
     """A parameter of the group POINT and what goes on in `key`2, `key`3, ...: each of these holds 255 names."""
     parts = {int(found[1] or 1): k for k in point if (found := re.fullmatch(f"{key}(\\d*)", k))}
-    return [str(name).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
+    return [_letters(str(name)).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
+
+
+def _letters(text: str) -> str:
+    """A text whose bytes were not UTF-8, as Latin-1."""
+    data = text.encode("utf-8", "surrogateescape")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
 
 
 def _names(point: dict[str, Any]) -> list[str]:
@@ -80,25 +86,39 @@ def _computed(point: dict[str, Any], names: list[str]) -> set[str]:
     return told | bones
 
 
-def _unit_by_size(points: np.ndarray, source: Path) -> str:
+def unit_name(text: str) -> str | None:
+    """A unit's short name, of that or of a word for it, which may be cut ("mete"); None: it is unknown."""
+    text = text.strip().lower().rstrip(".")
+    if text in METRES:
+        return text
+    words = ((word, unit) for unit, forms in WORDS.items() for word in forms)
+    return next((unit for word, unit in words if len(text) >= SHORTEST and word.startswith(text)), None)
+
+
+def _no_unit(told: str) -> str:
+    return f"the unit '{told}', which is none," if told else "no unit"
+
+
+def unit_by_size(points: np.ndarray, source: Path, told: str) -> str:
     """That in which all points of a frame together are as large as what is recorded with markers may be."""
     seen = points[np.isfinite(points).all(2).sum(1) >= 3]
     extent = np.median(np.linalg.norm(np.nanmax(seen, 1) - np.nanmin(seen, 1), axis=1)) if len(seen) else np.nan
     for unit in ("mm", "m", "cm"):  # by how often they are meant
         if 0.3 < extent * METRES[unit] < 10:
             return unit
-    raise ConvertError(f"'{source}' names no unit, and its points are not as large as a body in mm, cm or m")
+    raise ConvertError(f"'{source}' names {_no_unit(told)} and its points are not as large as a body in mm, cm or m")
 
 
-def convert_trc(source: Path, target: Path) -> list[str]:
+def convert_trc(source: Path, target: Answer) -> list[str]:
     """Points of a TRC file; empty fields and NaN are missing. Raises ConvertError, OSError."""
-    lines = source.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = content(source).decode("utf-8", "replace").splitlines()
     try:
         header = dict(zip(*_fields(lines[1], lines[2])))
         names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
         unit = _unit(header["Units"].strip(), source)
         rows = [line.split("\t") for line in lines[5:] if line.strip() and line.split("\t")[0].strip().isdigit()]
         width = 2 + 3 * len(names)
+        check_points(len(names), len(rows))
         table = np.array([[_number(v) for v in (row + [""] * width)[:width]] for row in rows]).reshape(-1, width)
     except ConvertError:
         raise
@@ -106,7 +126,8 @@ def convert_trc(source: Path, target: Path) -> list[str]:
         raise ConvertError(f"'{source}' cannot be read as TRC: {type(problem).__name__}: {problem}") from problem
     if not names or not np.isfinite(table[:, 1]).all():
         raise ConvertError(f"'{source}' cannot be read as TRC: it names no marker, or rows have no time")
-    _write(target, source, names, table[:, 2:].reshape(len(table), -1, 3) * unit, table[:, 1])
+    # by OpenSim's convention y is up
+    write_markers(target, source, names, table[:, 2:].reshape(len(table), -1, 3) * unit, table[:, 1], "y")
     return []
 
 
@@ -121,16 +142,29 @@ def _number(text: str) -> float:
 
 
 def _unit(name: str, source: Path) -> float:
-    if name.strip().lower() not in METRES:
+    if (unit := unit_name(name)) is None:
         raise ConvertError(f"'{source}' has the unit '{name}'; known are {', '.join(METRES)}")
-    return METRES[name.strip().lower()]
+    return METRES[unit]
 
 
-def _write(target: Path, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray) -> None:
+def _upwards(point: dict[str, Any]) -> str:
+    """The axis that stands upright on a screen; "" where the file does not say it."""
+    axis = next(iter(listed(point, "Y_SCREEN")), "").lower().lstrip("+")
+    return axis if re.fullmatch("-?[xyz]", axis) else ""
+
+
+# 6 parameters: what there is, from where and to where
+def write_markers(
+    target: Answer, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray, up: str
+) -> None:
+    """Named points [frame, point, 3], metres, at seconds of any zero; `up` as in read.up.
+
+    Raises ConvertError, OSError.
+    """
     if not len(points) or not np.isfinite(points).any():
         raise ConvertError(f"'{source}' has no point")
     stamps = START_NS + np.round((seconds - seconds[0]) * 1e9).astype(np.int64)
     with new_log(target) as writer:
-        put = putter(writer)
+        put = putter(writer, up)
         for stamp, places in zip(stamps.tolist(), points):
             put(TOPIC, stamp, scene_of_points(names, places, stamp, FRAME))

@@ -1,30 +1,53 @@
 """ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message as it is, in ROS 2's encoding."""
 
-from collections.abc import Iterator
+from bz2 import BZ2Decompressor
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 from mcap.writer import Writer
 from rosbags.convert.converter import STATIC_MSGTYPE_RENAMES, migrate_bytes
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag1 import ReaderError as Bag1Error
+from rosbags.rosbag1 import reader as bag1
 from rosbags.rosbag2 import ReaderError as Bag2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
+from voodoo_jax.io.convert.definitions import WAY_OUT, register
 from voodoo_jax.io.convert.realsense import depth_units, in_metres, plain_topic, unit_of
 from voodoo_jax.io.convert.target import ConvertError, new_log
+from voodoo_jax.io.decode.by_fields import kind_by_fields
+from voodoo_jax.io.decode.registry import KINDS
+from voodoo_jax.io.limits import limits, too_large
+from voodoo_jax.storage.guarded import Answer
+from voodoo_jax.storage.troubles import check_file
 
 BROKEN = (AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError, AssertionError, KeyError, ValueError)
 
 
-def convert(source: Path, target: Path) -> list[str]:
-    """Copies all topics; notes on those that could not be. Raises ConvertError, OSError."""
+def convert(source: Path, target: Answer, types: Sequence[str] = ()) -> list[str]:
+    """Copies all topics; notes on those that could not be. `types` files that define messages which the bag does not.
+    Raises ConvertError, OSError."""
     notes: list[str] = []
+    for path in source.iterdir() if source.is_dir() else ():
+        check_file(path, source)
     with _opened(source) as reader, new_log(target) as writer:
         store = reader.typestore if reader.is2 else _ros2_types(reader)
+        if trouble := too_large("it has", len(reader.connections), "topics", "topics"):
+            raise ConvertError(f"'{source}': {trouble}")
+        assumed = register(store, [c.msgtype for c in reader.connections], types) if reader.is2 else set()
         channels = {c.id: _channel(store, writer, c, notes) for c in reader.connections}
+        for connection in reader.connections:
+            if connection.msgtype in assumed and not _fits(reader, connection):
+                channels[connection.id] = None
+                notes.append(
+                    f"'{connection.topic}' was left out: its messages are not of the {connection.msgtype} that is "
+                    f"known, but of another version of it: {WAY_OUT}"
+                )
+        _check_use(source, store, [c for c in reader.connections if channels[c.id] is not None], notes)
         units = depth_units(reader)
         notes += [f"{device}: depth counts of {1000 * unit:g} mm became metres" for device, unit in units.items()]
         cache: dict[str, object] = {}
@@ -51,10 +74,46 @@ def convert(source: Path, target: Path) -> list[str]:
     return notes
 
 
+def _fits(reader: Any, connection: Any) -> bool:
+    """Whether the first message of a topic is of the type that is assumed."""
+    for _, _, raw in reader.messages(connections=[connection]):
+        try:
+            reader.deserialize(raw, connection.msgtype)
+        except BROKEN:
+            return False
+        break
+    return True
+
+
+def _check_use(source: Path, store: Any, kept: list[Any], left_out: list[str]) -> None:
+    """Raises ConvertError where topics were left out and no measurement is left."""
+    kinds = {_renamed(c.msgtype) for c in kept}
+    used = {KINDS.get(kind, "") or kind_by_fields(store, kind) for kind in kinds}
+    if left_out and not used - {"", "calibration", "transforms"}:
+        raise ConvertError(f"'{source}' has nothing left to track by: {'; '.join(left_out)}")
+
+
+def _part(decoder: Callable[[], Any]) -> Callable[[bytes], bytes]:
+    """What unpacks a chunk of a ROS 1 bag as far as one may unpack."""
+
+    def unpacked(data: bytes) -> bytes:
+        most, one = limits().chunk_bytes, decoder()
+        found = one.decompress(data, max_length=most + 1)
+        if trouble := too_large("a chunk unpacks to", len(found), "chunk_bytes"):
+            raise ValueError(trouble)
+        return found
+
+    return unpacked
+
+
 @contextmanager
 def _opened(source: Path) -> Iterator[Any]:
+    bag1.decompressors |= {"bz2": _part(BZ2Decompressor), "lz4": _part(lz4.frame.LZ4FrameDecompressor)}
     try:
-        reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        # a recorder that was stopped hard writes no metadata
+        bare = source.is_dir() and not (source / "metadata.yaml").exists()
+        files = sorted(source.glob("*.db3")) if bare else [source]
+        reader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except BROKEN as problem:
         raise ConvertError(f"'{source}' cannot be opened as a bag: {problem}") from problem
@@ -84,7 +143,10 @@ def _channel(store: Any, writer: Writer, connection: Any, notes: list[str]) -> i
     try:
         text, _ = store.generate_msgdef(kind, ros_version=2)
     except BROKEN as problem:
-        notes.append(f"'{connection.topic}' was left out: {kind} is not known: {problem}")
+        notes.append(f"'{connection.topic}' was left out: {kind} is not known: {WAY_OUT} ({problem})")
+        return None
+    if trouble := too_large("its definition has", len(text), "schema_bytes"):
+        notes.append(f"'{connection.topic}' was left out: {trouble}")
         return None
     schema = writer.register_schema(kind, "ros2msg", text.encode())
     return writer.register_channel(plain_topic(connection.topic), "cdr", schema)

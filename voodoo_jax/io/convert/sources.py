@@ -1,21 +1,41 @@
 """Which recordings of other formats are converted, and by what."""
 
 import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from voodoo_jax.io.convert.target import ConvertError
-from voodoo_jax.records.notes import SENTENCE, plain
+from voodoo_jax.config.limited import limited, limits
+from voodoo_jax.config.options import LimitSettings
+from voodoo_jax.io.convert.errors import LIBRARY, ConvertError
+from voodoo_jax.records.notes import SENTENCE, as_few, plain
+from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.guard import Refused, Room, guarded
+from voodoo_jax.storage.troubles import NotReadable, check_file, opened_file
+
+if TYPE_CHECKING:
+    from voodoo_jax.storage.guarded import Answer
 
 FASTEST, SLOWEST = 1e6, 1e-6  # files a second
+READERS = {
+    ".bag": ("ros_bags", "convert", "types"), ".db3": ("ros_bags", "convert", "types"),
+    ".mkv": ("kinect_video", "convert", "camera"),
+    ".json": ("skeletons", "convert"), ".skeleton": ("skeletons", "convert"), ".csv": ("tables", "convert", "rate"),
+    ".c3d": ("markers", "convert_c3d"), ".trc": ("markers", "convert_trc"),
+}  # fmt: skip
 FILES = {
     ".bag": "ROS 1 bag", ".db3": "ROS 2 bag (SQLite)", ".mkv": "Azure Kinect or Femto", ".c3d": "C3D", ".trc": "TRC",
-    ".json": "skeletons of a Kinect",
+    ".json": "skeletons of a Kinect, Nuitrack or ZED", ".skeleton": "NTU RGB+D", ".csv": "Motive, or columns NAME_x",
 }  # fmt: skip
 
 
 def is_foreign(path: str | os.PathLike[str]) -> bool:
-    """Whether a file can be converted, by its ending; folders have to be converted by name."""
-    return Path(path).suffix.lower() in FILES and Path(path).is_file()
+    """Whether a file, or the folder of an SQLite bag, can be converted in passing, by its ending; other folders have to
+    be converted by name."""
+    path = Path(path)
+    return (path.suffix.lower() in FILES and path.is_file()) or (path.is_dir() and any(path.glob("*.db3")))
 
 
 def convert(
@@ -23,55 +43,91 @@ def convert(
     target: str | os.PathLike[str],
     camera: str | os.PathLike[str] | None = None,
     rate: float = 0.0,
+    types: Sequence[str] = (),
 ) -> list[str]:
     """Writes a recording of another format as an MCAP log; nothing is left where that does not work.
 
     **Arguments:** `source` a ROS 1 bag (.bag, also RealSense's), an SQLite bag of ROS 2 (.db3, or its folder), a
-    recording of an Azure Kinect or Femto (.mkv), C3D, TRC, skeletons of a Kinect (.json), or a folder of depth images
-    or point clouds (PCD, PLY); `camera` the images' camera file (see depth_images.py); `rate` files a second where
-    their names are not times.
+    recording of an Azure Kinect or Femto (.mkv), C3D, TRC, skeletons (.json of a Kinect, Nuitrack or ZED, .skeleton
+    of NTU RGB+D), tables of points (.csv of Motive, or with columns NAME_x, NAME_y, NAME_z), or a folder of depth
+    images or point clouds (PCD, PLY); `camera` the images' camera file (see depth_images.py); `rate` files, or rows of
+    a table, a second where there are no times; `types` files that define messages (.msg), for bags that do not.
 
-    **Returns:** what was left out or changed, one sentence each. Raises ConvertError, OSError.
+    It is read in a process of its own (storage/guard.py). **Returns:** what was left out or changed, one sentence each.
+    Raises ConvertError, also where a log that was not converted would be replaced, OSError.
     """
     if not 0 <= rate <= FASTEST or 0 < rate < SLOWEST:
         raise ConvertError(
             f"--rate {rate}: must be from {SLOWEST:g} to {FASTEST:g} Hz, or 0: the files' names are times"
         )
+    source, target = Path(source), Path(target)
+    module, function, *more = _reader(source)
+    given = {"camera": os.fspath(camera) if camera else None, "rate": rate, "types": list(map(os.fspath, types))}
+    # a definition stands beside those that it uses
+    folders = [os.path.dirname(os.path.realpath(place)) for place in types]
+    readable = [*(os.path.realpath(place) for place in (source, camera) if place), *folders]
+    _check_ours(target)
+    most = limits()
+    sizes = [entry.stat().st_size for entry in os.scandir(source)] if source.is_dir() else [source.stat().st_size]
+    room = Room(most.memory, most.seconds * (1 + (sum(sizes) >> 30)), most.log_bytes + most.log_times * sum(sizes))
+    task = [module, function, str(source), {name: given[name] for name in more}, asdict(most)]
+    with replacing(target) as partial, open(partial, "wb") as stream:
+        try:
+            imports = [f"voodoo_jax.io.convert.{module}"]
+            notes = guarded("voodoo_jax.io.convert.sources:converted", task, readable, room, stream.write, imports)
+        except Refused as problem:
+            text = str(problem) if f"'{source}" in str(problem) else f"'{source}' cannot be converted: {problem}"
+            raise ConvertError(plain(text, SENTENCE)) from problem
+    return list(as_few(notes))
+
+
+# 6 parameters: those of the task, and where its answer goes
+def converted(module: str, function: str, source: str, given: dict, allowed: dict, answer: "Answer") -> list[str]:
+    """In the process that may do little: the log of a recording."""
+    convert: Any = getattr(import_module(f"voodoo_jax.io.convert.{module}"), function)
+    given = {name: Path(value) if value and name == "camera" else value for name, value in given.items()}
     try:
-        return _converted(Path(source), Path(target), camera, rate)
-    except (ConvertError, OSError):
+        with limited(LimitSettings(**allowed)):
+            return convert(Path(source), answer, *given.values())
+    except (ConvertError, OSError, MemoryError):
         raise
     except Exception as problem:  # each kind of file has its own
-        text = f"'{source}' cannot be converted: unexpected {type(problem).__name__}: {problem}"
-        raise ConvertError(plain(text, SENTENCE)) from problem
+        raise ConvertError(f"unexpected {type(problem).__name__}: {problem}") from problem
 
 
-def _converted(source: Path, target: Path, camera: str | os.PathLike[str] | None, rate: float) -> list[str]:
-    from voodoo_jax.io.convert import clouds, depth_images, kinect_skeletons, kinect_video, markers, ros_bags
+def _check_ours(target: Path) -> None:
+    """Raises ConvertError for a file that no conversion has made."""
+    try:
+        with opened_file(target) as stream:
+            head = stream.read(len(LIBRARY) + 64)
+    except FileNotFoundError:
+        return
+    except NotReadable as problem:
+        raise ConvertError(f"'{target}' cannot be replaced: {problem}") from problem
+    if head and LIBRARY.encode() not in head:
+        raise ConvertError(f"'{target}' is there, and no log that was converted: name another --out")
 
+
+def _reader(source: Path) -> tuple[str, ...]:
+    """Module and function that convert it, and what they are given besides."""
     if not source.exists():
         raise ConvertError(f"there is no file or folder '{source}'")
     if source.is_dir():
-        if any(source.glob("*.db3")):
-            return ros_bags.convert(source, target)
-        if any(source.glob("*.mcap")):
+        endings = {path.suffix.lower() for path in source.iterdir()}
+        if ".db3" in endings:
+            return "ros_bags", "convert", "types"
+        if ".mcap" in endings:
             raise ConvertError(f"'{source}' holds MCAP logs already: give it to replay as it is")
-        if any(path.suffix.lower() in clouds.ENDINGS for path in source.iterdir()):
-            return clouds.convert(source, target, rate)
-        return depth_images.convert(source, target, Path(camera) if camera else None, rate)
-    if not source.is_file():
-        raise ConvertError(f"'{source}' is a pipe or a device: give a file")
+        if endings & {".pcd", ".ply"}:
+            return "clouds", "convert", "rate"
+        return "depth_images", "convert", "camera", "rate"
+    try:
+        check_file(source)
+    except NotReadable as problem:
+        raise ConvertError(f"'{source}' cannot be read: {problem}") from problem
     kind = source.suffix.lower()
-    if kind in (".bag", ".db3"):
-        return ros_bags.convert(source, target)
-    if kind == ".mkv":
-        return kinect_video.convert(source, target, Path(camera) if camera else None)
-    if kind == ".json":
-        return kinect_skeletons.convert(source, target)
-    if kind == ".c3d":
-        return markers.convert_c3d(source, target)
-    if kind == ".trc":
-        return markers.convert_trc(source, target)
-    known = ", ".join(f"{name} ({end})" for end, name in FILES.items())
-    known += ", folders of a ROS 2 bag, of depth images (PNG) or of point clouds (PCD, PLY)"
-    raise ConvertError(f"'{source}': such files are not converted; what is: {known}")
+    if kind not in READERS:
+        known = ", ".join(f"{name} ({end})" for end, name in FILES.items())
+        known += ", folders of a ROS 2 bag, of depth images (PNG) or of point clouds (PCD, PLY)"
+        raise ConvertError(f"'{source}': such files are not converted; what is: {known}")
+    return READERS[kind]

@@ -1,6 +1,5 @@
 """The MCAP log that a recording is converted to."""
 
-import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,16 +12,18 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.io.convert.errors import LIBRARY, ConvertError
+from voodoo_jax.io.limits import TIME, limits, too_large
+from voodoo_jax.storage.guarded import Answer
+from voodoo_jax.storage.troubles import NotReadable, small_file
 
+# bytes that a message counts beside what it says, for it takes as long: a million of them in a small file (SQLite may
+# compute them); by hand
+ROW = 4096
 START_NS = 1_000_000_000  # stamp of a first frame that has none: not 0, which means that there is no stamp
 RADIUS = 0.007  # metres, of the spheres that stand for markers (half of the usual 14 mm)
 SECONDS, NANOSECONDS = re.compile(r"\d{1,12}\.\d+"), re.compile(r"\d{19}")  # names of files
 Put = Callable[[str, int, Any], None]  # topic, stamp in nanoseconds, message of foxglove's
-
-
-class ConvertError(ValueError):
-    """A recording that cannot be converted, with the reason and what to do."""
 
 
 def named_times(folder: Path, endings: tuple[str, ...], rate: float) -> list[tuple[int, Path]]:
@@ -39,25 +40,58 @@ def named_times(folder: Path, endings: tuple[str, ...], rate: float) -> list[tup
     return [(START_NS + round(i * 1e9 / rate), path) for i, path in enumerate(files)]
 
 
+class NewLog(Writer):
+    """A writer of a log that takes no more than one may unpack to."""
+
+    def __init__(self, stream: Answer):
+        super().__init__(stream, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+        self._left = stream.size
+
+    def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
+        """Raises ConvertError for what is too much in all, ValueError for what cannot be."""
+        self._left -= len(data) + ROW
+        if self._left < 0:
+            raise ConvertError("it becomes a log of more than --limits.log_bytes allow")
+        if trouble := too_large("a message has", len(data), "chunk_bytes"):
+            raise ValueError(trouble)
+        if not 0 <= log_time < TIME:
+            raise ValueError(f"a message has an impossible time, {log_time} ns")
+        super().add_message(channel_id, log_time, data, publish_time, sequence)
+
+
 @contextmanager
-def new_log(path: str | os.PathLike[str]) -> Iterator[Writer]:
-    """A writer of a log that appears under its name when it is complete. Raises OSError."""
-    with replacing(path) as partial, open(partial, "wb") as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD)
-        writer.start(profile="", library="voodoo_jax convert")
-        yield writer
-        writer.finish()
+def new_log(stream: Answer) -> Iterator[NewLog]:
+    """A writer of a log, which is complete at the end."""
+    writer = NewLog(stream)
+    writer.start(profile="", library=LIBRARY)
+    yield writer
+    writer.finish()
 
 
-def putter(writer: Writer) -> Put:
-    """What writes messages of foxglove's into a log."""
+def content(path: Path, inside: Path | None = None) -> bytes:
+    """All of a file of a recording, which must not be larger than a chunk may be. Raises ConvertError, OSError."""
+    try:
+        return small_file(path, inside, limits().chunk_bytes)
+    except NotReadable as problem:
+        raise ConvertError(f"'{path.name}' cannot be read: {problem}") from problem
+
+
+def check_points(names: int, rows: int) -> None:
+    """Raises ConvertError for more names, or named points in all rows together, than a log may have."""
+    trouble = too_large("it has", names, "names", "names") or too_large("it has", names * rows, "features", "points")
+    if trouble:
+        raise ConvertError(trouble)
+
+
+def putter(writer: Writer, up: str = "") -> Put:
+    """What writes messages of foxglove's into a log; `up` which way is up by the recording's format, as in read.up."""
     channels: dict[str, int] = {}
 
     def put(topic: str, stamp: int, message: Any) -> None:
         if topic not in channels:
             descriptors = build_file_descriptor_set(type(message)).SerializeToString(deterministic=True)
             schema = writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", descriptors)
-            channels[topic] = writer.register_channel(topic, "protobuf", schema)
+            channels[topic] = writer.register_channel(topic, "protobuf", schema, {"up": up} if up else {})
         writer.add_message(channels[topic], stamp, message.SerializeToString(), stamp)
 
     return put

@@ -1,4 +1,5 @@
-"""Messages of drivers' own types (Livox clouds, markers of motion capture, RGBD images), told by their fields."""
+"""Messages of drivers' own types (Livox clouds, markers of motion capture, RGBD images, ZED's bodies), told by their
+fields."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,6 +11,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from voodoo_jax.io.decode import depth
+from voodoo_jax.model.marker_names import numbered_names
 from voodoo_jax.records.messages import PAIRS, Cloud, Features, Image, Named, features, frame_name, ros_stamp, xyz
 
 IMAGE, CLOUD, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo"
@@ -37,6 +39,18 @@ def _lists(store: Typestore, name: str) -> list[tuple[str, str]]:
     found = _fields(store, name).items()
     lists = [(f, sub[0]) for f, (kind, sub) in found if kind in (Nodetype.SEQUENCE, Nodetype.ARRAY)]
     return [(field, sub[1]) for field, sub in lists if sub[0] == Nodetype.NAME]
+
+
+def _key_points(store: Typestore, name: str) -> tuple[str, str, str] | None:
+    """Fields of a body in which its key points are: its skeleton, the list in that, and the place, three numbers."""
+    for skeleton, (kind, sub) in _fields(store, name).items():
+        if kind != Nodetype.NAME:
+            continue
+        for points, own in _lists(store, sub):
+            for place, (array, content) in _fields(store, own).items():
+                if array == Nodetype.ARRAY and content[1] == 3 and "point" in points:
+                    return skeleton, points, place
+    return None
 
 
 def _numbers(store: Typestore, name: str) -> set[str]:
@@ -82,6 +96,8 @@ def _found(store: Typestore, name: str) -> tuple[str, Callable[[Any], Any] | Non
         if names and (place or own):
             marker = next((s for s in names if "marker" in s), names[0])
             return PAIRS, partial(_named, items=field, name=marker, place=place)
+        if key_points := _key_points(store, kind):
+            return PAIRS, partial(_bodies, items=field, path=key_points)
         if own:
             return "point cloud", partial(_cloud, points=field)
     return "", None
@@ -107,6 +123,22 @@ def _cloud(m: Any, points: str) -> Cloud:
     for axis in "xyz":
         grid[axis] = [getattr(point, axis) for point in found]
     return Cloud(stamp, frame, grid)
+
+
+def _bodies(m: Any, items: str, path: tuple[str, str, str]) -> Features:
+    """Bodies whose key points have no names, but an order; there is room for those of the largest format, and what a
+    smaller one leaves is NaN or zero."""
+    stamp, frame = _stamp(m)
+    skeleton, points, place = path
+    found = []
+    for number, body in enumerate(getattr(m, items)):
+        at = np.array([getattr(p, place) for p in getattr(getattr(body, skeleton), points)], float).reshape(-1, 3)
+        there = np.isfinite(at).all(1) & (at != 0).any(1)
+        last = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
+        names = next((n for count in range(last, len(at) + 1) if (n := numbered_names(count))), ()) if last else ()
+        who = next((getattr(body, k) for k in ("label_id", "tracking_id", "id") if hasattr(body, k)), number)
+        found += [Named(f"body{who}:{n}", "", frame, stamp, p) for n, p, ok in zip(names, at, there) if ok]
+    return features(stamp, found, 3)
 
 
 def _named(m: Any, items: str, name: str, place: str) -> Features:

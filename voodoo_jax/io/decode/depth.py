@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.geometry.from_bytes import array_at
 from voodoo_jax.io.decode.colour import colour_image
 from voodoo_jax.io.decode.image_codec import PIXELS
 from voodoo_jax.io.limits import too_large
@@ -24,6 +25,7 @@ from voodoo_jax.records.messages import (
 
 # Signed and unsigned are swapped between the two: ROS INT8=1, UINT8=2; Foxglove UINT8=1, INT8=2.
 _ROS_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+DISPARITY = "disparity"  # the encoding of depth that was computed from it
 _AXES = ("x", "y", "z")
 _FOXGLOVE_FIELDS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 
@@ -39,6 +41,21 @@ def ros_cloud(m: Any, data: Any = None) -> Cloud:
 def _ros_image(m: Any) -> Image:
     order = ">" if m.is_bigendian else "<"
     return _image(ros_stamp(m.header), m.header.frame_id, m.encoding, m.height, m.width, m.step, m.data, order)
+
+
+def _ros_disparity(m: Any) -> Image:
+    """The depth f T / d (REP 118: stereo_msgs/DisparityImage); 0 where nothing was matched."""
+    image = _ros_image(m.image)
+    if image.raw is None or image.encoding.upper() != "32FC1":
+        raise ValueError(f"a disparity image of encoding '{image.encoding}': it has to be 32FC1")
+    metres = abs(float(m.f) * float(getattr(m, "t", None) or getattr(m, "T", 0.0)))  # ROS 1 has a capital
+    if not 0 < metres < np.inf:
+        raise ValueError("a disparity image without focal length or base")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        matched = np.isfinite(image.raw) & (image.raw > max(float(m.min_disparity), 0.0))
+        depth = np.where(matched, np.float32(metres) / image.raw, np.float32(0))
+    stamp, frame = image.stamp_ns or ros_stamp(m.header), image.frame or frame_name(m.header.frame_id)
+    return replace(image, stamp_ns=stamp, frame=frame, encoding=DISPARITY, raw=depth)
 
 
 def _ros_laser(m: Any) -> Cloud:
@@ -166,9 +183,7 @@ def _grid(data: Any, rows: int, columns: int, step: int, row_step: int, fields: 
         raise ValueError(trouble)
     if rows == 1 or row_step < columns * step:
         row_step = columns * step  # some drivers leave row_step at 0
-    if len(data) < (rows - 1) * row_step + columns * step:
-        raise ValueError(f"{len(data)} bytes are too few for {rows} x {columns} points of {step} bytes")
-    return np.ndarray((rows, columns), dtype, buffer=data, strides=(row_step, step))
+    return array_at(data, dtype, (rows, columns), strides=(row_step, step))
 
 
 # 8 parameters: the fields of an image message
@@ -184,16 +199,16 @@ def _image(
     if kind:
         dtype = np.dtype(order + kind)
         step = max(step, columns * dtype.itemsize)
-        need = (rows - 1) * step + columns * dtype.itemsize
-        if rows * columns == 0 or len(data) < need:
-            raise ValueError(f"{len(data)} bytes are too few for {rows} x {columns} pixels, or the image is empty")
-        raw = np.ndarray((rows, columns), dtype, buffer=data, strides=(step, dtype.itemsize))
+        if rows * columns == 0:
+            raise ValueError("the image is empty")
+        raw = array_at(data, dtype, (rows, columns), strides=(step, dtype.itemsize))
     elif not encoding:
         raise ValueError("the image names no encoding")
     return Image(stamp_ns, frame_name(frame), encoding.strip(), (rows, columns), raw, unit, colour)
 
 
 CONVERTERS = {
+    "stereo_msgs/msg/DisparityImage": _ros_disparity,
     "sensor_msgs/msg/PointCloud2": ros_cloud,
     "sensor_msgs/msg/Image": _ros_image,
     "sensor_msgs/msg/LaserScan": _ros_laser,

@@ -5,6 +5,7 @@ import struct
 import numpy as np
 from jaxtyping import Float32, Int, UInt16
 
+from voodoo_jax.geometry.from_bytes import array_at
 from voodoo_jax.io.limits import too_large
 from voodoo_jax.records.messages import DEPTH_ENCODINGS, Image
 
@@ -72,7 +73,7 @@ def _rvl(data: bytes, count: int) -> UInt16[np.ndarray, " pixel"]:
     compression, 2017, DOI 10.1145/3132272.3134144)."""
     if len(data) > LONGEST * (count + 16):
         raise ValueError("the depth image is damaged: it is longer than its pixels need")
-    words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
+    words = array_at(data, "<u4")
     groups = (words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32) & 15).ravel().astype(np.int64)
     numbers = _numbers(groups)
     out, at, pixel = np.zeros(count, np.int64), 0, 0

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from voodoo_jax.geometry.from_bytes import array_at
 from voodoo_jax.io.decode.image_size import packed_size
 from voodoo_jax.io.limits import too_large
 from voodoo_jax.records.messages import Colour
@@ -28,15 +29,12 @@ def pixels(image: Colour) -> UInt8[np.ndarray, "row column 3"]:
     """Blue, green and red of each pixel. Raises ValueError for an image that is broken or in a format not known."""
     if image.step:
         size = PIXELS[image.encoding]
-        raw = np.frombuffer(image.data, np.uint8)
         rows, columns = image.shape
         if trouble := too_large("the image has", rows * columns, "pixels", "pixels"):
             raise ValueError(trouble)
-        if rows * columns == 0 or len(raw) < (rows - 1) * image.step + columns * size:
-            raise ValueError(
-                f"{len(raw)} bytes are too few for {rows} x {columns} pixels of {image.encoding}, or it is empty"
-            )
-        view = np.ndarray((*image.shape, size), np.uint8, buffer=raw, strides=(image.step, size, 1))
+        if rows * columns == 0:
+            raise ValueError("the image is empty")
+        view = array_at(image.data, np.uint8, (rows, columns, size), strides=(image.step, size, 1))
         code = _TO_BGR.get(image.encoding)
         return np.ascontiguousarray(view) if code is None else cv2.cvtColor(np.ascontiguousarray(view), code)
     # as it was stored: with its orientation tag applied it would no longer fit the calibration
@@ -47,7 +45,7 @@ def pixels(image: Colour) -> UInt8[np.ndarray, "row column 3"]:
 def stored(data: np.ndarray | bytes, what: str, how: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
     """The image [row, column, ...] in the bytes of a JPEG, PNG and so on. Raises ValueError that names `what` it is of,
     where it is broken."""
-    data = np.frombuffer(data, np.uint8)
+    data = array_at(data, np.uint8)
     end = _ENDS.get(data[:2].tobytes())
     # the decoder fills what is missing at the end of a file
     if end is not None and end not in data[-64:].tobytes():

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.model.marker_names import numbered_names
 from voodoo_jax.records.messages import Features, Named, features, frame_name, pb_stamp, ros_stamp, xyz, xyzw
 
 # visualization_msgs/msg/Marker
@@ -102,6 +103,17 @@ def _marker(m: Any) -> list[Named]:
     return [Named(name, suffix, frame, stamp, place)]
 
 
+def _ros_poses(m: Any) -> Features:
+    """Joints of a body without names, told by how many they are; others (particles, paths) are no joints."""
+    names, stamp = numbered_names(len(m.poses)), ros_stamp(m.header)
+    items, frame = [], frame_name(m.header.frame_id)
+    for name, pose in zip(names or (), m.poses):
+        place = xyz(pose.position)
+        if not _missing(place, xyzw(pose.orientation)):
+            items.append(Named(name, "", frame, stamp, place))
+    return features(stamp, items, 3)
+
+
 def _foxglove_point(m: Any) -> Features:
     found = [Named("", "", frame_name(m.frame_id), pb_stamp(m), xyz(m.point))] if m.HasField("point") else []
     return features(pb_stamp(m), found, 3)
@@ -133,6 +145,7 @@ CONVERTERS = {
     "vision_msgs/msg/Detection2DArray": _detections,
     "geometry_msgs/msg/PointStamped": _ros_point,
     "geometry_msgs/msg/PoseStamped": _ros_pose,
+    "geometry_msgs/msg/PoseArray": _ros_poses,
     "visualization_msgs/msg/Marker": lambda m: _markers([m]),
     "visualization_msgs/msg/MarkerArray": lambda m: _markers(m.markers),
     "foxglove.ImageAnnotations": _annotations,

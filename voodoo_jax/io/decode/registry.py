@@ -19,6 +19,7 @@ from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.io.decode import colour, depth, landmarks, packed_cloud
 from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
 from voodoo_jax.io.decode.colour import COLOUR_KIND
+from voodoo_jax.io.decode.landmark_layout import Remembering
 from voodoo_jax.io.limits import limits, too_large
 from voodoo_jax.records.messages import PAIRS, RAYS
 
@@ -26,6 +27,7 @@ KINDS = {
     "sensor_msgs/msg/PointCloud2": "point cloud",
     "point_cloud_interfaces/msg/CompressedPointCloud2": "point cloud",
     "sensor_msgs/msg/Image": "image",
+    "stereo_msgs/msg/DisparityImage": "image",
     "sensor_msgs/msg/CompressedImage": COLOUR_KIND,
     "sensor_msgs/msg/LaserScan": "laser scan",
     "sensor_msgs/msg/CameraInfo": "calibration",
@@ -33,6 +35,7 @@ KINDS = {
     "vision_msgs/msg/Detection2DArray": RAYS,
     "geometry_msgs/msg/PointStamped": PAIRS,
     "geometry_msgs/msg/PoseStamped": PAIRS,
+    "geometry_msgs/msg/PoseArray": PAIRS,
     "visualization_msgs/msg/Marker": PAIRS,
     "visualization_msgs/msg/MarkerArray": PAIRS,
     "foxglove.PointCloud": "point cloud",
@@ -133,7 +136,10 @@ class Decoder:
         make = {"protobuf": _protobuf, "json": _json}.get(channel.message_encoding)
         try:
             _check_size(schema.data)
-            return make(schema) if make else _ros(schema.name, schema.encoding, schema.data, limits())
+            if make:
+                return make(schema)
+            found = _ros(schema.name, schema.encoding, schema.data, limits())
+            return Remembering(found) if kind_of(schema, channel) == PAIRS else found
         except DECODE_ERRORS as problem:
             return str(problem) or type(problem).__name__
 

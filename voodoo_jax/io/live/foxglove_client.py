@@ -16,7 +16,7 @@ from mcap.records import Channel, Message, Schema
 
 from voodoo_jax.io.container import Item, LogError, clean_channel, clean_schema, unpacked_message
 from voodoo_jax.io.decode.registry import kind_of
-from voodoo_jax.io.limits import TIME, limited, limits
+from voodoo_jax.io.limits import TIME, limited, limits, too_large
 
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 DATA = struct.Struct("<BIQ")  # head of a message: 1, number of the subscription, log time in nanoseconds
@@ -24,7 +24,7 @@ MESSAGE = 1
 # of schemas where the server does not say it, as the protocol has it
 SCHEMA_ENCODINGS = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
 TEXTS = ("ros2msg", "ros1msg", "ros2idl", "omgidl", "jsonschema")  # schemas that are sent as they are
-MOST = 1 << 30  # bytes of messages that wait: while programs are compiled, a minute of large images; by hand
+ITEM = 500  # bytes of memory of a message beside its content (measured)
 OPEN_SECONDS = 10.0  # by hand
 
 
@@ -32,7 +32,8 @@ class FoxgloveClient:
     """Subscribes to all topics of a server that can be of use. Raises LogError where there is no such server, or the
     package `websockets` is missing."""
 
-    def __init__(self, url: str):
+    def __init__(self, url: str, socket: Any = None):
+        """`socket` an open connection, another one than to `url`."""
         try:
             from websockets.exceptions import WebSocketException
             from websockets.sync.client import connect
@@ -40,13 +41,17 @@ class FoxgloveClient:
         except ImportError as problem:
             raise LogError(f"'{url}' needs the package websockets: pip install \"voodoo_jax[live]\"") from problem
         self.path, self.ended, self.notes = url, False, list[str]()
+        self._told = dict[str, str]()  # notes, by what they are on
         self._waiting, self._bytes, self._there = deque[Item](), 0, threading.Condition()
         self._lost, self._of = 0, dict[int, tuple[Schema | None, Channel]]()
+        self._room, self._most, self._unknown = limits().schemas_bytes, limits().memory // 2, 0
         try:
-            self._socket = connect(
-                url, subprotocols=[Subprotocol(name) for name in PROTOCOLS], max_size=limits().chunk_bytes,
-                open_timeout=OPEN_SECONDS, compression=None,
-            )  # fmt: skip
+            self._socket: Any = socket
+            if socket is None:
+                self._socket = connect(
+                    url, subprotocols=[Subprotocol(name) for name in PROTOCOLS], max_size=limits().chunk_bytes,
+                    open_timeout=OPEN_SECONDS, compression=None,
+                )  # fmt: skip
         except (OSError, WebSocketException, ValueError) as problem:
             raise LogError(
                 f"'{url}' cannot be connected to: {problem}. Is the server (foxglove_bridge, or another one of "
@@ -76,12 +81,18 @@ class FoxgloveClient:
         try:
             with limited(self._limits):
                 for data in self._socket:
-                    if isinstance(data, str):
-                        self._heard(data)
-                    else:
-                        self._got(data)
+                    try:
+                        self._heard(data) if isinstance(data, str) else self._got(data)
+                    except self._errors:
+                        raise
+                    except Exception as problem:  # whatever a server sends costs itself only
+                        self._unknown += 1
+                        text = f"{type(problem).__name__}: {problem}"
+                        self._told["unknown"] = f"{self._unknown} messages cannot be understood (the last: {text})."
+                        self.notes[:] = self._told.values()
         except self._errors as problem:
-            self.notes.append(f"The connection ended: {problem}.")
+            self._told["end"] = f"The connection ended: {problem}."
+            self.notes[:] = self._told.values()
         finally:
             with self._there:
                 self._over = True
@@ -89,18 +100,18 @@ class FoxgloveClient:
 
     def _heard(self, text: str) -> None:
         """A message of the protocol itself."""
-        try:
-            said = json.loads(text)
-            channels = said["channels"] if said["op"] == "advertise" else []
-        except (ValueError, KeyError, TypeError):
-            return
-        wanted = []
-        for one in channels:
+        if trouble := too_large("what it says has", len(text), "schemas_bytes", "characters"):
+            raise ValueError(trouble)
+        said, wanted = json.loads(text), []
+        for one in list(said["channels"]) if said["op"] == "advertise" else ():
             try:
                 schema, channel = _described(one)
-            except (KeyError, TypeError, ValueError):
+            except (KeyError, TypeError, ValueError, OverflowError):
                 continue
             if channel.id not in self._of and len(self._of) < limits().topics and kind_of(schema, channel):
+                self._room -= len(schema.data) if schema is not None else 0
+                if self._room < 0:
+                    raise ValueError(too_large("all schemas have over", limits().schemas_bytes + 1, "schemas_bytes"))
                 self._of[channel.id] = schema, channel
                 wanted.append({"id": channel.id, "channelId": channel.id})
         if wanted:
@@ -119,11 +130,12 @@ class FoxgloveClient:
         message = Message(channel.id, log_time, data[DATA.size :], log_time, 0)
         with self._there:
             self._waiting.append((schema, channel, unpacked_message(channel, message)))
-            self._bytes += len(data)
-            while self._bytes > MOST:
-                self._bytes -= len(self._waiting.popleft()[2].data)
+            self._bytes += len(self._waiting[-1][2].data) + ITEM
+            while self._bytes > self._most:
+                self._bytes -= len(self._waiting.popleft()[2].data) + ITEM
                 self._lost += 1
-                self.notes[:] = [f"{self._lost} messages came faster than they were used, and were left out."]
+                self._told["lost"] = f"{self._lost} messages came faster than they were used, and were left out."
+                self.notes[:] = self._told.values()
             self._there.notify()
 
 

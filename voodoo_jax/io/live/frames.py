@@ -18,6 +18,8 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.container import Clock, Item, LogError, LogFile
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, DEPTH_KINDS, FEATURE_KINDS, Decoder, is_static, kind_of
 from voodoo_jax.io.frame_sync import period_of
+from voodoo_jax.io.limits import limits
+from voodoo_jax.io.live.foxglove_client import ITEM
 from voodoo_jax.io.live.sources import Source
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.log_reader import LogReader
@@ -173,6 +175,11 @@ class LiveLog:
         items = self.source.poll(POLL)
         self._items += items
         self._came += [time.monotonic()] * len(items)
+        held, gone = sum(len(message.data) + ITEM for _, _, message in self._items), 0
+        while held > limits().memory // 2:  # of one moment, if its stamps are to be believed
+            held, gone = held - len(self._items[gone][2].data) - ITEM, gone + 1
+        del self._items[:gone], self._came[:gone]
+        self._losses.update({("all", "came at once and were left out"): gone} if gone else {})
         return items
 
     @property

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from voodoo_jax.model.body import Body
-from voodoo_jax.model.body_file import BodyFileError, parse_body
 from voodoo_jax.model.body_text import TextOfBody
+from voodoo_jax.model.checked_toml import BodyFileError
 from voodoo_jax.model.foreign.frustum_fit import Frustum, fit_frustum
 
 ROUGH = 0.01  # metres of a surface from its frustum of which is told
@@ -35,8 +34,8 @@ class Piece:
         return replace(self, points=both[0], normals=both[1])
 
 
-def assembled(pieces: list[Piece], name: str, scale_name: str, source: str) -> tuple[Body, list[str]]:
-    """The body, standing on the floor in its rest pose, and what does not fit well.
+def assembled(pieces: list[Piece], name: str, scale_name: str, source: str) -> tuple[str, list[str]]:
+    """The body's file, standing on the floor in its rest pose, and what does not fit well.
 
     Joints become joint centres of the same names, and each limb that nothing hangs on has a centre at its end, named as
     it with `_tip`. Raises BodyFileError.
@@ -66,7 +65,7 @@ def assembled(pieces: list[Piece], name: str, scale_name: str, source: str) -> t
         for p, limb in zip(pieces, limbs)
         if limb.off > ROUGH
     ]
-    return parse_body(text.text(), source), notes
+    return text.text(), notes
 
 
 def _limb(pieces: list[Piece], i: int) -> Frustum:

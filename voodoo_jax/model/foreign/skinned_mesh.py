@@ -10,8 +10,9 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.model.body import Body
-from voodoo_jax.model.body_file import BodyFileError
+from voodoo_jax.config.limited import too_large
+from voodoo_jax.geometry.from_bytes import array_at
+from voodoo_jax.model.checked_toml import BodyFileError
 from voodoo_jax.model.foreign.assembly import Piece, assembled
 from voodoo_jax.storage.troubles import small_file
 
@@ -23,8 +24,8 @@ SAMPLES = 2000  # points on each limb
 FEW = 8  # triangles: fewer make no limb
 
 
-def read_skinned(path: Path, least: float) -> tuple[Body, list[str]]:
-    """See sources.body_from. All joints turn freely: a mesh does not say about which axes."""
+def read_skinned(path: Path, rest: dict[str, float], least: float) -> tuple[str, list[str]]:
+    """The text of a body file: see sources.body_from. All joints turn freely: a mesh does not say about which axes."""
     try:
         file = _File(path)
         return _body_of(file, path, least)
@@ -40,7 +41,7 @@ class _File:
     """The JSON of a glTF file, and its arrays."""
 
     def __init__(self, path: Path):
-        data, self.folder, self.binary = small_file(path), path.parent, b""
+        data, self.folder, self.binary = small_file(path), path.resolve().parent, b""
         self.tree: dict[str, Any] = {}
         if data[:4] == struct.pack("<I", MAGIC):
             at = 12
@@ -60,7 +61,11 @@ class _File:
         uri = buffer.get("uri")
         if uri is None:
             return self.binary
-        return base64.b64decode(uri.split(",", 1)[1]) if uri.startswith("data:") else small_file(self.folder / uri)
+        return (
+            base64.b64decode(uri.split(",", 1)[1])
+            if uri.startswith("data:")
+            else small_file(self.folder / uri, self.folder)
+        )
 
     def array(self, number: int) -> np.ndarray:
         """An accessor's values [row, component]; normalised integers as numbers from 0 to 1."""
@@ -71,11 +76,10 @@ class _File:
         view = self.tree["bufferViews"][accessor["bufferView"]]
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         step = view.get("byteStride", kind.itemsize * width)
-        raw = np.frombuffer(self.buffers[view["buffer"]], np.uint8)
-        rows = np.lib.stride_tricks.as_strided(raw[start:], (accessor["count"], kind.itemsize * width), (step, 1))
-        if start + step * (accessor["count"] - 1) + kind.itemsize * width > len(raw):
-            raise ValueError(f"array {number} is longer than its buffer")
-        found = np.ascontiguousarray(rows).view(kind).reshape(-1, width)
+        if trouble := too_large(f"array {number} has", accessor["count"], "points", "rows"):
+            raise ValueError(trouble)
+        shape = accessor["count"], width
+        found = np.ascontiguousarray(array_at(self.buffers[view["buffer"]], kind, shape, start, (step, kind.itemsize)))
         return found / np.iinfo(kind).max if accessor.get("normalized") else found
 
     def places(self) -> np.ndarray:
@@ -102,7 +106,7 @@ def _local(node: dict[str, Any]) -> np.ndarray:
     return out
 
 
-def _body_of(file: _File, path: Path, least: float) -> tuple[Body, list[str]]:
+def _body_of(file: _File, path: Path, least: float) -> tuple[str, list[str]]:
     nodes = file.tree.get("nodes", [])
     skinned = [node for node in nodes if "skin" in node and "mesh" in node]
     if not skinned:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,11 +10,12 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.model.body import Body
-from voodoo_jax.model.body_file import BodyFileError
-from voodoo_jax.model.checked_toml import nearest
+from voodoo_jax.model.checked_toml import BodyFileError, nearest
 from voodoo_jax.model.foreign.assembly import Piece, assembled
+from voodoo_jax.model.foreign.sources import folder_of
+from voodoo_jax.storage.troubles import small_file
 
+MESHES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")  # no archives
 SAMPLES = 2000  # points on each link, some millimetres apart on limbs of people's size
 TURNING = ("revolute", "continuous")
 RIGID = "fixed"
@@ -46,10 +48,11 @@ class _Link:
         return float(np.ptp(self.points, axis=0).max()) if len(self.points) else 0.0
 
 
-def read_urdf(path: Path, rest: dict[str, float], least: float) -> tuple[Body, list[str]]:
-    """See sources.body_from. Links without surface and fixed joints become one with what they hang on."""
+def read_urdf(path: Path, rest: dict[str, float], least: float) -> tuple[str, list[str]]:
+    """The text of a body file: see sources.body_from. Links without surface and fixed joints become one with what they
+    hang on."""
     try:
-        root = ElementTree.parse(path).getroot()
+        root = ElementTree.fromstring(small_file(path))
     except (ElementTree.ParseError, OSError) as problem:
         raise BodyFileError(str(path), None, f"it cannot be read as XML: {problem}") from problem
     if root.tag != "robot":
@@ -62,7 +65,7 @@ def read_urdf(path: Path, rest: dict[str, float], least: float) -> tuple[Body, l
         raise BodyFileError(str(path), None, f"it cannot be read as URDF: {problem}") from problem
 
 
-def _body_of(root: ElementTree.Element, path: Path, rest: dict[str, float], least: float) -> tuple[Body, list[str]]:
+def _body_of(root: ElementTree.Element, path: Path, rest: dict[str, float], least: float) -> tuple[str, list[str]]:
     joints = [_joint(element) for element in root.findall("joint")]
     names = [element.attrib["name"] for element in root.findall("link")]
     if unknown := set(rest) - {joint.name for joint in joints}:
@@ -183,7 +186,10 @@ def _mesh(shape: ElementTree.Element, path: Path, notes: list[str]) -> trimesh.T
         return None
     file = _file(shape.attrib["filename"], path)
     try:
-        mesh = trimesh.load(file, force="mesh")
+        if file.suffix.lower() not in MESHES:
+            raise ValueError(f"what is read are {', '.join(MESHES)}")
+        content = BytesIO(small_file(file, folder_of(path)))
+        mesh = trimesh.load(content, file_type=file.suffix[1:].lower(), force="mesh")
     except Exception as problem:  # trimesh has no error of its own
         notes.append(f"the mesh '{shape.attrib['filename']}' cannot be read: {type(problem).__name__}: {problem}")
         return None
@@ -195,7 +201,10 @@ def _file(name: str, path: Path) -> Path:
     if not name.startswith("package://"):
         return path.parent / name.removeprefix("file://")
     package, _, rest = name.removeprefix("package://").partition("/")
+    root = folder_of(path)
     for folder in path.resolve().parents:
+        if not folder.is_relative_to(root):
+            break
         for place in (folder / package / rest, folder / rest):
             if place.exists():
                 return place

@@ -355,13 +355,3 @@ def step(
     free = inverse_masses(body.masses)[:, None] > 0
     moved = jnp.where(free, verlet(x, before, jnp.broadcast_to(gravity, x.shape), jnp.asarray(dt), damping), x)
     return relax(body, moved, body.masses, iterations, apart, True, floor)
-
-
-def energy(
-    body: FlexibleBody, x: Float[Array, "16 3"], before: Float[Array, "16 3"], dt: float, gravity: float = 9.81
-) -> Float[Array, ""]:
-    """Kinetic and potential energy of the points that can move, relative masses times square metres per square second.
-    Heights along z."""
-    m = jnp.where(jnp.isinf(body.masses), 0.0, body.masses)
-    speed = (x - before) / dt
-    return jnp.sum(m * (0.5 * jnp.sum(speed**2, -1) + gravity * (x[:, 2] + before[:, 2]) / 2))

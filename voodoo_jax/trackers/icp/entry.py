@@ -4,8 +4,9 @@ from collections.abc import Iterable
 from typing import Any, ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
-from voodoo_jax.detect.pipeline import find_people
+from voodoo_jax.detect.pipeline import find_people, only_named
 from voodoo_jax.markers.own_sites import apart_by_names
+from voodoo_jax.markers.upward import with_upward
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
@@ -39,7 +40,8 @@ class IcpTracker:
         progress: Progress | None = None,
         visit: Any = None,
     ) -> list[Tracks]:
-        people = find_people(frames, source.up, body, settings, source.up_is_given)
+        found = find_people if source.sensors else only_named
+        people = found(frames, source.up, body, settings, source.up_is_given)
         return self.follow(body, people, source, settings, progress, visit)
 
     def follow(  # 6 parameters beside itself, those of `track`
@@ -52,7 +54,9 @@ class IcpTracker:
         visit: Any = None,
     ) -> list[Tracks]:
         """Tracks of people who were found before; the others as for `track`."""
-        if settings.detect.people != 1 and by_markers(people[0].frames):
+        of_points = by_markers(people[0].frames)
+        if settings.detect.people != 1 and of_points:
             people = apart_by_names(people[0], body.topology, settings.features)[: settings.detect.people or None]
         each = progress and (lambda count: progress(count / len(people)))
-        return track_subjects(body, people, settings, source.path, source.fixed_frame, source.notes(), each, visit)
+        tracks = track_subjects(body, people, settings, source.path, source.fixed_frame, source.notes(), each, visit)
+        return with_upward(tracks, source.up) if of_points and not source.up_is_given else tracks

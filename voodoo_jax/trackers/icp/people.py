@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Float32, Int8
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.people import CLOSE
+from voodoo_jax.detect.visibility import has_far_sides
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject
@@ -20,11 +21,17 @@ from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.icp.limb_distance import body_distance
 from voodoo_jax.trackers.icp.own_features import with_own_features
-from voodoo_jax.trackers.icp.runner import FEW_POINTS
+from voodoo_jax.trackers.icp.runner import FEW_POINTS, by_markers
 from voodoo_jax.trackers.icp.sequence import Progress
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
 
+ASKED_FRAMES = 10  # of a recording: by so many, evenly spread, it is told whether clouds were joined; by hand
+LONG = 4  # times track.prior_interval from copy to copy of a scan: over it the pull to the prediction is the weakest
+FUSED = (
+    "Points are on all sides of the body: clouds of several sensors were joined, and where these stood is not known. "
+    "Which side of a limb a sensor sees is not asked."
+)
 ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; by hand
 NEAR = 0.25  # metres from somebody's surface: what is farther off is none of their points; by hand
 SOME = 4  # of somebody's points, one of so many tells whether they are near to somebody else; by hand
@@ -48,6 +55,11 @@ def track_subjects(
 ) -> list[Tracks]:
     """Tracks a body through what was seen of each person, see find_people; the others as for track_person."""
 
+    frames, repeats = subjects[0].frames, settings.looks_ahead("track") and not settings.changes
+    added = max(0, settings.start.size_frames - len(frames)) if frames and repeats and not by_markers(frames) else 0
+    subjects = [replace(s, frames=held(s.frames, added, settings.track.prior_interval)) for s in subjects]
+    if any(has_far_sides(s.frames[:: len(s.frames) // ASKED_FRAMES + 1]) for s in subjects):
+        settings, notes = replace(settings, solve=replace(settings.solve, near_side=False)), (*notes, FUSED)
     names = [subject.name for subject in subjects if subject.name]
     shares = any(len(frame.points) for subject in subjects for frame in subject.frames)
 
@@ -78,7 +90,14 @@ def track_subjects(
     found = [placed(one) for one in people]
     if len(subjects) > 1:
         found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
+    found = [t.since(added) for t in found]
     return [replace(t, person=s.number, people=len(subjects)) for s, t in zip(subjects, found)]
+
+
+def held(frames: list[BodyObservation], count: int, interval: float) -> list[BodyObservation]:
+    """Frames after so many copies of the first one: a scan or two take as many steps as the start of a recording."""
+    step = round(LONG * interval * 1e9)
+    return [replace(f, time_ns=f.time_ns - k * step) for f in frames[:1] for k in range(count, 0, -1)] + frames
 
 
 def _again(now: Unplaced, before: Unplaced) -> Unplaced:

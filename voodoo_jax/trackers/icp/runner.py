@@ -226,6 +226,15 @@ class Runner:
         self.left_out += left_out
         return state, self._with_named(step, at, len(frames)), len(frames)
 
+    def one(self, state: State, at: int) -> State:
+        """The state after frame `at` alone, on the host: no covariances, no features."""
+        previous = self.people[at - 1].time_ns if at else None
+        chunk, _ = self._padded(self.people[at : at + 1], previous)
+        alone = jax.tree.map(lambda x: x[None], on_host(state))
+        measured = chunk.points, chunk.seconds, None
+        after, _ = self._visited(self.body, self.options, measured, np.arange(1), alone, sure=False)
+        return jax.tree.map(lambda x: x[0], after)
+
     def forwards(self, poses: Poses, first: int, last: int) -> tuple[State, Step]:
         """Tracks frames `first` to `last` - 1, beginning with `poses`; the state after them, and their steps."""
         state, steps = self.through(poses, self.people[first:last])

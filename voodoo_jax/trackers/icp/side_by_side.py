@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from voodoo_jax.config.options import Settings
-from voodoo_jax.geometry.rigid import Poses, on_host
+from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS
 from voodoo_jax.records.stretches import stretches
@@ -44,7 +44,7 @@ class Walker:
     def solved(self, frame: BodyObservation, at: int) -> State:
         """The state after a frame with these points."""
         self.run.people[at] = frame
-        return on_host(self.run.chunk(self.state, at, 1)[0])
+        return self.run.one(self.state, at)
 
 
 def owned_in_turn(
@@ -80,6 +80,7 @@ def _walker(
     # by points alone, which are what changes hands; nor does the body become another one on the way
     plain = [replace(f, rays=NO_RAYS, pairs=NO_PAIRS, other=False) for f in frames]
     run = Runner(tracks.body, options, plain, subject.scene, settings, visit=visit)
+    run.length = 1  # one frame is asked for at a time: a program of its own, not a chunk of many
     return Walker(run, at_rest(Poses(tracks.rotation[at], tracks.translation[at])))
 
 

@@ -1,0 +1,130 @@
+"""Which way is up where nothing but named points was recorded: laboratories have y up as often as z. Host side, NumPy.
+
+The bodies that were tracked tell it: who stands or walks has the head over the feet, rests on these, and moves the
+trunk more than the foot that stands. What the log says is doubted only where bodies do not stand along it, and who lies
+stays lying: that is told by what rests, and by where the floor is, for laboratories have their zero on it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from voodoo_jax.records.tracks import Tracks
+
+UPRIGHT = np.cos(np.radians(40))  # of the way from the feet to the neck: nearer to upwards somebody stands; by hand
+SELDOM = 0.1  # of the frames: who stands in so many does stand; by hand
+CLIMB = 1.5  # metres: hips that go farther go along the floor, not upwards; by hand
+# between trunk and legs of who stands straight: in 12 laboratories they are upright to 4 degrees (measured)
+STRAIGHT = np.cos(np.radians(15))
+KNEES = np.cos(np.radians(35))  # bent by no more; by hand
+ALONG = np.cos(np.radians(8))  # so near to an axis of the frame upwards is that axis; by hand
+SPAN = 0.5  # seconds over which it is looked at who rests: noise of markers is little over them; by hand
+REST = 0.03  # metres per second: a trunk that is slower rests; by hand
+ANKLE, FLOOR = 0.08, 0.1  # metres above the floor, of who stands and of the lowest joint of who lies; by hand
+LIES = -1.0  # logarithm of the odds that somebody is recorded lying while the log says nothing wrong; by hand
+PELVIS, SIDES = ("l_hip", "r_hip"), ("l_talocrural", "r_talocrural")
+
+
+def with_upward(people: Sequence[Tracks], told: Float[np.ndarray, "3"]) -> list[Tracks]:
+    """Tracks of everybody in a recording of named points with the way that is up, with a note where it is not that of
+    the log, `told`."""
+    found = upward(people, told)
+    if found @ told > ALONG:
+        return list(people)
+    axis = int(np.abs(found).argmax())
+    along = abs(found[axis]) > 0.999
+    word = ("-" if found[axis] < 0 else "") + "xyz"[axis] if along else ",".join(f"{x:.2f}" for x in found + 0.0)
+    was = ",".join(f"{x:g}" for x in np.round(told, 2) + 0.0)
+    note = f"By who stands on their feet, up is {word}, not ({was}); if somebody lies there, read.up={was} says so."
+    return [replace(one, up=found.astype(np.float32), notes=(*one.notes, note)) for one in people]
+
+
+def upward(people: Sequence[Tracks], told: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Upwards in the fixed frame, a unit vector: `told`, unless people stand another way."""
+    told = np.asarray(told, float)
+    ways = [way for one in people if len((way := _way(one)).body)]
+    if not ways:
+        return told
+    body, straight = np.concatenate([way.body for way in ways]), np.concatenate([way.straight for way in ways])
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    travel = np.max([np.ptp(np.percentile(way.hips, (2, 98), axis=0), axis=0) for way in ways], 0)
+    share = np.where(np.tile(travel, 2) < CLIMB, (body @ axes.T > UPRIGHT).mean(0), 0.0)
+    # of cameras that are tilted no axis is up
+    middle = body.mean(0) / max(float(np.linalg.norm(body.mean(0))), 1e-9)
+    best = axes[int(share.argmax())] if share.max() > SELDOM else middle
+    stand = body @ best > UPRIGHT
+    if (body @ told > UPRIGHT).mean() > SELDOM or stand.mean() <= SELDOM:
+        return told
+    if sum(_lies(one, best, told) for one in people) + LIES > 0:
+        return told
+    if (stand & straight).mean() > SELDOM:
+        mean = body[stand & straight].mean(0)
+        mean /= np.linalg.norm(mean)
+        return best if mean @ best > ALONG else mean
+    return best
+
+
+def _at(tracks: Tracks, names: Sequence[str]) -> Float[np.ndarray, "frame 3"] | None:
+    """The middle of some joints; None of a body that has not all of them."""
+    centres = tracks.body.topology.centres
+    if not {*names} <= {*centres}:
+        return None
+    return np.mean([tracks.joints[:, centres.index(name)] for name in names], 0).astype(float)
+
+
+class _Way(NamedTuple):
+    """How a body is held in the tracked frames."""
+
+    body: Float[np.ndarray, "frame 3"]  # from the ankles over the hips to the neck, unit vectors
+    straight: Bool[np.ndarray, " frame"]  # trunk, thighs and shanks are in one line, and shanks were seen
+    hips: Float[np.ndarray, "frame 3"]  # metres
+
+
+def _way(tracks: Tracks) -> _Way:
+    t = tracks.body.topology
+    found = [_at(tracks, (name,)) for name in ("vc7", *PELVIS, "l_knee", "r_knee", *SIDES)]
+    if any(x is None for x in found):
+        return _Way(np.zeros((0, 3)), np.zeros(0, bool), np.zeros((0, 3)))
+    places = np.stack([x for x in found if x is not None])
+    there = tracks.tracked & np.isfinite(places).all((0, 2))
+    neck, lh, rh, lk, rk, la, ra = places[:, there]
+    unit = lambda x: x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)  # noqa: E731
+    hips = (lh + rh) / 2
+    trunk, legs = unit(neck - hips), unit(hips - (la + ra) / 2)
+    bends = [(trunk, legs), (unit(lh - lk), unit(lk - la)), (unit(rh - rk), unit(rk - ra))]
+    shanks = [t.centre_limbs[t.centres.index(name)] for name in SIDES]
+    seen = (tracks.limb_weight[there][:, shanks] > 0).all(1)
+    straight = np.all([(a * b).sum(1) > angle for (a, b), angle in zip(bends, (STRAIGHT, KNEES, KNEES))], 0)
+    return _Way(unit(trunk + legs), straight & seen, hips)
+
+
+def _lies(tracks: Tracks, stands: np.ndarray, lies: np.ndarray) -> float:
+    """Logarithm of the odds, by what rests and by the floor, that somebody does not stand along one direction but lies
+    with another one up."""
+    found = [_at(tracks, names) for names in (("vc7",), PELVIS, SIDES[:1], SIDES[1:])]
+    if any(x is None for x in found) or not tracks.tracked.any():
+        return 0.0
+    places = np.stack([x for x in found if x is not None])
+    there = tracks.tracked & np.isfinite(places).all((0, 2))
+    if not there.any():
+        return 0.0
+    odds = 0.0
+    every = tracks.joints[there].astype(float)
+    low = np.median((every @ lies).min(1)) - FLOOR, np.median((places[2:, there] @ stands).min(0)) - ANKLE
+    odds += (1.0 if abs(low[0]) < FLOOR else -0.5) + (-2.0 if abs(low[1]) < FLOOR else 0.5)
+    seconds = (tracks.time_ns - tracks.time_ns[0]) / 1e9
+    after = np.searchsorted(seconds, seconds + SPAN)
+    first = np.flatnonzero(after < len(seconds))
+    first = first[there[first] & there[after[first]]]
+    if len(first):
+        span = seconds[after[first]] - seconds[first]
+        speed = np.linalg.norm(places[:, after[first]] - places[:, first], axis=2) / span
+        trunk, foot = np.median(speed[:2].mean(0)), np.median(speed[2:].min(0))
+        if foot < trunk:
+            odds -= 2.0 * float(trunk > 2 * foot)
+        elif trunk < REST:
+            odds += 2.0 * float(foot > 2 * trunk)
+    return odds

@@ -1,0 +1,16 @@
+"""Pages of their own, made of this package's files."""
+
+from importlib import resources
+
+from voodoo_jax.records.markup import Html, filled
+
+
+def template(name: str) -> Html:
+    """A file of this package."""
+    return Html(resources.files("voodoo_jax.viz").joinpath(name).read_text(encoding="utf-8"))
+
+
+def page(name: str, title: str, body: Html) -> Html:
+    """A page of its own, with the style of all pages and that of viz/NAME.css."""
+    styles = Html(template("page.css") + template(f"{name}.css"))
+    return filled(template("page.html"), STYLE=styles, BODY=Html(body.rstrip("\n")), TITLE=title)
