@@ -29,10 +29,12 @@ def test_the_first_lines_of_the_readme(tmp_path, monkeypatch, request):
     request.addfinalizer(lambda: jax.config.update("jax_disable_most_optimizations", False))
     exec("\n".join(lines[2:]), names)
     error, here = names["error"], names["here"]
-    slope = jax.grad(error)(here)
-    assert set(slope) == set(here) and 0 < error(here) < 0.03
-    step = 0.003
-    ahead, behind = (float(error(here | {"lengths.thigh": d})) for d in (step, -step))
-    assert float(slope["lengths.thigh"]) == pytest.approx((ahead - behind) / (2 * step), rel=0.3)
+    assert 0 < error(here) < 0.03
+    # thighs that are too long, and a step so small that no point changes limbs: what is chosen is held fixed in it
+    long, step = here | {"lengths.thigh": 0.1}, 0.0003
+    slope = jax.grad(error)(long)
+    assert set(slope) == set(here) and float(error(long)) > 1.3 * float(error(here))
+    ahead, behind = (float(error(here | {"lengths.thigh": 0.1 + d})) for d in (step, -step))
+    assert float(slope["lengths.thigh"]) == pytest.approx((ahead - behind) / (2 * step), rel=0.05)
     with pytest.raises(ValueError, match="lenghts"):
         names["vj"].solved({"lenghts.thigh": 0.0}, names["problem"])
