@@ -11,7 +11,7 @@ from voodoo_jax.records.observation import BodyObservation
 
 BIN = 2.0  # degrees: what is seen in a direction is so wide
 AZIMUTHS, ELEVATIONS, PER_RADIAN = int(360 / BIN) + 1, int(180 / BIN) + 1, np.float32(180 / np.pi / BIN)
-# metres: less than the depth of a chest (0.25 in the mean, ANSUR II) and more than that of a limb
+# metres: less than the depth of a chest (0.25 in the mean, ANSUR II) and more than that of a limb; by hand
 DEEP = 0.12
 # share of the points: measured, at most 0.10 in 12 recordings of single sensors, whose limbs hide each other, and 0.22
 # and more where the clouds of two and three sensors, and of the Panoptic studio's, are one

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from voodoo_jax.geometry.from_bytes import array_at
 from voodoo_jax.records.messages import FARTHEST, Features
 
 _STAMP, _PLACE = struct.Struct("<iI"), struct.Struct("<3d")  # as CDR has them, little-endian
@@ -46,7 +47,7 @@ class Layout:
     """Where the stamp and the places of a message lie."""
 
     def __init__(self, like: Features, data: bytes, places: list[int], stamps: list[int]):
-        byte = np.frombuffer(data, np.uint8)
+        byte = array_at(data, np.uint8)
         self._like, self._stamp = like, stamps[0] if stamps else None
         self._places = np.add.outer(places, np.arange(_PLACE.size)).ravel()
         self._stamps = np.add.outer(np.array(stamps, int), np.arange(_STAMP.size))
@@ -78,15 +79,15 @@ class Layout:
 
     def _with(self, data: bytes, values: np.ndarray, stamp_ns: int) -> bytes:
         """The message with other numbers."""
-        byte = np.frombuffer(data, np.uint8).copy()
-        byte[self._places] = np.frombuffer(values.astype("<f8").tobytes(), np.uint8)
-        byte[self._stamps] = np.frombuffer(_STAMP.pack(*divmod(stamp_ns, _SECOND)), np.uint8)
+        byte = array_at(data, np.uint8).copy()
+        byte[self._places] = values.astype("<f8").ravel().view(np.uint8)
+        byte[self._stamps] = array_at(_STAMP.pack(*divmod(stamp_ns, _SECOND)), np.uint8)
         return byte.tobytes()
 
     def read(self, data: bytes) -> Features | None:
         """The features of a message of the same length; None unless it differs in nothing but its numbers, and these
         are usual ones: what stands for a marker that was not seen is the decoder's to tell."""
-        byte = np.frombuffer(data, np.uint8)
+        byte = array_at(data, np.uint8)
         if not np.array_equal(byte[self._fixed], self._same):
             return None
         stamps, values = byte[self._stamps], byte[self._places].view("<f8").reshape(-1, 3)
