@@ -192,8 +192,8 @@ def _body(source: Path, out: Path, one: Sound) -> Made:
     try:
         body, notes = body_from(source, least=one.least)
     except BodyFileError as problem:
-        return str(problem), [], b""
-    return "", notes, format_body(body).encode()
+        return plain(str(problem), SENTENCE), [], b""  # as the command says it
+    return "", [shown(note) for note in notes], format_body(body).encode()
 
 
 class _Said(list[Any]):
