@@ -16,7 +16,7 @@ def clouds(
     log: Log, topic: str, stamp, at=lambda i: START + i * PERIOD, frame: str = "lidar", count: int = COUNT
 ) -> Log:
     for i in range(count):
-        log.add(topic, at(i), ros_cloud(stamp(i), frame, CLOUD))
+        log.add(topic, at(i), ros_cloud(stamp(i), frame, CLOUD + 1e-4 * i))  # else it stands still
     return log
 
 

@@ -108,11 +108,11 @@ def test_logs_of_one_name_have_folders_of_their_own(tmp_path, capsys):
     (tmp_path / "logs/mon/walk.mcap").write_bytes(b"no log")
     logs, out = [tmp_path / "logs", tmp_path / "logs/tue/run.mcap"], tmp_path / "out"
     outcomes = replay(logs, out, small_body(), SETTINGS, compile_cache="")
-    assert [o.name for o in outcomes] == ["mon/walk.mcap", "run.mcap", "tue/walk.mcap"]
+    assert [o.name for o in outcomes] == ["mon/walk.mcap", "tue/run.mcap", "tue/walk.mcap"]
     assert [bool(o.npz) for o in outcomes] == [False, True, True]
     assert "mon/walk.mcap: FAILED" in capsys.readouterr().out
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*.npz")) == [
-        "run.tracks.npz",
+        "tue/run.tracks.npz",
         "tue/walk.tracks.npz",
     ]
     again = replay(logs, out, small_body(), SETTINGS, quiet=True, compile_cache="")

@@ -10,6 +10,7 @@ from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import bare, calibration_of
 from voodoo_jax.io.decode.depth import DISPARITY
 from voodoo_jax.io.decode.depth_codec import unpacked
+from voodoo_jax.io.decode.registry import DECODE_ERRORS
 from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.image_planes import FLAT, flat_share
 from voodoo_jax.io.topic import Topic
@@ -40,7 +41,10 @@ def calibrated(topics: dict[str, Topic], name: str) -> tuple[np.ndarray, np.ndar
     """Rays to a depth of 1 [row, column, 2] of some pixels of a topic's first image, and the values there, in its unit;
     None where that is not known."""
     image = topics[name].sample
-    raw = unpacked(image) if isinstance(image, Image) and image.packed is not None else getattr(image, "raw", None)
+    try:
+        raw = unpacked(image) if isinstance(image, Image) and image.packed is not None else getattr(image, "raw", None)
+    except DECODE_ERRORS:  # said when it is read
+        return None
     calibration = calibration_of(topics, name)
     if raw is None or calibration is None:
         return None

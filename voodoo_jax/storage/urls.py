@@ -25,8 +25,8 @@ SQLITE = ".db3"  # of ROS 2's bags before MCAP
 FOREIGN = (".bag", SQLITE, ".mkv", ".c3d", ".trc", ".skeleton")
 # whose files are what their addresses say: no archives, copies or other addresses within them
 STORES = (
-    "file", "memory", "s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "http", "https", "hdfs", "webhdfs", "oss",
-    "oci", "hf",
+    "file", "local", "memory", "s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "http", "https", "hdfs",
+    "webhdfs", "oss", "oci", "hf",
 )  # fmt: skip
 TOGETHER = "+"  # between files that are one recording
 

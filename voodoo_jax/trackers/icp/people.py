@@ -58,7 +58,7 @@ def track_subjects(
     """Tracks a body through what was seen of each person, see find_people; the others as for track_person."""
 
     frames, repeats = subjects[0].frames, settings.looks_ahead("track") and not settings.changes
-    added = max(0, settings.start.size_frames - len(frames)) if frames and repeats and not by_markers(frames) else 0
+    added = max(0, settings.start.frames - len(frames)) if frames and repeats and not by_markers(frames) else 0
     subjects = [replace(s, frames=held(s.frames, added, settings.track.prior_interval)) for s in subjects]
     if any(has_far_sides(s.frames[:: len(s.frames) // ASKED_FRAMES + 1]) for s in subjects):
         settings, notes = replace(settings, solve=replace(settings.solve, near_side=False)), (*notes, FUSED)
