@@ -1,5 +1,6 @@
 """Many logs on a Ray cluster: the same function for each log, as one task."""
 
+import os
 import sys
 import time
 import warnings
@@ -38,7 +39,7 @@ def on_ray(jobs: list[Job], report: Report, tasks: RayTasks) -> Results:
         try:
             with warnings.catch_warnings():  # Ray starts programs by fork and exec at once, which jax need not fear
                 warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
-                ray.init(log_to_driver=False, logging_level="ERROR", configure_logging=False)
+                _join_or_start(ray, log_to_driver=False, logging_level="ERROR", configure_logging=False)
         except (ConnectionError, RuntimeError) as problem:
             raise ValueError(
                 f"--engine ray: no cluster answers: {problem}. Look at RAY_ADDRESS and `ray status`"
@@ -135,6 +136,16 @@ def say_what_lacks(ray: Any, tasks: RayTasks) -> None:
         asked = " and ".join(f"{n:g} {name}" for name, n in wanted.items())
         text = f"--engine ray: no machine of the cluster has {asked} for a log (--ray-cpus, --ray-gpus)"
         tqdm.write(shown(f"{text}; it waits until one joins"), file=sys.stderr)
+
+
+def _join_or_start(ray: Any, **options: Any) -> None:
+    """Joins the cluster that RAY_ADDRESS names or that runs here; else starts one that nobody reaches from outside."""
+    try:
+        ray.init(address="auto", **options)
+    except ConnectionError:
+        if os.environ.get("RAY_ADDRESS"):
+            raise
+        ray.init(address="local", include_dashboard=False, _node_ip_address="127.0.0.1", **options)
 
 
 def _ray() -> Any:
