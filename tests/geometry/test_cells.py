@@ -7,6 +7,7 @@ from scipy.spatial import KDTree
 from voodoo_jax.geometry import voxels
 from voodoo_jax.geometry.voxels import (
     Counted,
+    about_within,
     cells_of,
     components,
     touching,
@@ -43,12 +44,12 @@ def test_touching_cells_differ_by_one_at_most(rng, way):
 
 
 @pytest.mark.parametrize("distance", [0.06, 0.25, 1.0])
-@pytest.mark.parametrize("few", [0, 50_000, 1_000_000])
-def test_within_a_distance_as_a_search_tree_says(rng, way, distance, few, monkeypatch):
-    monkeypatch.setattr(voxels, "FEW", few)
+def test_within_a_distance_as_a_search_tree_says(rng, way, distance):
     points, others = cloud(rng, 800), cloud(rng, 300, 1.5)
-    expected = KDTree(others).query(points)[0] < distance
-    np.testing.assert_array_equal(within(points, others, distance), expected)
+    apart = KDTree(others).query(points)[0]
+    np.testing.assert_array_equal(within(points, others, distance), apart < distance)
+    about = about_within(points, others, distance)
+    assert about[apart < distance].all() and not about[apart > 1.34 * np.sqrt(3) * distance].any()
 
 
 def test_components_are_the_same_both_ways(rng, monkeypatch):

@@ -174,19 +174,16 @@ class DropWideStill:
         middle of one."""
         height, level = floor.height(place), floor.level(place)
         slab = np.abs(height[:, None] - height) < self.thick
-        count = slab.sum(1)
-        asked = (
-            (count >= max(3, dense * len(place))) & (height > self.lowest) & (height < self.highest if dense else True)
-        )
+        count, high = slab.sum(1), self.highest if dense else np.inf
+        asked = np.flatnonzero((count >= max(3, dense * len(place))) & (height > self.lowest) & (height < high))
         found: list[Top] = []
-        tried = np.full(1, np.inf)
-        for k in np.flatnonzero(asked)[np.argsort(-count[asked], kind="stable")]:
-            # what lies at one height is one top, or none
-            if np.abs(height[k] - tried).min() < self.thick / 4:
-                continue
+        tried: list[float] = []
+        for k in asked[np.argsort(-count[asked], kind="stable")]:
             if any(abs(height[k] - top.height) < 2 * self.thick for top in found):
                 continue
-            tried = np.append(tried, height[k])
+            if any(abs(height[k] - other) < self.thick / 4 for other in tried):
+                continue  # what lies at one height is one top, or none
+            tried.append(float(height[k]))
             mine = level[slab[k]]
             middle = mine.mean(0)
             axes = np.linalg.svd(mine - middle, full_matrices=False)[2][:2]

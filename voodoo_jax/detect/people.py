@@ -22,13 +22,11 @@ from voodoo_jax.detect.stillness import NOISE, Stillness, directions, filled, se
 from voodoo_jax.detect.target_selection import LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import inside, picked, quantile
-from voodoo_jax.geometry.voxels import Grid, cells_of, touching, unique_cells
+from voodoo_jax.geometry.voxels import about_within, cells_of, touching, unique_cells
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 
-PLACED = 300  # points of somebody by which it is told where they are; by hand
-SOME, NEAR = 600, 3  # points of somebody by which it is told who is nearer, and cells within their reach; by hand
-HIDING = 2000  # points of all together by which it is told who hides whom; by hand
+SOME = 600  # points of somebody by which it is told who is nearer; by hand
 AGAIN = 6  # looks for others, of which one goes through all that is there: about two seconds; by hand
 IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
 BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
@@ -138,7 +136,7 @@ class Sighting:
             floor = self.finder.scene.floor
             self.last, self.seen = number, self.seen + 1
             self.tops.append(floor.top(frame.points))
-            place = quantile(floor.level(frame.points[:: len(frame.points) // PLACED + 1]), 0.5)
+            place = quantile(floor.level(frame.points), 0.5)
             self.places.setdefault(0, place)
             self.places[1] = place
             if not self.finder.hidden:
@@ -231,7 +229,7 @@ class People:
             sighting.see(clear, (owner == k) | (owner < 0), self._number)
             owner[sighting.finder.taken] = k
         owned = np.flatnonzero(owner >= 0)
-        owned = owned[:: len(owned) // HIDING + 1]
+        owned = owned[:: len(owned) // (SOME * len(before)) + 1]
         whose, points = owner[owned], picked(seen.points, owned)
         nearest = Nearest.shared(points, seen.sensor[owned], seen.origins)
         for k, sighting in enumerate(self._followed):
@@ -342,9 +340,8 @@ def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) 
     known = [(k, f, f.last[:: len(f.last) // SOME + 1]) for k, f in enumerate(finders) if f.last is not None]
     near = []
     for _, _, some in known:
-        index, cell = inside(points, some.min(0) - reach, some.max(0) + reach), reach / NEAR
-        grid = Grid(cells_of(picked(points, index), cell), NEAR)
-        near.append(index[grid.near(cells_of(some, cell), NEAR)])
+        index = inside(points, some.min(0) - reach, some.max(0) + reach)
+        near.append(index[about_within(picked(points, index), some, reach)])
         many[near[-1]] += 1
     nearest = np.full(len(points), np.inf) if (many > 1).any() else None
     for (k, finder, some), index in zip(known, near):

@@ -30,7 +30,7 @@ from voodoo_jax.geometry.point_cloud import (
     point_spacing,
     without_strays,
 )
-from voodoo_jax.geometry.voxels import Counted, Grid, cells_of, touching, within
+from voodoo_jax.geometry.voxels import Counted, Grid, about_within, cells_of, touching, within
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -127,10 +127,11 @@ class BodySegmenter:
         seen = whole(frame)
         index, known = even_share(share, len(seen.points)), np.flatnonzero(assigned(seen))
         if boxes is not None:
-            wanted = np.zeros(len(seen.points), bool)
-            for low, high in boxes:
-                wanted[inside(seen.points, low, high, index)] = True
-            index = np.flatnonzero(wanted)
+            parts = [inside(seen.points, low, high, index) for low, high in boxes]
+            wanted = np.zeros(len(seen.points) if len(parts) > 1 else 0, bool)
+            for part in parts if len(parts) > 1 else ():
+                wanted[part] = True
+            index = parts[0] if len(parts) == 1 else wanted.nonzero()[0]
         index = index[self.off_planes(picked(seen.points, index))]
         if seen.part is not None:
             index = index[seen.part[index] < 0]  # what is known passes all tests
@@ -146,26 +147,16 @@ class BodySegmenter:
     ) -> BodyObservation:
         """What is seen of the body in a frame, but for what is near points that are `taken` by others; `mine`: which
         points may be its own, None: all."""
-        s, is_cleared = self.settings, isinstance(frame, Cleared)
-        is_clear = isinstance(frame, Cleared) and frame.scene is self.scene
-        everything, places = (whole(frame.frame), frame.index) if isinstance(frame, Cleared) else (whole(frame), None)
-        frame = frame.seen if isinstance(frame, Cleared) else everything
-        if len(taken) and frame.part is not None:
-            kept = np.flatnonzero(~near_taken(frame.points, taken))
-            frame, taken, places = frame.only(kept), (), kept if places is None else places[kept]
-        known = np.flatnonzero(assigned(frame) if mine is None else assigned(frame) & mine)
-        sure = picked(frame.points, known)
-        if self.last is not None and len(sure):
-            if np.median(KDTree(self.last).query(sure)[0]) > s.move:
-                self.last = None  # the body is somewhere else than thought
-        index, distant = self._free(frame, known, mine, is_clear)
-        if len(taken):  # here, where fewer are left to ask
-            index = index[~near_taken(picked(frame.points, index), taken)]
-            distant = distant[~near_taken(distant, taken)]
-        index = index[fair_share(frame.sensor[index], 20_000)] if len(index) > 20_000 else index
-        index = index if is_cleared else self._without_strays(frame, index, self.share)
+        clear = frame if isinstance(frame, Cleared) else self._cleared_near(frame)
+        known, sure, index = self._own(clear, taken, mine)
+        if self.last is not None and len(sure) and np.median(KDTree(self.last).query(sure)[0]) > self.settings.move:
+            self.last = None  # the body is somewhere else than thought
+            clear = frame if isinstance(frame, Cleared) else self._cleared_near(frame)
+            known, sure, index = self._own(clear, taken, mine)
+        index, distant = self._near(clear, index)
+        index = index[fair_share(clear.seen.sensor[index], 20_000)] if len(index) > 20_000 else index
+        seen = clear.seen.only(index)
         # not where something else than the body was seen before
-        seen = frame.only(index)
         new = (self._background.at(seen.points) < 3).nonzero()[0]
         if len(new) < len(index):
             index, seen = index[new], seen.only(new)
@@ -173,71 +164,70 @@ class BodySegmenter:
             self.asked = cells_of(seen.points, CELL)
             if len(self.passed) and not len(sure) and np.sum(~touching(self.asked, self.passed)) < TELLING:
                 self.taken = index[:0]
-                return frame.only(self.taken)
-        chosen = self._choose(seen, sure, frame)
-        on = chosen.nonzero()[0]
-        self.others = picked(seen.points, (~chosen).nonzero()[0]) if len(on) < len(index) else seen.points[:0]
-        index, seen, found = (
-            (index, seen, seen.points) if len(on) == len(index) else (index[on], seen.only(on), seen.points)
-        )
-        body = seen.points
-        if not len(sure) and self._gone(body):
-            self._left.add(cells_of(body, CELL), 1.0)
-            index, seen, body, self.others = index[:0], seen.only(on[:0]), body[:0], found
-        self._learn(distant, body, sure)
+                return seen.only(self.taken)
+        found, chosen = seen.points, self._choose(seen, sure, clear.seen)
+        if not chosen.all():
+            on = chosen.nonzero()[0]
+            index, seen = index[on], seen.only(on)
+        self.others = picked(found, (~chosen).nonzero()[0])
+        if not len(sure) and self._gone(seen.points):
+            self._left.add(cells_of(seen.points, CELL), 1.0)
+            index, seen, self.others = index[:0], seen.only(index[:0]), found
+        self._learn(distant, seen.points, sure)
         # the points of a limb or two do not tell where the others are
-        tells = len(body) >= TELLING or self._of_body(frame, known) >= TELLING
+        tells = len(seen.points) >= TELLING or self._of_body(clear.seen, known) >= TELLING
         if len(sure):
             index = np.sort(np.concatenate([index, known]))
-            seen = frame.only(index)
+            seen = clear.seen.only(index)
         if tells:
             self.last, self.last_ns, self.unseen = seen.points, frame.time_ns, 0
             self._left.clear()
             self._thin()
         else:
             self.unseen += 1
-            if self.unseen > s.forget:
+            if self.unseen > self.settings.forget:
                 self.last, self._steps = None, 0  # gone: look everywhere again
                 if self.lies:
                     self._take(self._given)
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
-        before, sensor = in_the_way(everything, index if places is None else places[index], self.scene.floor)
+        before, sensor = in_the_way(whole(clear.frame), clear.index[index], self.scene.floor)
         return replace(seen, before=before, before_sensor=sensor) if len(before) else seen
 
-    def _free(
-        self,
-        frame: BodyObservation,
-        known: Int[np.ndarray, " known"],
-        mine: Bool[np.ndarray, " point"] | None,
-        is_clear: bool,
+    def _cleared_near(self, frame: Frame | BodyObservation) -> Cleared:
+        """What is looked at of a frame for this body alone."""
+        wholly = self.last is None or self.surveys(frame.time_ns)
+        return self.cleared(frame, self.share, None if wholly else [self.around(frame.time_ns)])
+
+    def _own(
+        self, clear: Cleared, taken: Sequence[np.ndarray], mine: Bool[np.ndarray, " point"] | None
+    ) -> tuple[Int[np.ndarray, " known"], Float32[np.ndarray, "known 3"], Int[np.ndarray, " free"]]:
+        """Indices of the points of a cleared frame that are known to be on the body, these points, and indices of those
+        that may be."""
+        seen = clear.seen
+        own = np.ones(len(seen.points), bool) if mine is None else mine
+        if len(taken):
+            own = own & ~near_taken(seen.points, taken)
+        known = own & assigned(seen)
+        own = own & ~known if clear.scene is self.scene else own & ~known & self.off_planes(seen.points)
+        return known.nonzero()[0], seen.points[known], own.nonzero()[0]
+
+    def _near(
+        self, clear: Cleared, index: Int[np.ndarray, " free"]
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
-        """Indices of the points that may be its own (`mine`), are off floor and walls, not `known` already, and near
-        where the body was; and, where it is time to look at the whole room, the points that are farther off."""
-        points, survey = frame.points, self.surveys(frame.time_ns)
-        index = even_share(self.share, len(points)) if self.share < 1 else None
-        low, high = self.around(frame.time_ns)
-        if self.last is not None:
-            self._surveyed_ns = frame.time_ns if self._surveyed_ns is None else self._surveyed_ns
-            index = index if survey else inside(points, low, high, index)
-        index = np.arange(len(points)) if index is None else index
-        if mine is not None or len(known):
-            free = np.ones(len(points), bool) if mine is None else mine.copy()
-            free[known] = False
-            index = index[free[index]]
-        index = index if is_clear else index[self.off_planes(picked(points, index))]
-        if not survey:
+        """Those indices whose points are near where the body was; and, where it is time to look at the whole room, the
+        points that are farther off."""
+        points, now = clear.seen.points, clear.time_ns
+        if self.last is None:
             return index, points[:0]
-        self._surveyed_ns = frame.time_ns
-        far = np.ones(len(index), bool)
-        far[inside(picked(points, index), low, high)] = False
-        return index[~far], picked(points, index[far])
+        near, survey = inside(points, *self.around(now), index), self.surveys(now)
+        self._surveyed_ns = now if survey or self._surveyed_ns is None else self._surveyed_ns
+        return near, picked(points, np.setdiff1d(index, near, True)) if survey else points[:0]
 
     def around(self, time_ns: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
         """The box in which the body is at that time, and what is looked at beside it; lowest and highest corner."""
-        if self.last is None:
-            return np.full(3, -np.inf, np.float32), np.full(3, np.inf, np.float32)
+        assert self.last is not None
         reach = np.float32(self.settings.reach + self._gone_by(time_ns))
         return self.last.min(0) - reach, self.last.max(0) + reach
 
@@ -495,7 +485,8 @@ class BodySegmenter:
         cells = self._background.cells(LONG)
         if not len(cells):
             return lambda points: np.zeros(len(points), bool)
-        tree, low, high = KDTree((cells + 0.5) * CELL), (cells.min(0) - 1) * CELL, (cells.max(0) + 2) * CELL
+        tree = KDTree((cells + 0.5) * CELL)
+        low, high = (((cells.min(0) - 1) * CELL).astype(np.float32), ((cells.max(0) + 2) * CELL).astype(np.float32))
 
         def told(points):
             found = np.zeros(len(points), bool)
@@ -519,7 +510,7 @@ class BodySegmenter:
             if not self._learns and not len(distant):
                 return
             mine = np.concatenate([body, sure]) if len(sure) else body
-            apart, times = self.others[~within(self.others, mine, 0.25)], 2.0
+            apart, times = self.others[~about_within(self.others, mine, self.settings.move)], 2.0
             apart = np.concatenate([apart, distant]) if len(distant) else apart
         self._background.add(cells_of(apart, CELL), times)
         if self.last is not None and sum(map(len, self._beside)) < MANY_BESIDE:

@@ -12,12 +12,10 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
 SMALL = 300_000  # cells of a box: to go through all of it takes less time than to number what is near the taken ones
 MODERATE = 1_000_000  # cells of a box: to fill a larger array takes longer than to sort the cells that are taken
 LARGE = 8_000_000  # the same of an array of which only what is near the taken ones is looked at
-FEW = 50_000  # pairs of points that are compared one by one in less time than a search tree is made
 # of a cell and the 26 around it those that come later in order: each pair once
 LATER = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)[14:]
 
@@ -111,7 +109,7 @@ class Grid:
         taken[other] = True
         if box.size > SMALL:
             marked = np.zeros(box.size, bool)
-            marked[np.flatnonzero(taken)[:, None] + self._around(reach)] = True
+            marked[(np.flatnonzero(taken)[:, None] + self._around(reach)) % box.size] = True  # as below at the sides
             return marked[self.number]
         taken = spread(taken, box.steps.tolist(), reach)  # cells at the box's sides get some of the other side
         return taken[self.number]
@@ -167,19 +165,17 @@ def within(
     """Which points have one of the others nearer than `distance` metres."""
     if not len(points) or not len(others):
         return np.zeros(len(points), bool)
-    # most are settled by cells: next to each other in small ones, or, if many are left, not even in large ones
-    near = touching(cells_of(points, distance / 3.47), cells_of(others, distance / 3.47))
-    open_, close = np.flatnonzero(~near), others
-    if len(open_) * len(others) >= FEW:
-        mine, theirs = cells_of(points[open_], distance), cells_of(others, distance)
-        beside = touching(mine, theirs)
-        open_, close = open_[beside], others[touching(theirs, mine[beside])]
-    if len(open_):
-        if len(open_) * len(close) < FEW:
-            near[open_] = cdist(points[open_], close).min(1) < distance
-        else:
-            near[open_] = KDTree(close).query(points[open_], distance_upper_bound=distance)[0] < np.inf
+    near = touching(cells_of(points, distance / 3.47), cells_of(others, distance / 3.47))  # most are settled so
+    rest = np.flatnonzero(~near)
+    near[rest] = KDTree(others).query(points[rest], distance_upper_bound=distance)[0] < np.inf
     return near
+
+
+def about_within(
+    points: Float32[np.ndarray, "point 3"], others: Float32[np.ndarray, "other 3"], distance: float
+) -> Bool[np.ndarray, " point"]:
+    """As `within`, by cells a third as wide: up to 1.33 times as far along each axis, in less time."""
+    return Grid(cells_of(points, distance / 3), 3).near(cells_of(others, distance / 3), 3)
 
 
 def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.ndarray, " point"]:
