@@ -23,6 +23,7 @@ from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import unpacked
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
+from voodoo_jax.io.given import given_transforms
 from voodoo_jax.io.image_fit import fitted, leeway, moved
 from voodoo_jax.io.image_planes import flat_share, planes, seen_pixels
 from voodoo_jax.io.log_index import Known, Scan
@@ -84,7 +85,7 @@ def _with_settled_frames(reader: "LogReader") -> "LogReader":
         off, lines = zip(*((reader.off_level(), line) for line in (reader.choose(child, k) for k in (0, 1))))
         best = int(np.argmin(off))
         reader.choose(child, best)
-        told = off[best] < FITS and off[1 - best] > 2 * max(off[best], FITS / 4)
+        told = is_told(off[best], off[1 - best])
         reader.sure *= 1.0 if told else TORN
         why = "the floor is level with the one that is used" if told else "nothing tells which is right"
         reader.say(
@@ -92,6 +93,11 @@ def _with_settled_frames(reader: "LogReader") -> "LogReader":
             f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
         )
     return reader
+
+
+def is_told(best: float, other: float) -> bool:
+    """Whether the better of two places of a sensor is right, to judge by `LogReader.off_level` of both."""
+    return best < FITS and other > 2 * max(best, FITS / 4)
 
 
 def _with_images_as_shown(reader: "LogReader") -> "LogReader":
@@ -179,6 +185,7 @@ class LogReader:
         self.of_body: frozenset[str] = frozenset()  # images in a frame of their camera's body: x ahead, z up
         mirrors = check_pairs("read.mirror", settings.mirror, numbers=False)
         self._mirrored = {name: "xyz".index(axis) for name, axis in mirrors.items() if axis in ("x", "y", "z")}
+        self.placed: tuple[str, ...] = ()  # transforms that were found, as read.transform says them
         self.smeared: frozenset[str] = frozenset()  # depth images without what lies in their smeared edges
 
     def unit(self, topic: str) -> float:
@@ -199,15 +206,30 @@ class LogReader:
         """Takes one of these places; how read.transform says it."""
         return self._scan.tree.choose(child, which)
 
-    def off_level(self) -> float:
+    def move(self, topic: str, T: Float[np.ndarray, "4 4"]) -> tuple[str, str]:
+        """Moves a sensor that stands still by `T`, in the fixed frame. Returns how read.transform says where it then
+        is, and where the log has it; both are empty where the log's transforms cannot be changed so."""
+        name = self.frame_name(topic)
+        before = self._scan.tree.said(name)
+        if not self._scan.tree.move(name, self.fixed_frame, T):
+            return "", ""
+        self.placed += (self._scan.tree.said(name),)
+        return self.placed[-1], before
+
+    @property
+    def given_frames(self) -> set[str]:
+        """Frames that read.transform places."""
+        return {transform.child for transform in given_transforms(self._settings.transform)}
+
+    def off_level(self, topic: str = "") -> float:
         """How far the floor in the first image of a depth camera is from lying level at the height 0 of the fixed
-        frame, in degrees, or 2 centimetres; the best of all cameras; infinite where none sees one. Walls beside the
-        axes of the frame count a tenth of that: rooms are often measured along them."""
+        frame, in degrees, or 2 centimetres; the best of all cameras, or that of one; infinite where none sees one.
+        Walls beside the axes of the frame count a tenth of that: rooms are often measured along them."""
         least = np.inf
-        for topic in self.sensors:
-            found = self.first_pixels(topic) if self.is_image(topic) else None
-            at = int(self.stamps(topic)[0])
-            pose = self._scan.tree.lookup(self.fixed_frame, self.frame_name(topic), at, hold_ns=None)
+        for name in (topic,) if topic else self.sensors:
+            found = self.first_pixels(name) if self.is_image(name) else None
+            at = int(self.stamps(name)[0])
+            pose = self._scan.tree.lookup(self.fixed_frame, self.frame_name(name), at, hold_ns=None)
             if found is None or pose is None:
                 continue
             ways, value = seen_pixels(*found)
@@ -335,18 +357,27 @@ class LogReader:
         """Adds a sentence to the notes."""
         self._notes.append(note)
 
-    def sampled(self, topic: str, count: int, spread: bool = False, step: int = 1) -> list[Sample]:
+    def sampled(
+        self,
+        topic: str,
+        count: int,
+        spread: bool = False,
+        step: int = 1,
+        at: Int64[np.ndarray, " time"] | None = None,
+    ) -> list[Sample]:
         """Some messages of a depth topic that show something: the first ones (every so many-th), or `spread` over the
-        log."""
+        log, or those nearest to some times (nanoseconds)."""
         total = len(self._scan.topics[topic].stamps)
         step = max(1, total // count) if spread else step
+        stamps = self.stamps(topic)
+        near = None if at is None else {int(np.argmin(np.abs(stamps - t))) for t in at}
         found, decoder, number = [], Decoder(), -1
         stereo = {pair.left for pair in self._scan.stereo}
         wanted = lambda s, c: c.topic == topic and self._scan.kind(s, c) == self._scan.topics[topic].kind  # noqa: E731
         for schema, channel, message in guarded(self._scan.log, wanted) if topic not in stereo else ():
             number += 1
             self._scan.log.clock.check()
-            if number % step or schema is None:
+            if (number % step if near is None else number not in near) or schema is None:
                 continue
             try:
                 content = decoder.message(schema, channel, message.data)
