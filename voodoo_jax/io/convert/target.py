@@ -27,8 +27,10 @@ Put = Callable[[str, int, Any], None]  # topic, stamp in nanoseconds, message of
 
 
 def named_times(folder: Path, endings: tuple[str, ...], rate: float) -> list[tuple[int, Path]]:
-    """Files of a folder in their order, with stamps in nanoseconds: their names, where these are times in seconds, or
-    nanoseconds (19 digits); else numbered at a rate (files a second). Raises ConvertError."""
+    """Files of a folder (or one alone) in their order, with stamps in nanoseconds: their names, where these are times
+    in seconds, or nanoseconds (19 digits); else numbered at a rate (files a second). Raises ConvertError."""
+    if folder.is_file():
+        return [(START_NS, folder)]
     files = [path for path in folder.iterdir() if path.suffix.lower() in endings and not path.name.startswith(".")]
     if files and all(SECONDS.fullmatch(path.stem) for path in files):
         return sorted((round(float(path.stem) * 1e9), path) for path in files)
