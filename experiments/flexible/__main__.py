@@ -23,7 +23,8 @@ from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import source_of_log
 from voodoo_jax.trackers.both.merge import merged
-from voodoo_jax.trackers.flexible.tracker import Observed, Watching, follow, observe
+from voodoo_jax.trackers.flexible.observed import Observed, Watching, observe
+from voodoo_jax.trackers.flexible.tracker import follow
 from voodoo_jax.trackers.icp.entry import IcpTracker
 
 SKIP = 0.5  # seconds of each recording that are not scored

@@ -15,7 +15,8 @@ from voodoo_jax.records.tracks import Tracks, only_as_sure
 from voodoo_jax.trackers.base import Progress, Source
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.entry import FlexibleTracker
-from voodoo_jax.trackers.flexible.tracker import Watching, check_suited, follow
+from voodoo_jax.trackers.flexible.observed import Watching
+from voodoo_jax.trackers.flexible.tracker import check_suited, follow
 from voodoo_jax.trackers.icp.diagnostics import looked_at_again
 from voodoo_jax.trackers.icp.entry import IcpTracker
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
