@@ -13,10 +13,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import build_file_descriptor_set
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.io.convert.target import Put, putter
 from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.simulate.colour import ColourSimulation
 from voodoo_jax.simulate.recording import Simulation
@@ -224,26 +224,12 @@ def _foxglove(views: list[_View], times: list[int], fixed_frame: str, stream: Bi
                 put(view.topic, stamp, message)
 
 
-Put = Callable[[str, int, Any], None]  # topic, stamp, message
-
-
 @contextmanager
 def foxglove_log(stream: BinaryIO) -> Iterator[Put]:
     """What writes a message of foxglove's, stamped where it has a stamp, into a log that is finished at the end."""
     writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
     writer.start(profile="", library="voodoo_jax")
-    channels: dict[str, int] = {}
-
-    def put(topic: str, stamp: int, message: Any) -> None:
-        if "timestamp" in message.DESCRIPTOR.fields_by_name:
-            message.timestamp.FromNanoseconds(stamp)
-        if topic not in channels:
-            descriptors = build_file_descriptor_set(type(message)).SerializeToString(deterministic=True)
-            schema = writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", descriptors)
-            channels[topic] = writer.register_channel(topic, "protobuf", schema)
-        writer.add_message(channels[topic], stamp, message.SerializeToString(deterministic=True), stamp)
-
-    yield put
+    yield putter(writer)
     writer.finish()
 
 
