@@ -78,15 +78,12 @@ def track_log(
     from voodoo_jax.detect.pipeline import build_of
     from voodoo_jax.io.ahead import ahead
     from voodoo_jax.io.container import LogError
-    from voodoo_jax.trackers.base import source_of_log, tracker_of
+    from voodoo_jax.trackers.base import Task, source_of_log, tracker_of
 
     until = time.monotonic() + timeout if timeout else math.inf
 
     tracker = tracker_of(settings)
     log = open_checked(path, tracker.reads(settings.read), build_of(body, settings.start.scale), settings.detect)
-    source = source_of_log(log)
-    if visit is None:
-        tracker.prepare(body, settings, source)
     total, done = max(1, (1 + tracker.passes(settings)) * len(log)), 0.0  # read, track there, and back
 
     def more(count: float) -> None:
@@ -103,7 +100,10 @@ def track_log(
             more(1)
             yield frame
 
-    found = tracker.track(body, counted(), source, settings, more, visit)
+    task = Task(body, source_of_log(log), settings, more, visit)
+    if visit is None:
+        tracker.prepare(task)
+    found = tracker.track(task, counted())
     return [for_users(tracks.with_names(names), log) for tracks in found]
 
 

@@ -4,6 +4,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -16,17 +17,6 @@ from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.troubles import opened_file
 from voodoo_jax.storage.urls import person_place
 
-FRAME_ARRAYS = (
-    "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",
-)  # fmt: skip
-# where they were found
-MORE_ARRAYS = (
-    "passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance", "joint_confidence",
-    "up", "marker_residual", "limb_beside", "limb_distance", "limb_bare", "limb_own",
-    "facing_odds",
-)  # fmt: skip
-
-
 # kinds of numbers, and the shape: f frames, l limbs, j joint centres, b joints of the body, m markers
 FORMS = {
     "time_ns": ("iu", "f"), "rotation": ("f", "fl4"), "translation": ("f", "fl3"), "joints": ("f", "fj3"),
@@ -36,6 +26,9 @@ FORMS = {
     "joint_confidence": ("f", "fj"), "up": ("f", "3"), "marker_residual": ("f", "m"), "limb_beside": ("f", "fl"),
     "limb_distance": ("f", "fl"), "limb_bare": ("f", "fl"), "limb_own": ("f", "fl"), "facing_odds": ("f", "f"),
 }  # fmt: skip
+# always there, and where they were found
+MORE_ARRAYS = tuple(f.name for f in fields(Tracks) if f.name in FORMS and f.default is None)
+FRAME_ARRAYS = tuple(name for name in FORMS if name not in MORE_ARRAYS)
 FARTHEST = 1e30  # covariances are huge where nothing is known; not infinite
 LATEST = 1 << 62  # nanoseconds, as io.limits.TIME
 UNEVEN = 0.01  # of a unit quaternion's length: rounding

@@ -18,9 +18,9 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry import lens
 from voodoo_jax.geometry.depth_edges import on_sheets
-from voodoo_jax.io.calibrations import bare, calibration_of
+from voodoo_jax.io.calibrations import calibration_of, lens_of
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
-from voodoo_jax.io.decode.depth_codec import unpacked
+from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.given import given_transforms
@@ -32,13 +32,12 @@ from voodoo_jax.io.pictures import PictureReader, shape_of
 from voodoo_jax.io.pose_rays import NAMES, PoseRays
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.repeats import Repeats
-from voodoo_jax.io.skin_rays import add_rays
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS, Transform
 from voodoo_jax.io.which_depth import calibrated
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
-from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording, joined_rays
 from voodoo_jax.sensors.pose_net import check_pose_net
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
@@ -307,7 +306,7 @@ class LogReader:
 
     def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
         """Of every so many-th row and column of a depth image, metres; None if it is of another kind."""
-        raw = image.raw if image.packed is None else unpacked(image)
+        raw = raw_of(image)
         if raw is None:
             return None
         if (axis := self._mirrored.get(topic)) in (0, 1):  # x: left to right, y: upside down
@@ -402,7 +401,7 @@ class LogReader:
     def _distances(self, topic: str, content: Cloud | Image) -> np.ndarray:
         """Of a few thousand points from the sensor, in the usual unit; without those that saw nothing."""
         if isinstance(content, Image):
-            raw = content.raw if content.packed is None else unpacked(content)
+            raw = raw_of(content)
             k = stride(*content.shape, FEW_POINTS)
             # nothing, and the largest number, which some drivers write for it
             z = np.zeros(0) if raw is None else raw[::k, ::k].ravel()
@@ -568,7 +567,7 @@ class LogReader:
         weights = np.array([said.weight(name) for name in self.sensors], np.float32)
         rays, pictures = self._whole.rays.get(i, NO_RAYS), tuple(self._pictures.pop(i, ()))
         if self._pose is not None:
-            rays = add_rays(rays, self._pose.rays(pictures))
+            rays = joined_rays([rays, self._pose.rays(pictures)])
         return Frame(
             time_ns=time_ns,
             points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see _measure
@@ -701,9 +700,6 @@ class LogReader:
             if assumed:
                 own = f"{image.shape[1]} x {image.shape[0]}"
                 self._assumed[topic] = f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}."
-            # By ROS custom a topic called image_rect... is rectified: P holds, and the lens is undone already.
-            rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
-            K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)
             height, width = image.shape
-            self._rays[key] = lens.pixel_rays(K, D, c.model, width, height, k)
+            self._rays[key] = lens.pixel_rays(*lens_of(topic, c), c.model, width, height, k)
         return self._rays[key]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from voodoo_jax.io.decode.depth_codec import unpacked
+from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.records.messages import Cloud, Image
 
 # share of the pixels with data that differ between pictures of a sensor with noise, at least: without noise only who
@@ -97,5 +97,5 @@ def _seen(distances: np.ndarray) -> np.ndarray:
 def _distances(content: Cloud | Image) -> np.ndarray:
     if isinstance(content, Cloud):
         return np.asarray(content.grid["x"], float)
-    raw = content.raw if content.packed is None else unpacked(content)
+    raw = raw_of(content)
     return np.zeros(0) if raw is None else np.asarray(raw, float)

@@ -106,9 +106,16 @@ class Tracks:
 
     def since(self, first: int) -> "Tracks":
         """The same without the frames before `first`."""
+        return self.only(slice(first, None)) if first else self
+
+    def rows(self) -> dict[str, np.ndarray]:
+        """Its arrays that have a row for each frame, by name."""
         each = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("up", "marker_residual")}
-        rows = {name: value[first:] for name, value in each.items() if isinstance(value, np.ndarray)}
-        return replace(self, **rows) if first else self
+        return {name: value for name, value in each.items() if isinstance(value, np.ndarray)}
+
+    def only(self, frames: slice) -> "Tracks":
+        """Some successive frames."""
+        return replace(self, **{name: value[frames] for name, value in self.rows().items()})
 
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
         """Positions of one joint centre over time, metres.

@@ -35,7 +35,6 @@ def convert(source: Path, target: Answer, rate: float) -> list[str]:
                 continue
             points = points[np.isfinite(points).all(1)].astype("<f4")
             message = PointCloud(frame_id=FRAME, point_stride=12, data=points.tobytes())
-            message.timestamp.FromNanoseconds(stamp)
             message.pose.orientation.w = 1
             for k, name in enumerate(AXES):
                 message.fields.append(PackedElementField(name=name, offset=4 * k, type=PackedElementField.FLOAT32))

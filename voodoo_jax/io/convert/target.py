@@ -86,15 +86,18 @@ def check_points(names: int, rows: int) -> None:
 
 
 def putter(writer: Writer, up: str = "") -> Put:
-    """What writes messages of foxglove's into a log; `up` which way is up by the recording's format, as in read.up."""
+    """What writes messages of foxglove's, stamped where they have a stamp, into a log; `up` which way is up by the
+    recording's format, as in read.up."""
     channels: dict[str, int] = {}
 
     def put(topic: str, stamp: int, message: Any) -> None:
+        if "timestamp" in message.DESCRIPTOR.fields_by_name:
+            message.timestamp.FromNanoseconds(stamp)
         if topic not in channels:
             descriptors = build_file_descriptor_set(type(message)).SerializeToString(deterministic=True)
             schema = writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", descriptors)
             channels[topic] = writer.register_channel(topic, "protobuf", schema, {"up": up} if up else {})
-        writer.add_message(channels[topic], stamp, message.SerializeToString(), stamp)
+        writer.add_message(channels[topic], stamp, message.SerializeToString(deterministic=True), stamp)
 
     return put
 

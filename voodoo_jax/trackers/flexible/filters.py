@@ -213,7 +213,7 @@ def _filtered(
 ) -> Filtered:
     """The filters of all limbs, of a body whose trunk stands."""
     view, keys = given.view, jax.random.split(key, 3)
-    space, context = limb_spaces(body, x, n.legs_apart, n.floor), _context(body, state, x, given, shape)
+    space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _context(body, state, x, given, shape)
     origin = state.particles
     ahead = _ahead(state, view, n, shape)
     if shape.restarts:

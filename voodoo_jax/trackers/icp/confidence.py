@@ -273,20 +273,13 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
         span = slice(at, min(at + BATCH, shape[0]))
         around = slice(max(at - 1, 0), min(at + BATCH + 1, shape[0]))  # clues look at the frames beside each
         inner = slice(at - around.start, span.stop - around.start)
-        found = clues(_only(tracks, around), ahead)[inner]
+        found = clues(tracks.only(around), ahead)[inner]
         twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
-        misfit = _misfits(_only(tracks, span), averages and averages.some(span))
+        misfit = _misfits(tracks.only(span), averages and averages.some(span))
         fits, ill[span] = probability(FITS, misfit), ill_fit(misfit)
         sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
     told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
     return np.where(told[:, None], sure * facing_right(tracks, ill), np.nan).astype(np.float32)
-
-
-def _only(tracks: Tracks, frames: slice) -> Tracks:
-    """Some frames of tracks."""
-    of_frames = vars(tracks).keys() - {"up", "marker_residual"}
-    arrays = {name: value for name in of_frames if isinstance(value := getattr(tracks, name), np.ndarray)}
-    return replace(tracks, **{name: value[frames] for name, value in arrays.items()})
 
 
 def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, "frame joint"]:
