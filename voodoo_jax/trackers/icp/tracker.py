@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Float32
+from jaxtyping import Array, Float, Float32, Float64
 
 from voodoo_jax.compile.executable import program, seconds_of_waiting
 from voodoo_jax.config.options import Settings
@@ -255,8 +255,14 @@ def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> T
         depth_inside=derived.depth_inside, limb_covariance=derived.limb_covariance,
         joint_covariance=derived.joint_covariance, up=_up(run), limb_beside=fit and fit.beside,
         limb_distance=fit and fit.distance, limb_bare=fit and fit.bare, limb_own=fit and fit.own,
-        facing_odds=segment.facing_odds,
+        facing_odds=segment.facing_odds, T_fixed_steady=_sensor_motion(run.people),
     )  # fmt: skip
+
+
+def _sensor_motion(people: list[BodyObservation]) -> Float64[np.ndarray, "frame 4 4"] | None:
+    """How sensors moved that the log has at rest, see Tracks; None if they did not."""
+    motion = [np.eye(4) if frame.T_fixed_steady is None else frame.T_fixed_steady for frame in people]
+    return np.stack(motion) if any(frame.T_fixed_steady is not None for frame in people) else None
 
 
 def _misfit(run: Runner, segment: Segment) -> Misfit | None:
