@@ -16,7 +16,7 @@ from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 
 CAMERA = tof_camera(1.2, 0.0)
-SCENE, SETTINGS = Scene(FLOOR, (), True), DetectSettings()
+SCENE, SETTINGS = Scene(FLOOR, (), True), DetectSettings(points=100_000)
 
 
 def everybody(clouds, ahead=True) -> tuple[list[list[np.ndarray]], list[np.ndarray]]:
@@ -28,7 +28,7 @@ def everybody(clouds, ahead=True) -> tuple[list[list[np.ndarray]], list[np.ndarr
 
 
 def _points(one: Observed) -> list[np.ndarray]:
-    return [f.points for f in (*one.early, *one.frames)]
+    return [f.points for f in one.frames]
 
 
 def sways(i: int) -> float:

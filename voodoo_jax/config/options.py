@@ -82,8 +82,8 @@ class DetectSettings:
     """How far a part of the body may have moved since the last frame, metres."""
     forget: int = 30
     """After so many frames without the body it is looked for everywhere again."""
-    reach: float = 1.0
-    """Things farther than this from where the body was are dropped, metres; grows with the body's size."""
+    reach: float = 0.7
+    """Things farther than this from the box that the body was in are dropped, metres."""
     points: int = 1024
     """Points per frame given to the tracker: a random choice where there are more. Where one person is followed by one
     sensor that sees twice as many on them, only an even share of a frame's points is looked at from the start."""

@@ -106,11 +106,11 @@ def _arrays(frame: BodyObservation) -> dict[str, np.ndarray]:
 
 def _shared(frame: BodyObservation, before: BodyObservation | None) -> BodyObservation:
     """The frame with one object for what is alike in all frames, or in it and the one before."""
-    same: dict[str, Any] = {} if frame.rays.names else {"rays": NO_RAYS}
-    same |= {} if frame.pairs.names else {"pairs": NO_PAIRS}
-    if before is not None and _alike(frame.origins, before.origins):
+    same: dict[str, Any] = {} if frame.rays.names or frame.rays is NO_RAYS else {"rays": NO_RAYS}
+    same |= {} if frame.pairs.names or frame.pairs is NO_PAIRS else {"pairs": NO_PAIRS}
+    if before is not None and frame.origins is not before.origins and _alike(frame.origins, before.origins):
         same["origins"] = before.origins
-    return replace(frame, **same)
+    return replace(frame, **same) if same else frame
 
 
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:

@@ -17,7 +17,7 @@ from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.records.observation import BodyObservation, assigned
 
 FEW = 30  # points of a frame: fewer have no shape; by hand
-FRAMES = 90  # are looked at, evenly spread; by hand
+FRAMES = 30  # are looked at, evenly spread; by hand
 
 
 class Pieces(NamedTuple):

@@ -174,13 +174,20 @@ class DropWideStill:
         middle of one."""
         height, level = floor.height(place), floor.level(place)
         slab = np.abs(height[:, None] - height) < self.thick
+        count = slab.sum(1)
+        asked = (
+            (count >= max(3, dense * len(place))) & (height > self.lowest) & (height < self.highest if dense else True)
+        )
         found: list[Top] = []
-        for k in np.argsort(-slab.sum(1), kind="stable"):
-            mine = level[slab[k]]
-            few = len(mine) < max(3, dense * len(place))
-            other = not self.lowest < height[k] < (self.highest if dense else np.inf)
-            if few or other or any(abs(height[k] - top.height) < 2 * self.thick for top in found):
+        tried = np.full(1, np.inf)
+        for k in np.flatnonzero(asked)[np.argsort(-count[asked], kind="stable")]:
+            # what lies at one height is one top, or none
+            if np.abs(height[k] - tried).min() < self.thick / 4:
                 continue
+            if any(abs(height[k] - top.height) < 2 * self.thick for top in found):
+                continue
+            tried = np.append(tried, height[k])
+            mine = level[slab[k]]
             middle = mine.mean(0)
             axes = np.linalg.svd(mine - middle, full_matrices=False)[2][:2]
             along = (mine - middle) @ axes.T

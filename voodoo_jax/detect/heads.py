@@ -7,9 +7,9 @@ hand that is held up.
 
 import numpy as np
 from jaxtyping import Float32, Int
-from scipy.ndimage import maximum_filter
 
 from voodoo_jax.detect.body_likelihood import FEWEST, TALLEST, Build
+from voodoo_jax.geometry.voxels import spread
 
 CELL = 0.05  # metres, of the map of heights; as wide as a hand, by hand
 BRIDGED = 2  # cells: ground that is no farther from other ground hangs together with it; by hand
@@ -100,13 +100,13 @@ def summits(
 
 def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
     """The cells that hang together with one over ground that is not lower than `least`."""
-    ground, reached = top >= least, np.zeros(top.shape, bool)
+    ground, reached = (top >= least).ravel(), np.zeros(top.shape, bool)
     reached[start] = True
     while True:
-        wider = np.logical_and(maximum_filter(reached, 2 * BRIDGED + 1), ground)
+        wider = spread(reached.ravel(), (top.shape[1], 1), BRIDGED) & ground
         if wider.sum() == reached.sum():
             return reached
-        reached = wider
+        reached = wider.reshape(top.shape)
 
 
 def _has_body(height: np.ndarray, level: np.ndarray, spot: np.ndarray, body: Build, least: float) -> bool:

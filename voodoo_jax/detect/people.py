@@ -11,23 +11,24 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, Int8
+from jaxtyping import Bool, Float32, Int8
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.drop_motionless import DropMotionless
-from voodoo_jax.detect.segmentation import SPEED, STILL, TELLING, BodySegmenter, Cleared
+from voodoo_jax.detect.segmentation import ENOUGH, SPEED, STEP, STILL, TELLING, BodySegmenter, Cleared
 from voodoo_jax.detect.stillness import NOISE, Stillness, directions, filled, seen_long
 from voodoo_jax.detect.target_selection import LITTLE, LOOK, MOST, NONE, Chooser, Follower, same
 from voodoo_jax.detect.visibility import Nearest
-from voodoo_jax.geometry.point_cloud import picked
-from voodoo_jax.geometry.voxels import cells_of, touching, unique_cells, within
+from voodoo_jax.geometry.point_cloud import inside, picked, quantile
+from voodoo_jax.geometry.voxels import Grid, cells_of, touching, unique_cells
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.scene import Scene
 
-SOME = 2000  # points of somebody by which it is told who is nearer; by hand
+PLACED = 300  # points of somebody by which it is told where they are; by hand
+SOME, NEAR = 600, 3  # points of somebody by which it is told who is nearer, and cells within their reach; by hand
+HIDING = 2000  # points of all together by which it is told who hides whom; by hand
 AGAIN = 6  # looks for others, of which one goes through all that is there: about two seconds; by hand
 IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
 BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
@@ -137,7 +138,7 @@ class Sighting:
             floor = self.finder.scene.floor
             self.last, self.seen = number, self.seen + 1
             self.tops.append(floor.top(frame.points))
-            place = np.median(floor.level(frame.points), 0)
+            place = quantile(floor.level(frame.points[:: len(frame.points) // PLACED + 1]), 0.5)
             self.places.setdefault(0, place)
             self.places[1] = place
             if not self.finder.hidden:
@@ -152,13 +153,8 @@ class Observed:
 
     finder: BodySegmenter
     settings: DetectSettings
-    early: list[BodyObservation]  # the first frames, which need no correction any more
-    frames: list[BodyObservation]  # the others
+    frames: list[BodyObservation]
     stillness: Stillness = field(default_factory=Stillness)
-
-    @property
-    def scene(self) -> Scene:
-        return self.finder.scene
 
 
 class People:
@@ -170,7 +166,8 @@ class People:
         self._left: list[Sighting] = []
         self._things: list[np.ndarray] = []  # points of what has not moved for long
         self._passed = np.zeros((0, 3), np.int32)  # where things are among which nobody was found: see BodySegmenter
-        self._recent: deque[tuple[Frame | Cleared, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
+        self._recent: deque[tuple[Frame, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
+        self._steps = 0  # by so many the share of a frame's points is less that is looked at
         self._origin: Follower | None = None  # of the chooser, whom the first one continues
         self._continued: Sighting | None = None  # that one
         self._before: list[BodyObservation] = []  # what waited of them then
@@ -203,18 +200,23 @@ class People:
 
     def _see(self, frame: Frame) -> None:
         looks = self._number % LOOK == 0 and len(self._followed) < ALL
-        clear = self.chooser.finder.cleared(frame) if self._followed or looks else frame
-        if isinstance(clear, Cleared) and (self._followed or self._left):
-            self._follow(clear)
+        main, known = self.chooser.finder, [s.finder for s in self._followed if s.finder.last is not None]
+        clear: Cleared | None = None
+        if self._followed or looks:
+            share = STEP**self._steps if self._followed else main.share
+            wholly = looks or any(finder.surveys(frame.time_ns) for finder in known)
+            clear = main.cleared(frame, share, None if wholly else [f.around(frame.time_ns) for f in known])
+        if clear is not None and (self._followed or self._left):
+            self._follow(clear, looks)
             self._several = self._several or _are_several(self._followed)
         taken = [s.finder.last for s in self._followed if s.finder.last is not None]
-        if not self._followed and self.chooser.finder.last is not None:
-            taken = [self.chooser.finder.last]
-        self._recent.append((clear, taken))
-        if looks and isinstance(clear, Cleared) and taken:
+        if not self._followed and main.last is not None:
+            taken = [main.last]
+        self._recent.append((frame, taken))
+        if looks and clear is not None and taken:
             self._look(clear, taken)
 
-    def _follow(self, clear: Cleared) -> None:
+    def _follow(self, clear: Cleared, looks: bool) -> None:
         """Shares the points out among those who are followed, the nearer ones to the sensors first."""
         self._followed.sort(key=lambda s: s.finder.unseen)
         seen = clear.seen
@@ -229,17 +231,30 @@ class People:
             sighting.see(clear, (owner == k) | (owner < 0), self._number)
             owner[sighting.finder.taken] = k
         owned = np.flatnonzero(owner >= 0)
-        whose, nearest = owner[owned], Nearest.shared(seen.points[owned], seen.sensor[owned], seen.origins)
+        owned = owned[:: len(owned) // HIDING + 1]
+        whose, points = owner[owned], picked(seen.points, owned)
+        nearest = Nearest.shared(points, seen.sensor[owned], seen.origins)
         for k, sighting in enumerate(self._followed):
             sighting.keep_hidden(before[k], nearest(whose != k), seconds)
+        # of fewer points it cannot be told who sways
+        self._thin(len(seen.origins) == 1 and all(s.is_person for s in self._followed))
         for sighting in list(self._followed):
             others = [s for s in self._followed if s is not sighting and s.seen >= sighting.seen]
-            twice = any(same(sighting.follower, s.follower) for s in others)
+            twice = looks and any(same(sighting.follower, s.follower) for s in others)
             if sighting.finder.last is None or twice:
                 self._end(sighting)
             elif not sighting.is_person and seen.time_ns - sighting.born_ns > IDLE_NS and not sighting.sways():
                 self._things.append(sighting.finder.last[:: max(1, len(sighting.finder.last) // SOME)])
                 self._followed.remove(sighting)
+
+    def _thin(self, may: bool) -> None:
+        """Sees to it that whoever has fewest points in the next frame has about as many as are kept, or more."""
+        counts = [len(s.now.points) for s in self._followed if s.now is not None and len(s.now.points) >= TELLING]
+        fewest = min(counts, default=0)
+        if may and fewest >= ENOUGH * self.settings.points:
+            self._steps += 1
+        elif fewest < self.settings.points:
+            self._steps = max(0, self._steps - 1)
 
     def _end(self, sighting: Sighting) -> None:
         self._followed.remove(sighting)
@@ -259,7 +274,7 @@ class People:
                 return
             if not self._followed:
                 self._followed.append(self._main(frame))
-            self._followed.append(self._found(frame, finder, seen))
+            self._followed.append(self._found(finder, seen))
             taken.append(seen.points)
             if len(self._followed) >= ALL:
                 return
@@ -271,9 +286,9 @@ class People:
         self._continued = Sighting(main.forked(), self._number + 1, born_ns=frame.time_ns)
         return self._continued
 
-    def _found(self, frame: Cleared, finder: BodySegmenter, seen: BodyObservation) -> Sighting:
+    def _found(self, finder: BodySegmenter, seen: BodyObservation) -> Sighting:
         """Somebody, followed back to when they came into view, which was after the last look."""
-        earlier: list[tuple[BodyObservation, Frame | Cleared]] = []
+        earlier: list[tuple[BodyObservation, Frame]] = []
         if self.ahead:
             back = finder.another(self.settings)
             back.last, back.last_ns = seen.points, seen.time_ns
@@ -283,8 +298,8 @@ class People:
                     earlier.pop()
                     break
         sighting = Sighting(Follower(finder), self._number - len(earlier), born_ns=seen.time_ns)
-        for k, (each, old) in enumerate([*earlier[::-1], (seen, frame)]):
-            sighting.follower.note(each, old.frame if isinstance(old, Cleared) else old)
+        for k, (each, old) in enumerate([*earlier[::-1], (seen, self._recent[-1][0])]):
+            sighting.follower.note(each, old)
             sighting.add(each, sighting.first + k)
         return sighting
 
@@ -293,7 +308,7 @@ class People:
     def observed(self, main: list[BodyObservation]) -> list[Observed]:
         """Everybody, who is seen longest first; nobody if there is but one, for whom the chooser has told.
 
-        **Arguments:** `main` the chooser's frames, corrected.
+        **Arguments:** `main` the chooser's frames.
         """
         found = [s for s in (*self._left, *self._followed) if s.is_person or s.sways()]
         groups = linked(found, main)
@@ -301,16 +316,16 @@ class People:
             return []
         people = []
         for group in groups:
-            frames, early = [frame.only(NONE) for frame in main], 0
+            frames = [frame.only(NONE) for frame in main]
             for sighting in group:
                 own = sighting.frames.frames()
                 if sighting is self._continued and self.chooser.main is self._origin:
-                    early = sighting.first
+                    frames[: sighting.first] = main[: sighting.first]
                 elif sighting is self._continued:
                     frames[sighting.first - len(self._before) : sighting.first] = self._before
                 frames[sighting.first : sighting.first + len(own)] = own
-            people.append(Observed(group[-1].finder, self.settings, main[:early], frames[early:]))
-        return sorted(people, key=lambda p: -sum(len(f.points) >= TELLING for f in (*p.early, *p.frames)))
+            people.append(Observed(group[-1].finder, self.settings, frames))
+        return sorted(people, key=lambda p: -sum(len(f.points) >= TELLING for f in p.frames))
 
 
 def _are_several(followed: list[Sighting]) -> bool:
@@ -320,40 +335,30 @@ def _are_several(followed: list[Sighting]) -> bool:
 
 
 def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) -> Int8[np.ndarray, " point"]:
-    """Who was nearest to each point in the frame before; -1 where nobody was nearer than `reach` metres, and on floor
-    and walls. Who is hidden has what is left."""
+    """Who was nearest to each point in the frame before; -1 where nobody was nearer than about `reach` metres. Who is
+    hidden has what is left."""
     points = frame.points
-    owner = np.full(len(points), -1, np.int8)
+    owner, many = np.full(len(points), -1, np.int8), np.zeros(len(points), np.int8)
     known = [(k, f, f.last[:: len(f.last) // SOME + 1]) for k, f in enumerate(finders) if f.last is not None]
-    near = [_around(points, some, reach) for _, _, some in known]
-    if frame.part is None:  # what is said to be somebody's may be anywhere
-        near = [index[f.off_planes(picked(points, index))] for index, (_, f, _) in zip(near, known)]
-    many, nearest = np.zeros(len(points), np.int8), np.full(len(points), np.inf)
-    for index in near:
-        many[index] += 1
+    near = []
+    for _, _, some in known:
+        index, cell = inside(points, some.min(0) - reach, some.max(0) + reach), reach / NEAR
+        grid = Grid(cells_of(picked(points, index), cell), NEAR)
+        near.append(index[grid.near(cells_of(some, cell), NEAR)])
+        many[near[-1]] += 1
+    nearest = np.full(len(points), np.inf) if (many > 1).any() else None
     for (k, finder, some), index in zip(known, near):
-        alone = index[many[index] == 1]  # how near does not matter
-        owner[alone[within(points[alone], some, reach)]] = k
-        index = index[many[index] > 1]
+        together = many[index] > 1
+        owner[index[~together]] = k  # how near does not matter
+        index = index[together]
         if finder.unseen:
             index = index[owner[index] < 0]
-        if not len(index):
+        if nearest is None or not len(index):
             continue
-        distance = KDTree(some).query(points[index], distance_upper_bound=reach)[0]
+        distance = KDTree(some).query(picked(points, index), distance_upper_bound=reach)[0]
         mine = distance < nearest[index]
         owner[index[mine]], nearest[index[mine]] = k, distance[mine]
     return owner
-
-
-def _around(
-    points: Float32[np.ndarray, "point 3"], some: Float32[np.ndarray, "some 3"], reach: float
-) -> Int[np.ndarray, " near"]:
-    """Indices of points that may be nearer than `reach` metres to some others."""
-    inside = np.ones(len(points), bool)
-    for along, low, high in zip(points.T, some.min(0) - reach, some.max(0) + reach):
-        inside &= (along >= low) & (along <= high)
-    index = np.flatnonzero(inside)
-    return index[touching(cells_of(points[index], reach), cells_of(some, reach))]
 
 
 def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) -> bool:

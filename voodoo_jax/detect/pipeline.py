@@ -78,12 +78,14 @@ def find_people(
     found = surroundings(frames, up, body, settings, up_is_given)
     chooser = Chooser(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
     people = People(chooser, settings.detect, settings.looks_ahead("detect"))
-    main = spilled(_corrected(chooser(people.watched(found.frames)), chooser, body, settings))
-    subjects = []
-    for number, one in enumerate(people.observed(main)[: settings.detect.people or None], 1):
-        seen = [*one.early, *spilled(_corrected(one.frames, one, body, settings))]
-        subjects.append(Subject(number, one.scene, seen))
-    return subjects or [Subject(1, chooser.finder.scene, main)]
+    seen = spilled(chooser(people.watched(found.frames)))
+
+    def subject(number: int, target: Target, frames: Iterable[BodyObservation]) -> Subject:
+        kept = spilled(_corrected(frames, target, body, settings))
+        return Subject(number, target.finder.scene, kept)  # the floor may have been found with the body
+
+    everybody = people.observed(seen)[: settings.detect.people or None]
+    return [subject(k, one, one.frames) for k, one in enumerate(everybody, 1)] or [subject(1, chooser, seen)]
 
 
 def only_named(

@@ -24,12 +24,13 @@ from voodoo_jax.geometry.point_cloud import (
     along,
     even_share,
     fair_share,
+    inside,
     picked,
     point_gap,
     point_spacing,
     without_strays,
 )
-from voodoo_jax.geometry.voxels import Counted, cells_of, components, touching, within
+from voodoo_jax.geometry.voxels import Counted, Grid, cells_of, touching, within
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -65,6 +66,7 @@ class Cleared(NamedTuple):
     """A frame without floor, walls and flying pixels: made once where several things are followed in it."""
 
     seen: BodyObservation  # what is left of it
+    index: Int[np.ndarray, " point"]  # of which of its points
     scene: Scene  # whose floor and walls are gone
     frame: Frame | BodyObservation  # all of it
 
@@ -109,15 +111,32 @@ class BodySegmenter:
         """Goes by this floor and these walls from now on."""
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
         self.scene = scene
-        self._axes = np.stack([scene.floor.normal, *across, *(w.normal for w in scene.walls)]).astype(np.float32)
+        planes = (scene.floor, *scene.walls)
+        self._normals = np.array([plane.normal for plane in planes], np.float32)
+        self._offsets = np.array([plane.offset for plane in planes], np.float32)
+        self._axes = np.array([scene.floor.normal, *across], np.float32)
 
-    def cleared(self, frame: Frame | BodyObservation) -> Cleared:
-        """The frame without floor, walls and flying pixels, for all who are followed in it."""
+    def cleared(
+        self,
+        frame: Frame | BodyObservation,
+        share: float = 1.0,
+        boxes: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
+    ) -> Cleared:
+        """The frame without floor, walls and flying pixels, for all who are followed in it: of a share of its points,
+        those in some boxes (None: anywhere)."""
         seen = whole(frame)
-        known = assigned(seen)
-        index = self._without_strays(seen, np.flatnonzero(self.off_planes(seen.points) & ~known))
-        index = index if seen.part is None else np.sort(np.concatenate([index, np.flatnonzero(known)]))
-        return Cleared(seen.only(index), self.scene, frame)
+        index, known = even_share(share, len(seen.points)), np.flatnonzero(assigned(seen))
+        if boxes is not None:
+            wanted = np.zeros(len(seen.points), bool)
+            for low, high in boxes:
+                wanted[inside(seen.points, low, high, index)] = True
+            index = np.flatnonzero(wanted)
+        index = index[self.off_planes(picked(seen.points, index))]
+        if seen.part is not None:
+            index = index[seen.part[index] < 0]  # what is known passes all tests
+        index = self._without_strays(seen, index, share)
+        index = np.sort(np.concatenate([index, known])) if len(known) else index
+        return Cleared(seen.only(index), index, self.scene, frame)
 
     def __call__(
         self,
@@ -127,41 +146,52 @@ class BodySegmenter:
     ) -> BodyObservation:
         """What is seen of the body in a frame, but for what is near points that are `taken` by others; `mine`: which
         points may be its own, None: all."""
-        s, is_clear = self.settings, isinstance(frame, Cleared) and frame.scene is self.scene
-        frame = frame.seen if isinstance(frame, Cleared) else whole(frame)
+        s, is_cleared = self.settings, isinstance(frame, Cleared)
+        is_clear = isinstance(frame, Cleared) and frame.scene is self.scene
+        everything, places = (whole(frame.frame), frame.index) if isinstance(frame, Cleared) else (whole(frame), None)
+        frame = frame.seen if isinstance(frame, Cleared) else everything
         if len(taken) and frame.part is not None:
-            frame, taken = frame.only(~near_taken(frame.points, taken)), ()
-        points = frame.points
-        known = assigned(frame) if mine is None else assigned(frame) & mine
-        sure = points[known] if frame.part is not None else points[:0]
+            kept = np.flatnonzero(~near_taken(frame.points, taken))
+            frame, taken, places = frame.only(kept), (), kept if places is None else places[kept]
+        known = np.flatnonzero(assigned(frame) if mine is None else assigned(frame) & mine)
+        sure = picked(frame.points, known)
         if self.last is not None and len(sure):
             if np.median(KDTree(self.last).query(sure)[0]) > s.move:
                 self.last = None  # the body is somewhere else than thought
         index, distant = self._free(frame, known, mine, is_clear)
         if len(taken):  # here, where fewer are left to ask
-            index, distant = index[~near_taken(points[index], taken)], distant[~near_taken(distant, taken)]
-        index = index[fair_share(frame.sensor[index], 20_000)]
-        index = index if is_clear else self._without_strays(frame, index)
+            index = index[~near_taken(picked(frame.points, index), taken)]
+            distant = distant[~near_taken(distant, taken)]
+        index = index[fair_share(frame.sensor[index], 20_000)] if len(index) > 20_000 else index
+        index = index if is_cleared else self._without_strays(frame, index, self.share)
         # not where something else than the body was seen before
-        index = index[self._background.at(points[index]) < 3]
+        seen = frame.only(index)
+        new = (self._background.at(seen.points) < 3).nonzero()[0]
+        if len(new) < len(index):
+            index, seen = index[new], seen.only(new)
         if self.last is None:
-            self.asked = cells_of(points[index], CELL)
+            self.asked = cells_of(seen.points, CELL)
             if len(self.passed) and not len(sure) and np.sum(~touching(self.asked, self.passed)) < TELLING:
                 self.taken = index[:0]
                 return frame.only(self.taken)
-        seen = frame.only(index)
-        found, chosen = seen.points, self._choose(seen, sure, frame)
-        body = found[chosen]
+        chosen = self._choose(seen, sure, frame)
+        on = chosen.nonzero()[0]
+        self.others = picked(seen.points, (~chosen).nonzero()[0]) if len(on) < len(index) else seen.points[:0]
+        index, seen, found = (
+            (index, seen, seen.points) if len(on) == len(index) else (index[on], seen.only(on), seen.points)
+        )
+        body = seen.points
         if not len(sure) and self._gone(body):
             self._left.add(cells_of(body, CELL), 1.0)
-            chosen[:], body = False, body[:0]
-        self.others = found[~chosen]
-        self._learn(np.concatenate([self.others, distant]), np.concatenate([body, sure]))
+            index, seen, body, self.others = index[:0], seen.only(on[:0]), body[:0], found
+        self._learn(distant, body, sure)
         # the points of a limb or two do not tell where the others are
-        tells = len(body) >= TELLING or self._of_body(frame, known).sum() >= TELLING
-        index = np.sort(np.concatenate([index[chosen], np.flatnonzero(known)])) if len(sure) else index[chosen]
+        tells = len(body) >= TELLING or self._of_body(frame, known) >= TELLING
+        if len(sure):
+            index = np.sort(np.concatenate([index, known]))
+            seen = frame.only(index)
         if tells:
-            self.last, self.last_ns, self.unseen = points[index], frame.time_ns, 0
+            self.last, self.last_ns, self.unseen = seen.points, frame.time_ns, 0
             self._left.clear()
             self._thin()
         else:
@@ -173,67 +203,67 @@ class BodySegmenter:
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
-        before, sensor = in_the_way(frame, index, self.scene.floor)
-        seen = frame.only(index)
+        before, sensor = in_the_way(everything, index if places is None else places[index], self.scene.floor)
         return replace(seen, before=before, before_sensor=sensor) if len(before) else seen
 
     def _free(
         self,
         frame: BodyObservation,
-        known: Bool[np.ndarray, " point"],
+        known: Int[np.ndarray, " known"],
         mine: Bool[np.ndarray, " point"] | None,
         is_clear: bool,
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
         """Indices of the points that may be its own (`mine`), are off floor and walls, not `known` already, and near
         where the body was; and, where it is time to look at the whole room, the points that are farther off."""
-        share, s = self._looked_at(), self.settings
-        some = None if share == 1 else even_share(share, len(frame.points))
-        points = frame.points if some is None else picked(frame.points, some)
-        near = np.ones(len(points), bool)
-        survey = False
+        points, survey = frame.points, self.surveys(frame.time_ns)
+        index = even_share(self.share, len(points)) if self.share < 1 else None
+        low, high = self.around(frame.time_ns)
         if self.last is not None:
-            # flat distance only: somebody who sits down or jumps is still here; of its points a share tells the middle
-            level = self._axes[1:3]
-            x, y = along(level, points, level @ np.median(self.last[::4], 0))
-            near = (
-                np.add(np.square(x, out=x), np.square(y, out=y), out=x)
-                < (s.reach * self.body.reach / 1.75 + self._gone_by(frame)) ** 2
-            )
             self._surveyed_ns = frame.time_ns if self._surveyed_ns is None else self._surveyed_ns
-            survey = frame.time_ns - self._surveyed_ns >= SURVEY_NS
-        free = ~known if mine is None else mine & ~known
-        free = free if some is None else free[some]
-        if is_clear:
-            index = np.flatnonzero(free if survey else near & free)
-        elif survey or self.last is None:
-            index = np.flatnonzero(self.off_planes(points) & free)
-        else:
-            asked = np.flatnonzero(near & free)
-            index = asked[self.off_planes(picked(points, asked))]
-        distant = points[:0]
-        if survey:
-            self._surveyed_ns = frame.time_ns
-            index, distant = index[near[index]], points[index[~near[index]]]
-        return index if some is None else some[index], distant
+            index = index if survey else inside(points, low, high, index)
+        index = np.arange(len(points)) if index is None else index
+        if mine is not None or len(known):
+            free = np.ones(len(points), bool) if mine is None else mine.copy()
+            free[known] = False
+            index = index[free[index]]
+        index = index if is_clear else index[self.off_planes(picked(points, index))]
+        if not survey:
+            return index, points[:0]
+        self._surveyed_ns = frame.time_ns
+        far = np.ones(len(index), bool)
+        far[inside(picked(points, index), low, high)] = False
+        return index[~far], picked(points, index[far])
+
+    def around(self, time_ns: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
+        """The box in which the body is at that time, and what is looked at beside it; lowest and highest corner."""
+        if self.last is None:
+            return np.full(3, -np.inf, np.float32), np.full(3, np.inf, np.float32)
+        reach = np.float32(self.settings.reach + self._gone_by(time_ns))
+        return self.last.min(0) - reach, self.last.max(0) + reach
+
+    def surveys(self, time_ns: int) -> bool:
+        """Whether it is time to look at the whole room, not only near the body."""
+        if self.last is None or self._surveyed_ns is None:
+            return False
+        return time_ns - self._surveyed_ns >= SURVEY_NS
 
     def near_only(self, time_ns: int) -> Float32[np.ndarray, "point 3"] | None:
         """The body's points when it was last seen, where in a frame of that time nothing else is looked at than what is
         near them; None: the whole room is."""
         if self.last is None or self.unseen or self._surveyed_ns is None:
             return None
-        return None if time_ns - self._surveyed_ns >= SURVEY_NS else self.last
+        return None if self.surveys(time_ns) else self.last
 
     def off_planes(self, points: Float32[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
         """Which points are off floor and walls."""
-        planes = (self.scene.floor, *self.scene.walls)
-        offsets = np.array([plane.offset for plane in planes], np.float32)
-        height, *walls = along(self._axes[[0, *range(3, len(self._axes))]], points, offsets)
+        height, *walls = along(self._normals, points, self._offsets)
         off = height > self.settings.floor_margin
         for distance, wall in zip(walls, self.scene.walls):
             off &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
         return off
 
-    def _looked_at(self) -> float:
+    @property
+    def share(self) -> float:
         """The share of a frame's points that is looked at."""
         return STEP**self._steps if self.thins and self.last is not None else 1.0
 
@@ -268,52 +298,58 @@ class BodySegmenter:
         other._take(scene)
         return other
 
-    def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "axis point"]:
-        """Height above the floor, level coordinates, and distances from the walls; metres."""
-        offsets = [self.scene.floor.offset, 0, 0, *(wall.offset for wall in self.scene.walls)]
-        return along(self._axes, points, np.array(offsets, np.float32))
+    def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "3 point"]:
+        """Height above the floor and level coordinates, metres."""
+        return along(self._axes, points, np.array([self.scene.floor.offset, 0, 0], np.float32))
 
-    def _without_strays(self, frame: BodyObservation, index: np.ndarray) -> np.ndarray:
-        """The indices without those of flying pixels: each sensor's points are compared among themselves."""
-        kept, wider = [], self._looked_at() ** -0.5
-        for sensor in np.flatnonzero(np.bincount(frame.sensor[index])).tolist():
-            mine = index[frame.sensor[index] == sensor]
-            points, origin = frame.points[mine], frame.origins[sensor]
+    def _without_strays(self, frame: BodyObservation, index: np.ndarray, share: float) -> np.ndarray:
+        """The indices, of a share of the points, without those of flying pixels: each sensor's points are compared
+        among themselves."""
+        kept, wider = [index[:0]], share**-0.5
+        present = np.flatnonzero(np.bincount(frame.sensor[index])).tolist() if len(frame.origins) > 1 else [0]
+        for sensor in present:
+            mine = index[frame.sensor[index] == sensor] if len(present) > 1 else index
+            points, origin = picked(frame.points, mine), frame.origins[sensor]
             spacing = self._spacing.get(sensor) or (point_spacing(points, origin) if len(points) > 4 else 0.0)
             if len(points) > 100 and sensor not in self._spacing:
                 self._spacing[sensor], self._gap[sensor] = spacing, point_gap(points, origin)
             kept.append(mine[without_strays(points, origin, spacing * wider)])
-        return np.sort(np.concatenate([index[:0], *kept]))
+        return kept[-1] if len(present) == 1 else np.sort(np.concatenate(kept))
 
-    def _of_body(self, frame: BodyObservation, known: Bool[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:
-        """Which of the `known` points are assigned to the body as a whole, or to one of so many limbs that it makes no
+    def _of_body(self, frame: BodyObservation, known: Int[np.ndarray, " known"]) -> int:
+        """How many of the `known` points are assigned to the body as a whole, or to so many limbs that it makes no
         difference."""
         if frame.part is None:
-            return np.zeros(len(frame.points), bool)
-        present = np.unique(frame.part[known])
-        if len(present) >= 4:
-            return known
-        return known & np.array([*(name == "body" for name in frame.parts), False])[frame.part]
+            return 0
+        part = frame.part[known]
+        if len(np.unique(part)) >= 4:
+            return len(known)
+        return int(np.sum(np.array([name == "body" for name in frame.parts])[part]))
 
     def _choose(self, seen: BodyObservation, sure, frame: BodyObservation) -> Bool[np.ndarray, " point"]:
         """Which points belong to the body, of those `seen` in a frame. `sure`: those that are known to be on it."""
         points = seen.points
         if len(points) < TELLING:
             return np.zeros(len(points), bool)
-        label = components(points, self._link(seen))
+        cell = self._link(seen) / 2
+        reach = max(1, round(self.settings.move / cell - 1))  # cells, from frame to frame
+        grid = Grid(cells_of(points, cell), reach)
+        near = None if self.last is None else grid.near(cells_of(self.last, cell), reach)
+        label = grid.labels()
         count = np.bincount(label)
         most = np.zeros(len(count), bool)
         if len(sure):
             touched = KDTree(sure).query(points, distance_upper_bound=self.settings.link)[0] < np.inf
             touched = np.bincount(label, touched) * (count >= 30)
             most[np.argmax(touched)] = touched.any()
-        if self.last is None:
+        if near is None or self.last is None:
             if most.any():
                 return most[label]
             label = self._joined(seen, self._parted(points, label), frame)
             return label == self._candidate(seen, label)
-        taken = most | self._followed(points, label, count, self.last)
-        far = self._gone_by(seen)
+        beside = np.bincount(label, grid.near(cells_of(self.others, cell)))
+        taken = most | self._followed(points, label, (count, np.bincount(label, near), beside), self.last)
+        far = self._gone_by(seen.time_ns)
         if far > 0 and np.sum(count[taken]) < ALIKE * len(self.last):
             taken |= self._elsewhere(points, label, count, self.last, self.settings.move + far)
         return taken[label]
@@ -336,10 +372,9 @@ class BodySegmenter:
     def _distances(self, seen: BodyObservation) -> Float32[np.ndarray, " point"]:
         return np.linalg.norm(seen.points - seen.origins[seen.sensor], axis=1)
 
-    def _gone_by(self, frame: BodyObservation) -> float:
+    def _gone_by(self, time_ns: int) -> float:
         """How much farther than from frame to frame the body may be by now, metres."""
-        seconds = (frame.time_ns - self.last_ns) / 1e9
-        return float(np.clip(SPEED * seconds - self.settings.move, 0, FARTHEST))
+        return min(max(SPEED * (time_ns - self.last_ns) / 1e9 - self.settings.move, 0.0), FARTHEST)
 
     def _elsewhere(self, points, label, count, last, far: float) -> Bool[np.ndarray, " thing"]:
         """The thing nearest to where the body was some time ago that is like it, and was not there before."""
@@ -355,35 +390,33 @@ class BodySegmenter:
                 break
         return best
 
-    def _followed(self, points, label, count, last) -> Bool[np.ndarray, " thing"]:
-        """Which things hang together with where the body was."""
-        near = np.bincount(label, within(points, last, self.settings.move))
+    def _followed(self, points, label, counts, last) -> Bool[np.ndarray, " thing"]:
+        """Which things hang together with where the body was: of each the `counts` of points, of those that are near
+        that, and of those beside what was seen apart from it."""
+        count, near, beside = counts
         taken = near > np.maximum(np.clip(FEW * len(last), *SPECK), 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
         # not what is small: a foot rests while the other one steps; nor the body itself, if it is where it was
-        if self.hidden:
-            return taken
         doubtful = taken & (count >= 0.1 * len(last))
-        large = np.flatnonzero(doubtful) if doubtful.sum() > 1 else ()
-        low = {k: mine for k in large if self._is_low(mine := points[label == k])}
+        large = np.flatnonzero(doubtful)
+        if self.hidden or (len(large) < 2 and not (beside[large] >= APART * count[large]).any()):
+            return taken
+        low = {k: mine for k in large if len(large) > 1 and self._is_low(mine := points[label == k])}
         near[list(low)] *= LOW  # a box may have more points than the body
         main = int(np.argmax(near))
         for k, mine in low.items():
             if k != main and self._is_left(mine, points[label == main], last):
                 taken[k] = doubtful[k] = False
                 self._background.add(cells_of(mine, CELL), LONG)  # so it was all the time
-        if not doubtful.any() or not len(self.others):
-            return taken
-        beside = touching(cells_of(points, STILL), cells_of(self.others, STILL))
-        doubtful &= np.bincount(label, beside) >= APART * count
-        for k in np.flatnonzero(doubtful):
+        for k in np.flatnonzero(doubtful & (beside >= APART * count)):
             mine = points[label == k]
-            doubtful[k] = (
+            apart = (
                 within(mine, last, STILL).sum() < 0.5 * len(mine)
                 if k == main
                 else not self._is_head(mine, points[label == main])
-            ) and within(mine, self.others, STILL).sum() >= APART * len(mine)
-        return taken & ~doubtful
+            )
+            taken[k] = not (apart and within(mine, self.others, STILL).sum() >= APART * len(mine))
+        return taken
 
     def _is_low(self, thing) -> bool:
         return self.scene.floor.top(thing) < 0.5 * self.body.height
@@ -409,7 +442,7 @@ class BodySegmenter:
     def _parted(self, points, label) -> Int[np.ndarray, " point"]:
         """The labels of things, where several people hang together one for each of them."""
         out = np.array(label)
-        height, *level = self._places(points)[:3]
+        height, *level = self._places(points)
         level, flat = np.stack(level), self.scene.floor.level
         for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
             mine = np.flatnonzero(label == k)
@@ -430,7 +463,7 @@ class BodySegmenter:
         distance = self._distances(seen)
         area = (distance * angle) ** 2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
-        places = self._places(points)[:3]
+        places = self._places(points)
 
         def likeliest(some, least: float) -> tuple[int, float, float]:
             return candidate(points[some], label[some], area[some], distance[some], places[:, some], self.body, least)
@@ -455,36 +488,42 @@ class BodySegmenter:
     def _lower_floor(self, by: float) -> None:
         """From now on the floor is lower: the feet of who seems so small are not in the picture."""
         floor = self.scene.floor
-        self.scene = replace(self.scene, floor=replace(floor, offset=floor.offset - by), floor_open=False)
+        self._take(replace(self.scene, floor=replace(floor, offset=floor.offset - by), floor_open=False))
 
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
         """Says of points whether they lie where something was seen apart from the body for some time, up to now."""
         cells = self._background.cells(LONG)
         if not len(cells):
             return lambda points: np.zeros(len(points), bool)
-        tree = KDTree((cells + 0.5) * CELL)
+        tree, low, high = KDTree((cells + 0.5) * CELL), (cells.min(0) - 1) * CELL, (cells.max(0) + 2) * CELL
 
         def told(points):
-            found = touching(cells_of(points, CELL), cells)  # the others are too far off
-            found[found] = tree.query(points[found], distance_upper_bound=1.2 * CELL)[0] < np.inf
+            found = np.zeros(len(points), bool)
+            asked = inside(points, low, high)  # the others are too far off, and most of these
+            asked = asked[touching(cells_of(picked(points, asked), CELL), cells)]
+            found[asked] = tree.query(points[asked], distance_upper_bound=1.2 * CELL)[0] < np.inf
             return found
 
         return told
 
-    def _learn(self, others, mine) -> None:
-        if self.last is None and not len(mine):
+    def _learn(self, distant, body, sure) -> None:
+        """Counts where things are that are not the body: the others near it, and those that are `distant`."""
+        if self.last is None and not len(body) and not len(sure):
             # nobody there: the room, or somebody who is not told from it yet, so it takes most of a second
-            far, times = np.ones(len(others), bool), 0.15
-        elif self.last is None or self.hidden or not len(others) or not len(mine):
-            return
+            apart, times = self.others, 0.15
         else:
-            self._learns = not self._learns
-            if not self._learns:
+            nothing = not len(self.others) + len(distant) or not len(body) + len(sure)
+            if self.last is None or self.hidden or nothing:
                 return
-            far, times = ~within(others, mine, 0.25), 2.0
-        self._background.add(cells_of(others[far], CELL), times)
+            self._learns = not self._learns
+            if not self._learns and not len(distant):
+                return
+            mine = np.concatenate([body, sure]) if len(sure) else body
+            apart, times = self.others[~within(self.others, mine, 0.25)], 2.0
+            apart = np.concatenate([apart, distant]) if len(distant) else apart
+        self._background.add(cells_of(apart, CELL), times)
         if self.last is not None and sum(map(len, self._beside)) < MANY_BESIDE:
-            self._beside.append(others[far][:: far.sum() // SOME_BESIDE + 1])
+            self._beside.append(apart[:: len(apart) // SOME_BESIDE + 1])
 
     def beside(self) -> Float32[np.ndarray, "point 3"]:
         """Some points of what was seen beside the body at first: it is not looked at any more once that is known."""

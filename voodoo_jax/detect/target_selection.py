@@ -221,7 +221,11 @@ class Chooser:
 
     def _follow(self, frame: Frame) -> None:
         looks = self._seen % LOOK == 0 and len(self._others) < MOST
-        clear = self.finder.cleared(frame) if self._others or looks or self.finder.last is None else frame
+        clear: Frame | Cleared = frame
+        if self._others or looks or self.finder.last is None:
+            finders = [self.finder, *(other.finder for other in self._others)]
+            wholly = looks or any(f.last is None or f.surveys(frame.time_ns) for f in finders)
+            clear = self.finder.cleared(frame, boxes=None if wholly else [f.around(frame.time_ns) for f in finders])
         self._main(clear)
         for other in self._others:
             other(clear)
@@ -249,7 +253,7 @@ class Chooser:
         finder = self.finder.another(s)
         seen = finder(clear, taken)
         if len(seen.points) < 30 or finder.likely < LIKELY * self.finder.likely:
-            finder, seen = self._lying(frame, taken)
+            finder, seen = self._lying(frame, clear, taken)
         if len(seen.points) >= 30:
             other = Follower(finder, self._main.frames[:-1])
             rest = whole(frame)
@@ -259,12 +263,14 @@ class Chooser:
             other.frames.append(seen)
             self._others.append(other)
 
-    def _lying(self, frame: Frame, taken: list[np.ndarray]) -> tuple[BodySegmenter, BodyObservation]:
+    def _lying(
+        self, frame: Frame, clear: Frame | Cleared, taken: list[np.ndarray]
+    ) -> tuple[BodySegmenter, BodyObservation]:
         """Who may lie on the floor or on a bed; without points where there is nobody, or one is followed already."""
         nobody = self.finder, whole(frame).only(NONE)
         if any(other.finder.lies for other in self._others):
             return nobody
-        found = ((finder, finder(frame, taken)) for finder in map(self._lies_on, with_beds(frame, self.finder.scene)))
+        found = ((finder, finder(clear, taken)) for finder in map(self._lies_on, with_beds(frame, self.finder.scene)))
         return next((one for one in found if len(one[1].points) >= 30), nobody)
 
     def _lies_on(self, scene: Scene) -> BodySegmenter:

@@ -13,12 +13,13 @@ from jaxtyping import Float32
 from scipy.spatial import KDTree
 
 from voodoo_jax.detect.stage import Target
+from voodoo_jax.geometry.point_cloud import quantile
 from voodoo_jax.records.observation import BodyObservation
 
 MOST, ASKED = 3000, 150  # points that neighbours are looked for among, and points whose neighbours are looked at
 NEIGHBOURS = 9  # of a point, itself among them: a plane has three numbers
 FEWEST = 60  # points of a sensor from which its noise can be told
-EVERY = 8  # frames after which it is measured again
+EVERY = 30  # frames after which it is measured again
 
 
 @dataclass(frozen=True)
@@ -69,12 +70,15 @@ def weighed(frames: Iterable[BodyObservation], usual: float) -> Iterator[BodyObs
     growth: dict[int, float] = {}  # of each sensor: noise over the square of the distance, 1/metres
     for number, frame in enumerate(frames):
         noise = np.zeros(len(frame.points), np.float32)
-        sensors = np.flatnonzero(np.bincount(frame.sensor)).tolist()
+        sensors = (
+            np.flatnonzero(np.bincount(frame.sensor)).tolist() if len(frame.origins) > 1 else [0] * bool(len(noise))
+        )
         for sensor in sensors:
             mine = frame.sensor == sensor if len(sensors) > 1 else slice(None)
             points, origin = frame.points[mine], frame.origins[sensor]
             # of all together: by its own distance, a point that errs towards the sensor would weigh more
-            square = float(np.median(np.sum((points[:: len(points) // ASKED + 1] - origin) ** 2, 1)))
+            some = points[:: len(points) // ASKED + 1].T - origin[:, None]
+            square = float(quantile(np.einsum("ij,ij->j", some, some), 0.5))
             if sensor not in growth or number % EVERY == 0:
                 found = range_noise(points, origin) / max(square, 1e-6)
                 if np.isfinite(found):

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, UInt32
 
+from voodoo_jax.geometry.point_cloud import quantile
+
 MANY, SUBSET = 30_000, 2000  # points among which a floor is looked for, and by which planes are compared
 # preemptive RANSAC (Nister 2003, doi:10.1109/ICCV.2003.1238341): points by which most planes are left out, and how many
 # planes remain; by hand
@@ -25,7 +27,7 @@ class Plane:
 
     def top(self, points: Float32[np.ndarray, "point 3"]) -> float:
         """Height of the top of a thing with these points, but for single ones; metres."""
-        return float(np.percentile(self.height(points), 98))
+        return float(quantile(self.height(points), 0.98))
 
     def level(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point 3"]:
         """The places on the plane under some points."""

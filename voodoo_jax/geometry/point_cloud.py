@@ -3,7 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt16
 from scipy.spatial import KDTree
 
 ASKED, FEWER = 2000, 300  # points whose nearest neighbours are looked at, and whose neighbours in all directions
@@ -11,8 +11,9 @@ ASKED, FEWER = 2000, 300  # points whose nearest neighbours are looked at, and w
 # image (Knuth 1973, The Art of Computer Programming 3, sec. 6.4)
 GOLDEN = (5**0.5 - 1) / 2
 ROW = 3  # points before and after in a list are looked at first: as many neighbours as no flying pixel has
-PAYS = 600  # points without enough of them, of which so many are found in the picture that it takes less time; measured
-PICTURE = 1_000_000  # cells of a picture: to fill a larger one takes longer than a search tree; by hand
+PAYS = 600  # points: for fewer a search tree takes less time than a picture; measured
+CUBE = np.float32((4 / 3 * np.pi) ** (1 / 3) / 3)  # of a radius: a cube of 27 cells so wide is as large as its ball
+PER_POINT = 150  # cells for each point: to go through more takes longer than a search tree; measured
 AROUND = 100  # neighbours of a point among which the nearest in every direction is looked for
 
 
@@ -46,20 +47,17 @@ def without_strays(
     """
     if len(points) < 5:
         return np.zeros(len(points), bool)
-    xyz = np.ascontiguousarray(points.T)  # by coordinate: several times as fast to go through
-    to = xyz - origin[:, None]
+    to = np.subtract(points.T, origin[:, None], order="C")  # by coordinate: several times as fast to go through
     near = 0.02 + 3 * spacing * _length(to)
+    together = _together(to, near, spacing) if spacing > 0 and len(points) >= PAYS else None
+    if together is not None:
+        return together >= 4
     # points come row by row: those before and after in the list are most often neighbours, and spare the search
-    others, along = np.zeros(len(points), np.uint8), np.zeros(3, np.float32)
+    others = np.zeros(len(points), np.uint8)
     for step in range(1, ROW + 1):
-        apart = xyz[:, step:] - xyz[:, :-step]
-        far = _length(apart)
-        others[step:] += far < near[step:]
-        others[:-step] += far < near[:-step]
-        along += apart @ (far < near[step:])
-    rest = np.flatnonzero(others < 3)
-    if len(rest) >= PAYS:
-        others[rest] += _in_next_rows(xyz, to, along, spacing, rest, near)
+        close = _length(to[:, step:] - to[:, :-step]) < near[step:]
+        others[step:] += close
+        others[:-step] += close
     kept = others >= 3
     rest = np.flatnonzero(~kept)
     tree = KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # sooner made than it is asked
@@ -67,39 +65,49 @@ def without_strays(
     return kept
 
 
-# 6 parameters: what without_strays knows of the points by then
-def _in_next_rows(
-    xyz: Float32[np.ndarray, "3 point"],
-    to: Float32[np.ndarray, "3 point"],
-    along: Float32[np.ndarray, "3"],
-    spacing: float,
-    rest: Int[np.ndarray, " rest"],
-    near: Float32[np.ndarray, " point"],
-) -> UInt8[np.ndarray, " rest"]:
-    """How many points that are no neighbours in the list are `near` each of the `rest`, of those that are in the next
-    cells of the picture: as many as are found at once, there may be more.
+def _together(
+    to: Float32[np.ndarray, "3 point"], near: Float32[np.ndarray, " point"], spacing: float
+) -> UInt16[np.ndarray, " point"] | None:
+    """How many points are in each one's cell or one that touches it, of cells in the picture and in depth that are so
+    large that those together are as large as a ball of the radius `near`; None where cells would be too many for that,
+    or there is no picture, around the sensor.
 
-    **Arguments:** `to` the points from their sensor; `along` the way that rows go; `spacing` radians.
+    **Arguments:** `to` the points from their sensor; `near` metres; `spacing` radians.
     """
-    none = np.zeros(len(rest), np.uint8)
     ahead = _unit(np.mean(to, 1))
-    row = _unit(along - (along @ ahead) * ahead)
-    x, y, depth = np.stack([np.cross(ahead, row), row, ahead]) @ to
-    if not row.any() or np.min(depth) <= 0 or spacing <= 0:  # around the sensor there is no picture
-        return none
-    place = np.stack([x, y]) / (np.float32(spacing) * depth)
-    place -= np.min(place, 1, keepdims=True)
-    high, wide = (np.ceil(np.max(place, 1)).astype(int) + 3).tolist()  # and an empty cell all around
-    if high * wide > PICTURE:
-        return none
-    number = (place[0].astype(np.int32) + 1) * wide + place[1].astype(np.int32) + 1
-    picture = np.full(high * wide, len(to[0]), np.int32)  # no point
-    picture[number] = np.arange(len(to[0]), dtype=np.int32)
-    beside = picture[number[rest] + np.add.outer((-wide, wide), (-1, 0, 1)).reshape(-1, 1)]
-    every = np.append(xyz, np.full((3, 1), np.inf, np.float32), 1)
-    apart = _length(np.take(every, beside, 1) - xyz[:, rest][:, None])
-    found = (apart < near[rest]) & (np.abs(beside - rest) > ROW)
-    return found.sum(0, np.uint8)
+    beside = np.zeros(3, np.float32)
+    beside[np.argmin(np.abs(ahead))] = 1
+    beside = _unit(beside - (beside @ ahead) * ahead)
+    across = np.array([ahead[k - 2] * beside[k - 1] - ahead[k - 1] * beside[k - 2] for k in range(3)])
+    x, y, depth = np.einsum("ij,jn->in", np.array([beside, across, ahead], np.float32), to)
+    if np.min(depth) <= 0:
+        return None
+    wide = CUBE * quantile(near / depth, 0.5)
+    depth *= wide
+    x /= depth
+    y /= depth
+    # so each step in depth is as many cells as it is times `near`
+    cells = np.array([x, y, np.log(near) / (3 * np.float32(spacing) * CUBE)])
+    cells -= np.min(cells, 1, keepdims=True) - 1
+    if np.prod(np.max(cells, 1) + 2) > PER_POINT * len(near):
+        return None
+    cells = cells.astype(np.int32)
+    columns, layers = (np.max(cells[1:], 1) + 2).tolist()
+    number = (cells[0] * columns + cells[1]) * layers + cells[2]
+    count = np.bincount(number, minlength=int(np.max(number)) + columns * layers + layers + 2).astype(np.uint16)
+    for step in (columns * layers, layers, 1):
+        wider = count.copy()
+        wider[step:] += count[:-step]
+        wider[:-step] += count[step:]
+        count = wider
+    return count[number]
+
+
+def quantile(values: Float[np.ndarray, "some *each"], share: float) -> Float[np.ndarray, "*each"]:
+    """The one of some values, or in each column, that a share of the others is below: not between two, as NumPy's,
+    which takes ten times as long for a thousand."""
+    at = round(share * (len(values) - 1))
+    return np.asarray(np.partition(values, at, axis=0)[at])
 
 
 def _unit(v: Float32[np.ndarray, "3"]) -> Float32[np.ndarray, "3"]:
@@ -143,8 +151,23 @@ def picked(points: Float32[np.ndarray, "point 3"], index: Int[np.ndarray, " some
     """Some of the points, by coordinate in memory: where they are so already, several times as fast as by rows."""
     found = np.empty((3, len(index)), np.float32)
     for coordinate, out in zip(points.T, found):
-        np.take(coordinate, index, out=out, mode="clip")  # other modes write elsewhere first
+        coordinate.take(index, out=out, mode="clip")  # other modes write elsewhere first
     return found.T
+
+
+def inside(
+    points: Float32[np.ndarray, "point 3"],
+    low: Float32[np.ndarray, "3"],
+    high: Float32[np.ndarray, "3"],
+    among: Int[np.ndarray, " some"] | None = None,
+) -> Int[np.ndarray, " kept"]:
+    """Indices of the points, `among` some of them (None: all), that are in a box."""
+    for coordinate, least, most in zip(points.T, low, high):
+        place = coordinate if among is None else coordinate.take(among)
+        kept = ((place >= least) & (place <= most)).nonzero()[0]
+        among = kept if among is None else among.take(kept)
+    assert among is not None
+    return among
 
 
 def fair_share(sensor: Int[np.ndarray, " point"], most: int) -> Int[np.ndarray, " kept"]:

@@ -3,6 +3,7 @@
 Where all cells fit into a box of moderate size, a cell is looked up in an array of the whole box; else by sorting.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +18,9 @@ SMALL = 300_000  # cells of a box: to go through all of it takes less time than 
 MODERATE = 1_000_000  # cells of a box: to fill a larger array takes longer than to sort the cells that are taken
 LARGE = 8_000_000  # the same of an array of which only what is near the taken ones is looked at
 FEW = 50_000  # pairs of points that are compared one by one in less time than a search tree is made
-AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)  # a cell and the 26 around it
-LATER = AROUND[14:]  # those of them that come later in order: each pair once
+# of a cell and the 26 around it those that come later in order: each pair once
+LATER = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)[14:]
 
-MARGIN = 3  # cells around those that are asked about: one for what touches them, two for what is farther away
 Cells = Int[np.ndarray, "cell 3"]  # fastest by coordinate in memory
 
 
@@ -91,26 +91,74 @@ def unique_cells(cells: Cells) -> tuple[Int[np.ndarray, "unique 3"], Int[np.ndar
     return (np.stack(np.unravel_index(found, box.span)) + box.low).T, inverse
 
 
+class Grid:
+    """The cells that some points are in, numbered through once for all that is asked of them."""
+
+    def __init__(self, cells: Cells, reach: int = 1):
+        self.cells, self.reach = cells, reach  # as far as `near` may be asked for
+        if len(cells):
+            self.box = Box.around(cells, reach + 2)  # so what is beyond its sides is farther off than that
+            self.number = self.box.numbers(cells)
+
+    def near(self, others: Int[np.ndarray, "other 3"], reach: int = 1) -> Bool[np.ndarray, " cell"]:
+        """Which cells have one of the others no farther off than so many cells along any axis."""
+        if not len(self.cells) or not len(others):
+            return np.zeros(len(self.cells), bool)
+        box, other = self.box, self.box.inner_numbers(others)
+        if box.size > LARGE:
+            return np.isin(self.number, np.unique(other)[:, None] + self._around(reach))
+        taken = np.zeros(box.size, bool)
+        taken[other] = True
+        if box.size > SMALL:
+            marked = np.zeros(box.size, bool)
+            marked[np.flatnonzero(taken)[:, None] + self._around(reach)] = True
+            return marked[self.number]
+        taken = spread(taken, box.steps.tolist(), reach)  # cells at the box's sides get some of the other side
+        return taken[self.number]
+
+    def _around(self, reach: int) -> Int[np.ndarray, " other"]:
+        """What is to be added to a cell's number for all that are so near."""
+        along = np.arange(-reach, reach + 1)
+        x, y, z = (step * along for step in self.box.steps)
+        return np.add.outer(np.add.outer(x, y), z).ravel()
+
+    def labels(self) -> Int[np.ndarray, " cell"]:
+        """The thing that each cell belongs to: those that touch hang together."""
+        if not len(self.cells):
+            return np.zeros(0, np.int32)
+        box, inner = self.box, (slice(self.reach + 1, -self.reach - 1),) * 3
+        if box.size <= MODERATE:
+            taken, label = np.zeros(box.span, bool), np.zeros(box.span, np.int32)
+            taken.ravel()[self.number] = True
+            ndimage.label(taken[inner], np.ones((3, 3, 3), bool), output=label[inner])
+            return label.ravel()[self.number] - 1
+        cells, inverse = unique_cells(self.cells)
+        number = box.numbers(cells)  # in order
+        wanted = number[:, None] + LATER @ box.steps
+        place = np.minimum(np.searchsorted(number, wanted), len(number) - 1)
+        there = number[place] == wanted
+        ends = np.concatenate([[0], np.cumsum(there.sum(1))])
+        graph = csr_array((np.ones(ends[-1]), place[there], ends), shape=(len(number),) * 2)
+        return connected_components(graph, directed=False)[1][inverse]
+
+
+def spread(taken: Bool[np.ndarray, " cell"], steps: Sequence[int], reach: int) -> Bool[np.ndarray, " cell"]:
+    """Which cells, numbered through, are taken or near one that is, by so many cells along any axis; `steps` from a
+    cell's number to that of the next one along each. Those at the sides get some of the other side."""
+    for step in steps:
+        done = 0
+        while done < reach:
+            by = step * min(done + 1, reach - done)
+            near = taken.copy()
+            near[by:] |= taken[:-by]
+            near[:-by] |= taken[by:]
+            taken, done = near, done + by // step
+    return taken
+
+
 def touching(cells: Cells, others: Int[np.ndarray, "other 3"]) -> Bool[np.ndarray, " cell"]:
     """Which cells are among the others, or next to one of them, across a corner too."""
-    if not len(cells) or not len(others):
-        return np.zeros(len(cells), bool)
-    box = Box.around(cells, MARGIN)
-    other, number = box.inner_numbers(others), box.numbers(cells)
-    if box.size > LARGE:
-        return np.isin(number, np.unique(other)[:, None] + AROUND @ box.steps)
-    taken = np.zeros(box.size, bool)
-    taken[other] = True
-    if box.size > SMALL:
-        marked = np.zeros(box.size, bool)
-        marked[np.flatnonzero(taken)[:, None] + AROUND @ box.steps] = True
-        return marked[number]
-    for step in box.steps.tolist():  # axis by axis; cells at the box's sides get some of the other side
-        near = taken.copy()
-        near[step:] |= taken[:-step]
-        near[:-step] |= taken[step:]
-        taken = near
-    return taken[number]
+    return Grid(cells).near(others)
 
 
 def within(
@@ -137,24 +185,7 @@ def within(
 def components(points: Float32[np.ndarray, "point 3"], link: float) -> Int[np.ndarray, " point"]:
     """Labels of connected things: points in touching cells of half of `link` metres belong together."""
     # the 26 cells around: a distance between half and the whole of `link`
-    cells = cells_of(points, link / 2)
-    box = Box.around(cells, 0)
-    if box.size <= MODERATE:
-        number = box.numbers(cells)
-        taken = np.zeros(box.size, bool)
-        taken[number] = True
-        label = np.zeros(box.span, np.int32)
-        ndimage.label(taken.reshape(box.span), np.ones((3, 3, 3), bool), output=label)
-        return label.ravel()[number] - 1
-    cells, inverse = unique_cells(cells)
-    box = Box.around(cells, 1)
-    number = box.numbers(cells)  # in order
-    wanted = number[:, None] + LATER @ box.steps
-    place = np.minimum(np.searchsorted(number, wanted), len(number) - 1)
-    there = number[place] == wanted
-    ends = np.concatenate([[0], np.cumsum(there.sum(1))])
-    graph = csr_array((np.ones(ends[-1]), place[there], ends), shape=(len(number),) * 2)
-    return connected_components(graph, directed=False)[1][inverse]
+    return Grid(cells_of(points, link / 2)).labels()
 
 
 class Counted:

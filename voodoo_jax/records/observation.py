@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int32
 
+from voodoo_jax.geometry.point_cloud import picked
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Rays
 
 
@@ -39,10 +40,11 @@ class BodyObservation:
 
     def only(self, keep: np.ndarray) -> "BodyObservation":
         """The frame with some of its points: a mask or indices."""
+        keep = np.flatnonzero(keep) if keep.dtype == bool else keep
         part = None if self.part is None else self.part[keep]
         weight = None if self.weight is None else self.weight[keep]
         other = copy(self)  # dataclasses.replace takes as long as all else here
-        vars(other).update(points=self.points[keep], sensor=self.sensor[keep], part=part, weight=weight)
+        vars(other).update(points=picked(self.points, keep), sensor=self.sensor[keep], part=part, weight=weight)
         return other
 
 
