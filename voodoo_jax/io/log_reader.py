@@ -25,7 +25,7 @@ from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.given import given_transforms
 from voodoo_jax.io.image_fit import fitted, leeway, moved
-from voodoo_jax.io.image_planes import flat_share, planes, seen_pixels
+from voodoo_jax.io.image_planes import TELLING, flat_share, planes, seen_pixels
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader, shape_of
@@ -51,7 +51,7 @@ FITS, TORN = 2.5, 0.5
 BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical axes to those of a body (REP 103)
 STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
 BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
-TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
+FEW_POINTS = 5000  # of a message that are looked at to see whether it shows something
 
 
 def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "LogReader":
@@ -232,7 +232,7 @@ class LogReader:
             if found is None or pose is None:
                 continue
             ways, value = seen_pixels(*found)
-            seen = planes(ways, value) if len(value) >= 100 else None
+            seen = planes(ways, value) if len(value) >= TELLING else None
             if seen is None or not len(seen.shares):
                 continue
             normals = seen.normals @ pose[0].T
@@ -256,7 +256,7 @@ class LogReader:
         if self.up_is_given or pose is None or frame == tree.root(frame) or "optical" in frame.lower():
             return False
         ways, value = seen_pixels(xy, values)
-        if len(value) < 100:
+        if len(value) < TELLING:
             return False
         length = np.linalg.norm(ways, axis=1) if self.radial.get(topic) else 1.0
         normals = planes(ways, value / length).normals

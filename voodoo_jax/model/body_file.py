@@ -16,11 +16,12 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.config.bounds import SIZES
 from voodoo_jax.config.limited import limits
 from voodoo_jax.config.options import LimitSettings
+from voodoo_jax.config.toml import nearest
 from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.model.body import Body, Mode, Topology, without_side
 from voodoo_jax.model.body_text import TextOfBody
 from voodoo_jax.model.checked_toml import BodyFileError as BodyFileError
-from voodoo_jax.model.checked_toml import Table, TomlFile, nearest, unique_names
+from voodoo_jax.model.checked_toml import Table, TomlFile, unique_names
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.troubles import small_text
 
@@ -231,15 +232,15 @@ def format_body(body: Body) -> str:
         text.limb(name, bottom, bottom + rotation[:, 2] * size[4], rotation[:, 0], size[:2], size[2:4])
     anchors = [(t.parents, _from_poses(body.parent_anchor)), (t.children, _from_poses(body.child_anchor))]
     for j, name in enumerate(t.joints):
-        at, more = [], {}
+        values = {}
         for prefix, (owner, (rotation, translation)) in zip(("", "child_"), anchors):
             limb = owner[j]
-            frame = turns[limb] @ rotation[j]
-            at.append(turns[limb] @ translation[j] + places[limb])
-            more |= {f"{prefix}x_axis": frame[:, 0], f"{prefix}z_axis": frame[:, 2]}
+            frame, at = turns[limb] @ rotation[j], turns[limb] @ translation[j] + places[limb]
+            values |= {f"{prefix}at": at, f"{prefix}x_axis": frame[:, 0], f"{prefix}z_axis": frame[:, 2]}
         limits = np.round(np.degrees(np.asarray(body.limits, np.float64)[j]), 4)
-        more |= {"weight": weights[j]} | {key: row for key, row in zip(LIMITS, limits) if np.isfinite(row).all()}
-        text.joint(name, t.limbs[t.parents[j]], t.limbs[t.children[j]], at[0], axes[j], at[1], **more)
+        values |= {"axes": axes[j], "weight": float(weights[j])}
+        values |= {key: row for key, row in zip(LIMITS, limits) if np.isfinite(row).all()}
+        text.joint(name, t.limbs[t.parents[j]], t.limbs[t.children[j]], **values)
     named = (("centre", t.centres, t.centre_limbs, body.centres), ("site", t.sites, t.site_limbs, body.sites))
     for kind, names, owner, points in named:
         for name, limb, point in zip(names, owner, np.asarray(points, np.float64)):

@@ -32,19 +32,14 @@ class TextOfBody:
         self._lines += [f"top = {self._place(top)}", f"x_axis = {numbers_text(x_axis)}"]
         self._lines += [f"bottom_axes = {self._lengths(bottom_axes)}", f"top_axes = {self._lengths(top_axes)}"]
 
-    # 6 parameters: those of a joint in the file
-    def joint(
-        self, name: str, parent: str, child: str, at: Vector, axes, child_at: Vector | None = None, **more: Any
-    ) -> None:
-        """A joint; `more`: x_axis, z_axis, child_x_axis, child_z_axis (directions), swing_x, swing_y, twist (degrees),
-        weight (a number)."""
+    def joint(self, name: str, parent: str, child: str, **values: Any) -> None:
+        """A joint; `values` by the file's keys, in its order: at, child_at (places), axes (lengths), x_axis, z_axis,
+        child_x_axis, child_z_axis (directions), swing_x, swing_y, twist (degrees), weight (a number)."""
         self._lines += ["", "[[joint]]", f"name = {string_text(name)}", f"parent = {string_text(parent)}"]
-        self._lines += [f"child = {string_text(child)}", f"at = {self._place(at)}"]
-        self._lines += [f"child_at = {self._place(child_at)}"] if child_at is not None else []
-        self._lines += [f"axes = {self._lengths(axes)}"]
-        self._lines += [
-            f"{key} = {numbers_text(v) if np.ndim(v) else number_text(float(v))}" for key, v in more.items()
-        ]
+        self._lines += [f"child = {string_text(child)}"]
+        for key, value in values.items():
+            text = self._place if key.endswith("at") else self._lengths if key == "axes" else numbers_text
+            self._lines += [f"{key} = {text(value) if np.ndim(value) else number_text(value)}"]
 
     def point(self, kind: str, name: str, limb: str, at: Vector) -> None:
         """A `centre`, which tracks report, or a `site`, a feature point."""

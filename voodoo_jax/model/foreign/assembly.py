@@ -51,7 +51,7 @@ def assembled(pieces: list[Piece], name: str, scale_name: str, source: str) -> t
         text.limb(piece.name, limb.bottom, limb.top, limb.x_axis, limb.bottom_axes, limb.top_axes)
     for i, piece in enumerate(pieces):
         if piece.parent >= 0:
-            text.joint(piece.joint, pieces[piece.parent].name, piece.name, piece.at, **_held(piece, limbs, i))
+            text.joint(piece.joint, pieces[piece.parent].name, piece.name, at=piece.at, **_held(piece, limbs, i))
     for i, piece in enumerate(pieces):
         if piece.parent >= 0:
             text.point("centre", piece.joint, piece.name, piece.at)

@@ -6,8 +6,9 @@ from functools import partial
 from math import prod
 from typing import IO, NamedTuple
 
+import cv2
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 
 from voodoo_jax.config.options import FlexibleSettings, Settings
 from voodoo_jax.detect.disk_buffer import spilled
@@ -19,9 +20,11 @@ from voodoo_jax.records.recording import Frame, Picture, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.storage.scratch import nameless_file
 from voodoo_jax.trackers.base import Unsuitable
-from voodoo_jax.trackers.flexible.image_features import Extractor, Features, Near, depth_points
+from voodoo_jax.trackers.flexible.image_features import Extractor, Features, Near, SkinModel, depth_points
+from voodoo_jax.trackers.flexible.scores import View
 
 _PATIENCE = 60  # frames without an image at the beginning of a log, after which none are expected, by hand
+_OVER_FLOOR = 0.06  # metres: lower points are the floor's as often as the feet's by stereo, by hand
 _NOTHING = np.zeros((0, 3), np.float32)
 _BESIDE, _FASTEST = 0.25, 2.5  # metres from a person's points, and per second: so far hands may be next, by hand
 
@@ -225,3 +228,54 @@ def _near(chooser: Chooser, time_ns: int) -> Near | None:
     points = chooser.near_only(time_ns)
     seconds = (time_ns - chooser.finder.last_ns) / 1e9
     return None if points is None else Near(points, _BESIDE + _FASTEST * max(seconds, 0.0))
+
+
+class Look(NamedTuple):
+    """What one camera sees in a row."""
+
+    features: Features
+    bare: UInt8[np.ndarray, "row column"]  # how likely each pixel is skin if it is the person's, 0..255
+    there: bool  # False: it has no image then, this is the nearest one in time
+
+
+def looks(seen: Observed, i: int, s: FlexibleSettings, skin: SkinModel) -> list[Look]:
+    """What all cameras see in a row, the first one first."""
+    found = [(seen.features[i], True), *(store.latest(i) for store in seen.others)]
+    none = np.zeros(found[0][0].depth.shape, np.uint8)
+    return [Look(f, skin.on_person(f.cell) if s.skin_weight > 0 else none, there) for f, there in found]
+
+
+def chosen_points(
+    seen: Observed, i: int, s: FlexibleSettings, views: Sequence[Look]
+) -> tuple[Float32[np.ndarray, "point 3"], Float32[np.ndarray, " point"], Float32[np.ndarray, " point"]]:
+    """The points on the person in a row that are used, metres, what each counts (0: there is none), and the same times
+    how likely it is skin, by the camera that is nearest to where it was seen from."""
+    person = seen.people[i]
+    points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
+    good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
+    chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
+    points[: len(chosen)] = person.points[chosen]
+    share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
+    each = [at_points(look.bare, look.features, points) for look in views]
+    if len(views) > 1:
+        cameras = np.stack([-look.features.shift @ look.features.turn for look in views])
+        apart = np.linalg.norm(person.origins[person.sensor[chosen], None] - cameras, axis=-1)
+        each[0][: len(chosen)] = np.stack(each)[apart.argmin(1), np.arange(len(chosen))]
+    return points, share, each[0] * share
+
+
+def at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point"]:
+    """What an image says at points, 0..1; 0 outside of it."""
+    q = points @ f.turn.T + f.shift
+    at = np.round(q[:, :2] / np.maximum(q[:, 2:], 0.1) * f.focal[:2] + f.focal[2:]).astype(int)
+    rows, columns = image.shape
+    inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows) & (q[:, 2] > 0.1)
+    value = image[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)].astype(np.float32) / 255
+    return np.where(inside, value, np.float32(0))
+
+
+def view_of(look: Look) -> View:
+    """What a program takes of features."""
+    f = look.features
+    pixels = np.asarray(cv2.merge((f.colour, f.edge))).view("<u4")[..., 0]
+    return View(pixels, f.motion, f.flow, f.depth, f.focal, f.turn, f.shift, look.bare, np.float32(float(look.there)))

@@ -41,7 +41,7 @@ _BOWED = 0.92
 # who stand, walk, run and bow (knees 0.072 and more, ankles 0.053)
 LEGS_NEAR = np.array([0.075, 0.058], np.float32)
 _OVER = 0.035  # share of the stature that an ankle is above the floor, measured on the built-in body
-_NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # by hand: a kilometre down
+NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # by hand: a kilometre down
 _TINY = 1e-9  # square metres: float32 has no smaller distances here
 
 
@@ -175,7 +175,7 @@ def limb_spaces(
     line = top - middle
     trunk = _axes(upper.left + lower.left, line)
     size = jnp.stack([0.9 * body.torso[0], 0.085 * body.stature, line.length()])
-    ground = jnp.asarray(_NO_FLOOR) if floor is None else floor
+    ground = jnp.asarray(NO_FLOOR) if floor is None else floor
     each = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a[..., None], (*a.shape, 4)), v)  # noqa: E731
     return LimbSpace(
         forward, limits, jnp.asarray(rows[:, :, 3]), bone_lengths(body).T, arm.astype(x.v.dtype), each(middle),

@@ -1,15 +1,14 @@
 """The flexible tracker on a whole recording: features, person's points, head, filters, tracks. Host side."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64
 from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.compile.executable import seconds_of_waiting
@@ -22,7 +21,7 @@ from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.base import Progress, Source, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rated
-from voodoo_jax.trackers.flexible.filters import Inputs, Numbers, Seen, Shape, State, start, track_chunk
+from voodoo_jax.trackers.flexible.filters import start, track_chunk
 from voodoo_jax.trackers.flexible.flexible_body import (
     LIMBS,
     LOWER,
@@ -34,10 +33,12 @@ from voodoo_jax.trackers.flexible.flexible_body import (
     rest_points,
 )
 from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
-from voodoo_jax.trackers.flexible.image_features import Features, SkinModel
-from voodoo_jax.trackers.flexible.observed import Observed, observe, uses_dense
+from voodoo_jax.trackers.flexible.image_features import SkinModel
+from voodoo_jax.trackers.flexible.observed import Observed, chosen_points, looks, observe, uses_dense, view_of
+from voodoo_jax.trackers.flexible.physics import NO_FLOOR
 from voodoo_jax.trackers.flexible.poses import centres_of, directions, limb_poses
-from voodoo_jax.trackers.flexible.scores import View, Weighing, log_weight
+from voodoo_jax.trackers.flexible.scores import Weighing, log_weight
+from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
 
 CHUNK = 16  # frames per run of the program: what fits into memory as images, by hand
 _BELOW = 0.35  # share of the stature that a face is at most from the person's top: else it is a hand, by hand
@@ -47,7 +48,6 @@ _STRETCH, _EXPLAINS_MORE, _SCORES_MORE = 2.0, 0.02, 2.0
 _AWAY = -0.3  # cosine of the angle from the body's front to the camera, from which on it looks away, by hand
 _AGREE = 0.15  # metres between passes up to which their mean is taken: on the study's half of stereo logs, measured
 _SMOOTH = 0.047  # seconds, standard deviation: measured on the same ones
-_OVER_FLOOR = 0.06  # metres: lower points are the floor's as often as the feet's by stereo, by hand
 _OTHER_LIMB = np.array([1, 0, 3, 2])  # of each of the paper's filters, that of the other side
 _OTHER_PART = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8, 12, 13, 14])  # of each of the paper's cylinders
 _TRUNK = np.unique([*UPPER, *LOWER])
@@ -57,7 +57,7 @@ _FEWEST = 120  # points of a person from which on tracking starts, by hand
 
 def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
     """What of the settings a program takes as numbers. The paper knows no floor: only where points are used."""
-    plane = (0.0, 0.0, 1.0, -1e3) if floor is None or not uses_dense(s) else (*floor.normal.tolist(), floor.offset)
+    plane = NO_FLOOR if floor is None or not uses_dense(s) else (*floor.normal.tolist(), floor.offset)
     f = lambda x: jnp.asarray(x, jnp.float32)  # noqa: E731
     weighing = Weighing(
         f(s.edge_weight), f(s.surface_weight), f(s.depth_weight), f(s.points_weight), f(s.skin_weight),
@@ -213,40 +213,6 @@ def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: Flexibl
     return out
 
 
-class Look(NamedTuple):
-    """What one camera sees in a row."""
-
-    features: Features
-    bare: UInt8[np.ndarray, "row column"]  # how likely each pixel is skin if it is the person's, 0..255
-    there: bool  # False: it has no image then, this is the nearest one in time
-
-
-def looks(seen: Observed, i: int, s: FlexibleSettings, skin: SkinModel) -> list[Look]:
-    """What all cameras see in a row, the first one first."""
-    found = [(seen.features[i], True), *(store.latest(i) for store in seen.others)]
-    none = np.zeros(found[0][0].depth.shape, np.uint8)
-    return [Look(f, skin.on_person(f.cell) if s.skin_weight > 0 else none, there) for f, there in found]
-
-
-def chosen_points(
-    seen: Observed, i: int, s: FlexibleSettings, views: Sequence[Look]
-) -> tuple[Float32[np.ndarray, "point 3"], Float32[np.ndarray, " point"], Float32[np.ndarray, " point"]]:
-    """The points on the person in a row that are used, metres, what each counts (0: there is none), and the same times
-    how likely it is skin, by the camera that is nearest to where it was seen from."""
-    person = seen.people[i]
-    points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
-    good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
-    chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
-    points[: len(chosen)] = person.points[chosen]
-    share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
-    each = [at_points(look.bare, look.features, points) for look in views]
-    if len(views) > 1:
-        cameras = np.stack([-look.features.shift @ look.features.turn for look in views])
-        apart = np.linalg.norm(person.origins[person.sensor[chosen], None] - cameras, axis=-1)
-        each[0][: len(chosen)] = np.stack(each)[apart.argmin(1), np.arange(len(chosen))]
-    return points, share, each[0] * share
-
-
 # 7 parameters: what a chunk of frames is made of
 def _inputs(
     seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int, skin: SkinModel
@@ -254,7 +220,7 @@ def _inputs(
     rows = []
     for k, i in enumerate(at):
         views = looks(seen, i, s, skin)
-        view, *more = (_view(look) for look in views)
+        view, *more = (view_of(look) for look in views)
         points, share, bare = chosen_points(seen, i, s, views)
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
@@ -363,23 +329,6 @@ def smoothed(x: Float32[np.ndarray, "frame 16 3"], time_ns: np.ndarray) -> Float
         return x
     sigma = _SMOOTH / max(float(np.median(np.diff(time_ns))) / 1e9, 1e-3)
     return gaussian_filter1d(x, sigma, axis=0, mode="nearest")
-
-
-def at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point"]:
-    """What an image says at points, 0..1; 0 outside of it."""
-    q = points @ f.turn.T + f.shift
-    at = np.round(q[:, :2] / np.maximum(q[:, 2:], 0.1) * f.focal[:2] + f.focal[2:]).astype(int)
-    rows, columns = image.shape
-    inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows) & (q[:, 2] > 0.1)
-    value = image[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)].astype(np.float32) / 255
-    return np.where(inside, value, np.float32(0))
-
-
-def _view(look: Look) -> View:
-    """What a program takes of features."""
-    f = look.features
-    pixels = np.asarray(cv2.merge((f.colour, f.edge))).view("<u4")[..., 0]
-    return View(pixels, f.motion, f.flow, f.depth, f.focal, f.turn, f.shift, look.bare, np.float32(float(look.there)))
 
 
 def _tracks(tracks: Tracks, begin: Start, seen: Observed, first: int, found: Seen, camera: np.ndarray) -> Tracks:

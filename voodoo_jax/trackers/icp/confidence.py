@@ -23,6 +23,7 @@ from scipy.special import expit
 from voodoo_jax.geometry.rigid import apply, cross_matrix, on_host
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
+from voodoo_jax.trackers.icp.joint_spread import BATCH
 
 CLOSE = 0.10  # metres
 CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
@@ -51,7 +52,6 @@ CONFIRMED, LONG = 0.63, 1.0
 # both legs so. Of 235 logs of all kinds one did: its legs were on the back of a chair, behind a desk; by hand
 HEELS_UP = 0.05
 EVERY = slice(None)
-BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
 # how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
 # limbs are bare; from experiments/trust/elsewhere.py
 SURELY, LESS_SURE = 18.8, (-2.98, -1.26)
