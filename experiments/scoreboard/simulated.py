@@ -7,6 +7,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
 import voodoo_jax as vj
@@ -207,3 +208,45 @@ def _beside(frame: Frame, true: Frame) -> float:
     middle, middle_true = first.mean(0), first_true.mean(0)
     turn = Rotation.align_vectors(first_true - middle_true, first - middle)[0]
     return 100 * float(np.linalg.norm(turn.apply(second - middle) + middle_true - second_true, axis=1).mean())
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Somebody who stands in a room, in one cloud of points (PLY) of several cameras around them.
+
+    The outcome: mean joint error, cm; whether it is said to be tracked; mean confidence.
+    """
+
+    stature: float  # metres
+    arms: float  # degrees from hanging to raised, both
+    facing: float  # radians from towards the first camera
+    cameras: int
+    seconds = 1.0
+
+    def run(self) -> tuple[float, float, float]:
+        body = scaled(vj.human(), self.stature)
+        motion = make_motion(body, "stand", 0.04, 30.0)
+        turns = np.array(motion.rotations)
+        for joint, side in (("l_shoulder", 1), ("r_shoulder", -1)):
+            turns[:, body.topology.joints.index(joint)] = [side * np.radians(self.arms), 0, 0]
+        motion = replace(motion, rotations=turns)
+        lens = Camera(320, 288, 208.0, 226.0, 159.5, 143.5, (0.0, 0.0, 1.2), 0.07)
+        clouds, truth = [], np.zeros((0, 3))
+        for k in range(self.cameras):
+            turn = Rotation.from_euler("z", 2 * np.pi * k / self.cameras)  # the person turns before one camera
+            facing = np.pi + self.facing - 2 * np.pi * k / self.cameras
+            room = Room(wall=None if k else 4.5, boxes=())
+            seen = simulate(body, placed(motion, 3.0, 0.0, facing), lens, room=room, seed=k)
+            truth = truth if k else seen.joints[0]
+            depth = seen.depth[0].ravel() * 1e-3
+            points = np.array(lens.position) + (lens.rays() * depth[:, None])[depth > 0]
+            clouds.append(turn.apply(points - [3.0, 0, 0]) + [3.0, 0, 0])
+        with tempfile.TemporaryDirectory() as folder:
+            trimesh.PointCloud(np.concatenate(clouds)).export(Path(folder) / "scan.ply")
+            tracks = vj.track(vj.human(), vj.read_log(Path(folder) / "scan.ply"))
+        error = np.linalg.norm(tracks.joints[0] - truth, axis=1)
+        return 100 * float(np.nan_to_num(error, nan=MISSING).mean()), float(tracks.tracked.mean()), _sure(tracks)
+
+
+def _sure(tracks: vj.Tracks) -> float:
+    return float(np.nan_to_num(tracks.confidence).mean())
