@@ -356,8 +356,8 @@ class BodySegmenter:
 
     def _joined(self, seen: BodyObservation, label, frame: BodyObservation) -> Int[np.ndarray, " point"]:
         """The labels of things, the same for the pieces of one that something nearer cuts in two, and for a head and
-        the shoulders that are near it: a neck is thin, and the grid of `components` is coarse. An animal of unknown size
-        has no width by which furniture beside it could be told."""
+        the shoulders that are near it: a neck is thin, and the grid of `components` is coarse. An animal of unknown
+        size has no width by which furniture beside it could be told."""
         if self.body.loose:
             return label
         points, count, out = seen.points, np.bincount(label), np.array(label)
