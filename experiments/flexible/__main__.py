@@ -21,9 +21,10 @@ from voodoo_jax.fitting.frames import Truth, read_truth
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.base import source_of_log
+from voodoo_jax.trackers.base import Task, source_of_log
 from voodoo_jax.trackers.both.merge import merged
-from voodoo_jax.trackers.flexible.tracker import Observed, Watching, follow, observe
+from voodoo_jax.trackers.flexible.observed import Observed, Watching, observe
+from voodoo_jax.trackers.flexible.tracker import follow
 from voodoo_jax.trackers.icp.entry import IcpTracker
 
 SKIP = 0.5  # seconds of each recording that are not scored
@@ -65,7 +66,7 @@ def together(path: Path, truth: Truth, matching: Literal["fine", "none"], seeds:
     people = find_people(watching(log.frames()), log.up, body, settings, log.up_is_given)
     frames = people[0].frames
     seen = watching.observed([frames[row] for row in watching.rows], people[0].scene)
-    icp = IcpTracker().follow(body, people, source, settings)[0]
+    icp = IcpTracker().follow(Task(body, source, settings), people)[0]
     out: dict[str, list[np.ndarray]] = {"icp": [errors(icp, truth)], "flexible": [], "both": []}
     for seed in range(seeds):
         own = replace(settings, flexible=replace(settings.flexible, seed=seed))

@@ -2,16 +2,20 @@
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
 
 import voodoo_jax as vj
 from voodoo_jax.config.options import DetectSettings, StartSettings
 from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import scaled, site_points
+from voodoo_jax.records.recording import Frame
 from voodoo_jax.simulate.mcap import depth_image, foxglove_log, put_camera, write_simulation
 from voodoo_jax.simulate.motion import Motion, make_motion, placed
 from voodoo_jax.simulate.recording import Simulation, simulate
@@ -156,3 +160,93 @@ class StandingStill:
             tracks = vj.track(vj.human(), recording, vj.Settings(detect=FROZEN))
         joints = tracks.joints[8:-4].astype(float)  # but for the first and last, in which the smoothing begins
         return 1000 * float(np.sqrt(np.mean(np.sum((joints - joints.mean(0)) ** 2, -1))))
+
+
+@dataclass(frozen=True)
+class MisplacedCamera:
+    """Somebody before two cameras, of which the second is not where the log says.
+
+    The outcome: how far its points are from where they should be beside the first one's, as the log has it and as it is
+    read, cm; whether a note says so; and the probability that places are right.
+    """
+
+    motion: str
+    stature: float  # metres
+    facing: float  # degrees
+    second: tuple[float, float, float]  # x, y, metres, and yaw, degrees
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)  # metres
+    turn: tuple[float, float] = (0.0, 0.0)  # degrees of yaw and pitch
+    seconds = 4.0
+
+    def run(self) -> tuple[float, float, bool, float]:
+        body = scaled(vj.human(), self.stature)
+        motion = placed(make_motion(body, self.motion, 2.0, 30.0), 3.0, 0.0, np.radians(self.facing))
+        x, y, yaw = self.second
+        views = {"first": camera(0.0, 0.0, 0.0), "second": camera(x, y, np.radians(yaw))}
+        seen = {
+            name: simulate(body, part(motion, np.arange(0, 60, 4)), view, room=Room(wall=6.6), seed=seed)
+            for seed, (name, view) in enumerate(views.items())
+        }
+        right = views["second"]
+        place = tuple(float(a + b) for a, b in zip(right.position, self.shift))
+        yaw, pitch = np.radians(self.turn)
+        wrong = replace(right, position=place, yaw=right.yaw + yaw, pitch=right.pitch + pitch)
+        with tempfile.TemporaryDirectory() as folder:
+            true = vj.read_log(write_log(Path(folder) / "true.mcap", seen))
+            moved = seen | {"second": replace(seen["second"], camera=wrong)}
+            log = write_log(Path(folder) / "moved.mcap", moved)
+            read, as_given = vj.read_log(log), next(open_log(log).frames())
+        said = any("transforms is wrong" in note for note in read.notes)
+        return _beside(as_given, true.frames[0]), _beside(read.frames[0], true.frames[0]), said, read.sure
+
+
+def _beside(frame: Frame, true: Frame) -> float:
+    """How far the second sensor's points are from where they should be beside the first one's, cm."""
+    (first, second), (first_true, second_true) = (
+        [f.points[f.sensor == k].astype(float) for k in (0, 1)] for f in (frame, true)
+    )
+    middle, middle_true = first.mean(0), first_true.mean(0)
+    turn = Rotation.align_vectors(first_true - middle_true, first - middle)[0]
+    return 100 * float(np.linalg.norm(turn.apply(second - middle) + middle_true - second_true, axis=1).mean())
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Somebody who stands in a room, in one cloud of points (PLY) of several cameras around them.
+
+    The outcome: mean joint error, cm; whether it is said to be tracked; mean confidence.
+    """
+
+    stature: float  # metres
+    arms: float  # degrees from hanging to raised, both
+    facing: float  # radians from towards the first camera
+    cameras: int
+    seconds = 1.0
+
+    def run(self) -> tuple[float, float, float]:
+        body = scaled(vj.human(), self.stature)
+        motion = make_motion(body, "stand", 0.04, 30.0)
+        turns = np.array(motion.rotations)
+        for joint, side in (("l_shoulder", 1), ("r_shoulder", -1)):
+            turns[:, body.topology.joints.index(joint)] = [side * np.radians(self.arms), 0, 0]
+        motion = replace(motion, rotations=turns)
+        lens = Camera(320, 288, 208.0, 226.0, 159.5, 143.5, (0.0, 0.0, 1.2), 0.07)
+        clouds, truth = [], np.zeros((0, 3))
+        for k in range(self.cameras):
+            turn = Rotation.from_euler("z", 2 * np.pi * k / self.cameras)  # the person turns before one camera
+            facing = np.pi + self.facing - 2 * np.pi * k / self.cameras
+            room = Room(wall=None if k else 4.5, boxes=())
+            seen = simulate(body, placed(motion, 3.0, 0.0, facing), lens, room=room, seed=k)
+            truth = truth if k else seen.joints[0]
+            depth = seen.depth[0].ravel() * 1e-3
+            points = np.array(lens.position) + (lens.rays() * depth[:, None])[depth > 0]
+            clouds.append(turn.apply(points - [3.0, 0, 0]) + [3.0, 0, 0])
+        with tempfile.TemporaryDirectory() as folder:
+            trimesh.PointCloud(np.concatenate(clouds)).export(Path(folder) / "scan.ply")
+            tracks = vj.track(vj.human(), vj.read_log(Path(folder) / "scan.ply"))
+        error = np.linalg.norm(tracks.joints[0] - truth, axis=1)
+        return 100 * float(np.nan_to_num(error, nan=MISSING).mean()), float(tracks.tracked.mean()), _sure(tracks)
+
+
+def _sure(tracks: vj.Tracks) -> float:
+    return float(np.nan_to_num(tracks.confidence).mean())

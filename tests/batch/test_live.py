@@ -18,7 +18,6 @@ from voodoo_jax.exporters.live import FoxgloveServer
 from voodoo_jax.exporters.npz import read_tracks_npz
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.live.sources import open_source
-from voodoo_jax.trackers.icp.live import last_of
 
 FRAMES = 60  # at 20 Hz
 SHORT = [word if word != "16" else "4" for word in FLAGS]  # chunks as long as those of live: one program for both
@@ -161,7 +160,8 @@ def test_a_foxglove_server_is_read_and_another_one_shows_the_tracks(recorded, tm
 def _sixth(tracks):
     """The sixth frame alone."""
     arrays = {n: v[:6] for n, v in vars(tracks).items() if isinstance(v, np.ndarray)}
-    return last_of(replace(tracks, **{n: v for n, v in arrays.items() if n not in ("up", "marker_residual")}))
+    rows = {n: v for n, v in arrays.items() if n not in ("up", "marker_residual")}
+    return replace(tracks, **rows).only(slice(-1, None))
 
 
 def test_no_server_is_told():

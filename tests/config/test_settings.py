@@ -67,8 +67,8 @@ def test_a_file_changes_only_what_it_names(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[solv]\nmax_steps = 3", ["[solv]", "did you mean [solve]?"]),
-        ("[xyz]\n", ["[xyz]", "[read]", "[track]"]),
+        ("[solv]\nmax_steps = 3", ["[solv]", "did you mean 'solve'?"]),
+        ("[xyz]\n", ["[xyz]", "there are read", ", track,"]),
         ("max_steps = 3", ["max_steps", "no stage"]),
         ("solve = 3", ["[solve]", "no stage"]),
         ("[solve]\nmax_step = 3", ["[solve]", "'max_step'", "did you mean 'max_steps'?"]),

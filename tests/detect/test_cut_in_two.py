@@ -69,3 +69,14 @@ def test_they_are_found_together():
         mine = seen.points[seen.points[:, 0] < 2.65]
         assert len(mine) > 500 and mine[:, 2].max() > 1.6 and abs(mine[:, 2].min() - lowest) < 0.05
         assert len(mine) == len(seen.points)
+
+
+@pytest.mark.parametrize("gap, one", [(0.105, True), (0.2, False)])
+def test_a_head_belongs_to_the_shoulders_that_it_is_near(gap, one):
+    """A neck is thin: a cell of the grid may be empty where the gap is shorter than `link`."""
+    trunk = figure(2.5, 0.0, 1.41)
+    head = figure(2.5, 0.0, 0.22, 0.09) + [0, 0, 1.4 + gap]
+    cloud = np.concatenate([trunk, head])
+    assert len(np.unique(components(cloud.astype(np.float32), 0.12))) == 2
+    seen = BodySegmenter(Scene(FLOOR, (), True), build_of(HEIGHT), DetectSettings())(frame(cloud))
+    assert (seen.points[:, 2].max() > 1.5) == one

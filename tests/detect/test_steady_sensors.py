@@ -11,6 +11,7 @@ import voodoo_jax as vj
 from tests.support.rooms import FLOOR, ORIGIN, box, figure, frame, grid, room
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.camera_motion import Planes, as_measured, steadied, steady_scene, to_fixed
+from voodoo_jax.exporters.npz import write_tracks_npz
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.records.observation import whole
@@ -132,8 +133,8 @@ def test_poses_go_back_to_where_they_were_measured(rng):
         assert (Rotation.from_quat(rotation[0, k], scalar_first=True) * wanted.inv()).magnitude() < 1e-5
 
 
-def test_who_is_seen_by_a_camera_in_a_hand_is_tracked_as_from_a_tripod():
-    """The demo, every frame of it turned and shifted about the camera: tracks turn and shift alike."""
+def test_who_is_seen_by_a_camera_in_a_hand_is_tracked_as_from_a_tripod(tmp_path):
+    """The demo, every frame of it turned and shifted about the camera: tracks turn and shift alike, and say how."""
     source = open_log(str(files("voodoo_jax") / "data" / "demo.mcap"))
     frames = [frame for frame, _ in zip(source.frames(), range(60))]
     ways = swaying(60)
@@ -156,6 +157,12 @@ def test_who_is_seen_by_a_camera_in_a_hand_is_tracked_as_from_a_tripod():
     assert not any("sensors move" in note for note in still.notes)
     wanted = np.stack([move(joints, f, *way) for joints, f, way in zip(still.joints, frames, ways)])
     assert np.linalg.norm(moved.joints - wanted, axis=-1).mean() < 0.015
+    write_tracks_npz(moved, tmp_path / "moved.tracks.npz")
+    motion = vj.read_tracks(tmp_path / "moved.tracks.npz").T_fixed_steady
+    assert motion is not None and still.T_fixed_steady is None and motion.shape == (60, 4, 4)
+    # the height of a place that stands still, as the turned camera has it; the rest a floor alone does not tell
+    height = [move(np.array([[2.5, 0, 1]]), f, *way)[0, 2] for f, way in zip(frames, ways)]
+    assert np.ptp(height) > 0.05 and np.std((motion @ np.array([2.5, 0, 1, 1]))[:, 2] - height) < 0.01
     untold = replace(Settings(), detect=replace(Settings().detect, skip=("steady_sensors",)))
     assert not any("sensors move" in note for note in tracks(held, untold).notes)
 

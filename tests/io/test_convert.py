@@ -613,3 +613,17 @@ def test_several_recordings_go_into_a_folder(tmp_path, capsys):
     assert main(["convert", *sources, "--out", str(tmp_path / "logs")]) == 0
     assert {path.name for path in (tmp_path / "logs").iterdir()} == {"walk.c3d.mcap", "walk.trc.mcap"}
     assert str(tmp_path / "logs" / "walk.trc.mcap") in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", [".ply", ".pcd"])
+def test_a_cloud_alone(kind, tmp_path):
+    """A scan is a recording of one frame, as it lies there."""
+    points = np.random.default_rng(0).normal(0, 1, (60, 3)).astype(np.float32)
+    scan = tmp_path / f"scan{kind}"
+    if kind == ".ply":
+        trimesh.PointCloud(points).export(scan)
+    else:
+        head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 60\nHEIGHT 1\n"
+        scan.write_bytes(f"{head}POINTS 60\nDATA binary\n".encode() + points.tobytes())
+    (frame,) = vj.read_log(scan)
+    np.testing.assert_allclose(frame.points, points, atol=1e-6)

@@ -22,7 +22,7 @@ from tests.support.logs import (
     ros_image,
 )
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.decode.depth_codec import packed_depth, unpacked
+from voodoo_jax.io.decode.depth_codec import packed_depth, raw_of
 from voodoo_jax.io.log_reader import LogError, read_log, survey
 
 A, B = 101.0, -4.0  # of 32FC1: steps of 2 cm at 1.5 m
@@ -170,7 +170,7 @@ def test_one_that_is_too_short_to_tell(tmp_path):
 def test_rvl_of_any_image(image):
     found = packed_depth(START, "cam", "16UC1; compressedDepth rvl", bytes(12) + rvl(image) + bytes(8))
     assert found is not None and found.shape == image.shape
-    np.testing.assert_array_equal(unpacked(found), image)
+    np.testing.assert_array_equal(raw_of(found), image)
 
 
 def test_rvl_of_noise_is_an_error_not_a_picture(rng):
@@ -179,6 +179,6 @@ def test_rvl_of_noise_is_an_error_not_a_picture(rng):
         found = packed_depth(START, "cam", "16UC1; compressedDepth rvl", data)
         assert found is not None
         try:
-            assert unpacked(found).shape == (24, 32)
+            assert raw_of(found).shape == (24, 32)
         except ValueError as error:
             assert "depth image" in str(error)

@@ -40,6 +40,18 @@ def test_runs_on_the_shipped_recording(name, monkeypatch, tmp_path):
         assert b"nan" not in text if file.endswith(".md") else 5_000 < len(text) < 200_000
 
 
+@pytest.mark.usefixtures("compiled_in_a_hurry")
+def test_derivatives_are_differences_unless_a_point_changes_limbs(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(ROOT)
+    module = importlib.import_module("experiments.gradients.__main__")
+    module.main(pairs=4, logs=1, frames=6, points=64, out=tmp_path)
+    rows = [
+        line.split(" | ") for line in (tmp_path / "gradients.md").read_text().splitlines() if line.startswith("| 1e")
+    ]
+    assert len(rows) == len(module.STEPS) and all(row[3] == "0 of 4" for row in rows)
+    assert int(rows[-1][1].split()[0]) >= 3 and float(rows[-1][4].split()[0]) < 0.1
+
+
 @pytest.mark.parametrize(
     "mask, length", [([], 0), ([0, 0], 0), ([1, 1, 0, 1], 2), ([0, 1, 1, 1], 3)], ids=["empty", "none", "first", "last"]
 )

@@ -1,6 +1,6 @@
 """What is made of a log's tracks besides them: exports to other formats, a view in a browser."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,15 +32,13 @@ def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str], s
 
     **Returns:** what a user should know: frames that are not tracked, and what could not be written and why.
     """
-    notes = [gaps_note(people[0], formats)]
+    notes = [note] if (note := gaps_note(people[0], formats)) else []
     for own in people:
         path = Path(person_place(str(npz), own.person))
         for name in formats:
-            try:
-                export(own, path.parent / exported_name(path, name), name, style)
-            except Exception as problem:  # the tracks are there all the same
-                notes.append(f"No {exported_name(path, name)}: {reason(problem)}")
-    return [note for note in notes if note]
+            target = path.parent / exported_name(path, name)
+            notes += attempted(target.name, lambda own=own, target=target, name=name: export(own, target, name, style))
+    return notes
 
 
 def write_view(people: Sequence[Tracks], npz: Path, settings: Settings, log: str) -> list[str]:
@@ -50,17 +48,22 @@ def write_view(people: Sequence[Tracks], npz: Path, settings: Settings, log: str
     from voodoo_jax.viz.html_view import write_html
 
     target = npz.with_name(npz.name.removesuffix(NPZ) + VIEW)
-    try:
+
+    def write() -> None:
         reader = open_log(log, replace(settings.read, images=True))
         write_html([given_from(one, -reader.origin) for one in people], reader.frames(), target)
-    except Exception as problem:  # as above
-        return [f"No {target.name}: {reason(problem)}"]
-    return []
+
+    return attempted(target.name, write)
 
 
-def reason(problem: Exception) -> str:
-    """An error in a sentence: as it says itself, with its kind where that was not foreseen."""
+def attempted(what: str, make: Callable[[], object]) -> list[str]:
+    """Makes something of the tracks, which are there all the same; why that did not work, in a sentence, or nothing."""
     from voodoo_jax.io.container import LogError
 
-    known = isinstance(problem, (ValueError, OSError, LogError))
-    return plain(str(problem) if known else f"unexpected {type(problem).__name__}: {problem}", SENTENCE)
+    try:
+        make()
+    except Exception as problem:
+        known = isinstance(problem, (ValueError, OSError, LogError))
+        text = str(problem) if known else f"unexpected {type(problem).__name__}: {problem}"
+        return [f"No {what}: {plain(text, SENTENCE)}"]
+    return []

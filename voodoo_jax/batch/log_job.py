@@ -78,15 +78,12 @@ def track_log(
     from voodoo_jax.detect.pipeline import build_of
     from voodoo_jax.io.ahead import ahead
     from voodoo_jax.io.container import LogError
-    from voodoo_jax.trackers.base import source_of_log, tracker_of
+    from voodoo_jax.trackers.base import Task, source_of_log, tracker_of
 
     until = time.monotonic() + timeout if timeout else math.inf
 
     tracker = tracker_of(settings)
     log = open_checked(path, tracker.reads(settings.read), build_of(body, settings.start.scale), settings.detect)
-    source = source_of_log(log)
-    if visit is None:
-        tracker.prepare(body, settings, source)
     total, done = max(1, (1 + tracker.passes(settings)) * len(log)), 0.0  # read, track there, and back
 
     def more(count: float) -> None:
@@ -103,7 +100,10 @@ def track_log(
             more(1)
             yield frame
 
-    found = tracker.track(body, counted(), source, settings, more, visit)
+    task = Task(body, source_of_log(log), settings, more, visit)
+    if visit is None:
+        tracker.prepare(task)
+    found = tracker.track(task, counted())
     return [for_users(tracks.with_names(names), log) for tracks in found]
 
 
@@ -162,7 +162,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
 
 
 def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
-    from voodoo_jax.batch.extra_files import extra_files, write_exports, write_view
+    from voodoo_jax.batch.extra_files import attempted, extra_files, write_exports, write_view
     from voodoo_jax.batch.resume import fingerprint_of, run_key
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
@@ -207,24 +207,13 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
             for one in people[::-1]:  # the main one last: where it is, all are
                 write_tracks_npz(one, Path(person_place(str(npz), one.person)), key)
             remove_others(place, len(people))
-        trouble = _picture(people, target, job, log) if job.picture else ""
-        told = write_exports(people, npz, job.exports, job.style)
+        told = attempted("picture", lambda: draw(people, target, job.settings, log=log)) if job.picture else []
+        drawn = drawn if job.picture and not told else ""
+        told += write_exports(people, npz, job.exports, job.style)
         told += write_view(people, npz, job.settings, log) if job.html else []
     others = tuple(outcome_of(job.log, person_place(place, one.person), one) for one in people[1:])
-    outcome = outcome_of(job.log, place, people[0], picture=drawn if job.picture and not trouble else "", others=others)
-    told = [f"No picture: {trouble}", *told] if trouble else told
+    outcome = outcome_of(job.log, place, people[0], picture=drawn, others=others)
     return replace(outcome, told=tuple(told), skipped=job.only_picture)
-
-
-def _picture(people: list[Tracks], target: Path, job: Job, log: str) -> str:
-    """Draws; why that did not work, or nothing."""
-    from voodoo_jax.batch.extra_files import reason
-
-    try:
-        draw(people, target, job.settings, log=log)
-    except Exception as problem:  # the tracks are there all the same
-        return reason(problem)
-    return ""
 
 
 def check_names(place: str, count: int) -> None:

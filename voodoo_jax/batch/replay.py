@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, replace
@@ -107,7 +107,7 @@ def replay(
     be written in `out`; NotSummedUp, when all else is done, if replay.jsonl or the report cannot.
     """
     from voodoo_jax.batch.resume import recipe_key
-    from voodoo_jax.batch.summary_file import summary_name
+    from voodoo_jax.batch.summary_file import summary_name, write_summary
     from voodoo_jax.exporters.formats import check_formats
     from voodoo_jax.model.body_file import load_on_host
     from voodoo_jax.trackers.stages import check_stages
@@ -156,7 +156,7 @@ def replay(
     expected = {output_places(log, joined(out, folder))[0] for log, folder in within.items()}
     elsewhere = {} if again else keys_elsewhere(out, expected)
     done: dict[str, Outcome] = {}
-    save = _Summary(out, summary)
+    save = partial(_trouble_of, lambda: write_summary(done.values(), out, summary), joined(out, summary))
     with ThreadPoolExecutor(8) as several:  # a store's answers take long
         for log, found in zip(places, several.map(partial(_finished, again=again, elsewhere=elsewhere), jobs.values())):
             if found is not None and found.picture == "due":
@@ -187,48 +187,29 @@ def replay(
                     bar.set_description(f"{len(done)}/{len(places)} logs")
                     _say(outcome, quiet)
                     if time.monotonic() - saved > SUMMARY_SECONDS:
-                        save(done.values())
+                        save()
                         saved = time.monotonic()
     finally:
-        save(done.values())
+        unsaved = save()
     outcomes = [done[log] for log in places]
-    if trouble := [*save.trouble, *(_report(out, summary) if report else [])]:
+    if report:
+        from voodoo_jax.batch.report import NAME, write_report
+
+        unreported = _trouble_of(lambda: write_report(out, summary), joined(out, NAME))
+    if trouble := [*unsaved, *(unreported if report else [])]:
         raise NotSummedUp("; ".join(trouble), outcomes)
     return outcomes
 
 
-class _Summary:
-    """Writes replay.jsonl; that it cannot be written does not stop the logs, and is said at their end."""
-
-    def __init__(self, folder: str, name: str):
-        self.folder, self.name, self.trouble = folder, name, list[str]()
-
-    def __call__(self, outcomes: Iterable[Outcome]) -> None:
-        from voodoo_jax.batch.summary_file import write_summary
-
-        self.trouble = []
-        try:
-            write_summary(outcomes, self.folder, self.name)
-        except Exception as problem:  # every store has its own errors
-            self.trouble = [_unwritten(problem, joined(self.folder, self.name))]
-
-
-def _report(folder: str, summary: str) -> list[str]:
-    """Writes report.html; why that did not work."""
-    from voodoo_jax.batch.report import NAME, write_report
-
+def _trouble_of(write: Callable[[], object], place: str) -> list[str]:
+    """Writes a file that sums up the logs; why that did not work, which does not stop them and is said at their end."""
     try:
-        write_report(folder, summary)
-    except Exception as problem:  # as above
-        return [_unwritten(problem, joined(folder, NAME))]
+        write()
+    except Exception as problem:  # every store has its own errors
+        if isinstance(problem, OSError) and problem.errno:
+            return [str(not_written(problem, place))]
+        return [f"'{place}' cannot be written: {problem or type(problem).__name__}"]
     return []
-
-
-def _unwritten(problem: Exception, place: str) -> str:
-    """Why a file that sums up the logs is not there."""
-    if isinstance(problem, OSError) and problem.errno:
-        return str(not_written(problem, place))
-    return f"'{place}' cannot be written: {problem or type(problem).__name__}"
 
 
 def _engine(

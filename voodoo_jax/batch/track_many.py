@@ -14,7 +14,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.solve.scan import Visit
-from voodoo_jax.trackers.base import alone, check_arguments, source_of, tracker_of
+from voodoo_jax.trackers.base import Task, alone, check_arguments, source_of, tracker_of
 from voodoo_jax.trackers.icp.tracker import track_person
 from voodoo_jax.trackers.stages import check_stages
 
@@ -69,7 +69,7 @@ def track_many(
         def tracked(visit: Visit) -> Tracks:
             try:
                 if own.tracker != "icp":
-                    found = tracker_of(own).track(body, recording, source_of(recording), alone(own))
+                    found = tracker_of(own).track(Task(body, source_of(recording), alone(own)), recording)
                     return for_users(found[0], recording)
                 key = id(recording), id(body), own.detect, own.online, own.start.scale
                 if key not in people:

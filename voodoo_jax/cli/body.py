@@ -1,12 +1,7 @@
 """The command `body`: body files of robots and meshes."""
 
-from functools import partial
-
-from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import BodyCommand
-from voodoo_jax.cli.printing import tell
-
-say = partial(printing.say, "body")
+from voodoo_jax.cli.printing import Stop, stopping, tell
 
 
 def run_body(command: BodyCommand) -> int:
@@ -17,25 +12,19 @@ def run_body(command: BodyCommand) -> int:
     from voodoo_jax.storage.atomic import made_folder
 
     if command.source is None:
-        say("name a robot description (.urdf) or a skinned mesh (.glb, .gltf)")
-        return 2
+        raise Stop("name a robot description (.urdf) or a skinned mesh (.glb, .gltf)")
     if command.out.exists() and not command.overwrite:
-        say(f"{command.out} exists: name another --out, or say --overwrite")
-        return 2
+        raise Stop(f"{command.out} exists: name another --out, or say --overwrite")
     pairs = [word.partition("=") for word in command.rest]
     try:
         rest = {name: float(value) for name, _, value in pairs}
-    except ValueError:
-        say("--rest: joint values look like elbow=0.5 (radians)")
-        return 2
-    try:
+    except ValueError as problem:
+        raise Stop("--rest: joint values look like elbow=0.5 (radians)") from problem
+    with stopping(BodyFileError, OSError, status=1):
         with limited(command.limits):
             body, notes = body_from(command.source, rest, command.least)
         made_folder(command.out.parent)
         write_body(body, command.out)
-    except (BodyFileError, OSError) as problem:
-        say(problem)
-        return 1
     tell(f"{command.out}: {body.limb_count} limbs, {body.scale_name} {float(body.scale):.4f} m")
     for note in notes:
         tell(f"    {note}")

@@ -34,6 +34,7 @@ PRESET_HELP = (
 Preset = Annotated[Literal["default", "knoop2007", "flexible", "both", "hecht2009"], arg(help=PRESET_HELP)]
 CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
 
+PORTS = 1 << 16  # of TCP
 FORMATS_HELP = "Formats: csv, trc, c3d, bvh, bvh-rigid, mot, gltf, usd; several with commas between."
 EXPORT_HELP = f"Also write the tracks for other programs. {FORMATS_HELP}"
 

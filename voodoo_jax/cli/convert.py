@@ -1,12 +1,7 @@
 """The command `convert`: recordings of other formats as MCAP logs."""
 
-from functools import partial
-
-from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import Convert
-from voodoo_jax.cli.printing import tell
-
-say = partial(printing.say, "convert")
+from voodoo_jax.cli.printing import Stop, say, tell
 
 
 def run_convert(command: Convert) -> int:
@@ -17,12 +12,10 @@ def run_convert(command: Convert) -> int:
     from voodoo_jax.storage.atomic import made_folder
 
     if not command.sources or command.out is None:
-        say("name recordings and a log: voodoo-jax convert IN... --out LOG.mcap (a folder for several)")
-        return 2
+        raise Stop("name recordings and a log: voodoo-jax convert IN... --out LOG.mcap (a folder for several)")
     single = command.out.suffix == ".mcap"
     if single and len(command.sources) > 1:
-        say(f"{len(command.sources)} recordings need a folder: --out '{command.out}' names one log")
-        return 2
+        raise Stop(f"{len(command.sources)} recordings need a folder: --out '{command.out}' names one log")
     failed = False
     for source in command.sources:
         target = command.out if single else command.out / f"{source.resolve().name}.mcap"
@@ -33,7 +26,7 @@ def run_convert(command: Convert) -> int:
             with limited(command.limits):
                 notes = convert(source, target, command.camera, command.rate, command.types)
         except (ConvertError, OSError) as problem:
-            say(problem)
+            say("convert", problem)
             failed = True
             continue
         tell(target)

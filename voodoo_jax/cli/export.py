@@ -1,13 +1,9 @@
 """The command `export`: tracks in formats of other programs."""
 
-from functools import partial
 from pathlib import Path
 
-from voodoo_jax.cli import printing
 from voodoo_jax.cli.commands import Export
-from voodoo_jax.cli.printing import tell
-
-say = partial(printing.say, "export")
+from voodoo_jax.cli.printing import Stop, say, stopping, tell
 
 
 def run_export(command: Export) -> int:
@@ -19,24 +15,20 @@ def run_export(command: Export) -> int:
     from voodoo_jax.storage.atomic import made_folder
     from voodoo_jax.storage.urls import NPZ
 
-    try:
+    with stopping(ExportError, OSError):
         formats = check_formats([command.formats])
         paths = [path for place in command.tracks for path in _files(place, NPZ)]
         if command.out is not None:
             made_folder(command.out)
-    except (ExportError, OSError) as problem:
-        say(problem)
-        return 2
     if not paths or not formats:
-        say("name tracks (files <log>.tracks.npz) and formats: voodoo-jax export TRACKS --as csv,bvh")
-        return 2
+        raise Stop("name tracks (files <log>.tracks.npz) and formats: voodoo-jax export TRACKS --as csv,bvh")
     failed = False
     for path in paths:
         try:
             with limited(command.limits):
                 tracks = read_tracks_npz(path)
         except (TracksFileError, OSError) as problem:
-            say(problem)
+            say("export", problem)
             failed = True
             continue
         for name in formats:
@@ -44,7 +36,7 @@ def run_export(command: Export) -> int:
             try:
                 tell(export(tracks, target, name, command.style))
             except (ValueError, OSError) as problem:
-                say(f"{target} could not be written: {problem}")
+                say("export", f"{target} could not be written: {problem}")
                 failed = True
         if note := gaps_note(tracks, formats):
             tell(f"    {note}")

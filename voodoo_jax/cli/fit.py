@@ -6,7 +6,7 @@ from pathlib import Path
 from tqdm.auto import tqdm
 
 from voodoo_jax.cli.commands import FitCommand
-from voodoo_jax.cli.printing import say, tell
+from voodoo_jax.cli.printing import Stop, say, stopping, tell
 from voodoo_jax.config.fit_options import check_fit
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.toml import settings_text
@@ -33,11 +33,8 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
     """0 if the fit was made, whether it found a better body or not; 1 if it failed, 2 if it could not begin, 130 if it
     was interrupted."""
     settings = replace(settings, tracker=command.tracker) if command.tracker else settings
-    try:
+    with stopping(ValueError):
         logs = [path for place in command.logs for path in expanded(place)]
-    except ValueError as problem:
-        say("fit", problem)
-        return 2
     bodies = outputs(command.out, 1 if command.fit.persons == "one" or command.fit.folds else len(logs))
     report, state = command.out.with_suffix(".md"), command.out.with_name(f".{command.out.name}.fit-state.npz")
     config = command.out.with_suffix(".config.toml")
@@ -45,11 +42,9 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         p for p in (*bodies, report, report.with_suffix(".png"), report.with_suffix(".html"), config) if p.exists()
     ]
     if command.out.suffix != ".toml":
-        say("fit", f"--out '{command.out}': name a body file, with the ending .toml")
-        return 2
+        raise Stop(f"--out '{command.out}': name a body file, with the ending .toml")
     if there and not command.overwrite:
-        say("fit", f"{there[0]} exists: name another --out, or say --overwrite")
-        return 2
+        raise Stop(f"{there[0]} exists: name another --out, or say --overwrite")
     with tqdm(total=command.fit.iterations * command.fit.rounds, unit="step", leave=False, disable=None) as bar:
 
         def show(what: str, progress: Progress | None) -> None:
@@ -71,14 +66,12 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
             say("fit", "interrupted; the same command goes on from the last step")
             return 130
         except (BodyFileError, TruthError, FitError, LogError, ValueError, OSError) as problem:
-            say("fit", problem)
-            return 1 if isinstance(problem, (FitError, LogError)) and logs else 2
+            raise Stop(problem, 1 if isinstance(problem, (FitError, LogError)) and logs else 2) from problem
     try:
         files = _write(command, settings, found, bodies)
         state.unlink(missing_ok=True)
     except OSError as problem:
-        say("fit", f"{problem}; what was fitted is kept in {state}")
-        return 1
+        raise Stop(f"{problem}; what was fitted is kept in {state}", 1) from problem
     tell(found.verdict.why)
     if not found.better:
         kept = "The fitted body is written all the same."

@@ -6,13 +6,10 @@ from dataclasses import replace
 from functools import partial
 
 from voodoo_jax.cli import printing
-from voodoo_jax.cli.commands import PRESET_BODIES, Live
-from voodoo_jax.cli.printing import tell
+from voodoo_jax.cli.commands import PORTS, PRESET_BODIES, Live
+from voodoo_jax.cli.printing import Stop, stopping, tell
 
 say = partial(printing.say, "live")
-
-
-PORTS = 1 << 16  # of TCP
 
 
 def run_live(command: Live) -> int:
@@ -27,15 +24,12 @@ def run_live(command: Live) -> int:
     from voodoo_jax.trackers.stages import check_stages
 
     if not command.source:
-        say("name a growing .mcap file, the folder of a bag, or a Foxglove WebSocket such as ws://localhost:8765")
-        return 2
+        raise Stop("name a growing .mcap file, the folder of a bag, or a Foxglove WebSocket: ws://localhost:8765")
     if not -1 <= command.serve < PORTS:
-        say(f"--serve {command.serve}: must be a port, 0 (any that is free) to {PORTS - 1}")
-        return 2
+        raise Stop(f"--serve {command.serve}: must be a port, 0 (any that is free) to {PORTS - 1}")
     if command.idle <= 0:
-        say(f"--idle {command.idle:g}: must be above 0 seconds")
-        return 2
-    try:
+        raise Stop(f"--idle {command.idle:g}: must be above 0 seconds")
+    with stopping(CacheError, BodyFileError, SettingsError, OSError, ValueError):
         cache = safe_folder(command.compile_cache, say)
         if problem := use_compile_cache(cache):
             say(f"{problem}; it goes on without")
@@ -48,28 +42,19 @@ def run_live(command: Live) -> int:
         from voodoo_jax.trackers.base import Unsuitable
 
         job = LiveJob(command.source, command.out, body, settings, command.names)
-    except (CacheError, BodyFileError, SettingsError, OSError, ValueError) as problem:
-        say(problem)
-        return 2
-    try:
-        with ExitStack() as stack:
-            with limited(settings.limits):
-                source = open_source(command.source, command.idle)
-            stack.callback(source.close)
-            publishers = _publishers(command, str(job.targets[1]), stack, say)
-            if publishers is None:
-                return 2
-            _end_by_interrupt(source, stack)
-            outcome = track_live(job, source, publishers, say, say)
-    except (LogError, SettingsError, Unsuitable, OSError) as problem:
-        say(problem)
-        return 1
+    with stopping(LogError, SettingsError, Unsuitable, OSError, status=1), ExitStack() as stack:
+        with limited(settings.limits):
+            source = open_source(command.source, command.idle)
+        stack.callback(source.close)
+        publishers = _publishers(command, str(job.targets[1]), stack)
+        _end_by_interrupt(source, stack)
+        outcome = track_live(job, source, publishers, say, say)
     tell(outcome)
     return 0 if outcome.ok else 1
 
 
-def _publishers(command: Live, mcap: str, stack: ExitStack, say) -> list | None:
-    """Who frames are given to; None if the server cannot be begun. Raises OSError."""
+def _publishers(command: Live, mcap: str, stack: ExitStack) -> list:
+    """What frames are given to. Raises OSError."""
     from voodoo_jax.exporters.live import FoxgloveServer, GrowingTracks
     from voodoo_jax.storage.atomic import made_folder
 
@@ -80,9 +65,8 @@ def _publishers(command: Live, mcap: str, stack: ExitStack, say) -> list | None:
         return [file]
     try:
         server = FoxgloveServer(command.serve)
-    except ImportError:
-        say('--serve needs foxglove-sdk: pip install "voodoo_jax[live]"')
-        return None
+    except ImportError as problem:
+        raise Stop('--serve needs foxglove-sdk: pip install "voodoo_jax[live]"') from problem
     stack.callback(server.close)
     say(f"open {server.url} in Foxglove (Open connection, Foxglove WebSocket)")
     return [file, server]

@@ -29,7 +29,7 @@ from voodoo_jax.cli.commands import (
     UsualSettings,
     View,
 )
-from voodoo_jax.cli.printing import say, tell
+from voodoo_jax.cli.printing import Stop, say, stopping, tell
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.config.output_style import Style
 from voodoo_jax.config.presets import PRESETS, preset
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from voodoo_jax.batch.outcome import Outcome
 
 ALL_HELP = "--help-all"
-# modules of this package with a function run_<name>
-ELSEWHERE = {
-    Live: "live", Export: "export", Convert: "convert", View: "view", BodyCommand: "body", FitCommand: "fit",
-    TuneCommand: "tune",
+# each has a function run_<name>, here or in a module <name> of this package
+NAMES = {
+    Replay: "replay", Info: "info", Demo: "demo", Live: "live", Export: "export", Convert: "convert", View: "view",
+    BodyCommand: "body", FitCommand: "fit", TuneCommand: "tune",
 }  # fmt: skip
 ALL = 1 << 20  # characters of a list of logs: not cut
 _T = TypeVar("_T")
@@ -59,11 +59,9 @@ def run_replay(command: Replay) -> int:
     """0 if every log was tracked, 1 if one failed, 2 if nothing could be begun, 3 if all were but one lost frames to
     damage."""
     if not command.logs:
-        say("replay", "name at least one log")
-        return 2
+        raise Stop("name at least one log")
     if command.settings.online and command.results.smooth:
-        say("replay", "--smooth averages over later frames too; leave it out with --online")
-        return 2
+        raise Stop("--smooth averages over later frames too; leave it out with --online")
     gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.batch.replay import NotSummedUp, replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
@@ -76,11 +74,8 @@ def run_replay(command: Replay) -> int:
     def without_cache(problem: str) -> None:
         say("replay", f"{problem}; it goes on without")
 
-    try:
+    with stopping(CacheError):
         cache = safe_folder(command.running.compile_cache, without_cache)
-    except CacheError as problem:
-        say("replay", problem)
-        return 2
     if problem := use_compile_cache(cache):
         without_cache(problem)
     try:
@@ -102,8 +97,7 @@ def run_replay(command: Replay) -> int:
     except (BodyFileError, ValueError, OSError) as problem:
         if _of_printing(problem):
             raise
-        say("replay", problem)
-        return 2
+        raise Stop(problem) from problem
     return 1 if _summed_up(outcomes, command.results.out) or unsummed else 3 if _damaged(outcomes) else 0
 
 
@@ -130,19 +124,15 @@ def _damaged(outcomes: "list[Outcome]") -> "list[Outcome]":
 def run_info(command: Info) -> int:
     """0 if every log could be read, 1 if one could not, 2 if none was named or found."""
     if not command.logs:
-        say("info", "name at least one log")
-        return 2
+        raise Stop("name at least one log")
     from voodoo_jax.io.limits import limited
     from voodoo_jax.io.log_reader import LogError, survey
     from voodoo_jax.storage.urls import expanded
 
     status = 0
-    try:
+    with stopping(ValueError):
         check_settings(Settings(read=command.read, limits=command.limits))
         paths = [path for place in command.logs for path in expanded(place)]
-    except ValueError as problem:
-        say("info", problem)
-        return 2
     for path in paths:
         try:
             with limited(command.limits):
@@ -167,8 +157,7 @@ def run_demo(command: Demo) -> int:
     except (OSError, ValueError) as problem:
         if _of_printing(problem):
             raise
-        say("demo", problem)
-        return 2
+        raise Stop(problem) from problem
 
 
 def _flag(argv: list[str], name: str) -> str | None:
@@ -283,16 +272,15 @@ def _open_standard_files() -> None:
 
 
 def _run(command: Command, base: Settings) -> int:
-    for kind, name in ELSEWHERE.items():
+    own = {Replay: run_replay, Info: run_info, Demo: run_demo}
+    for kind, name in NAMES.items():
         if isinstance(command, kind):
-            run = getattr(import_module(f"voodoo_jax.cli.{name}"), f"run_{name}")
-            return run(command, base) if kind in (FitCommand, TuneCommand) else run(command)
-    if isinstance(command, Replay):
-        return run_replay(command)
-    if isinstance(command, Info):
-        return run_info(command)
-    if isinstance(command, Demo):
-        return run_demo(command)
+            run = own.get(kind) or getattr(import_module(f"voodoo_jax.cli.{name}"), f"run_{name}")
+            try:
+                return run(command, base) if kind in (FitCommand, TuneCommand) else run(command)
+            except Stop as why:
+                say(name, why)
+                return why.status
     layout = files("voodoo_jax").joinpath("data", "foxglove_layout.json")
     tell((layout.read_text() if isinstance(command, Layout) else settings_text(base)).rstrip("\n"))
     return 0

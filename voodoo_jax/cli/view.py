@@ -1,16 +1,9 @@
 """The command `view`: a log and its tracks in a browser."""
 
 from dataclasses import replace
-from functools import partial
 
-from voodoo_jax.cli import printing
-from voodoo_jax.cli.commands import View
-from voodoo_jax.cli.printing import tell
-
-say = partial(printing.say, "view")
-
-
-PORTS = 1 << 16  # of TCP
+from voodoo_jax.cli.commands import PORTS, View
+from voodoo_jax.cli.printing import Stop, stopping, tell
 
 
 def run_view(command: View) -> int:
@@ -24,30 +17,20 @@ def run_view(command: View) -> int:
     from voodoo_jax.io.log_reader import LogError
 
     if not 1 <= len(command.what) <= 2:
-        say("name a log, and its tracks if there are some: voodoo-jax view LOG [TRACKS]")
-        return 2
+        raise Stop("name a log, and its tracks if there are some: voodoo-jax view LOG [TRACKS]")
     if not 0 <= command.port < PORTS:
-        say(f"--port {command.port}: must be from 0 (any that is free) to {PORTS - 1}")
-        return 2
-    try:
+        raise Stop(f"--port {command.port}: must be from 0 (any that is free) to {PORTS - 1}")
+    with stopping(SettingsError):
         check_settings(Settings(read=command.read, limits=command.limits))
-    except SettingsError as problem:
-        say(problem)
-        return 2
     try:
         from voodoo_jax.viz.viewer import Viewer
 
-        people = []
-        if len(command.what) == 2:
-            people = read_everybody(command.what[1])
-        with limited(command.limits), as_mcap(str(command.what[0]), command.read.types) as (log, _):
-            viewer = Viewer(read_log(log, replace(command.read, images=True)), people, command.port)
-    except ImportError:
-        say('it needs viser: pip install "voodoo_jax[view]"')
-        return 2
-    except (LogError, SettingsError, TracksFileError, OSError, ValueError) as problem:
-        say(problem)
-        return 1
+        with stopping(LogError, SettingsError, TracksFileError, OSError, ValueError, status=1):
+            people = read_everybody(command.what[1]) if len(command.what) == 2 else []
+            with limited(command.limits), as_mcap(str(command.what[0]), command.read.types) as (log, _):
+                viewer = Viewer(read_log(log, replace(command.read, images=True)), people, command.port)
+    except ImportError as problem:
+        raise Stop('it needs viser: pip install "voodoo_jax[view]"') from problem
     tell(f"Open http://localhost:{viewer.server.get_port()} in a browser; Ctrl-C ends it.", flush=True)
     if not command.once:
         viewer.play()

@@ -21,8 +21,8 @@ def preset(name: str) -> Settings:
     of Hecht, Azad and Dillmann 2009.
 
     Those of papers do not follow the defaults. Where a paper names a parameter and no value (2007: enlargements,
-    longest distance, epsilon; 2009: weights, thresholds, what hidden samples score), a usual one stands here. The body
-    of "knoop2007" is the built-in "human10". Raises SettingsError.
+    longest distance, point reduction, epsilon; 2009: weights, thresholds, what hidden samples score) a usual one is
+    here. The body of "knoop2007" is the built-in "human10". Raises SettingsError.
     """
     if name == "default":
         return Settings()
@@ -50,11 +50,13 @@ def preset(name: str) -> Settings:
             ratio=0.55, floor=0.0,  # sec. 4.3: 0.4 < r < 0.7, of the limb's own measurements
             body_enlarge=0.2, limb_enlarge=0.1, max_distance=0.25, robust_scale=inf,
             overlap="exclusive",  # sec. 3.2: to the geometrically closest body part
+            sampling=0.5, sampling_min=50, sampling_max=200,
             near_side=False, refine=4,
             prior=1e-6, prior_radius=0.4,  # next to nothing: keeps a limb where it is that nothing was measured of
             limits=0.0, collisions=0.0,
         ),
-        track=TrackSettings(damping=0.0, skip=(LOOKS_AHEAD,)),  # sec. 5.2: each frame starts from the last one's pose
+        # sec. 5.2: each frame starts from the last one's pose; nothing of ours but the start
+        track=TrackSettings(damping=0.0, skip=(LOOKS_AHEAD, "place_joints")),
     )  # fmt: skip
 
 

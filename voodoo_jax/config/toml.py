@@ -6,6 +6,7 @@ import json
 import os
 import textwrap
 import tomllib
+from collections.abc import Iterable
 from dataclasses import Field, fields, replace
 from difflib import get_close_matches
 from math import hypot
@@ -33,7 +34,7 @@ MOST = 2**31 - 1  # of what is counted: 32 bits
 
 def _check(stage: str, f: Field, value: Any) -> Any:
     """The value as the field wants it, or SettingsError."""
-    name, default = f"{stage}.{f.name}", getattr(_STAGES[stage](), f.name)
+    name, default = f"{stage}.{f.name}".lstrip("."), getattr(_STAGES[stage](), f.name)
     if get_origin(f.type) is Literal:
         if value not in get_args(f.type):
             raise SettingsError(f"{name} = {value!r}: must be one of {', '.join(map(repr, get_args(f.type)))}")
@@ -126,13 +127,8 @@ def settings_from(content: dict[str, Any], base: "Settings", path: str | os.Path
     stages: dict[str, Any] = {}
     changes = base.changes
     for stage, values in content.items():
-        if stage == "online":
-            if not isinstance(values, bool):
-                raise SettingsError(f"{path}: online = {values!r}: must be true or false")
-            stages[stage] = values
-            continue
-        if stage == "tracker":
-            stages[stage] = _tracker(values)
+        if stage in _OF_ALL:
+            stages[stage] = _check("", _OF_ALL[stage], values)
             continue
         if stage == "change":
             if not isinstance(values, list) or not all(isinstance(table, dict) for table in values):
@@ -140,30 +136,22 @@ def settings_from(content: dict[str, Any], base: "Settings", path: str | os.Path
             changes = tuple(_change(path, n, table) for n, table in enumerate(values, 1))
             continue
         if stage not in _STAGES or not isinstance(values, dict):
-            near = get_close_matches(stage, _STAGES, 1)
-            hint = f"; did you mean [{near[0]}]?" if near else f"; there are {', '.join(f'[{s}]' for s in _STAGES)}"
-            raise SettingsError(f"{path}: [{stage}] is no stage{hint}")
+            raise SettingsError(f"{path}: [{stage}] is no stage{nearest(stage, filter(None, _STAGES))}")
         known = {f.name: f for f in fields(_STAGES[stage])}
         checked = {}
         for name, value in values.items():
             if name not in known:
-                near = get_close_matches(name, known, 1)
-                hint = f"; did you mean '{near[0]}'?" if near else f"; there are {', '.join(known)}"
-                raise SettingsError(f"{path}: [{stage}] has no option '{name}'{hint}")
-            try:
-                checked[name] = _check(stage, known[name], value)
-            except SettingsError as problem:
-                raise SettingsError(f"{path}: {problem}") from None
+                raise SettingsError(f"{path}: [{stage}] has no option '{name}'{nearest(name, known)}")
+            checked[name] = _check(stage, known[name], value)
         stages[stage] = replace(getattr(base, stage), **checked)
     return replace(base, **stages, changes=changes)
 
 
-def _tracker(value: Any) -> Any:
-    """The tracker's name. Raises SettingsError."""
-    known = get_args(next(f.type for f in fields(Settings) if f.name == "tracker"))
-    if value not in known:
-        raise SettingsError(f"tracker = {value!r}: must be one of {', '.join(map(repr, known))}")
-    return value
+def nearest(name: str, names: Iterable[str]) -> str:
+    """The end of a sentence about an unknown name."""
+    names = list(names)
+    close = get_close_matches(name, names, 1)
+    return f"; did you mean '{close[0]}'?" if close else f"; there are {', '.join(names)}" if names else ""
 
 
 def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) -> Change:
@@ -175,8 +163,7 @@ def _change(path: str | os.PathLike[str], number: int, table: dict[str, Any]) ->
     values: dict[str, Any] = {}
     for name, value in table.items():
         if name not in known:
-            near = get_close_matches(name, known, 1)
-            raise SettingsError(f"{where} has no option '{name}'" + (f"; did you mean '{near[0]}'?" if near else ""))
+            raise SettingsError(f"{where} has no option '{name}'{nearest(name, known)}")
         if name == "sizes":
             good = isinstance(value, dict) and all(_numbers(v, 5, above=LEAST) for v in value.values())
             wanted = "a table such as { l_forearm = [0.04, 0.04, 0.03, 0.03, 0.25] }"
@@ -213,11 +200,16 @@ def _numbers(value: Any, count: int, above: float = -float("inf")) -> bool:
 
 def check_settings(settings: "Settings") -> None:
     """Raises SettingsError for a value that a settings file could not have: flags and Python reach here unchecked."""
-    _tracker(settings.tracker)
-    for stage, cls in _STAGES.items():
-        for f in fields(cls):
-            value = getattr(getattr(settings, stage), f.name)
+    for stage in _STAGES:
+        for f, value in _values(settings, stage):
             _check(stage, f, list(value) if isinstance(value, tuple) else value)
+
+
+def _values(settings: "Settings", stage: str) -> list[tuple[Field, Any]]:
+    """The options of a stage, and their values."""
+    if not stage:
+        return [(f, getattr(settings, f.name)) for f in _OF_ALL.values()]
+    return [(f, getattr(getattr(settings, stage), f.name)) for f in fields(_STAGES[stage])]
 
 
 def help_texts(cls: type) -> dict[str, str]:
@@ -235,13 +227,10 @@ def settings_text(settings: "Settings | None" = None) -> str:
     """Settings as a TOML file with every option's meaning as a comment."""
     settings = settings or Settings()
     lines = ["# Settings of voodoo-jax. Use: voodoo-jax replay LOG... --out DIR --config THIS_FILE"]
-    lines += ["", f"# {help_texts(Settings)['online']}", f"online = {json.dumps(settings.online)}"]
-    lines += [f"# {help_texts(Settings)['tracker']}", f"tracker = {json.dumps(settings.tracker)}"]
     for stage, cls in _STAGES.items():
         texts = help_texts(cls)
-        lines += ["", f"# {cls.__doc__}", f"[{stage}]"]
-        for f in fields(cls):
-            value = getattr(getattr(settings, stage), f.name)
+        lines += ["", f"# {cls.__doc__}", f"[{stage}]"] if stage else [""]
+        for f, value in _values(settings, stage):
             written = json.dumps(list(value)) if isinstance(value, tuple) else json.dumps(value)
             written = {"Infinity": "inf"}.get(written, written)
             choices = f" ({', '.join(get_args(f.type))})" if get_origin(f.type) is Literal else ""
@@ -261,7 +250,9 @@ def settings_text(settings: "Settings | None" = None) -> str:
     return "\n".join(lines) + "\n"
 
 
+# by the names of their tables; "": what stands before all tables
 _STAGES: dict[str, type] = {
+    "": Settings,
     "read": ReadSettings,
     "detect": DetectSettings,
     "start": StartSettings,
@@ -271,6 +262,7 @@ _STAGES: dict[str, type] = {
     "flexible": FlexibleSettings,
     "limits": LimitSettings,
 }
+_OF_ALL = {f.name: f for f in fields(Settings) if f.name in ("online", "tracker")}
 # texts like "face=10", and whether a number stands behind the equals sign
 _PAIRS = {
     "features.names": False,

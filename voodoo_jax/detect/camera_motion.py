@@ -126,11 +126,11 @@ def _found(
     if still and not _moving(points[::2], origin, planes):
         return start
     if not still:
-        start = _turned(FORGET * np.concatenate([Rotation.from_matrix(start[:3, :3]).as_rotvec(), start[:3, 3]]))
+        start = turned(FORGET * np.concatenate([Rotation.from_matrix(start[:3, :3]).as_rotvec(), start[:3, 3]]))
     T, whole, reach = start, np.zeros(6), FAR
-    pivot = _moved(origin[None], T)[0]
+    pivot = moved(origin[None], T)[0]
     for _ in range(STEPS):
-        there = _moved(points, T)
+        there = moved(points, T)
         off, which = _off(there, planes.normals, planes.offsets)
         least = WIDE * planes.noise[which]
         limit = np.maximum(reach, least)
@@ -138,10 +138,10 @@ def _found(
         if near.mean() < FEWEST:
             return start
         off, normal, noise, limit = off[near], planes.normals[which[near]], planes.noise[which[near]], limit[near]
-        x, jacobian, weight = _step(there[near] - pivot, normal, off, noise, limit, whole)
+        x, jacobian, weight = onto_planes(there[near] - pivot, normal, off, noise, limit, whole)
         whole = whole + x
-        T = _turned(whole, pivot) @ start
-        shift = np.sum(normal * (_moved(points[near], T) - points[near]), 1)
+        T = turned(whole, pivot) @ start
+        shift = np.sum(normal * (moved(points[near], T) - points[near]), 1)
         toward = np.sqrt(np.sum(weight * shift**2) / weight.sum())
         if (limit <= least[near]).all() and np.abs(jacobian @ x).max() < SETTLED:
             break
@@ -157,13 +157,13 @@ def _moving(points: Float64[np.ndarray, "point 3"], origin: Float64[np.ndarray, 
     if len(near) < FEWEST * len(points):
         return False
     which = which[near]
-    x, jacobian, weight = _step(
+    x, jacobian, weight = onto_planes(
         points[near] - origin, planes.normals[which], off[near], planes.noise[which], limit[near], np.zeros(6)
     )
     return bool(weight @ (jacobian @ x) ** 2 >= (SHAKEN / 2) ** 2 * weight.sum())
 
 
-def _step(
+def onto_planes(
     arms: Float64[np.ndarray, "point 3"],
     normal: Float64[np.ndarray, "point 3"],
     off: Float64[np.ndarray, " point"],
@@ -182,7 +182,7 @@ def _step(
     return x, jacobian.T, weight
 
 
-def _turned(x: Float64[np.ndarray, "6"], pivot: Float64[np.ndarray, "3"] | float = 0.0) -> Float64[np.ndarray, "4 4"]:
+def turned(x: Float64[np.ndarray, "6"], pivot: Float64[np.ndarray, "3"] | float = 0.0) -> Float64[np.ndarray, "4 4"]:
     """A turn about a point, and a shift."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(x[:3]).as_matrix()
@@ -190,13 +190,13 @@ def _turned(x: Float64[np.ndarray, "6"], pivot: Float64[np.ndarray, "3"] | float
     return T
 
 
-def _moved(points: Float[np.ndarray, "point 3"], T: Float64[np.ndarray, "4 4"]) -> Float[np.ndarray, "point 3"]:
+def moved(points: Float[np.ndarray, "point 3"], T: Float64[np.ndarray, "4 4"]) -> Float[np.ndarray, "point 3"]:
     return points @ T[:3, :3].T + T[:3, 3]
 
 
 def _placed(frame: Seen, T: Float64[np.ndarray, "4 4"]) -> Seen:
     """The frame with all that is in it elsewhere."""
-    return with_places(frame, lambda p: _moved(p, T).astype(np.float32), lambda v: (v @ T[:3, :3].T).astype(np.float32))
+    return with_places(frame, lambda p: moved(p, T).astype(np.float32), lambda v: (v @ T[:3, :3].T).astype(np.float32))
 
 
 def as_measured(frame: BodyObservation) -> BodyObservation:
@@ -213,4 +213,4 @@ def to_fixed(people: list[BodyObservation], rotation: np.ndarray, translation: n
         if T is not None and there.any():
             turned = Rotation.from_matrix(T[:3, :3]) * Rotation.from_quat(rotation[k, there], scalar_first=True)
             rotation[k, there] = turned.as_quat(scalar_first=True)
-            translation[k, there] = _moved(translation[k, there], T)
+            translation[k, there] = moved(translation[k, there], T)

@@ -7,6 +7,7 @@ from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.crops import with_crops
 from voodoo_jax.detect.delays import offsets
+from voodoo_jax.detect.misplaced import with_sensors_in_place
 from voodoo_jax.detect.smeared_edges import without_smeared_edges
 from voodoo_jax.detect.units import with_units
 from voodoo_jax.io.container import LogFile, Place
@@ -23,8 +24,8 @@ def open_checked(
     build: Build = PERSON,
     detect: DetectSettings | None = None,
 ) -> LogReader:
-    """A log as `io.log_reader.open_log` gives it, its units and crops checked by what its messages show, without what
-    lies in smeared edges.
+    """A log as `io.log_reader.open_log` gives it, its units, crops and the places of its sensors checked by what its
+    messages show, without what lies in smeared edges.
 
     **Arguments:** `build` how large the body is that is looked for. Raises as `open_log`, and LogError where units are
     in doubt.
@@ -44,7 +45,7 @@ def open_checked(
 
 
 def _checked(path: Place | LogFile, settings: ReadSettings, build: Build, detect: DetectSettings) -> LogReader:
-    return without_smeared_edges(with_crops(with_units(open_log(path, settings), build, detect)))
+    return with_sensors_in_place(without_smeared_edges(with_crops(with_units(open_log(path, settings), build, detect))))
 
 
 def read_log(

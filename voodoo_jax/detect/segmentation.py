@@ -345,10 +345,19 @@ class BodySegmenter:
         return taken[label]
 
     def _joined(self, seen: BodyObservation, label, frame: BodyObservation) -> Int[np.ndarray, " point"]:
-        """The labels of things, the same for the pieces of one that something nearer cuts in two; an animal of unknown
+        """The labels of things, the same for the pieces of one that something nearer cuts in two, and for a head and
+        the shoulders that are near it: a neck is thin, and the grid of `components` is coarse. An animal of unknown
         size has no width by which furniture beside it could be told."""
         if self.body.loose:
             return label
+        points, count, out = seen.points, np.bincount(label), np.array(label)
+        lowest = np.full(len(count), np.inf, np.float32)
+        np.minimum.at(lowest, label, self.scene.floor.height(points))
+        for k in np.flatnonzero((lowest > HEADS * self.body.height) & (count >= TELLING) & np.isfinite(lowest)):
+            for j in np.flatnonzero(count > count[k]):
+                if lowest[j] < lowest[k] and within(points[label == k], points[label == j], self._link(seen)).any():
+                    out[out == out[label == k][0]] = out[label == j][0]
+        label = out
         gap = max((self._gap.get(k, USUAL_SPACING) for k in range(len(seen.origins))), default=USUAL_SPACING)
         return joined_labels(seen, label, frame, self.scene.floor, self.body.height, gap)
 

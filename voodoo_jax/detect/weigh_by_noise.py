@@ -13,6 +13,7 @@ from jaxtyping import Float32
 from scipy.spatial import KDTree
 
 from voodoo_jax.detect.stage import Target
+from voodoo_jax.detect.visibility import has_far_sides
 from voodoo_jax.geometry.point_cloud import quantile
 from voodoo_jax.records.observation import BodyObservation
 
@@ -34,11 +35,14 @@ class WeighByNoise:
         return weighed(frames, target.settings.noise)
 
 
-def range_noise(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"]) -> float:
+def range_noise(
+    points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"], joined: bool = False
+) -> float:
     """Standard deviation of the points' distances from their sensor, metres: median of what is left of each point's
     nearest neighbours, as the sensor sees them, after a plane is fitted to them.
 
-    **Arguments:** points of one sensor on a body or another surface, `origin` of the sensor.
+    **Arguments:** points of one sensor on a body or another surface, `origin` of the sensor; `joined`: the points are
+    on all sides of it, so that neighbours in its picture need not be neighbours on the surface.
 
     Too much where neighbours are so far apart that the surface is bent between them. NaN for fewer than FEWEST points.
     """
@@ -49,8 +53,8 @@ def range_noise(points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarr
     rays /= np.maximum(distance, 1e-6)[:, None]
     axes = np.linalg.svd(rays.mean(0)[None])[2][1:]  # across the direction that the points are in
     places = rays @ axes.T
-    asked = places[:: len(places) // ASKED + 1]
-    near = KDTree(places).query(asked, k=NEIGHBOURS)[1]
+    found_by = rays * distance[:, None] if joined else places
+    near = KDTree(found_by).query(found_by[:: len(found_by) // ASKED + 1], k=NEIGHBOURS)[1]
     across, along = places[near], distance[near]
     across = across - across.mean(1, keepdims=True)
     along = along - along.mean(1, keepdims=True)
@@ -80,7 +84,7 @@ def weighed(frames: Iterable[BodyObservation], usual: float) -> Iterator[BodyObs
             some = points[:: len(points) // ASKED + 1].T - origin[:, None]
             square = float(quantile(np.einsum("ij,ij->j", some, some), 0.5))
             if sensor not in growth or number % EVERY == 0:
-                found = range_noise(points, origin) / max(square, 1e-6)
+                found = range_noise(points, origin, has_far_sides([frame])) / max(square, 1e-6)
                 if np.isfinite(found):
                     growth[sensor] = found
             noise[mine] = growth.get(sensor, 0.0) * square

@@ -8,7 +8,6 @@ import json
 import math
 import os
 from collections.abc import Iterator, Sequence
-from importlib import metadata
 from itertools import chain
 
 import numpy as np
@@ -34,6 +33,7 @@ from jaxtyping import Bool, Float, Float32
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
+from voodoo_jax._version import __version__
 from voodoo_jax.exporters.limb_shapes import loft, profile
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
@@ -72,11 +72,11 @@ def write_tracks_mcap(
     """
     with replacing(path) as partial, open(partial, "wb") as file:
         writer = Writer(file)
-        writer.start(profile="", library=f"voodoo_jax {_version()}")
+        writer.start(profile="", library=f"voodoo_jax {__version__}")
         people = [tracks] if isinstance(tracks, Tracks) else list(tracks)
         first = people[0]
         start = int(first.time_ns[0]) if len(first.time_ns) else 0
-        own = {"version": _version(), "source": first.source, "fixed_frame": first.fixed_frame}
+        own = {"version": __version__, "source": first.source, "fixed_frame": first.fixed_frame}
         writer.add_metadata("voodoo_jax", (parameters or {}) | own)
         for one in people:
             name = "body.toml" if one.person == 1 else f"body.{one.person}.toml"
@@ -88,9 +88,9 @@ def write_tracks_mcap(
         writer.finish()
 
 
-def _prefix(tracks: Tracks) -> str:
+def _prefix(person: int) -> str:
     """With which the names of all that is somebody's begin."""
-    return "voodoo/" if tracks.person == 1 else f"voodoo/{tracks.person}/"
+    return "voodoo/" if person == 1 else f"voodoo/{person}/"
 
 
 TOPICS = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate, "joints": PointCloud}
@@ -100,7 +100,7 @@ class BodyMessages:
     """What is said of somebody, frame by frame: of successive frames of one Tracks, or of Tracks of one frame each."""
 
     def __init__(self, person: int = 1):
-        self._prefix = "voodoo/" if person == 1 else f"voodoo/{person}/"
+        self._prefix = _prefix(person)
         self._tracks: Tracks | None = None
         self._body: Body | None = None  # that is shown
         self._next_scene: int | None = None
@@ -190,7 +190,7 @@ def _joint_cloud(tracks: Tracks) -> PointCloud:
 
 def _named(tracks: Tracks) -> list[FrameTransform]:
     """A transform for each limb and joint centre, yet without time and place."""
-    prefix = _prefix(tracks)
+    prefix = _prefix(tracks.person)
     names = [f"{prefix}{name}" for name in tracks.body.topology.limbs]
     names += [f"{prefix}joint/{name}" for name in tracks.joint_names]
     return [FrameTransform(parent_frame_id=tracks.fixed_frame, child_frame_id=name) for name in names]
@@ -233,8 +233,7 @@ def body_entities(body: Body, person: int = 1) -> list[SceneEntity]:
     """
     entities = []
     for i, (name, sizes) in enumerate(zip(body.topology.limbs, np.asarray(body.sizes, float))):
-        at = f"voodoo/{name}" if person == 1 else f"voodoo/{person}/{name}"
-        entity = SceneEntity(id=name, frame_id=at, frame_locked=True, lifetime=Duration())
+        entity = SceneEntity(id=name, frame_id=f"{_prefix(person)}{name}", frame_locked=True, lifetime=Duration())
         for key, value in zip(("a0", "b0", "a1", "b1", "length"), sizes):
             entity.metadata.append(KeyValuePair(key=key, value=f"{value:.9g}"))
         # golden ratio steps keep the colours of neighbours apart
@@ -274,10 +273,3 @@ def _triangles(rings: Float[np.ndarray, "ring 3"], color: Color) -> TriangleList
         indices=faces.ravel().tolist(),
         color=color,
     )
-
-
-def _version() -> str:
-    try:
-        return metadata.version("voodoo_jax")
-    except metadata.PackageNotFoundError:  # run from a source tree
-        return "unknown"

@@ -109,11 +109,7 @@ def _resampled(tracks: Tracks, time: np.ndarray, wanted: np.ndarray, usual: floa
     norm = np.linalg.norm(turn, axis=-1, keepdims=True)
     both = tracks.tracked[before] & tracks.tracked[after]
     alone = tracks.tracked[nearest] & ((share == 0) | (share == 1))
-    per_frame = {
-        name: value[nearest]
-        for name, value in vars(tracks).items()
-        if isinstance(value, np.ndarray) and name != "up" and len(value) == len(time)
-    }
+    per_frame = {name: value[nearest] for name, value in tracks.rows().items()}
     own = dict(
         time_ns=tracks.time_ns[0] + np.round(wanted * 1e9).astype(np.int64),
         rotation=(turn / np.where(norm > 0, norm, 1)).astype(np.float32),

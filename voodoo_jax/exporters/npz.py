@@ -4,6 +4,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -16,17 +17,6 @@ from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.troubles import opened_file
 from voodoo_jax.storage.urls import person_place
 
-FRAME_ARRAYS = (
-    "time_ns", "rotation", "translation", "joints", "status", "residual", "explained", "steps", "points", "limb_weight",
-)  # fmt: skip
-# where they were found
-MORE_ARRAYS = (
-    "passes_apart", "beyond_limits", "depth_inside", "limb_covariance", "joint_covariance", "joint_confidence",
-    "up", "marker_residual", "limb_beside", "limb_distance", "limb_bare", "limb_own",
-    "facing_odds",
-)  # fmt: skip
-
-
 # kinds of numbers, and the shape: f frames, l limbs, j joint centres, b joints of the body, m markers
 FORMS = {
     "time_ns": ("iu", "f"), "rotation": ("f", "fl4"), "translation": ("f", "fl3"), "joints": ("f", "fj3"),
@@ -35,7 +25,11 @@ FORMS = {
     "depth_inside": ("f", "fl"), "limb_covariance": ("f", "fl66"), "joint_covariance": ("f", "fj33"),
     "joint_confidence": ("f", "fj"), "up": ("f", "3"), "marker_residual": ("f", "m"), "limb_beside": ("f", "fl"),
     "limb_distance": ("f", "fl"), "limb_bare": ("f", "fl"), "limb_own": ("f", "fl"), "facing_odds": ("f", "f"),
+    "T_fixed_steady": ("f", "f44"),
 }  # fmt: skip
+# always there, and where they were found
+MORE_ARRAYS = tuple(f.name for f in fields(Tracks) if f.name in FORMS and f.default is None)
+FRAME_ARRAYS = tuple(name for name in FORMS if name not in MORE_ARRAYS)
 FARTHEST = 1e30  # covariances are huge where nothing is known; not infinite
 LATEST = 1 << 62  # nanoseconds, as io.limits.TIME
 UNEVEN = 0.01  # of a unit quaternion's length: rounding
@@ -56,7 +50,8 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     limb frame), joint_covariance (square metres, fixed frame; see solve/covariance.py), joint_confidence (0 to 1; see
     trackers/icp/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
     fixed frame), limb_beside, limb_distance (metres), limb_bare and limb_own (see trackers/icp/misfit.py), facing_odds
-    (logarithm; see trackers/icp/refine/choose_facing.py), fixed_frame, source, seconds, notes, body_toml; marker_names
+    (logarithm; see trackers/icp/refine/choose_facing.py), T_fixed_steady where sensors moved though the log says
+    they stand (4 x 4; see records/tracks.py), fixed_frame, source, seconds, notes, body_toml; marker_names
     and marker_residual (metres) where markers alone were tracked; person and people (which of how many) where there are
     several; run_key if one is given (see batch/resume.py); digest of all others.
     The file appears under its name only when complete. Raises OSError.

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.frames import known, upright
-from voodoo_jax.geometry.rotations import rotations
+from voodoo_jax.geometry.rotations import rotations, shortest_turns
 from voodoo_jax.model.body import Body, tree_order
 from voodoo_jax.model.joint_names import row_of
 from voodoo_jax.records.tracks import Tracks
@@ -298,16 +298,8 @@ def _poses(
         if (bone.aims or rigid) and len(children) == 1:
             there[:, i] &= there[:, children[0]]
             now = position[:, children[0]] - position[:, i]
-            turned[i] = _towards(turned[i].apply(bind[children[0]] - bind[i]), now) * turned[i]
+            turned[i] = shortest_turns(turned[i].apply(bind[children[0]] - bind[i]), now) * turned[i]
     return turned, position, there
-
-
-def _towards(before: Float[np.ndarray, "frame 3"], after: Float[np.ndarray, "frame 3"]) -> Rotation:
-    """Smallest turns of directions to other ones."""
-    axis = np.cross(before, after)
-    length = np.linalg.norm(axis, axis=1, keepdims=True)
-    angle = np.arctan2(length, (before * after).sum(1, keepdims=True))
-    return Rotation.from_rotvec(axis * np.where(length > 1e-12, angle / np.maximum(length, 1e-12), 0.0))
 
 
 def _hold(values: np.ndarray, there: Bool[np.ndarray, " frame"], first: np.ndarray) -> None:

@@ -58,11 +58,15 @@ Objective = Literal["held", "truth"]
 
 def frame_problem(body: Body, options: IcpOptions, frame: FitFrames, by: Changes) -> Problem:
     """What a frame's pose is solved on."""
+    return Problem.build(body, frame.points, frame.poses, options, changed_features(frame, by))
+
+
+def changed_features(frame: FitFrames, by: Changes) -> Features | None:
+    """A frame's features, or those of many frames, with changed weights."""
     features = frame.features
-    if features is not None and frame.feature_name is not None and by.features.shape[0]:
-        factor = jnp.exp(by.features[frame.feature_name])
-        features = eqx.tree_at(lambda f: f.weight, features, features.weight * factor)
-    return Problem.build(body, frame.points, frame.poses, options, features)
+    if features is None or frame.feature_name is None or not by.features.shape[0]:
+        return features
+    return eqx.tree_at(lambda f: f.weight, features, features.weight * jnp.exp(by.features[frame.feature_name]))
 
 
 def frame_residuals(

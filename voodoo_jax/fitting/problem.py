@@ -13,11 +13,10 @@ from jaxtyping import Array, ArrayLike, Float
 
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.frames import Truth, feature_names, fit_frames, placed_by, read_truth
-from voodoo_jax.fitting.objective import FitFrames
+from voodoo_jax.fitting.objective import FitFrames, changed_features
 from voodoo_jax.fitting.parameters import changed, changed_points, changed_tracking, named_changes
 from voodoo_jax.fitting.seen import Log, Seen, tracked
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body import Body
 from voodoo_jax.solve.scan import TrackOptions, at_rest, options_from
 from voodoo_jax.solve.through_time import Measurements, Tracked, track_through
@@ -100,10 +99,7 @@ def with_parameters(parameters: Named | Body, problem: Problem) -> tuple[Body, T
         return parameters, problem.options, problem.measured()
     sensors, measured = problem.frames.points.origins.shape[-2], problem.measured()
     by = named_changes(problem.body, parameters, problem.features, sensors)
-    features: Features | None = measured.features
-    if features is not None and problem.frames.feature_name is not None and problem.features:
-        factor = jnp.exp(by.features[problem.frames.feature_name])
-        features = eqx.tree_at(lambda f: f.weight, features, features.weight * factor)
+    features = changed_features(problem.frames, by)
     moved = replace(measured, points=changed_points(measured.points, by), features=features)
     return changed(problem.body, by), changed_tracking(problem.options, by), moved
 

@@ -1,4 +1,4 @@
-"""Rotations of tables of poses on the host: ends of limbs, half turns, SciPy rotations of quaternions wxyz."""
+"""Rotations of tables of poses on the host: ends of limbs, turns of directions, SciPy rotations of quaternions wxyz."""
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -23,6 +23,18 @@ def rotations(q: np.ndarray) -> Rotation:
 
 def axis_of(q: np.ndarray) -> np.ndarray:
     return rotations(q).apply([0.0, 0.0, 1.0]).reshape(*q.shape[:-1], 3)
+
+
+def unit(v: Float[np.ndarray, "*b 3"]) -> Float[np.ndarray, "*b 3"]:
+    """Vectors of the length 1; zero stays zero."""
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+
+
+def shortest_turns(a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]) -> Rotation:
+    """The shortest turns from some directions to others, of any length."""
+    axis = np.cross(a, b)
+    angle = np.arctan2(np.linalg.norm(axis, axis=1), np.sum(a * b, 1))
+    return Rotation.from_rotvec(unit(axis) * angle[:, None])
 
 
 def half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:

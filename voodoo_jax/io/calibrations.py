@@ -1,6 +1,9 @@
 """Which calibration, and which coordinate frame, belongs to a topic."""
 
+import re
 from dataclasses import replace
+
+import numpy as np
 
 from voodoo_jax.io.decode.registry import DEPTH_KINDS
 from voodoo_jax.io.topic import Topic
@@ -10,6 +13,16 @@ from voodoo_jax.records.messages import RAYS, Calibration, Image
 def bare(topic: str) -> str:
     """Topic of the image itself, without what image_transport adds for a packed one."""
     return topic.removesuffix("/compressedDepth").removesuffix("/compressed")
+
+
+def rectified(topic: str) -> bool:
+    """By ROS custom images have no lens left if their topic has `rect` in its name."""
+    return re.search(r"(^|[/_])(image_)?rect(ified)?([/_]|$)", topic) is not None
+
+
+def lens_of(topic: str, c: Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """K and D for the pixels of a topic."""
+    return (c.P[:, :3].copy(), np.zeros(0)) if rectified(topic) and c.P[0, 0] > 0 else (c.K.copy(), c.D)
 
 
 def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:

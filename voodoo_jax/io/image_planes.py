@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 SOME = 1500  # pixels that are looked at; by hand
+TELLING = 100  # pixels or points with data, of which it is told what they show; by hand
 PLANES, TRIALS = 3, 100  # that are looked for one after the other, and draws for each; by hand
 NEAR = 0.01  # of the distance: so near to a plane a pixel is on it, with the noise of depth cameras; by hand
 WIDE = 0.08  # share of the pixels that make a plane; by hand
@@ -74,7 +75,7 @@ def flat_share(xy: Float[np.ndarray, "row column 2"], image: Float[np.ndarray, "
     """Share of an image's pixels that lie on its larger planes, and whether its values are distances along the rays:
     there are planes in it then, and else hardly any. Brightness and confidence have none either way."""
     ways, value = seen_pixels(xy, image)
-    if len(value) < 100:
+    if len(value) < TELLING:
         return 0.0, False
     depth, ray = (planes(ways, v).shares for v in (value, value / np.linalg.norm(ways, axis=1)))
     along = ray.sum() > max(FLAT, CLEARLY * depth.sum()) and ray[0] > CLEARLY * depth.max(initial=0)

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int64
 
-from voodoo_jax.records.recording import Pairs, Rays
+from voodoo_jax.records.recording import Pairs, Rays, joined_rays
 
 MEET = 0.15  # metres between lines of sight to a point of one person, in the median, at most; by hand
 CLOSE = 0.08  # metres of a line of sight from the point that the others tell: what is farther off is wrong; by hand
@@ -85,7 +85,7 @@ def people_of(frames: dict[int, list[list[Sight]]]) -> tuple[dict[int, Pairs], d
             names = tuple(prefix + name for name in points)
             pairs.setdefault(i, []).append(Pairs(names, np.array(list(points.values()), np.float32), None))
             rays.setdefault(i, []).append(_rays(prefix, points, looks))
-    return {i: _joined_pairs(some) for i, some in pairs.items()}, {i: _joined_rays(some) for i, some in rays.items()}
+    return {i: _joined_pairs(some) for i, some in pairs.items()}, {i: joined_rays(some) for i, some in rays.items()}
 
 
 def _take(people: list[_Person], i: int, left: list[list[Sight]]) -> None:
@@ -228,12 +228,3 @@ def _rays(prefix: str, points: dict[str, np.ndarray], looks: list[Sight]) -> Ray
 
 def _joined_pairs(some: list[Pairs]) -> Pairs:
     return Pairs(tuple(n for p in some for n in p.names), np.concatenate([p.points for p in some]), None)
-
-
-def _joined_rays(some: list[Rays]) -> Rays:
-    one = np.concatenate
-    weights = one([np.ones(len(r.names), np.float32) if r.weights is None else r.weights for r in some])
-    return Rays(
-        tuple(n for r in some for n in r.names), one([r.origins for r in some]), one([r.directions for r in some]),
-        weights,
-    )  # fmt: skip

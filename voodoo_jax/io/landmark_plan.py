@@ -1,6 +1,5 @@
 """Named features to frames: rays through calibrated cameras and 3D points, in the fixed frame. Plans, reads nothing."""
 
-import re
 from collections import Counter
 from dataclasses import dataclass, field
 
@@ -8,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import camera_of
+from voodoo_jax.io.calibrations import camera_of, lens_of
 from voodoo_jax.io.frame_sync import join, period_of
 from voodoo_jax.io.key_points import Sight, order_of, people_of, sights
 from voodoo_jax.io.landmark_table import Gathered
@@ -16,7 +15,7 @@ from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.point_labels import Parts
 from voodoo_jax.io.transforms import HOLD_NS
 from voodoo_jax.model.marker_names import net_key_points
-from voodoo_jax.records.messages import PAIRS, RAYS, Calibration
+from voodoo_jax.records.messages import PAIRS, RAYS
 from voodoo_jax.records.recording import Pairs, Rays
 
 
@@ -193,16 +192,8 @@ def _rays(scan: Scan, name: str, counted: Counter[str]) -> tuple[np.ndarray, np.
             counted[f"left out, no calibration for frame '{frame}'"] += len(rows)
             continue
         sources[rows] = frame or c.frame
-        K, D = _lens(name, c)
-        x = np.column_stack([lens.undistort(found.values[rows], K, D, c.model), np.ones(len(rows))])
+        x = np.column_stack([lens.undistort(found.values[rows], *lens_of(name, c), c.model), np.ones(len(rows))])
         directions[rows] = x / np.linalg.norm(x, axis=1, keepdims=True)
         if lost := int(np.isnan(x).any(axis=1).sum()):
             counted["left out, where the lens model cannot be inverted"] += lost
     return sources, directions
-
-
-def _lens(topic: str, c: Calibration) -> tuple[np.ndarray, np.ndarray]:
-    """K and D for pixels of a topic: by ROS custom those of a topic with `rect` in its name have no lens left."""
-    if re.search(r"(^|[/_])(image_)?rect(ified)?([/_]|$)", topic) and c.P[0, 0] > 0:
-        return c.P[:, :3], np.zeros(0)
-    return c.K, c.D

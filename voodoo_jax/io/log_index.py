@@ -28,7 +28,7 @@ from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.limits import TIME, limits
 from voodoo_jax.io.pictures import camera_topics
-from voodoo_jax.io.skin_rays import skin_topics
+from voodoo_jax.io.skin_rays import UNSEARCHED
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic
 from voodoo_jax.io.topic_roles import decide_uses
@@ -147,7 +147,7 @@ class Scan:
                 self.topics[name].foreign = why
         pairs = find_pairs(self.topics, self.tree) if settings.stereo else []
         self.uses = decide_uses(self.log.path, self.topics, settings, self.notes, pairs)
-        self.skin, notes = skin_topics(self.topics, self.uses) if settings.skin else ({}, [])
+        self.skin, notes = camera_topics(self.topics, self.uses, UNSEARCHED, True) if settings.skin else ({}, [])
         self.notes += notes
         self.uses |= {name: SKIN_USE for name in self.skin if self.uses[name].startswith("not used")}
         self.stereo = [pair for pair in pairs if self.uses[pair.left] == STEREO_USE]

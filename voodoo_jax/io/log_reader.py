@@ -18,26 +18,26 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry import lens
 from voodoo_jax.geometry.depth_edges import on_sheets
-from voodoo_jax.io.calibrations import bare, calibration_of
+from voodoo_jax.io.calibrations import calibration_of, lens_of
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
-from voodoo_jax.io.decode.depth_codec import unpacked
+from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
+from voodoo_jax.io.given import given_transforms
 from voodoo_jax.io.image_fit import fitted, leeway, moved
-from voodoo_jax.io.image_planes import flat_share, planes, seen_pixels
+from voodoo_jax.io.image_planes import TELLING, flat_share, planes, seen_pixels
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader, shape_of
 from voodoo_jax.io.pose_rays import NAMES, PoseRays
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.repeats import Repeats
-from voodoo_jax.io.skin_rays import add_rays
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS, Transform
 from voodoo_jax.io.which_depth import calibrated
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
-from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording, joined_rays
 from voodoo_jax.sensors.pose_net import check_pose_net
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
@@ -51,7 +51,7 @@ FITS, TORN = 2.5, 0.5
 BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical axes to those of a body (REP 103)
 STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
 BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
-TELLING, FEW_POINTS = 100, 5000  # points of a message that shows something, and of it that are looked at
+FEW_POINTS = 5000  # of a message that are looked at to see whether it shows something
 
 
 def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "LogReader":
@@ -84,7 +84,7 @@ def _with_settled_frames(reader: "LogReader") -> "LogReader":
         off, lines = zip(*((reader.off_level(), line) for line in (reader.choose(child, k) for k in (0, 1))))
         best = int(np.argmin(off))
         reader.choose(child, best)
-        told = off[best] < FITS and off[1 - best] > 2 * max(off[best], FITS / 4)
+        told = is_told(off[best], off[1 - best])
         reader.sure *= 1.0 if told else TORN
         why = "the floor is level with the one that is used" if told else "nothing tells which is right"
         reader.say(
@@ -92,6 +92,11 @@ def _with_settled_frames(reader: "LogReader") -> "LogReader":
             f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
         )
     return reader
+
+
+def is_told(best: float, other: float) -> bool:
+    """Whether the better of two places of a sensor is right, to judge by `LogReader.off_level` of both."""
+    return best < FITS and other > 2 * max(best, FITS / 4)
 
 
 def _with_images_as_shown(reader: "LogReader") -> "LogReader":
@@ -179,6 +184,7 @@ class LogReader:
         self.of_body: frozenset[str] = frozenset()  # images in a frame of their camera's body: x ahead, z up
         mirrors = check_pairs("read.mirror", settings.mirror, numbers=False)
         self._mirrored = {name: "xyz".index(axis) for name, axis in mirrors.items() if axis in ("x", "y", "z")}
+        self.placed: tuple[str, ...] = ()  # transforms that were found, as read.transform says them
         self.smeared: frozenset[str] = frozenset()  # depth images without what lies in their smeared edges
 
     def unit(self, topic: str) -> float:
@@ -199,19 +205,34 @@ class LogReader:
         """Takes one of these places; how read.transform says it."""
         return self._scan.tree.choose(child, which)
 
-    def off_level(self) -> float:
+    def move(self, topic: str, T: Float[np.ndarray, "4 4"]) -> tuple[str, str]:
+        """Moves a sensor that stands still by `T`, in the fixed frame. Returns how read.transform says where it then
+        is, and where the log has it; both are empty where the log's transforms cannot be changed so."""
+        name = self.frame_name(topic)
+        before = self._scan.tree.said(name)
+        if not self._scan.tree.move(name, self.fixed_frame, T):
+            return "", ""
+        self.placed += (self._scan.tree.said(name),)
+        return self.placed[-1], before
+
+    @property
+    def given_frames(self) -> set[str]:
+        """Frames that read.transform places."""
+        return {transform.child for transform in given_transforms(self._settings.transform)}
+
+    def off_level(self, topic: str = "") -> float:
         """How far the floor in the first image of a depth camera is from lying level at the height 0 of the fixed
-        frame, in degrees, or 2 centimetres; the best of all cameras; infinite where none sees one. Walls beside the
-        axes of the frame count a tenth of that: rooms are often measured along them."""
+        frame, in degrees, or 2 centimetres; the best of all cameras, or that of one; infinite where none sees one.
+        Walls beside the axes of the frame count a tenth of that: rooms are often measured along them."""
         least = np.inf
-        for topic in self.sensors:
-            found = self.first_pixels(topic) if self.is_image(topic) else None
-            at = int(self.stamps(topic)[0])
-            pose = self._scan.tree.lookup(self.fixed_frame, self.frame_name(topic), at, hold_ns=None)
+        for name in (topic,) if topic else self.sensors:
+            found = self.first_pixels(name) if self.is_image(name) else None
+            at = int(self.stamps(name)[0])
+            pose = self._scan.tree.lookup(self.fixed_frame, self.frame_name(name), at, hold_ns=None)
             if found is None or pose is None:
                 continue
             ways, value = seen_pixels(*found)
-            seen = planes(ways, value) if len(value) >= 100 else None
+            seen = planes(ways, value) if len(value) >= TELLING else None
             if seen is None or not len(seen.shares):
                 continue
             normals = seen.normals @ pose[0].T
@@ -235,7 +256,7 @@ class LogReader:
         if self.up_is_given or pose is None or frame == tree.root(frame) or "optical" in frame.lower():
             return False
         ways, value = seen_pixels(xy, values)
-        if len(value) < 100:
+        if len(value) < TELLING:
             return False
         length = np.linalg.norm(ways, axis=1) if self.radial.get(topic) else 1.0
         normals = planes(ways, value / length).normals
@@ -285,7 +306,7 @@ class LogReader:
 
     def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
         """Of every so many-th row and column of a depth image, metres; None if it is of another kind."""
-        raw = image.raw if image.packed is None else unpacked(image)
+        raw = raw_of(image)
         if raw is None:
             return None
         if (axis := self._mirrored.get(topic)) in (0, 1):  # x: left to right, y: upside down
@@ -335,18 +356,27 @@ class LogReader:
         """Adds a sentence to the notes."""
         self._notes.append(note)
 
-    def sampled(self, topic: str, count: int, spread: bool = False, step: int = 1) -> list[Sample]:
+    def sampled(
+        self,
+        topic: str,
+        count: int,
+        spread: bool = False,
+        step: int = 1,
+        at: Int64[np.ndarray, " time"] | None = None,
+    ) -> list[Sample]:
         """Some messages of a depth topic that show something: the first ones (every so many-th), or `spread` over the
-        log."""
+        log, or those nearest to some times (nanoseconds)."""
         total = len(self._scan.topics[topic].stamps)
         step = max(1, total // count) if spread else step
+        stamps = self.stamps(topic)
+        near = None if at is None else {int(np.argmin(np.abs(stamps - t))) for t in at}
         found, decoder, number = [], Decoder(), -1
         stereo = {pair.left for pair in self._scan.stereo}
         wanted = lambda s, c: c.topic == topic and self._scan.kind(s, c) == self._scan.topics[topic].kind  # noqa: E731
         for schema, channel, message in guarded(self._scan.log, wanted) if topic not in stereo else ():
             number += 1
             self._scan.log.clock.check()
-            if number % step or schema is None:
+            if (number % step if near is None else number not in near) or schema is None:
                 continue
             try:
                 content = decoder.message(schema, channel, message.data)
@@ -371,7 +401,7 @@ class LogReader:
     def _distances(self, topic: str, content: Cloud | Image) -> np.ndarray:
         """Of a few thousand points from the sensor, in the usual unit; without those that saw nothing."""
         if isinstance(content, Image):
-            raw = content.raw if content.packed is None else unpacked(content)
+            raw = raw_of(content)
             k = stride(*content.shape, FEW_POINTS)
             # nothing, and the largest number, which some drivers write for it
             z = np.zeros(0) if raw is None else raw[::k, ::k].ravel()
@@ -537,7 +567,7 @@ class LogReader:
         weights = np.array([said.weight(name) for name in self.sensors], np.float32)
         rays, pictures = self._whole.rays.get(i, NO_RAYS), tuple(self._pictures.pop(i, ()))
         if self._pose is not None:
-            rays = add_rays(rays, self._pose.rays(pictures))
+            rays = joined_rays([rays, self._pose.rays(pictures)])
         return Frame(
             time_ns=time_ns,
             points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see _measure
@@ -670,9 +700,6 @@ class LogReader:
             if assumed:
                 own = f"{image.shape[1]} x {image.shape[0]}"
                 self._assumed[topic] = f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}."
-            # By ROS custom a topic called image_rect... is rectified: P holds, and the lens is undone already.
-            rectified = "rect" in bare(topic).rsplit("/", 1)[-1] and c.P[0, 0] > 0
-            K, D = (c.P[:, :3].copy(), np.zeros(0)) if rectified else (c.K.copy(), c.D)
             height, width = image.shape
-            self._rays[key] = lens.pixel_rays(K, D, c.model, width, height, k)
+            self._rays[key] = lens.pixel_rays(*lens_of(topic, c), c.model, width, height, k)
         return self._rays[key]

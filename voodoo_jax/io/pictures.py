@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import calibration_of
+from voodoo_jax.io.calibrations import calibration_of, lens_of, rectified
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
 from voodoo_jax.io.image_fit import fitted
-from voodoo_jax.io.stereo_pairs import Item, make_rig, picture_of, rectified
+from voodoo_jax.io.stereo_pairs import STEREO_USE, Item, make_rig, picture_of
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Calibration, Colour, Image
 from voodoo_jax.records.recording import Picture
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from voodoo_jax.sensors.stereo_rig import Rig
 
 _GREY = ("mono8", "8uc1")
+UNSEEN = "The images of '{}' are not looked at: {}."
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,17 @@ class PicturePlan:
     notes: tuple[str, ...] = ()
 
 
-def camera_topics(topics: dict[str, Topic], uses: dict[str, str]) -> tuple[dict[str, Calibration], list[str]]:
-    """One topic of colour images for each calibrated camera that is no part of a stereo pair in use (not compressed,
-    then rectified), and notes on those that cannot be used."""
+def camera_topics(
+    topics: dict[str, Topic], uses: dict[str, str], note: str = UNSEEN, of_pairs: bool = False
+) -> tuple[dict[str, Calibration], list[str]]:
+    """One topic of colour images for each calibrated camera (not compressed, then rectified), and notes on those that
+    cannot be used; of stereo pairs in use none, or `of_pairs` the left ones."""
     found: dict[str, tuple[str, Calibration]] = {}
     notes = []
     pictures = {n: picture for n, t in topics.items() if (picture := picture_of(t.sample)) is not None}
     for name in sorted(pictures, key=lambda n: (not pictures[n].step, not rectified(n), n)):
-        if pictures[name].encoding in _GREY or uses[name] == "stereo pair" or uses[name].startswith("right image of"):
+        left, right = uses[name] == STEREO_USE, uses[name].startswith("right image of")
+        if pictures[name].encoding in _GREY or right or (left and not of_pairs):
             continue
         c = calibration_of(topics, name)
         try:
@@ -53,7 +57,7 @@ def camera_topics(topics: dict[str, Topic], uses: dict[str, str]) -> tuple[dict[
             lens.pixel_rays(c.K, c.D, c.model, 2, 2)
             found.setdefault(pictures[name].frame or name, (name, c))
         except ValueError as problem:
-            notes.append(f"The images of '{name}' are not looked at: {problem}.")
+            notes.append(note.format(name, problem))
     return dict(found.values()), notes
 
 
@@ -65,7 +69,7 @@ def plan_pictures(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"]) 
     frame_of = {}
     for name in list(cameras):
         if not scan.tree.connected(scan.topics[name].sample.frame, fixed):
-            notes.append(f"The images of '{name}' are not looked at: no transform between its camera and '{fixed}'.")
+            notes.append(UNSEEN.format(name, f"no transform between its camera and '{fixed}'"))
             del cameras[name]
             continue
         stamps = clean_stamps(name, scan.topics[name].stamps, scan.topics[name].log_times, [])
@@ -99,13 +103,10 @@ class PictureReader:
         pose = self._scan.tree.lookup(self._fixed, image.frame, stamp_ns)
         if pose is None:
             return None
-        c, flat = self._cameras[topic], rectified(topic)
-        shape = _shape(image)
-        c = fitted(c, shape)[0]
-        K = c.P[:, :3] if flat and c.P[0, 0] > 0 else c.K
-        D = () if flat else tuple(c.D.tolist())
-        unpack = partial(_single, image, tuple(K.ravel().tolist()), D, c.model)
-        return Picture(topic, stamp_ns, K.copy(), pose_matrix(*pose), unpack)
+        c = fitted(self._cameras[topic], _shape(image))[0]
+        K, D = lens_of(topic, c)
+        unpack = partial(_single, image, tuple(K.ravel().tolist()), tuple(D.tolist()), c.model)
+        return Picture(topic, stamp_ns, K, pose_matrix(*pose), unpack)
 
     def pair(self, left: Item, right: Item, stereo_pair: Any, stamp_ns: int) -> Picture | None:
         """A rectified pair; None without a transform. Raises one of DECODE_ERRORS for broken messages."""

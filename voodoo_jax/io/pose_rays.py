@@ -6,7 +6,7 @@ import numpy as np
 
 from voodoo_jax.io.decode.registry import DECODE_ERRORS
 from voodoo_jax.io.point_labels import Parts
-from voodoo_jax.records.recording import NO_RAYS, Picture, Rays
+from voodoo_jax.records.recording import Picture, Rays, joined_rays
 from voodoo_jax.sensors.pose_net import KEY_POINTS, PoseNet, pose_files
 
 # joints that the network puts where their centres are. Its hips are 3 cm too low, and those, nose, ears and feet gave
@@ -33,11 +33,7 @@ class PoseRays:
     def rays(self, pictures: tuple[Picture, ...]) -> Rays:
         """Of one frame; names as in NAMES, weights are the network's scores times those of read.weights."""
         found = [rays for picture in pictures if (rays := self._of_one(picture)) is not None]
-        if not found:
-            return NO_RAYS
-        names = tuple(n for rays in found for n in rays.names)
-        parts = ((r.origins, r.directions, r.weights) for r in found)
-        return Rays(names, *(np.concatenate(part) for part in zip(*parts)))
+        return joined_rays(found)
 
     def _of_one(self, picture: Picture) -> Rays | None:
         """Of a camera; of a rectified pair of them the left one."""

@@ -18,11 +18,11 @@ from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.pictures import PicturePlan, plan_pictures
 from voodoo_jax.io.point_labels import BODY, FREE, Parts
 from voodoo_jax.io.reference_sensors import dense
-from voodoo_jax.io.skin_rays import add_rays, plan_skin
+from voodoo_jax.io.skin_rays import plan_skin
 from voodoo_jax.io.stereo_pairs import STEREO_USE
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.records.messages import PAIRS, RAYS
-from voodoo_jax.records.recording import Pairs, Rays
+from voodoo_jax.records.recording import NO_RAYS, Pairs, Rays, joined_rays
 
 PAUSE = 3.0  # seconds without a frame that a user should know of
 FAR = 1000.0  # metres: float32 has steps of 0.06 mm there, and of 25 cm in UTM
@@ -132,7 +132,7 @@ def make_plan(
         features = plan_features(scan, fixed, of[RAYS] + of[PAIRS], at, parts, after_ns)
     if settings.skin:
         skin = plan_skin(scan, fixed, at, parts)
-        features.rays |= {i: add_rays(features.rays.get(i, Rays()), rays) for i, rays in skin.rays.items()}
+        features.rays |= {i: joined_rays([features.rays.get(i, NO_RAYS), rays]) for i, rays in skin.rays.items()}
         features.topics += tuple(name for name in skin.topics if name not in features.topics)
         notes += skin.notes
     pictures = plan_pictures(scan, fixed, at) if settings.images or settings.pose_net else None

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from voodoo_jax.io.decode.depth_codec import unpacked
+from voodoo_jax.io.decode.depth_codec import raw_of
+from voodoo_jax.io.image_planes import TELLING
 from voodoo_jax.records.messages import Cloud, Image
 
 # share of the pixels with data that differ between pictures of a sensor with noise, at least: without noise only who
 # moves differs. Measured: 0.36 to 1.0 in recordings of seven kinds of sensors
 NOISY = 0.2
-TELLING = 100  # pixels with data, of which that share tells something; by hand
 ROWS = 8  # every so many-th row is compared first; by hand
 
 
@@ -97,5 +97,5 @@ def _seen(distances: np.ndarray) -> np.ndarray:
 def _distances(content: Cloud | Image) -> np.ndarray:
     if isinstance(content, Cloud):
         return np.asarray(content.grid["x"], float)
-    raw = content.raw if content.packed is None else unpacked(content)
+    raw = raw_of(content)
     return np.zeros(0) if raw is None else np.asarray(raw, float)

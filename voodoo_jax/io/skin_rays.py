@@ -9,23 +9,22 @@ from jaxtyping import Bool, Float, Int64
 from scipy.spatial import KDTree
 
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import calibration_of
+from voodoo_jax.io.calibrations import lens_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
 from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import Parts
-from voodoo_jax.io.stereo_pairs import picture_of, rectified
-from voodoo_jax.io.topic import Topic
-from voodoo_jax.records.messages import Calibration, many
+from voodoo_jax.io.stereo_pairs import picture_of
+from voodoo_jax.records.messages import many
 from voodoo_jax.records.recording import Rays
 
 if TYPE_CHECKING:
     from voodoo_jax.io.log_index import Scan
 
 SKIN = "skin"  # name of the feature
+UNSEARCHED = "No skin is looked for in '{}': {}."
 _STILL = 1.5  # pixels of an image 640 wide: a standing head sways more within a few seconds
 _OFTEN, _SECONDS = 0.8, 3.0  # furniture is there in this share of the images; shorter logs do not tell
-_GREY = ("mono8", "8uc1")
 
 
 @dataclass
@@ -35,27 +34,6 @@ class SkinPlan:
     rays: dict[int, Rays] = field(default_factory=dict)
     topics: tuple[str, ...] = ()
     notes: list[str] = field(default_factory=list)
-
-
-def skin_topics(topics: dict[str, Topic], uses: dict[str, str]) -> tuple[dict[str, Calibration], list[str]]:
-    """One topic of colour images for each calibrated camera (not compressed, then rectified), and notes on those whose
-    calibration cannot be used. The right cameras of stereo pairs are left out."""
-    found: dict[str, tuple[str, Calibration]] = {}
-    notes = []
-    pictures = {n: picture for n, t in topics.items() if (picture := picture_of(t.sample)) is not None}
-    for name in sorted(pictures, key=lambda n: (not pictures[n].step, not rectified(n), n)):
-        if pictures[name].encoding in _GREY or uses[name].startswith("right image of"):
-            continue
-        c = calibration_of(topics, name)
-        if c is None:
-            notes.append(f"No skin is looked for in '{name}': it has no calibration.")
-            continue
-        try:
-            lens.pixel_rays(c.K, c.D, c.model, 2, 2)
-            found.setdefault(pictures[name].frame or name, (name, c))
-        except ValueError as problem:
-            notes.append(f"No skin is looked for in '{name}': {problem}.")
-    return dict(found.values()), notes
 
 
 def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weights: Parts) -> SkinPlan:
@@ -75,7 +53,7 @@ def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weig
         if scan.tree.connected(scan.topics[name].sample.frame, fixed):
             wanted |= {(name, message): frame for frame, message in join_one(times, stamps[name])}
         else:
-            plan.notes.append(f"No skin is looked for in '{name}': no transform between its camera and '{fixed}'.")
+            plan.notes.append(UNSEARCHED.format(name, f"no transform between its camera and '{fixed}'"))
     regions = _find(scan, set(cameras), set(wanted), counted)
     made: dict[int, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
     for name, c in cameras.items():
@@ -91,8 +69,7 @@ def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weig
             except ValueError as problem:
                 counted[name, f"without skin, because {problem}"] += 1
                 continue
-            K, D = (own.P[:, :3], np.zeros(0)) if rectified(name) and c.P[0, 0] > 0 else (own.K, own.D)
-            flat = lens.undistort(pixels[~gone], K, D, c.model)
+            flat = lens.undistort(pixels[~gone], *lens_of(name, own), c.model)
             flat = flat[np.isfinite(flat).all(1)]
             pose = scan.tree.lookup(fixed, scan.topics[name].sample.frame, int(stamps[name][number]))
             if pose is None:
@@ -109,20 +86,6 @@ def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weig
     plan.topics = tuple(sorted({name for name, _ in regions}))
     plan.notes += [f"'{topic}': {many(n)} {what}." for (topic, what), n in counted.items()]
     return plan
-
-
-def add_rays(a: Rays, b: Rays) -> Rays:
-    """The rays of both."""
-    weights = None
-    if a.weights is not None or b.weights is not None:
-        ones = [np.ones(len(r.names), np.float32) if r.weights is None else r.weights for r in (a, b)]
-        weights = np.concatenate(ones)
-    return Rays(
-        a.names + b.names,
-        np.concatenate([a.origins, b.origins]),
-        np.concatenate([a.directions, b.directions]),
-        weights,
-    )
 
 
 def _find(scan: "Scan", names: set[str], wanted: set[tuple[str, int]], counted: Counter) -> dict:

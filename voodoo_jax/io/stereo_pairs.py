@@ -10,7 +10,7 @@ import numpy as np
 from mcap.records import Channel, Message, Schema
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.calibrations import calibration_of
+from voodoo_jax.io.calibrations import calibration_of, rectified
 from voodoo_jax.io.decode.registry import Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted
@@ -40,11 +40,6 @@ class Pair:
 def picture_of(content: object) -> Colour | None:
     """The colour or grey image that a message holds."""
     return content.colour if isinstance(content, Image) else content if isinstance(content, Colour) else None
-
-
-def rectified(topic: str) -> bool:
-    """By ROS custom images have no lens left if their topic has `rect` in its name."""
-    return re.search(r"(^|[/_])(image_)?rect(ified)?([/_]|$)", topic) is not None
 
 
 def find_pairs(topics: dict[str, Topic], tree: TransformTree) -> list[Pair]:

@@ -104,9 +104,30 @@ class TransformTree:
         """Takes one of the two places of a frame that jumps between them; how read.transform says it."""
         edge = self._edges[child] = self.torn[child][which]
         self._cache.clear()
-        middle = len(edge.stamps) // 2
-        numbers = (*edge.translations[middle], *edge.rotations[middle].as_quat())
-        return f"{edge.parent} {child} {' '.join(f'{x:.4g}' for x in numbers)}"
+        return self.said(child, len(edge.stamps) // 2)
+
+    def said(self, child: str, sample: int = 0) -> str:
+        """Where a frame is in its parent, as read.transform says it; empty for one that has no parent."""
+        edge = self._edges.get(child)
+        if edge is None:
+            return ""
+        numbers = (*edge.translations[sample], *edge.rotations[sample].as_quat())
+        return f"{edge.parent} {child} {' '.join(f'{x:.5g}' for x in numbers)}"
+
+    def move(self, child: str, target: str, T: Float[np.ndarray, "4 4"]) -> bool:
+        """Places a frame that does not move in its parent elsewhere: by `T`, in `target` as `lookup` gives it. Whether
+        that could be done."""
+        edge = self._edges.get(child)
+        if edge is None or len(edge.stamps):
+            return False
+        there, above = (self.lookup(target, frame, 0, hold_ns=None) for frame in (child, edge.parent))
+        if there is None or above is None:
+            return False
+        rotation = Rotation.from_matrix((above[0].T @ T[:3, :3] @ there[0])[None])
+        translation = above[0].T @ (T[:3, :3] @ there[1] + T[:3, 3] - above[1])
+        self._edges[child] = _Edge(edge.parent, edge.stamps, translation[None], rotation)
+        self._cache.clear()
+        return True
 
     def add(self, transform: Transform, static: bool) -> None:
         """Keep one sample. A static transform holds for the whole log, the last one given wins."""

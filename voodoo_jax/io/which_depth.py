@@ -9,10 +9,10 @@ import numpy as np
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import bare, calibration_of
 from voodoo_jax.io.decode.depth import DISPARITY
-from voodoo_jax.io.decode.depth_codec import unpacked
+from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS
 from voodoo_jax.io.image_fit import fitted
-from voodoo_jax.io.image_planes import FLAT, flat_share
+from voodoo_jax.io.image_planes import FLAT, TELLING, flat_share
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Image
 
@@ -42,7 +42,7 @@ def calibrated(topics: dict[str, Topic], name: str) -> tuple[np.ndarray, np.ndar
     None where that is not known."""
     image = topics[name].sample
     try:
-        raw = unpacked(image) if isinstance(image, Image) and image.packed is not None else getattr(image, "raw", None)
+        raw = raw_of(image) if isinstance(image, Image) else None
     except DECODE_ERRORS:  # said when it is read
         return None
     calibration = calibration_of(topics, name)
@@ -84,6 +84,6 @@ def _falls(one: tuple[np.ndarray, np.ndarray] | None, other: tuple[np.ndarray, n
         return False
     a, b = one[1].ravel(), other[1].ravel()
     both = np.isfinite(a) & np.isfinite(b) & (a > 0) & (b > 0)
-    if both.sum() < 100:
+    if both.sum() < TELLING:
         return False
     return bool(np.corrcoef(np.log(a[both]), np.log(b[both]))[0, 1] < FALLS)

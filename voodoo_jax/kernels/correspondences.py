@@ -12,7 +12,7 @@ from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.assignment import closest_limb, cuts, in_reach, into_limb, may_belong, once, sampled
 from voodoo_jax.kernels.assignment import closest_limbs as closest_limbs
 from voodoo_jax.kernels.bounding_boxes import resolve_overlap, shares
-from voodoo_jax.kernels.frustum import Sides, closest_point, near_side, uncut
+from voodoo_jax.kernels.frustum import Sides, SurfacePoint, closest_point, near_side, uncut
 from voodoo_jax.kernels.points import FREE as FREE
 from voodoo_jax.kernels.points import ON_BODY as ON_BODY
 from voodoo_jax.kernels.points import Components, MatchOptions, Points, components
@@ -61,6 +61,7 @@ def _sensors(poses: Poses, points: Points) -> list[Float[Array, "limb sensor"]]:
     return [local[..., k] for k in range(3)]
 
 
+# 7 parameters: a frame, how it is matched, and what is settled
 def match(
     sizes: Float[Array, "limb 5"],
     poses: Poses,
@@ -68,50 +69,26 @@ def match(
     adjacent: Bool[Array, "limb limb"],
     options: MatchOptions,
     present: Bool[Array, " limb"] | None = None,
+    fixed: Settled | None = None,
 ) -> Match:
-    """Gates, overlap rule, closest points, maximum distance and robust weights for one frame.
+    """Gates, overlap rule, closest points, maximum distance and robust weights for one frame; `fixed` choices that are
+    settled.
 
     Points known to be on the body pass the body's box, points of a known limb the limbs' boxes and the overlap rule too
     (2007, Fig. 4).
     """
     present = jnp.ones(sizes.shape[0], bool) if present is None else present
-    near_body = in_reach(sizes, poses, points, options, present)
-    if options.overlap == "exclusive":
-        return _match_closest(sizes, poses, points, near_body, present, options)
-    return _match_all(sizes, poses, points, near_body, adjacent, present, options)[0]
-
-
-# 8 parameters: those of match, and what is settled
-def _match_all(sizes, poses, points, near_body, adjacent, present, options, fixed=None) -> tuple[Match, Settled]:
-    """Pairs of every point with every limb, and the choices in them."""
-    x, y, z = components(points.xyz)
-
-    def one_limb(limb, here, size, pose, sensors, fixed):
-        px, py, pz = into_limb(pose.rotation, pose.translation, x, y, z)
-        sides = None if fixed is None else fixed.sides
-        if fixed is not None:  # what counts nothing must not be a number that is none
-            px, py, pz = (jnp.where(fixed.limb, k, AWAY) for k in (px, py, pz))
-        surface = closest_point(size, px, py, pz, options.refine, options.caps, fixed=sides)
-        signed = surface.distance
-        if options.near_side:
-            surface = near_side(size, px, py, surface, [part[points.sensor] for part in sensors], fixed=sides)
-        box = here & may_belong(limb, size, px, py, pz, points, options)
-        return (surface.x, surface.y, surface.z), (px, py, pz), signed, box, surface.sides
-
-    limbs = jnp.arange(sizes.shape[0])
-    rows = limbs, present, sizes, poses, _sensors(poses, points), fixed
-    model, data, signed, box, sides = jax.vmap(one_limb)(*rows)
-    if fixed is None:
-        chosen = resolve_overlap(options.overlap, box & near_body[None, :], signed, adjacent)
-        if options.sampling is not None:
-            chosen = sampled(chosen, options.sampling)
-    else:
-        chosen = fixed.limb
-    weight = points.weight[None, :]
-    if options.overlap == "soft":
-        weight = weight * shares(chosen, signed, options.softness)
-    found, kept = _weigh(chosen, model, data, weight, options, kept=None if fixed is None else fixed.kept)
-    return found, Settled(chosen, sides, kept)
+    if options.overlap != "exclusive":
+        return _match_all(sizes, poses, points, adjacent, present, options, fixed)[0]
+    # distances to all limbs, then the pair of each point with its closest limb alone
+    xyz = components(points.xyz)
+    limb = _closest(sizes, poses, points, xyz, present, options) if fixed is None else fixed.limb
+    zero = jnp.zeros_like(xyz[0])
+    nothing = Match(zero[None], zero, (zero, zero, zero), (zero, zero, zero))
+    pairs = lambda: match_assigned(sizes, poses, points, limb, options, xyz, fixed)  # noqa: E731
+    found = once(options.robust_scale > 0, pairs, nothing)
+    chosen = jnp.arange(sizes.shape[0])[:, None] == limb
+    return found._replace(weight=jnp.where(chosen, found.weight, 0.0))
 
 
 def settled(
@@ -123,45 +100,50 @@ def settled(
     present: Bool[Array, " limb"],
 ) -> Settled:
     """The choices of a matching, see match."""
-    near_body = in_reach(sizes, poses, points, options, present)
     if options.overlap != "exclusive":
-        return _match_all(sizes, poses, points, near_body, adjacent, present, options)[1]
+        return _match_all(sizes, poses, points, adjacent, present, options)[1]
     xyz = components(points.xyz)
-    near = lambda: closest_limb(sizes, poses, points, xyz, near_body, present, options)  # noqa: E731
-    limb = once(options.robust_scale > 0, near)
+    limb = _closest(sizes, poses, points, xyz, present, options)
     return _assigned(sizes, poses, points, limb, options, xyz)[1]
 
 
-def match_settled(
-    sizes: Float[Array, "limb 5"],
-    poses: Poses,
-    points: Points,
-    fixed: Settled,
-    options: MatchOptions,
-) -> Match:
-    """Pairs whose choices are settled, see settled."""
-    if options.overlap == "exclusive":
-        return _assigned(sizes, poses, points, fixed.limb, options, fixed=fixed)[0]
-    present = jnp.ones(sizes.shape[0], bool)
-    return _match_all(sizes, poses, points, None, None, present, options, fixed)[0]
+def _closest(sizes, poses, points, xyz, present, options) -> Int[Array, " point"]:
+    """The exclusive rule; which limb is nearest has no derivative."""
+    near_body = in_reach(sizes, poses, points, options, present)
+    sizes, poses, points, xyz = jax.lax.stop_gradient((sizes, poses, points, xyz))
+    near = lambda: closest_limb(sizes, poses, points, xyz, near_body, present, options)  # noqa: E731
+    return checkpoint_name(once(options.robust_scale > 0, near, jnp.zeros_like(near_body, jnp.int32)), "limb")
 
 
-def _match_closest(sizes, poses, points, near_body, present, options) -> Match:
-    """The exclusive rule: distances to all limbs, then the pair of each point with its closest limb alone."""
-    # which limb is nearest has no derivative
-    still = jax.lax.stop_gradient((sizes, poses, points))
-    true = options.robust_scale > 0
-    # taken apart out here: a branch would copy all three components first
+# 7 parameters: those of match
+def _match_all(sizes, poses, points, adjacent, present, options, fixed=None) -> tuple[Match, Settled]:
+    """Pairs of every point with every limb, and the choices in them."""
     xyz = components(points.xyz)
-    near = lambda: closest_limb(*still, jax.lax.stop_gradient(xyz), near_body, present, options)  # noqa: E731
-    limb = checkpoint_name(once(true, near, jnp.zeros_like(near_body, jnp.int32)), "limb")
-    zero = jnp.zeros_like(xyz[0])
-    nothing = Match(zero[None], zero, (zero, zero, zero), (zero, zero, zero))
-    found = once(true, lambda: match_assigned(sizes, poses, points, limb, options, xyz), nothing)
-    chosen = jnp.arange(sizes.shape[0])[:, None] == limb
-    return found._replace(weight=jnp.where(chosen, found.weight, 0.0))
+
+    def one_limb(limb, here, size, pose, sensors, fixed):
+        sides, counts = (None, None) if fixed is None else (fixed.sides, fixed.limb)
+        seen_from = [part[points.sensor] for part in sensors] if options.near_side else None
+        data, surface = _on_limb(size, pose.rotation, pose.translation, xyz, seen_from, options, uncut, sides, counts)
+        return surface, data, here & may_belong(limb, size, *data, points, options)
+
+    limbs = jnp.arange(sizes.shape[0])
+    rows = limbs, present, sizes, poses, _sensors(poses, points), fixed
+    surface, data, box = jax.vmap(one_limb)(*rows)
+    if fixed is not None:
+        chosen = fixed.limb
+    else:
+        near_body = in_reach(sizes, poses, points, options, present)
+        chosen = resolve_overlap(options.overlap, box & near_body, surface.distance, adjacent)
+        if options.sampling is not None:
+            chosen = sampled(chosen, options.sampling)
+    weight = points.weight[None, :]
+    if options.overlap == "soft":
+        weight = weight * shares(chosen, surface.distance, options.softness)
+    found, kept = _weigh(chosen, surface, data, weight, options, fixed=fixed)
+    return found, Settled(chosen, surface.sides, kept)
 
 
+# 7 parameters: points by component, for a product over an axis of 3 is slow, and what is settled
 def match_assigned(
     sizes: Float[Array, "limb 5"],
     poses: Poses,
@@ -169,52 +151,61 @@ def match_assigned(
     limb: Int[Array, " point"],
     options: MatchOptions,
     xyz: Components | None = None,
+    fixed: Settled | None = None,
 ) -> Match:
     """Pairs of points whose limbs are settled (see closest_limbs); of the limb axis of the weights 1 is left.
 
-    `xyz`: the points by component, where they are at hand.
+    `xyz`: the points by component, where they are at hand; `fixed`: all other choices, if they are settled, too.
     """
-    return _assigned(sizes, poses, points, limb, options, xyz)[0]
+    return _assigned(sizes, poses, points, limb, options, xyz, fixed)[0]
 
 
-# 7 parameters: those of match_assigned, and what is settled
+# 7 parameters: those of match_assigned
 def _assigned(sizes, poses, points, limb, options, xyz=None, fixed=None) -> tuple[Match, Settled]:
-    """The same, and the choices in it; `fixed`: those that are settled."""
-    sides = None if fixed is None else fixed.sides
+    """The same, and the choices in it."""
     cut = cuts(options.robust_scale > 0)
-    x, y, z = components(points.xyz) if xyz is None else xyz
+    xyz = components(points.xyz) if xyz is None else xyz
     order = jnp.arange(sizes.shape[0])[:, None]
     # points of no limb take the last one's row, with weight zero
     row = order == jnp.minimum(limb, sizes.shape[0] - 1)
     columns = [poses.rotation, poses.translation, sizes, *(_sensors(poses, points) if options.near_side else ())]
     table = jnp.concatenate([some.T for some in columns])
     # each point's column of the table by one product: much faster than a gather
-    mine = jnp.matmul(table, row.astype(x.dtype), precision="highest")
+    mine = jnp.matmul(table, row.astype(xyz[0].dtype), precision="highest")
     # split, not indexed: the derivative is one concatenation then, instead of a sum of padded arrays
     mine = cut(*(part[0] for part in jax.lax.split(mine, (1,) * len(table))))
-    px, py, pz = cut(*into_limb(mine[:4], mine[4:7], x, y, z))
-    if fixed is not None:  # what counts nothing must not be a number that is none
-        px, py, pz = (jnp.where(fixed.kept, k, AWAY) for k in (px, py, pz))
-    size = mine[7:12]
-    surface = closest_point(size, px, py, pz, options.refine, options.caps, cut=cut, fixed=sides)
+    seen_from = None
     if options.near_side:
         sensors = points.origins.shape[-2]
-        one = jax.nn.one_hot(points.sensor, sensors, axis=0, dtype=x.dtype)
+        one = jax.nn.one_hot(points.sensor, sensors, axis=0, dtype=xyz[0].dtype)
         seen_from = [jnp.sum(jnp.stack(mine[12 + k * sensors :][:sensors]) * one, 0) for k in range(3)]
-        surface = near_side(size, px, py, surface, seen_from, cut=cut, fixed=sides)
-    chosen, model = (limb < sizes.shape[0])[None], (surface.x, surface.y, surface.z)
-    kept = None if fixed is None else fixed.kept[None]
-    found, kept = _weigh(chosen, model, (px, py, pz), points.weight[None], options, cut, kept)
-    return found, Settled(limb, surface.sides, kept[0])
+    sides, counts = (None, None) if fixed is None else (fixed.sides, fixed.kept)
+    data, surface = _on_limb(mine[7:12], mine[:4], mine[4:7], xyz, seen_from, options, cut, sides, counts)
+    found, kept = _weigh(limb < sizes.shape[0], surface, data, points.weight, options, cut, fixed)
+    return found._replace(weight=found.weight[None]), Settled(limb, surface.sides, kept)
+
+
+# 9 parameters: a limb, or each point's own, by component; and what is settled
+def _on_limb(
+    size, rotation, translation, xyz, seen_from, options, cut, sides, counts
+) -> tuple[Components, SurfacePoint]:
+    """Points in their limb's frame, and where on it their pairs are."""
+    x, y, z = cut(*into_limb(rotation, translation, *xyz))
+    if counts is not None:  # what counts nothing must not be a number that is none
+        x, y, z = (jnp.where(counts, k, AWAY) for k in (x, y, z))
+    surface = closest_point(size, x, y, z, options.refine, options.caps, cut=cut, fixed=sides)
+    if seen_from is not None:
+        surface = near_side(size, x, y, surface, seen_from, cut=cut, fixed=sides)
+    return (x, y, z), surface
 
 
 # 7 parameters: pairs by component, and what is settled
-def _weigh(chosen, model, data, weight, options, cut=uncut, kept=None) -> tuple[Match, Bool[Array, "limb point"]]:
-    """Maximum distance and robust weight (Geman-McClure) of the chosen pairs, and which are near enough; `kept` those
-    that are, if that is settled."""
+def _weigh(chosen, surface, data, weight, options, cut=uncut, fixed=None) -> tuple[Match, Bool[Array, "*limb point"]]:
+    """Maximum distance and robust weight (Geman-McClure) of the chosen pairs, and which are near enough."""
+    model = surface.x, surface.y, surface.z
     (d2,) = cut(sum((p - c) ** 2 for p, c in zip(data, model)))
     robust = geman_mcclure(d2, options.robust_scale)
-    keep = chosen & (d2 <= options.max_distance**2) if kept is None else kept
+    keep = chosen & (d2 <= options.max_distance**2) if fixed is None else fixed.kept
     (weight,) = cut(jnp.where(keep, robust * weight, 0.0))
     return Match(weight, jnp.sqrt(d2 + 1e-12), model, data), keep
 

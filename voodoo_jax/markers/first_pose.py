@@ -12,7 +12,7 @@ from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.landmarks import named_points
 from voodoo_jax.model.body import Body, tree_order
 
-SURE = 6  # set by hand: points whose places are known are enough to lay the rest pose on
+TO_START = 6  # named points of known places in a frame to start from
 
 
 def rigid(
@@ -85,7 +85,7 @@ def first_pose(
     rest_at = np.asarray(body.rest.translation, np.float64)
     model = np.einsum("pij,pj->pi", rest_turn[limb], place) + rest_at[limb]
     trust = np.ones(len(limb)) if trust is None else trust[seen]
-    sure = trust >= 1 if (trust >= 1).sum() >= SURE else np.ones(len(limb), bool)
+    sure = trust >= 1 if (trust >= 1).sum() >= TO_START else np.ones(len(limb), bool)
     turn, shift, factor = agreed(model[sure], data[sure], scaled_by)
     # world rotation of the rest pose's frame, limb by limb; place of its joint
     mine = model, data, limb, trust

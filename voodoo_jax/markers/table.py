@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.kernels.landmarks import named_points
+from voodoo_jax.markers.first_pose import TO_START as TO_START
 from voodoo_jax.markers.label_swaps import Exchange, sides
 from voodoo_jax.markers.size_fit import Markers, fit_markers, personal
 from voodoo_jax.model.body import Body, scaled
@@ -17,7 +18,6 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.solve.names import FeatureNames
 
 ENOUGH = 4  # named points in a frame to track by
-TO_START = 6  # and to start from
 CLOSE = 0.1  # metres: nearer to its place a named point is explained
 FRAMES = 24  # of the recording that sizes are fitted to
 OFTEN = 0.1  # set by hand: of the frames with markers: seen in fewer, a marker is left out of the fit

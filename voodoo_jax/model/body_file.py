@@ -11,15 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.bounds import SIZES
 from voodoo_jax.config.limited import limits
 from voodoo_jax.config.options import LimitSettings
+from voodoo_jax.config.toml import nearest
 from voodoo_jax.geometry.rigid import Poses, on_device
 from voodoo_jax.model.body import Body, Mode, Topology, without_side
-from voodoo_jax.model.body_text import number_text, numbers_text, string_text
+from voodoo_jax.model.body_text import TextOfBody
 from voodoo_jax.model.checked_toml import BodyFileError as BodyFileError
-from voodoo_jax.model.checked_toml import Table, TomlFile, nearest, unique_names
+from voodoo_jax.model.checked_toml import Table, TomlFile, unique_names
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.troubles import small_text
 
@@ -223,53 +225,31 @@ def size_names(limbs: tuple[str, ...], joints: tuple[str, ...]) -> list[str]:
 
 def format_body(body: Body) -> str:
     """Text of the body file of a body (see write_body)."""
-    scale = float(body.scale)
     sizes, axes, weights = (np.asarray(x, np.float64) for x in (body.sizes, body.axes, body.weights))
-    rest = _from_poses(body.rest)
-    lines = [HEADER, f"name = {string_text(body.name)}", f"scale = {number_text(scale)}"]
-    lines += [f"scale_name = {string_text(body.scale_name)}"]
-    t = body.topology
-    for i, name in enumerate(t.limbs):
-        rotation, bottom = rest[0][i], rest[1][i] / scale
-        lines += ["", "[[limb]]", f"name = {string_text(name)}", f"bottom = {numbers_text(bottom)}"]
-        lines += [
-            f"top = {numbers_text(bottom + rotation[:, 2] * sizes[i, 4] / scale)}",
-            f"x_axis = {numbers_text(rotation[:, 0])}",
-        ]
-        lines += [
-            f"bottom_axes = {numbers_text(sizes[i, :2] / scale)}",
-            f"top_axes = {numbers_text(sizes[i, 2:4] / scale)}",
-        ]
+    t, (turns, places), text = body.topology, _from_poses(body.rest), TextOfBody(float(body.scale), np.zeros(3))
+    text.head(body.name, body.scale_name)
+    for name, rotation, bottom, size in zip(t.limbs, turns, places, sizes):
+        text.limb(name, bottom, bottom + rotation[:, 2] * size[4], rotation[:, 0], size[:2], size[2:4])
     anchors = [(t.parents, _from_poses(body.parent_anchor)), (t.children, _from_poses(body.child_anchor))]
     for j, name in enumerate(t.joints):
-        lines += ["", "[[joint]]", f"name = {string_text(name)}", f"parent = {string_text(t.limbs[t.parents[j]])}"]
-        lines += [f"child = {string_text(t.limbs[t.children[j]])}"]
+        values = {}
         for prefix, (owner, (rotation, translation)) in zip(("", "child_"), anchors):
             limb = owner[j]
-            frame, at = rest[0][limb] @ rotation[j], rest[0][limb] @ translation[j] + rest[1][limb]
-            lines += [f"{prefix}at = {numbers_text(at / scale)}", f"{prefix}x_axis = {numbers_text(frame[:, 0])}"]
-            lines += [f"{prefix}z_axis = {numbers_text(frame[:, 2])}"]
-        lines += [f"axes = {numbers_text(axes[j] / scale)}", f"weight = {number_text(weights[j])}"]
+            frame, at = turns[limb] @ rotation[j], turns[limb] @ translation[j] + places[limb]
+            values |= {f"{prefix}at": at, f"{prefix}x_axis": frame[:, 0], f"{prefix}z_axis": frame[:, 2]}
         limits = np.round(np.degrees(np.asarray(body.limits, np.float64)[j]), 4)
-        lines += [f"{key} = {numbers_text(row)}" for key, row in zip(LIMITS, limits) if np.isfinite(row).all()]
+        values |= {"axes": axes[j], "weight": float(weights[j])}
+        values |= {key: row for key, row in zip(LIMITS, limits) if np.isfinite(row).all()}
+        text.joint(name, t.limbs[t.parents[j]], t.limbs[t.children[j]], **values)
     named = (("centre", t.centres, t.centre_limbs, body.centres), ("site", t.sites, t.site_limbs, body.sites))
     for kind, names, owner, points in named:
         for name, limb, point in zip(names, owner, np.asarray(points, np.float64)):
-            at = rest[0][limb] @ point + rest[1][limb]
-            lines += ["", f"[[{kind}]]", f"name = {string_text(name)}", f"limb = {string_text(t.limbs[limb])}"]
-            lines += [f"at = {numbers_text(at / scale)}"]
+            text.point(kind, name, t.limbs[limb], turns[limb] @ point + places[limb])
     for name, start, end in t.segments:
-        lines += [
-            "",
-            "[[segment]]",
-            f"name = {string_text(name)}",
-            f"from = {string_text(start)}",
-            f"to = {string_text(end)}",
-        ]
+        text.segment(name, start, end)
     for name, changes in body.modes:
-        table = ", ".join(f"{string_text(key)} = {number_text(value)}" for key, value in changes)
-        lines += ["", "[[mode]]", f"name = {string_text(name)}", f"changes = {{ {table} }}"]
-    return "\n".join(lines) + "\n"
+        text.mode(name, changes)
+    return f"{HEADER}\n{text.text()}"
 
 
 def _limits(table: Table) -> np.ndarray:
@@ -322,29 +302,10 @@ def _relative(rest: _Frames, owner: tuple[int, ...], frames: _Frames) -> _Frames
 
 
 def _to_poses(frames: _Frames) -> Poses:
-    rotations = np.array([_quaternion(m) for m in frames[0]]).reshape(-1, 4)
-    return Poses(rotations.astype(np.float32), frames[1].astype(np.float32))
+    q = Rotation.from_matrix(frames[0]).as_quat(scalar_first=True, canonical=True)
+    return Poses(q.reshape(-1, 4).astype(np.float32), frames[1].astype(np.float32))
 
 
 def _from_poses(poses: Poses) -> _Frames:
-    q = np.asarray(poses.rotation, np.float64)
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    w, v = q[:, 0], q[:, 1:]
-    cross = np.cross(v[:, None], np.eye(3)[None]).transpose(0, 2, 1)  # column k is v x e_k
-    square = np.einsum("ni,nj->nij", v, v)
-    rotation = (w**2 - (v**2).sum(-1))[:, None, None] * np.eye(3) + 2 * square + 2 * w[:, None, None] * cross
-    return rotation, np.asarray(poses.translation, np.float64)
-
-
-def _quaternion(m: np.ndarray) -> np.ndarray:
-    """Unit quaternion wxyz of a rotation matrix, first component that is not zero positive."""
-    # the largest column of the outer product q q^T times 4 is free of cancellation
-    outer = np.array([
-        [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-        [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-        [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
-        [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
-    ])  # fmt: skip
-    q = outer[np.argmax(np.diag(outer))]
-    q = q / np.linalg.norm(q)
-    return q * np.sign(q[np.argmax(np.abs(q) > 1e-4)])
+    turns = Rotation.from_quat(np.asarray(poses.rotation, np.float64).reshape(-1, 4), scalar_first=True)
+    return turns.as_matrix(), np.asarray(poses.translation, np.float64)

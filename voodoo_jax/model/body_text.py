@@ -1,6 +1,8 @@
 """Text of a body file, table by table, from lengths in metres."""
 
 import json
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,21 +32,29 @@ class TextOfBody:
         self._lines += [f"top = {self._place(top)}", f"x_axis = {numbers_text(x_axis)}"]
         self._lines += [f"bottom_axes = {self._lengths(bottom_axes)}", f"top_axes = {self._lengths(top_axes)}"]
 
-    def joint(self, name: str, parent: str, child: str, at: Vector, axes, **more: np.ndarray) -> None:
-        """A joint; `more`: x_axis, z_axis (directions), swing_x, swing_y, twist (degrees)."""
+    def joint(self, name: str, parent: str, child: str, **values: Any) -> None:
+        """A joint; `values` by the file's keys, in its order: at, child_at (places), axes (lengths), x_axis, z_axis,
+        child_x_axis, child_z_axis (directions), swing_x, swing_y, twist (degrees), weight (a number)."""
         self._lines += ["", "[[joint]]", f"name = {string_text(name)}", f"parent = {string_text(parent)}"]
-        self._lines += [f"child = {string_text(child)}", f"at = {self._place(at)}", f"axes = {self._lengths(axes)}"]
-        self._lines += [f"{key} = {numbers_text(value)}" for key, value in more.items()]
+        self._lines += [f"child = {string_text(child)}"]
+        for key, value in values.items():
+            text = self._place if key.endswith("at") else self._lengths if key == "axes" else numbers_text
+            self._lines += [f"{key} = {text(value) if np.ndim(value) else number_text(value)}"]
 
-    def centre(self, name: str, limb: str, at: Vector) -> None:
-        """A joint centre that tracks report."""
-        self._lines += ["", "[[centre]]", f"name = {string_text(name)}", f"limb = {string_text(limb)}"]
+    def point(self, kind: str, name: str, limb: str, at: Vector) -> None:
+        """A `centre`, which tracks report, or a `site`, a feature point."""
+        self._lines += ["", f"[[{kind}]]", f"name = {string_text(name)}", f"limb = {string_text(limb)}"]
         self._lines += [f"at = {self._place(at)}"]
 
     def segment(self, name: str, start: str, end: str) -> None:
         """A length to report."""
         self._lines += ["", "[[segment]]", f"name = {string_text(name)}", f"from = {string_text(start)}"]
         self._lines += [f"to = {string_text(end)}"]
+
+    def mode(self, name: str, changes: Iterable[tuple[str, float]]) -> None:
+        """A way in which bodies of one scale differ."""
+        table = ", ".join(f"{string_text(key)} = {number_text(value)}" for key, value in changes)
+        self._lines += ["", "[[mode]]", f"name = {string_text(name)}", f"changes = {{ {table} }}"]
 
     def _place(self, at: np.ndarray) -> str:
         return numbers_text((np.asarray(at, float) - self._origin) / self._scale)

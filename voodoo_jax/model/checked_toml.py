@@ -1,16 +1,16 @@
 """TOML files that people write by hand: every value is checked, and what is wrong is told with its line."""
 
-import difflib
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 import numpy as np
 from jaxtyping import Float
 
 from voodoo_jax.config.bounds import LARGEST, LEAST
+from voodoo_jax.config.toml import nearest
 
 LONGEST = 200  # characters of a name
 MOST = 10_000  # tables of a kind: skeletons have some hundred joints
@@ -149,10 +149,3 @@ def unique_names(tables: list[Table]) -> tuple[str, ...]:
             table.fail("name", f"there are two of [[{table.kind}]] '{table.name}'")
         seen.add(table.name)
     return tuple(table.name for table in tables)
-
-
-def nearest(name: str, names: Iterable[str]) -> str:
-    """The end of a sentence about an unknown name."""
-    names = list(names)
-    close = difflib.get_close_matches(name, names, 1)
-    return f"; did you mean '{close[0]}'?" if close else f"; there is {', '.join(names)}" if names else ""

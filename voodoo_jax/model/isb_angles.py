@@ -28,9 +28,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.config.toml import nearest
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
-from voodoo_jax.model.checked_toml import nearest
 
 # columns: X, Y, Z of a segment in the body frame of the rest pose (x forwards, y to the left, z up)
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -100,7 +100,7 @@ class Angles:
 
     def __getitem__(self, name: str) -> Float[np.ndarray, " frame"]:
         if name not in self.columns:
-            raise KeyError(f"no angle '{name}'{nearest(name, self.columns)}; there are {', '.join(self.columns)}")
+            raise KeyError(f"no angle '{name}'{nearest(name, self.columns)}")
         return self.table[:, self.columns.index(name)]
 
     def __repr__(self) -> str:

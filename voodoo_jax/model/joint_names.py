@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 
-from voodoo_jax.model.checked_toml import nearest
+from voodoo_jax.config.toml import nearest
 
 LEFT, RIGHT = {"left", "l", "lft"}, {"right", "r", "rgt"}
 # words that name no place: of Kinect's and others' enumerations
@@ -73,7 +73,7 @@ def joint_row(centres: Sequence[str], name: str) -> int:
     for convention in ("common", "h36m", "opensim"):
         if name in (others := named(centres, convention)):
             return others.index(name)
-    raise ValueError(f"no joint centre '{name}'{nearest(name, [*centres, *common])}; there are {', '.join(common)}")
+    raise ValueError(f"no joint centre '{name}'{nearest(name, [*centres, *common])}")
 
 
 def row_of(names: Sequence[str], name: str, words: Mapping[str, str] = WORDS) -> int | None:

@@ -1,4 +1,4 @@
-"""Poses to start from beside the rest pose: arms raised, sitting. For bodies that have such joints."""
+"""Poses to start from beside the rest pose: arms raised or stretched out, sitting. For bodies that have such joints."""
 
 from typing import NamedTuple
 
@@ -31,6 +31,7 @@ STANCES = (
     Stance((LEFT,), (1.0, 0.87)),
     Stance((RIGHT,), (1.0, 0.87)),
     Stance((LEFT, RIGHT), (1.0, 0.87)),
+    Stance(both("shoulder", "x", 90.0), (1.0,)),  # as body scanners ask for
     # a seat of 45 cm: a sitting adult's head is at about 78 % of the stature; hands in the lap
     Stance(
         (*both("hip", "y", -85.0), *both("knee", "y", 85.0), *both("shoulder", "y", -25.0), *both("elbow", "y", -50.0)),

@@ -1,6 +1,6 @@
 """A sensor log as the tracker sees it: frames of measurements, stamps and sensor positions. Host side, NumPy only."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,6 +41,18 @@ class Pairs:
 
 # in all frames without any: an object of its own in each would be half a kilobyte
 NO_RAYS, NO_PAIRS = Rays(), Pairs()
+
+
+def joined_rays(some: Sequence[Rays]) -> Rays:
+    """All of them."""
+    if not some:
+        return NO_RAYS
+    weights = [np.ones(len(r.names), np.float32) if r.weights is None else r.weights for r in some]
+    return Rays(
+        tuple(n for r in some for n in r.names), np.concatenate([r.origins for r in some]),
+        np.concatenate([r.directions for r in some]),
+        None if all(r.weights is None for r in some) else np.concatenate(weights),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

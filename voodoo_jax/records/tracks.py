@@ -68,6 +68,9 @@ class Tracks:
     facing_odds: Float32[np.ndarray, " frame"] | None = None
     # of `joints`: within 10 cm? 0..1; see trackers/icp/confidence.py
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
+    # where sensors were in each frame beside where the log has them, as the room tells: what takes points from there to
+    # the fixed frame; None: where the log has them. See detect/camera_motion.py
+    T_fixed_steady: Float64[np.ndarray, "frame 4 4"] | None = None
     up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
     marker_names: tuple[str, ...] = ()  # named 3D points that the body was tracked by, where there was no depth
     # root mean square distance of each from its place on the body, tracked frames, metres
@@ -106,9 +109,16 @@ class Tracks:
 
     def since(self, first: int) -> "Tracks":
         """The same without the frames before `first`."""
+        return self.only(slice(first, None)) if first else self
+
+    def rows(self) -> dict[str, np.ndarray]:
+        """Its arrays that have a row for each frame, by name."""
         each = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("up", "marker_residual")}
-        rows = {name: value[first:] for name, value in each.items() if isinstance(value, np.ndarray)}
-        return replace(self, **rows) if first else self
+        return {name: value for name, value in each.items() if isinstance(value, np.ndarray)}
+
+    def only(self, frames: slice) -> "Tracks":
+        """Some successive frames."""
+        return replace(self, **{name: value[frames] for name, value in self.rows().items()})
 
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
         """Positions of one joint centre over time, metres.

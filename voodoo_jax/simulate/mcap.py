@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -13,10 +13,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import build_file_descriptor_set
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.io.convert.target import Put, putter
 from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.simulate.colour import ColourSimulation
 from voodoo_jax.simulate.recording import Simulation
@@ -24,7 +24,6 @@ from voodoo_jax.simulate.sensor import Camera
 from voodoo_jax.storage.atomic import replacing
 
 OPTICAL_FRAME = "depth_optical"
-IMAGE_TOPIC, INFO_TOPIC = "/depth/image", "/depth/camera_info"
 CHUNK_SIZE = 1 << 20
 JPEG = 90  # quality
 
@@ -36,7 +35,7 @@ def write_simulation(simulation: Simulation, path: str | os.PathLike[str], forma
     FrameTransform on /tf. Depth in millimetres. Truth: time_ns [frame], joints [frame, centre, 3] metres, names, dims
     (JSON, metres). Files appear under their names only when complete. Raises OSError, ValueError for another format.
     """
-    return _write(simulation, path, format, {"ros2": _ros2, "foxglove": _foxglove})
+    return _write(simulation, [_View("/depth", OPTICAL_FRAME, simulation.camera, simulation.depth)], path, format)
 
 
 def write_colour(
@@ -50,91 +49,57 @@ def write_colour(
 
     **Arguments:** `beside` the same motion as further cameras see it; their topics begin with /camera2, /camera3, ...
     """
-    all_of_them = (simulation, *beside)
-
-    def filled(fill: Callable[..., None]) -> Callable[..., None]:
-        return lambda _, stream: fill(all_of_them, stream)
-
-    return _write(simulation, path, format, {"ros2": filled(_ros2_colour), "foxglove": filled(_foxglove_colour)})
+    views = [view for number, s in enumerate((simulation, *beside)) for view in _views(s, number)]
+    return _write(simulation, views, path, format)
 
 
-def _write(simulation: Any, path: str | os.PathLike[str], format: str, fills: dict[str, Callable[..., None]]) -> Path:
-    """The log, by that of the functions that writes the format, and the truth beside it."""
-    if format not in fills:
-        raise ValueError(f"format is 'ros2' or 'foxglove', not '{format}'")
-    path, fill = Path(path), fills[format]
-    _replace(path, lambda stream: fill(simulation, stream))
-    _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: _save_truth(simulation, stream))
-    return path
+class _View(NamedTuple):
+    """What one camera sees."""
+
+    name: str  # how its topics begin
+    frame: str
+    camera: Camera
+    images: np.ndarray  # [frame, row, column] depth in millimetres, [frame, row, column, 3] red, green, blue
+    baseline: float = 0.0  # metres to the left camera of its pair
+
+    @property
+    def is_colour(self) -> bool:
+        return self.images.ndim == 4
+
+    @property
+    def topic(self) -> str:
+        """Of its images."""
+        return f"{self.name}/image/compressed" if self.is_colour else f"{self.name}/image"
 
 
-def _rig(number: int) -> str:
-    """How topics of one of several simulations begin."""
-    return f"/camera{number + 1}" if number else ""
-
-
-def _eyes(s: ColourSimulation, number: int) -> list[tuple[str, str, Camera, float, np.ndarray]]:
-    """Of each colour camera how its topics begin, its frame, itself, its distance to the left one, its images."""
+def _views(s: ColourSimulation, number: int) -> list[_View]:
+    """What the cameras of one of several simulations see."""
+    rig = f"/camera{number + 1}" if number else ""
     names = ["/colour"] if len(s.cameras) == 1 else ["/stereo/left", "/stereo/right"]
-    names = [_rig(number) + name for name in names]
     first = np.array(s.cameras[0].position)
-    return [
-        (name, name[1:].replace("/", "_") + "_optical", camera, float(np.linalg.norm(camera.position - first)), images)
-        for name, camera, images in zip(names, s.cameras, s.images)
-    ]
+    found = []
+    for name, camera, images in zip(names, s.cameras, s.images):
+        frame = f"{rig}{name}"[1:].replace("/", "_") + "_optical"
+        found.append(_View(rig + name, frame, camera, images, float(np.linalg.norm(camera.position - first))))
+    if s.depth_camera is not None:
+        found.append(_View(f"{rig}/depth", f"{rig[1:]}_{OPTICAL_FRAME}".lstrip("_"), s.depth_camera, s.depth))
+    return found
 
 
-def _depth_frame(number: int) -> str:
-    return f"{_rig(number)[1:]}_{OPTICAL_FRAME}".lstrip("_")
+def _write(s: Simulation | ColourSimulation, views: list[_View], path: str | os.PathLike[str], format: str) -> Path:
+    """The log and the truth beside it."""
+    if format not in ("ros2", "foxglove"):
+        raise ValueError(f"format is 'ros2' or 'foxglove', not '{format}'")
+    path, fill = Path(path), _ros2 if format == "ros2" else _foxglove
+    _replace(path, lambda stream: fill(views, s.time_ns.tolist(), s.fixed_frame, stream))
+    _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: _save_truth(s, stream))
+    return path
 
 
 def _jpeg(image: np.ndarray) -> bytes:
     import cv2  # only here: logs of depth are written without
 
     return np.asarray(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG])[1]).tobytes()
-
-
-def _ros2_colour(simulations: Sequence[ColourSimulation], stream: BinaryIO) -> None:
-    times = simulations[0].time_ns.tolist()
-    start, eyes = times[0] if times else 0, [_eyes(s, number) for number, s in enumerate(simulations)]
-    with _ros2_log(stream) as put:
-        places = [(camera, frame) for rig in eyes for _, frame, camera, _, _ in rig]
-        for number, s in enumerate(simulations):
-            if s.depth_camera is not None:
-                places.append((s.depth_camera, _depth_frame(number)))
-                _ros2_info(put, start, s.depth_camera, _depth_frame(number), _rig(number) + INFO_TOPIC)
-        _ros2_place(put, start, places, simulations[0].fixed_frame)
-        for rig in eyes:
-            for name, frame, camera, baseline, _ in rig:
-                _ros2_info(put, start, camera, frame, f"{name}/camera_info", baseline)
-        for i, stamp in enumerate(times):
-            for number, (s, rig) in enumerate(zip(simulations, eyes)):
-                for name, frame, _, _, images in rig:
-                    data = np.frombuffer(_jpeg(images[i]), np.uint8)
-                    fields = {"header": _header(stamp, frame), "format": "jpeg", "data": data}
-                    put(f"{name}/image/compressed", stamp, "sensor_msgs/msg/CompressedImage", fields)
-                if s.depth_camera is not None:
-                    frame, topic = _depth_frame(number), _rig(number) + IMAGE_TOPIC
-                    _ros2_depth(put, stamp, s.depth_camera, s.depth[i], frame, topic)
-
-
-def _foxglove_colour(simulations: Sequence[ColourSimulation], stream: BinaryIO) -> None:
-    times, fixed = simulations[0].time_ns.tolist(), simulations[0].fixed_frame
-    start, eyes = times[0] if times else 0, [_eyes(s, number) for number, s in enumerate(simulations)]
-    with foxglove_log(stream) as put:
-        for number, (s, rig) in enumerate(zip(simulations, eyes)):
-            if s.depth_camera is not None:
-                put_camera(put, start, s.depth_camera, fixed, _depth_frame(number), _rig(number) + INFO_TOPIC)
-            for name, frame, camera, baseline, _ in rig:
-                put_camera(put, start, camera, fixed, frame, f"{name}/camera_info", baseline)
-        for i, stamp in enumerate(times):
-            for number, (s, rig) in enumerate(zip(simulations, eyes)):
-                for name, frame, _, _, images in rig:
-                    message = CompressedImage(frame_id=frame, format="jpeg", data=_jpeg(images[i]))
-                    put(f"{name}/image/compressed", stamp, message)
-                if s.depth_camera is not None:
-                    image = depth_image(s.depth_camera, _depth_frame(number), s.depth[i])
-                    put(_rig(number) + IMAGE_TOPIC, stamp, image)
 
 
 def _save_truth(simulation: Simulation | ColourSimulation, stream: BinaryIO) -> None:
@@ -162,14 +127,20 @@ def _matrices(camera: Camera, baseline: float = 0.0) -> tuple[list[float], list[
     return k, np.eye(3).ravel().tolist(), p
 
 
-def _ros2(simulation: Simulation, stream: BinaryIO) -> None:
+def _ros2(views: list[_View], times: list[int], fixed_frame: str, stream: BinaryIO) -> None:
     with _ros2_log(stream) as put:
-        if len(simulation.time_ns):
-            start = int(simulation.time_ns[0])
-            _ros2_place(put, start, [(simulation.camera, OPTICAL_FRAME)], simulation.fixed_frame)
-            _ros2_info(put, start, simulation.camera, OPTICAL_FRAME, INFO_TOPIC)
-        for stamp, image in zip(simulation.time_ns.tolist(), simulation.depth):
-            _ros2_depth(put, stamp, simulation.camera, image)
+        if times:
+            _ros2_place(put, times[0], views, fixed_frame)
+        for view in views if times else ():
+            _ros2_info(put, times[0], view)
+        for i, stamp in enumerate(times):
+            for view in views:
+                if view.is_colour:
+                    data = np.frombuffer(_jpeg(view.images[i]), np.uint8)
+                    fields = {"header": _header(stamp, view.frame), "format": "jpeg", "data": data}
+                    put(view.topic, stamp, "sensor_msgs/msg/CompressedImage", fields)
+                else:
+                    _ros2_depth(put, stamp, view, view.images[i])
 
 
 Ros2Put = Callable[[str, int, str, dict[str, Any]], None]  # topic, stamp, type, its fields
@@ -206,53 +177,51 @@ def _header(stamp: int, frame: str) -> tuple[str, dict[str, Any]]:
     return "std_msgs/msg/Header", {"stamp": time, "frame_id": frame}
 
 
-def _ros2_place(put: Ros2Put, stamp: int, cameras: Sequence[tuple[Camera, str]], fixed_frame: str) -> None:
-    """Where cameras with these frames are, on /tf_static."""
+def _ros2_place(put: Ros2Put, stamp: int, views: list[_View], fixed_frame: str) -> None:
+    """Where cameras are, on /tf_static."""
     transforms = []
-    for camera, frame in cameras:
-        turn = dict(zip("xyzw", Rotation.from_matrix(camera.rotation).as_quat().tolist()))
+    for view in views:
+        turn = dict(zip("xyzw", Rotation.from_matrix(view.camera.rotation).as_quat().tolist()))
         transform = "geometry_msgs/msg/Transform", {
-            "translation": ("geometry_msgs/msg/Vector3", dict(zip("xyz", camera.position))),
+            "translation": ("geometry_msgs/msg/Vector3", dict(zip("xyz", view.camera.position))),
             "rotation": ("geometry_msgs/msg/Quaternion", turn),
         }  # fmt: skip
         transforms.append(("geometry_msgs/msg/TransformStamped", {
-            "header": _header(stamp, fixed_frame), "child_frame_id": frame, "transform": transform,
+            "header": _header(stamp, fixed_frame), "child_frame_id": view.frame, "transform": transform,
         }))  # fmt: skip
     put("/tf_static", stamp, "tf2_msgs/msg/TFMessage", {"transforms": transforms})
 
 
-# 6 parameters and how far the camera is from the left one of its pair
-def _ros2_info(put: Ros2Put, stamp: int, camera: Camera, frame: str, topic: str, baseline: float = 0.0) -> None:
-    k, r, p = (np.array(m) for m in _matrices(camera, baseline))
+def _ros2_info(put: Ros2Put, stamp: int, view: _View) -> None:
+    camera, (k, r, p) = view.camera, (np.array(m) for m in _matrices(view.camera, view.baseline))
     roi = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0) | {"do_rectify": False}
-    put(topic, stamp, "sensor_msgs/msg/CameraInfo", {
-        "header": _header(stamp, frame), "height": camera.height, "width": camera.width,
+    put(f"{view.name}/camera_info", stamp, "sensor_msgs/msg/CameraInfo", {
+        "header": _header(stamp, view.frame), "height": camera.height, "width": camera.width,
         "distortion_model": "plumb_bob", "d": np.zeros(5), "k": k, "r": r, "p": p, "binning_x": 0, "binning_y": 0,
         "roi": ("sensor_msgs/msg/RegionOfInterest", roi),
     })  # fmt: skip
 
 
-# 6 parameters: the last two have defaults
-def _ros2_depth(
-    put: Ros2Put, stamp: int, camera: Camera, image: np.ndarray, frame: str = OPTICAL_FRAME, topic: str = IMAGE_TOPIC
-) -> None:
-    put(topic, stamp, "sensor_msgs/msg/Image", {
-        "header": _header(stamp, frame), "height": camera.height, "width": camera.width, "encoding": "16UC1",
+def _ros2_depth(put: Ros2Put, stamp: int, view: _View, image: np.ndarray) -> None:
+    camera = view.camera
+    put(view.topic, stamp, "sensor_msgs/msg/Image", {
+        "header": _header(stamp, view.frame), "height": camera.height, "width": camera.width, "encoding": "16UC1",
         "is_bigendian": 0, "step": 2 * camera.width, "data": image.astype("<u2").reshape(-1).view(np.uint8),
     })  # fmt: skip
 
 
-def _foxglove(simulation: Simulation, stream: BinaryIO) -> None:
-    camera = simulation.camera
+def _foxglove(views: list[_View], times: list[int], fixed_frame: str, stream: BinaryIO) -> None:
     with foxglove_log(stream) as put:
-        if len(simulation.time_ns):
-            start = int(simulation.time_ns[0])
-            put_camera(put, start, camera, simulation.fixed_frame, OPTICAL_FRAME, INFO_TOPIC)
-        for stamp, image in zip(simulation.time_ns.tolist(), simulation.depth):
-            put(IMAGE_TOPIC, stamp, depth_image(camera, OPTICAL_FRAME, image))
-
-
-Put = Callable[[str, int, Any], None]  # topic, stamp, message
+        for view in views if times else ():
+            info = f"{view.name}/camera_info"
+            put_camera(put, times[0], view.camera, fixed_frame, view.frame, info, view.baseline)
+        for i, stamp in enumerate(times):
+            for view in views:
+                if view.is_colour:
+                    message = CompressedImage(frame_id=view.frame, format="jpeg", data=_jpeg(view.images[i]))
+                else:
+                    message = depth_image(view.camera, view.frame, view.images[i])
+                put(view.topic, stamp, message)
 
 
 @contextmanager
@@ -260,18 +229,7 @@ def foxglove_log(stream: BinaryIO) -> Iterator[Put]:
     """What writes a message of foxglove's, stamped where it has a stamp, into a log that is finished at the end."""
     writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
     writer.start(profile="", library="voodoo_jax")
-    channels: dict[str, int] = {}
-
-    def put(topic: str, stamp: int, message: Any) -> None:
-        if "timestamp" in message.DESCRIPTOR.fields_by_name:
-            message.timestamp.FromNanoseconds(stamp)
-        if topic not in channels:
-            descriptors = build_file_descriptor_set(type(message)).SerializeToString(deterministic=True)
-            schema = writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", descriptors)
-            channels[topic] = writer.register_channel(topic, "protobuf", schema)
-        writer.add_message(channels[topic], stamp, message.SerializeToString(deterministic=True), stamp)
-
-    yield put
+    yield putter(writer)
     writer.finish()
 
 

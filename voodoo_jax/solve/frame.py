@@ -15,16 +15,7 @@ from voodoo_jax.geometry.rigid import Poses, apply, compose, quat_normalize
 from voodoo_jax.geometry.robust import geman_mcclure
 from voodoo_jax.kernels.absolute_orientation import align
 from voodoo_jax.kernels.bands import link_moments, prior_moments
-from voodoo_jax.kernels.correspondences import (
-    Match,
-    MatchOptions,
-    Points,
-    Settled,
-    match,
-    match_settled,
-    settled,
-    sums,
-)
+from voodoo_jax.kernels.correspondences import Match, MatchOptions, Points, Settled, match, settled, sums
 from voodoo_jax.kernels.gauss_newton import (
     as_motions,
     coupled_normals,
@@ -186,15 +177,26 @@ def total_weight(problem: Problem, doubt: Float[Array, ""] | float = 1.0) -> Flo
     return jnp.maximum(total, 1e-6)
 
 
+def anything_measured(problem: Problem) -> Bool[Array, ""]:
+    """Whether the frame has points or features."""
+    there = jnp.any(problem.points.weight > 0)
+    return there if problem.features is None else there | jnp.any(problem.features.weight > 0)
+
+
 def choices(poses: Poses, problem: Problem) -> Chosen:
     """How points and features are matched at these poses."""
     body, options = problem.body, problem.options
-    near = adjacency(body.topology)
+    near, features = adjacency(body.topology), problem.features
     points = settled(body.sizes, poses, problem.points, near, options.match, body.present)
-    named = None
-    if problem.features is not None:
-        named = settled_features(body, poses, problem.features, options.features)
+    named = None if features is None else settled_features(body, poses, features, options.features)
     return Chosen(points, named)
+
+
+def matched(poses: Poses, problem: Problem, chosen: Chosen | None = None) -> Match:
+    """The points' pairs at these poses; `chosen` choices that are settled."""
+    body, fixed = problem.body, None if chosen is None else chosen.points
+    near = adjacency(body.topology)
+    return match(body.sizes, poses, problem.points, near, problem.options.match, body.present, fixed)
 
 
 def seen_at(poses: Poses, problem: Problem, with_second: bool = True, chosen: Chosen | None = None) -> Seen:
@@ -203,13 +205,7 @@ def seen_at(poses: Poses, problem: Problem, with_second: bool = True, chosen: Ch
 
     `with_second`: second moments too, which only the coupled solver needs; `chosen`: choices that are settled."""
     body, options = problem.body, problem.options
-    if chosen is None:
-        found = match(body.sizes, poses, problem.points, adjacency(body.topology), options.match, body.present)
-    else:
-        found = match_settled(body.sizes, poses, problem.points, chosen.points, options.match)
-        if options.match.overlap == "exclusive":
-            mine = jnp.arange(body.limb_count)[:, None] == chosen.points.limb
-            found = found._replace(weight=jnp.where(mine, found.weight, 0.0))
+    found = matched(poses, problem, chosen)
     measured, second, squares = sums(found, with_second)
     limb_weight = measured[:, 0, 0]
     named, of_points = None, squares
@@ -382,9 +378,7 @@ def solve_and_measure(
     """
     options, start = problem.options, problem.predicted
     coupled = options.solver == "coupled"
-    anything = jnp.any(problem.points.weight > 0)
-    if problem.features is not None:
-        anything = anything | jnp.any(problem.features.weight > 0)
+    anything = anything_measured(problem)
 
     def turn(state):
         loop, *_ = state

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp, quat_normalize
 from voodoo_jax.kernels.assignment import once
 from voodoo_jax.kernels.bands import link_moments
-from voodoo_jax.kernels.correspondences import Match, match_settled, moments
+from voodoo_jax.kernels.correspondences import Match, match_assigned, moments
 from voodoo_jax.kernels.gauss_newton import add_links, pair_normals
 from voodoo_jax.kernels.joint_limits import corrections
 from voodoo_jax.kernels.landmarks import feature_sums
@@ -26,6 +26,7 @@ from voodoo_jax.solve.frame import (
     Problem,
     choices,
     frame_normals,
+    matched,
     pull_to_prediction,
     pulls_of,
     seen_at,
@@ -84,12 +85,12 @@ def _own(poses: Poses, problem: Problem, chosen: Chosen) -> tuple[Float[Array, "
     """Torque and force on every limb from its own pairs with what was measured and its prediction, and its measured
     weight."""
     body, options = problem.body, problem.options
-    pairs = lambda: match_settled(body.sizes, poses, problem.points, chosen.points, options.match)  # noqa: E731
     if options.match.overlap == "exclusive":
-        found = once(options.match.robust_scale > 0, pairs)
-        force, weight = _forces_of_points(found, chosen.points.limb, body.limb_count)
+        mine, limb = chosen.points, chosen.points.limb
+        pairs = lambda: match_assigned(body.sizes, poses, problem.points, limb, options.match, fixed=mine)  # noqa: E731
+        force, weight = _forces_of_points(once(options.match.robust_scale > 0, pairs), limb, body.limb_count)
     else:
-        measured, second = moments(pairs())
+        measured, second = moments(matched(poses, problem, chosen))
         force, weight = jax.vmap(pair_normals)(measured, second)[1], measured[:, 0, 0]
     if problem.features is not None:
         named = feature_sums(body, poses, problem.features, options.features, chosen.features)
@@ -304,18 +305,9 @@ def with_derivatives(found: Rest, problem: Problem, tolerance: float = AT_REST) 
     """The same of what was found at rest."""
     poses = carried(found, problem, tolerance)
     again = choices(found.poses, jax.lax.stop_gradient(problem))
-    weight = measured_weight(poses, problem, found.chosen)
+    weight = jnp.sum(matched(poses, problem, found.chosen).weight, 1)
     changing = found.chosen.differs(again)
     return Solution(poses, weight, found.chosen, changing, found.steps, found.off, found.off < tolerance)
-
-
-def measured_weight(poses: Poses, problem: Problem, chosen: Chosen) -> Float[Array, " limb"]:
-    """What the points weigh on each limb."""
-    match = problem.options.match
-    found = match_settled(problem.body.sizes, poses, problem.points, chosen.points, match)
-    if match.overlap != "exclusive":
-        return jnp.sum(found.weight, 1)
-    return jax.ops.segment_sum(found.weight[0], chosen.points.limb, problem.body.limb_count + 1)[:-1]
 
 
 def weakest(poses: Poses, problem: Problem) -> Float[Array, ""]:

@@ -221,13 +221,12 @@ def track_frame(
 ) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
     """Tracks one frame: predict, solve, measure how well it went; and the normal matrix of the limbs' twists there
     (kernels.gauss_newton), for many frames are inverted together in less time."""
-    problem, patient, cloud = frame_problem(body, options, state, points, seconds, features)
+    problem, patient = frame_problem(body, options, state, points, seconds, features)
     poses, seen, normals = solve_and_measure(problem, patient=patient)
     count = jnp.sum(points.weight > 0)
     explained = seen.close / jnp.maximum(count, 1)
     step = Step(poses, seen.residual, explained, seen.feature_residual, seen.limb_weight, seen.steps, count)
-    told = count > 0
-    return state_after(problem, options, state, poses, seen.limb_weight, seconds, seen.good, told, cloud), step, normals
+    return state_after(problem, options, state, poses, seen.limb_weight, seconds, seen.good), step, normals
 
 
 # 6 parameters: the frame's measurements, and what was before
@@ -238,20 +237,19 @@ def frame_problem(
     points: Points,
     seconds: Float[Array, ""],
     features: Features | None = None,
-) -> tuple[Problem, Bool[Array, ""], Float[Array, "4"]]:
-    """What a frame's poses are solved on, predicted from the state before it; whether the prediction may be far off;
-    and the mean of the points (see State)."""
-    cloud = _cloud(points)
-    predicted = predict(body, options, state, seconds, cloud)
+) -> tuple[Problem, Bool[Array, ""]]:
+    """What a frame's poses are solved on, predicted from the state before it; and whether the prediction may be far
+    off."""
+    predicted = predict(body, options, state, seconds, _cloud(points))
     # a prediction over a longer interval is worth less: its error grows with the square of the time
     late = jnp.maximum(seconds / options.prior_interval, 1.0)
     weaker = jnp.minimum(late**2, 16.0)
     steady = options.icp.steady * _still(body, state, options.still_speed)
     icp = eqx.tree_at(lambda o: (o.prior, o.steady), options.icp, (options.icp.prior / weaker, steady / weaker))
-    return Problem.build(body, points, predicted, icp, features), late > FAR, cloud
+    return Problem.build(body, points, predicted, icp, features), late > FAR
 
 
-# 9 parameters: all that a state follows from
+# 7 parameters: all that a state follows from
 def state_after(
     problem: Problem,
     options: TrackOptions,
@@ -260,18 +258,17 @@ def state_after(
     limb_weight: Float[Array, " limb"],
     seconds: Float[Array, ""],
     good: Bool[Array, ""],
-    told: Bool[Array, ""],
-    cloud: Float[Array, "4"],
 ) -> State:
-    """What a frame hands to the next. `good`: the poses were measured, not predicted; `told`: there are points."""
+    """What a frame hands to the next. `good`: the poses were measured, not predicted."""
     points, features = problem.points, problem.features
+    cloud = _cloud(points)
     safe = jnp.where(seconds > 0, seconds, 1.0)
     turn = compose(inverse(before.poses), poses).rotation
     moving = (seconds > 0) & good
     spin = jnp.where(moving, quat_log(turn) / safe, 0.0)
     velocity = jnp.where(moving, (poses.translation - before.poses.translation) / safe, 0.0)
     # by how many points there are, however noisy
-    weight = limb_weight * (1.0 if points.doubt is None else points.doubt)
+    told, weight = cloud[3] > 0, limb_weight * (1.0 if points.doubt is None else points.doubt)
     if options.by_features and features is not None:
         weight = weight + feature_sums(problem.body, poses, features, options.icp.features).weight
         told = told | jnp.any(features.weight > 0)

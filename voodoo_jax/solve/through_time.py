@@ -18,7 +18,7 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body import Body, joint_centres
-from voodoo_jax.solve.frame import Chosen
+from voodoo_jax.solve.frame import Chosen, anything_measured
 from voodoo_jax.solve.implicit import AT_REST, resting, with_derivatives
 from voodoo_jax.solve.scan import State, TrackOptions, frame_problem, state_after
 
@@ -49,14 +49,13 @@ def track_through(
     """Poses and joints of all frames from the state before the first one; `tolerance` see implicit.solution."""
 
     def one(state: State, frame: Measurements) -> tuple[State, Tracked]:
-        problem, patient, cloud = frame_problem(body, options, state, frame.points, frame.seconds, frame.features)
-        there = jnp.any(frame.points.weight > 0)
-        anything = there if frame.features is None else there | jnp.any(frame.features.weight > 0)
+        problem, patient = frame_problem(body, options, state, frame.points, frame.seconds, frame.features)
+        anything = anything_measured(problem)
         rest = resting(problem.predicted, problem, tolerance=tolerance, patient=patient)
         found = with_derivatives(rest, problem, tolerance)
         poses = jax.tree.map(lambda new, old: jnp.where(anything, new, old), found.poses, problem.predicted)
         good = anything & found.converged
-        after = state_after(problem, options, state, poses, found.weight, frame.seconds, good, there, cloud)
+        after = state_after(problem, options, state, poses, found.weight, frame.seconds, good)
         state = jax.tree.map(lambda new, old: jnp.where(frame.valid, new, old), after, state)
         joints = joint_centres(body, poses)
         return state, Tracked(poses, joints, found.off, good, found.changing, found.chosen)

@@ -36,6 +36,17 @@ class Source:
     up_is_given: bool = False  # a user has said it
 
 
+@dataclass(frozen=True)
+class Task:
+    """What is to be tracked in a log, and how."""
+
+    body: Body
+    source: Source
+    settings: Settings
+    progress: Progress | None = None
+    visit: Any = None  # runs programs of several recordings as one batch, where the tracker can
+
+
 @runtime_checkable
 class Tracker(Protocol):
     """Follows a body through the frames of a log."""
@@ -50,22 +61,13 @@ class Tracker(Protocol):
         """How often it reports each frame as done, reading not counted."""
         ...
 
-    def prepare(self, body: Body, settings: Settings, source: Source) -> None:
+    def prepare(self, task: Task) -> None:
         """Begins to compile, in threads, while the log is read."""
         ...
 
-    def track(
-        self,
-        body: Body,
-        frames: Iterable[Frame],
-        source: Source,
-        settings: Settings,
-        progress: Progress | None = None,
-        visit: Any = None,
-    ) -> list[Tracks]:
+    def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
         """Tracks of everybody whom the tracker tells apart, `settings.detect.people` of them at most, who is seen
-        longest first; one at least. One row per frame, in the frames' own places; `visit` runs programs of several
-        recordings as one batch, where it can. Raises Unsuitable."""
+        longest first; one at least. One row per frame, in the frames' own places. Raises Unsuitable."""
         ...
 
 

@@ -8,7 +8,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks, for_users
-from voodoo_jax.trackers.base import Progress, Source, Tracker, alone, check_arguments, source_of, tracker_of
+from voodoo_jax.trackers.base import Progress, Task, alone, check_arguments, source_of, tracker_of
 from voodoo_jax.trackers.stages import check_stages
 
 
@@ -32,9 +32,7 @@ def track(
     Raises Unsuitable (a ValueError) if the tracker cannot take the recording or the body.
     """
     settings = replace(settings or Settings(), tracker=tracker) if tracker else settings or Settings()
-    chosen, source = _ready(body, recording, settings)
-    found = chosen.track(body, recording, source, alone(settings), progress)
-    return for_users(found[0], recording)
+    return for_users(_tracked(body, recording, alone(settings), progress)[0], recording)
 
 
 @users_cache()
@@ -51,17 +49,14 @@ def track_people(
     **Returns:** Tracks for each person, who is seen longest first; of each one row per frame of the recording, not
     `tracked` where they cannot be seen. One at least: nothing is tracked where there is nobody.
     """
-    settings = settings or Settings()
-    chosen, source = _ready(body, recording, settings)
-    found = chosen.track(body, recording, source, settings, progress)
-    return [for_users(tracks, recording) for tracks in found]
+    return [for_users(tracks, recording) for tracks in _tracked(body, recording, settings or Settings(), progress)]
 
 
-def _ready(body: Body, recording: Recording, settings: Settings) -> tuple[Tracker, Source]:
-    """The tracker that settings name, which begins to compile, and what the recording says of itself."""
+def _tracked(body: Body, recording: Recording, settings: Settings, progress: Progress | None) -> list[Tracks]:
+    """By the tracker that settings name, in the recording's own places."""
     check_arguments([body], [recording])
     check_stages(settings)
-    chosen, source = tracker_of(settings), source_of(recording)
+    chosen, task = tracker_of(settings), Task(body, source_of(recording), settings, progress)
     if recording.frames:
-        chosen.prepare(body, settings, source)
-    return chosen, source
+        chosen.prepare(task)
+    return chosen.track(task, recording)

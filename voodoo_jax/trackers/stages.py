@@ -1,8 +1,7 @@
 """Names of the stages of detection and tracking, as settings may name them."""
 
-from difflib import get_close_matches
-
 from voodoo_jax.config.options import LOOKS_AHEAD, Settings, SettingsError
+from voodoo_jax.config.toml import nearest
 from voodoo_jax.detect import pipeline as detection
 from voodoo_jax.trackers.icp import pipeline as icp
 
@@ -15,6 +14,4 @@ def check_stages(settings: Settings) -> None:
         known = [LOOKS_AHEAD, *(stage.name for stage in stages())]
         for name in getattr(settings, section).skip:
             if name not in known:
-                near = get_close_matches(name, known, 1)
-                hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
-                raise SettingsError(f"{section}.skip: there is no stage '{name}'; {hint}")
+                raise SettingsError(f"{section}.skip: there is no stage '{name}'{nearest(name, known)}")

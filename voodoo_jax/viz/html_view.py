@@ -9,7 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int64
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.exporters.frames import upright
@@ -17,7 +17,7 @@ from voodoo_jax.exporters.limb_shapes import profile, side_of
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.records.markup import filled, for_script
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks, expected_share
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.figures import STATUS_WORDS
 from voodoo_jax.viz.overlay import drawn_over
@@ -125,7 +125,8 @@ def _gathered(
         ends = np.stack([start, start + RAY * np.asarray(frame.rays.directions, float)], 1)
         seen.rays[k] = ends.reshape(-1, 3) @ turn.T
         if frame.pictures and k % max(1, -(-len(shown) // IMAGES)) == 0:
-            seen.images[k] = _small(drawn_over(frame.pictures[0], people, _rows(people, frame.time_ns)))
+            rows = [int(rows_at(one.time_ns, np.array([frame.time_ns]))[0]) for one in people]
+            seen.images[k] = _small(drawn_over(frame.pictures[0], people, rows))
     return seen
 
 
@@ -137,10 +138,10 @@ def _small(image: np.ndarray) -> str:
     return base64.b64encode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 70])[1].tobytes()).decode()
 
 
-def _rows(people: Sequence[Tracks], stamp: int) -> list[int]:
-    """The frame of each person's tracks with a stamp, -1: none."""
-    found = [int(np.searchsorted(tracks.time_ns, stamp)) for tracks in people]
-    return [i if i < len(t.time_ns) and t.time_ns[i] == stamp else -1 for i, t in zip(found, people)]
+def rows_at(stamps: Int64[np.ndarray, " frame"], wanted: Int64[np.ndarray, " shown"]) -> Int[np.ndarray, " shown"]:
+    """Which of a person's frames have some stamps, -1: none."""
+    at = np.clip(np.searchsorted(stamps, wanted), 0, max(len(stamps) - 1, 0))
+    return np.where(stamps[at] == wanted, at, -1) if len(stamps) else np.full(len(wanted), -1)
 
 
 def _thinned(points: np.ndarray, limbs: np.ndarray, count: int) -> np.ndarray:
@@ -158,9 +159,8 @@ def _thinned(points: np.ndarray, limbs: np.ndarray, count: int) -> np.ndarray:
 
 def _person(tracks: Tracks, stamps: np.ndarray, turn: np.ndarray, blob: _Blob) -> dict[str, Any]:
     """One person in the frames shown, those of another one's tracks by their stamps."""
-    at = np.searchsorted(tracks.time_ns, stamps)
-    at = np.clip(at, 0, len(tracks.time_ns) - 1)
-    there = tracks.time_ns[at] == stamps
+    at = rows_at(tracks.time_ns, stamps)
+    there = at >= 0
     limbs = tracks.body.limb_count
     q = (Rotation.from_matrix(turn) * rotations(tracks.rotation[at])).as_quat(scalar_first=True).reshape(-1, limbs, 4)
     known = np.isfinite(tracks.rotation[at]).all(2) & np.isfinite(tracks.translation[at]).all(2) & there[:, None]
@@ -191,18 +191,13 @@ def _angles(tracks: Tracks, at: np.ndarray, there: np.ndarray) -> dict[str, Floa
 def limb_confidence(tracks: Tracks) -> Float[np.ndarray, "frame limb"]:
     """Mean confidence of the joint centres on a limb and at the ends of those that hang on it, 0..1; NaN: not told."""
     t, count = tracks.body.topology, tracks.body.limb_count
-    if tracks.joint_confidence is None:
-        return np.full((len(tracks.time_ns), count), np.nan)
-    found = np.full((len(tracks.time_ns), count), np.nan)
-    for limb in range(count):
+    found, sure = np.full((len(tracks.time_ns), count), np.nan), tracks.joint_confidence
+    for limb in range(0 if sure is None else count):
         near = {limb, *(c for p, c in zip(t.parents, t.children) if p == limb)}
         near |= {p for p, c in zip(t.parents, t.children) if c == limb}
         own = [i for i, carrier in enumerate(t.centre_limbs) if carrier == limb]
         own = own or [i for i, carrier in enumerate(t.centre_limbs) if carrier in near]
-        values = tracks.joint_confidence[:, own].astype(float)
-        known = np.isfinite(values)
-        total = np.where(known, values, 0).sum(1)
-        found[:, limb] = np.where(known.any(1), total / np.maximum(known.sum(1), 1), np.nan)
+        found[:, limb] = np.nan if sure is None else expected_share(sure[:, own])
     return found
 
 

@@ -17,8 +17,6 @@ from voodoo_jax.viz.sketch import strip, time_line, untracked
 from voodoo_jax.viz.template import page, template
 
 MOST_STRETCHES = 4  # of time that are named; of more their number
-UNSURE = 3  # joints that are named: the least sure ones
-DOUBT = 0.9  # joints are in doubt that are expected off in more than one of ten frames
 
 
 @dataclass(frozen=True)
@@ -93,18 +91,10 @@ def _found(tracks: Tracks) -> list[tuple[str, str]]:
 
 
 def _doubts(tracks: Tracks) -> list[str]:
-    """What a user should look at: times without a pose, joints that are least sure, what the tracker says itself."""
+    """What a user should look at: times without a pose, and what the tracker says itself."""
     doubts = []
     if gaps := untracked(tracks):
         named = [f"{a:.1f} s" if b - a < 0.05 else f"{a:.1f} to {b:.1f} s" for a, b in gaps[:MOST_STRETCHES]]
         more = f" and {len(gaps) - MOST_STRETCHES} more" if len(gaps) > MOST_STRETCHES else ""
         doubts.append(f"not tracked: {', '.join(named)}{more}")
-    if tracks.joint_confidence is not None and tracks.tracked.any():
-        values = tracks.joint_confidence[tracks.tracked].astype(float)
-        known = np.isfinite(values)
-        mean = np.where(known, values, 0).sum(0) / np.maximum(known.sum(0), 1)
-        order = [i for i in np.argsort(mean) if known[:, i].any() and mean[i] < DOUBT][:UNSURE]
-        if order:
-            words = [f"{tracks.joint_names[i]} ({100 * mean[i]:.0f} %)" for i in order]
-            doubts.append(f"least sure to be within 10 cm: {', '.join(words)}")
     return [*doubts, *tracks.notes]

@@ -9,7 +9,7 @@ import numpy as np
 from voodoo_jax.exporters.limb_shapes import loft, profile, side_of
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.viz.html_view import limb_confidence
+from voodoo_jax.viz.html_view import limb_confidence, rows_at
 from voodoo_jax.viz.overlay import drawn_over
 
 SIDES = {"left": (210, 86, 43), "right": (47, 98, 207), "middle": (150, 155, 163)}  # red, green, blue; as in reports
@@ -34,7 +34,7 @@ class Viewer:
         self.times = np.array([f.time_ns for f in recording], np.int64)
         self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.server.scene.set_up_direction(tuple(np.asarray(recording.up, float)))
-        self.rows = [_rows(tracks.time_ns, self.times) for tracks in self.people]
+        self.rows = [rows_at(tracks.time_ns, self.times) for tracks in self.people]
         self._confidence = [limb_confidence(tracks) for tracks in self.people]
         self.limbs = [self._meshes(k, tracks) for k, tracks in enumerate(self.people)]
         self._panel()
@@ -133,9 +133,3 @@ class Viewer:
                 began = now, self.times[i]
             at = began[1] + (now - began[0]) * 1e9 * self.speed.value
             self.frame.value = int(min(np.searchsorted(self.times, at), len(self.times) - 1))
-
-
-def _rows(stamps: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Row of the tracks for each stamp of the recording, -1: none of that stamp."""
-    at = np.clip(np.searchsorted(stamps, wanted), 0, max(len(stamps) - 1, 0))
-    return np.where(stamps[at] == wanted, at, -1) if len(stamps) else np.full(len(wanted), -1)

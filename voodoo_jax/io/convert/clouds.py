@@ -1,4 +1,4 @@
-"""Folders of point clouds, a file for each frame: PCD and PLY; metres."""
+"""Point clouds, a file for each frame, in a folder or alone: PCD and PLY; metres."""
 
 from io import BytesIO
 from pathlib import Path
@@ -27,7 +27,7 @@ def convert(source: Path, target: Answer, rate: float) -> list[str]:
         for stamp, path in clouds:
             try:
                 read = read_pcd if path.suffix.lower() == ".pcd" else _read_ply
-                points = read(content(path, source), path.name)
+                points = read(content(path, source if source.is_dir() else None), path.name)
                 if trouble := too_large("the cloud has", len(points), "points", "points"):
                     raise ConvertError(f"'{path.name}': {trouble}")
             except (ConvertError, OSError) as problem:
@@ -35,7 +35,6 @@ def convert(source: Path, target: Answer, rate: float) -> list[str]:
                 continue
             points = points[np.isfinite(points).all(1)].astype("<f4")
             message = PointCloud(frame_id=FRAME, point_stride=12, data=points.tobytes())
-            message.timestamp.FromNanoseconds(stamp)
             message.pose.orientation.w = 1
             for k, name in enumerate(AXES):
                 message.fields.append(PackedElementField(name=name, offset=4 * k, type=PackedElementField.FLOAT32))

@@ -47,7 +47,7 @@ def convert(source: Path, target: Answer, given: Path | None = None, rate: float
     with new_log(target) as writer:
         put = putter(writer)
         for topic in (INFO, COLOUR_INFO) if colours else (INFO,):
-            put(topic, images[0][0], pinhole(camera, images[0][0]))
+            put(topic, images[0][0], pinhole(camera))
         for stamp, path, is_depth in sorted([*((*i, True) for i in images), *((*i, False) for i in colours)]):
             try:
                 data = content(path, source)
@@ -67,7 +67,7 @@ def convert(source: Path, target: Answer, given: Path | None = None, rate: float
             if depth.shape != (camera["height"], camera["width"]):
                 size = f"{depth.shape[1]} x {depth.shape[0]}"
                 raise ConvertError(f"'{path}' is {size}, the camera {camera['width']} x {camera['height']}")
-            put(IMAGE, stamp, depth_image(depth, camera["unit"], stamp))
+            put(IMAGE, stamp, depth_image(depth, camera["unit"]))
             rounded += camera["unit"] != MILLIMETRE
         if bad == len(images):
             raise ConvertError(f"'{source}': no image could be read; {notes[0]}")
@@ -96,7 +96,7 @@ def _put_colour(put: Put, stamp: int, path: Path, camera: dict, data: bytes, ima
     if image.shape[:2] != size:
         own, wanted = (f"{columns} x {rows}" for rows, columns in (image.shape[:2], size))
         return [f"'{path.name}' was left out: it is {own}, and so not registered to depth, which is {wanted}"]
-    put(COLOUR, stamp, colour_image(data, kind, FRAME, stamp))
+    put(COLOUR, stamp, CompressedImage(frame_id=FRAME, format=kind, data=data))
     return []
 
 
@@ -127,32 +127,21 @@ def _listed(path: Path) -> list[tuple[int, Path]]:
         raise ConvertError(f"'{path}': a line must be a time in seconds and a file") from problem
 
 
-def pinhole(camera: dict, stamp: int) -> CameraCalibration:
+def pinhole(camera: dict) -> CameraCalibration:
     """The calibration that a camera file describes."""
     fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "cx", "cy"))
-    message = CameraCalibration(
+    return CameraCalibration(
         frame_id=FRAME, width=int(camera["width"]), height=int(camera["height"]), distortion_model="plumb_bob",
         D=[0.0] * 5, K=[fx, 0, cx, 0, fy, cy, 0, 0, 1], R=np.eye(3).ravel().tolist(),
         P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
     )  # fmt: skip
-    message.timestamp.FromNanoseconds(stamp)
-    return message
 
 
-def colour_image(data: bytes, kind: str, frame: str, stamp: int) -> CompressedImage:
-    """A colour image as its file has it."""
-    message = CompressedImage(frame_id=frame, format=kind, data=data)
-    message.timestamp.FromNanoseconds(stamp)
-    return message
-
-
-def depth_image(depth: np.ndarray, unit: float, stamp: int) -> RawImage:
+def depth_image(depth: np.ndarray, unit: float) -> RawImage:
     """The image as it is where counts are millimetres, else in metres."""
     whole = unit == MILLIMETRE
     data = depth.astype("<u2") if whole else (depth * np.float64(unit)).astype("<f4")
-    message = RawImage(
+    return RawImage(
         frame_id=FRAME, width=depth.shape[1], height=depth.shape[0], encoding="16UC1" if whole else "32FC1",
         step=data.strides[0], data=data.tobytes(),
     )  # fmt: skip
-    message.timestamp.FromNanoseconds(stamp)
-    return message

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +20,6 @@ from voodoo_jax.io.convert.depth_images import (
     COLOUR_INFO,
     MILLIMETRE,
     camera_file,
-    colour_image,
     depth_image,
     pinhole,
 )
@@ -70,10 +70,11 @@ def convert(source: Path, target: Answer, camera: Path | None = None) -> list[st
                     for frame in streams.depth.codec_context.decode(packet):
                         stamp = _stamp(frame)
                         image = frame.to_ndarray(format="gray16le")
-                        put("/depth/image", stamp, depth_image(image, MILLIMETRE, stamp))
+                        put("/depth/image", stamp, depth_image(image, MILLIMETRE))
                         count += 1
                 elif packet.pts is not None:
-                    _put_colour(put, _stamp(packet), bytes(packet))
+                    image = CompressedImage(frame_id=COLOUR, format="jpeg", data=bytes(packet))
+                    put(COLOUR_IMAGE, _stamp(packet), image)
             if not count:
                 raise ConvertError(f"'{source}' has no depth image that could be read")
     except av.error.FFmpegError as problem:
@@ -115,7 +116,7 @@ def _depth_camera(
         given = camera_file(camera)
         if (given["width"], given["height"]) != size:
             raise ConvertError(f"'{source}' has images of {size[0]} x {size[1]}, '{camera}' another size")
-        return pinhole(given, START_NS)
+        return pinhole(given)
     found = streams.calibration.get(LOCATIONS[DEPTH])
     mode = MODES.get(streams.mode) or next((m for m in MODES.values() if m[2] == size), None)
     if found is None or mode is None or mode[2] != size:
@@ -135,13 +136,11 @@ def _calibration(
     cx, cy = p[0] * sensor[0] - corner[0] - 0.5, p[1] * sensor[1] - corner[1] - 0.5
     k1, k2, k3, k4, k5, k6 = p[4:10]
     p2, p1 = p[12:14]
-    message = CameraCalibration(
+    return CameraCalibration(
         frame_id=frame, width=size[0], height=size[1], distortion_model="rational_polynomial",
         D=[k1, k2, p1, p2, k3, k4, k5, k6], K=[fx, 0, cx, 0, fy, cy, 0, 0, 1], R=np.eye(3).ravel().tolist(),
         P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
     )  # fmt: skip
-    message.timestamp.FromNanoseconds(START_NS)
-    return message
 
 
 def _colour(streams: _Streams, put: Put, notes: list[str]) -> Any:
@@ -160,13 +159,8 @@ def _colour(streams: _Streams, put: Put, notes: list[str]) -> Any:
     turn = np.array(camera["Rt"]["Rotation"], float).reshape(3, 3)
     place = -turn.T @ np.array(camera["Rt"]["Translation"], float)
     message = FrameTransform(parent_frame_id=DEPTH, child_frame_id=COLOUR)
-    message.timestamp.FromNanoseconds(START_NS)
     message.translation.x, message.translation.y, message.translation.z = place.tolist()
     q = Rotation.from_matrix(turn.T).as_quat().tolist()
     message.rotation.x, message.rotation.y, message.rotation.z, message.rotation.w = q
     put("/tf", START_NS, message)
     return stream
-
-
-def _put_colour(put: Put, stamp: int, data: bytes) -> None:
-    put(COLOUR_IMAGE, stamp, colour_image(data, "jpeg", COLOUR, stamp))

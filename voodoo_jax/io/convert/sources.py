@@ -24,10 +24,12 @@ READERS = {
     ".mkv": ("kinect_video", "convert", "camera"),
     ".json": ("skeletons", "convert"), ".skeleton": ("skeletons", "convert"), ".csv": ("tables", "convert", "rate"),
     ".c3d": ("markers", "convert_c3d"), ".trc": ("markers", "convert_trc"),
+    ".pcd": ("clouds", "convert", "rate"), ".ply": ("clouds", "convert", "rate"),
 }  # fmt: skip
 FILES = {
     ".bag": "ROS 1 bag", ".db3": "ROS 2 bag (SQLite)", ".mkv": "Azure Kinect or Femto", ".c3d": "C3D", ".trc": "TRC",
-    ".json": "skeletons of a Kinect, Nuitrack or ZED", ".skeleton": "NTU RGB+D", ".csv": "Motive, or columns NAME_x",
+    ".pcd": "a point cloud", ".ply": "a point cloud", ".json": "skeletons of a Kinect, Nuitrack or ZED",
+    ".skeleton": "NTU RGB+D", ".csv": "Motive, or columns NAME_x",
 }  # fmt: skip
 
 
@@ -49,9 +51,10 @@ def convert(
 
     **Arguments:** `source` a ROS 1 bag (.bag, also RealSense's), an SQLite bag of ROS 2 (.db3, or its folder), a
     recording of an Azure Kinect or Femto (.mkv), C3D, TRC, skeletons (.json of a Kinect, Nuitrack or ZED, .skeleton
-    of NTU RGB+D), tables of points (.csv of Motive, or with columns NAME_x, NAME_y, NAME_z), or a folder of depth
-    images or point clouds (PCD, PLY); `camera` the images' camera file (see depth_images.py); `rate` files, or rows of
-    a table, a second where there are no times; `types` files that define messages (.msg), for bags that do not.
+    of NTU RGB+D), tables of points (.csv of Motive, or with columns NAME_x, NAME_y, NAME_z), a point cloud (.pcd,
+    .ply), or a folder of these or of depth images; `camera` the images' camera file (see depth_images.py); `rate`
+    files, or rows of a table, a second where there are no times; `types` files that define messages (.msg), for bags
+    that do not.
 
     It is read in a process of its own (storage/guard.py). **Returns:** what was left out or changed, one sentence each.
     Raises ConvertError, also where a log that was not converted would be replaced, OSError.

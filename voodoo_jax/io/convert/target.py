@@ -27,8 +27,10 @@ Put = Callable[[str, int, Any], None]  # topic, stamp in nanoseconds, message of
 
 
 def named_times(folder: Path, endings: tuple[str, ...], rate: float) -> list[tuple[int, Path]]:
-    """Files of a folder in their order, with stamps in nanoseconds: their names, where these are times in seconds, or
-    nanoseconds (19 digits); else numbered at a rate (files a second). Raises ConvertError."""
+    """Files of a folder (or one alone) in their order, with stamps in nanoseconds: their names, where these are times
+    in seconds, or nanoseconds (19 digits); else numbered at a rate (files a second). Raises ConvertError."""
+    if folder.is_file():
+        return [(START_NS, folder)]
     files = [path for path in folder.iterdir() if path.suffix.lower() in endings and not path.name.startswith(".")]
     if files and all(SECONDS.fullmatch(path.stem) for path in files):
         return sorted((round(float(path.stem) * 1e9), path) for path in files)
@@ -84,15 +86,18 @@ def check_points(names: int, rows: int) -> None:
 
 
 def putter(writer: Writer, up: str = "") -> Put:
-    """What writes messages of foxglove's into a log; `up` which way is up by the recording's format, as in read.up."""
+    """What writes messages of foxglove's, stamped where they have a stamp, into a log; `up` which way is up by the
+    recording's format, as in read.up."""
     channels: dict[str, int] = {}
 
     def put(topic: str, stamp: int, message: Any) -> None:
+        if "timestamp" in message.DESCRIPTOR.fields_by_name:
+            message.timestamp.FromNanoseconds(stamp)
         if topic not in channels:
             descriptors = build_file_descriptor_set(type(message)).SerializeToString(deterministic=True)
             schema = writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", descriptors)
             channels[topic] = writer.register_channel(topic, "protobuf", schema, {"up": up} if up else {})
-        writer.add_message(channels[topic], stamp, message.SerializeToString(), stamp)
+        writer.add_message(channels[topic], stamp, message.SerializeToString(deterministic=True), stamp)
 
     return put
 

@@ -3,7 +3,7 @@
 import struct
 
 import numpy as np
-from jaxtyping import Float32, Int, UInt16
+from jaxtyping import Int, UInt16
 
 from voodoo_jax.geometry.from_bytes import array_at
 from voodoo_jax.io.limits import too_large
@@ -45,12 +45,14 @@ def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | byte
     return Image(stamp_ns, frame, encoding, (rows, columns), None, unit, packed=packed, start=start)
 
 
-def unpacked(image: Image) -> Float32[np.ndarray, "row column"] | UInt16[np.ndarray, "row column"]:
-    """The raw image [row, column] of a packed one; 0 or NaN where there is nothing. Raises ValueError if it is broken.
+def raw_of(image: Image) -> np.ndarray | None:
+    """The raw image [row, column], unpacked if it is packed; 0 or NaN where there is nothing; None of another encoding.
+    Raises ValueError if it is broken.
 
     Distances of 32FC1 are packed as A / (raw - B), so that the steps grow with distance.
     """
-    assert image.packed is not None
+    if image.packed is None:
+        return image.raw
     body = image.packed[image.start :]
     raw = _png(body) if body.startswith(PNG) else _rvl(body[8:], image.shape[0] * image.shape[1]).reshape(image.shape)
     if raw.shape != image.shape or raw.dtype != np.uint16:

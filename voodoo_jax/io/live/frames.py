@@ -142,7 +142,8 @@ class LiveLog:
         r, s = self.reader, self._settings
         # of named points the unit was found by their extent
         self._origins = r.no_origins()
-        self._fixed = replace(s, fixed_frame=r.fixed_frame, scale=(*s.scale, *r.units), delays=())
+        scale, transform = (*s.scale, *r.units), (*s.transform, *r.placed)
+        self._fixed = replace(s, fixed_frame=r.fixed_frame, scale=scale, transform=transform, delays=())
         return r
 
     # -- frames

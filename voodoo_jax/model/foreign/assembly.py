@@ -51,13 +51,13 @@ def assembled(pieces: list[Piece], name: str, scale_name: str, source: str) -> t
         text.limb(piece.name, limb.bottom, limb.top, limb.x_axis, limb.bottom_axes, limb.top_axes)
     for i, piece in enumerate(pieces):
         if piece.parent >= 0:
-            text.joint(piece.joint, pieces[piece.parent].name, piece.name, piece.at, **_held(piece, limbs, i))
+            text.joint(piece.joint, pieces[piece.parent].name, piece.name, at=piece.at, **_held(piece, limbs, i))
     for i, piece in enumerate(pieces):
         if piece.parent >= 0:
-            text.centre(piece.joint, piece.name, piece.at)
+            text.point("centre", piece.joint, piece.name, piece.at)
         hanging = [p for p in pieces if p.parent == i]
         if not hanging:
-            text.centre(f"{piece.name}_tip", piece.name, limbs[i].top)
+            text.point("centre", f"{piece.name}_tip", piece.name, limbs[i].top)
         if piece.parent >= 0 and len(hanging) < 2:
             text.segment(piece.name, piece.joint, hanging[0].joint if hanging else f"{piece.name}_tip")
     notes = [

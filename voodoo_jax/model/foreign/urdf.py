@@ -10,7 +10,8 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.model.checked_toml import BodyFileError, nearest
+from voodoo_jax.config.toml import nearest
+from voodoo_jax.model.checked_toml import BodyFileError
 from voodoo_jax.model.foreign.assembly import Piece, assembled
 from voodoo_jax.model.foreign.sources import folder_of
 from voodoo_jax.storage.troubles import small_file

@@ -3,19 +3,19 @@
 import time
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.detect.pipeline import find_people
-from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks, only_as_sure
-from voodoo_jax.trackers.base import Progress, Source
+from voodoo_jax.trackers.base import Task
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.entry import FlexibleTracker
-from voodoo_jax.trackers.flexible.tracker import Watching, check_suited, follow
+from voodoo_jax.trackers.flexible.observed import Watching
+from voodoo_jax.trackers.flexible.tracker import check_suited, follow
 from voodoo_jax.trackers.icp.diagnostics import looked_at_again
 from voodoo_jax.trackers.icp.entry import IcpTracker
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
@@ -39,38 +39,23 @@ class BothTrackers:
     def passes(self, settings: Settings) -> int:
         return self._icp.passes(settings) + self._flexible.passes(settings)
 
-    def prepare(self, body: Body, settings: Settings, source: Source) -> None:
-        self._icp.prepare(body, settings, source)
+    def prepare(self, task: Task) -> None:
+        self._icp.prepare(task)
 
-    def track(
-        self,
-        body: Body,
-        frames: Iterable[Frame],
-        source: Source,
-        settings: Settings,
-        progress: Progress | None = None,
-        visit: Any = None,
-    ) -> list[Tracks]:
+    def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
         """Of several people the main one alone is followed in images, too."""
+        body, settings, source = task.body, task.settings, task.source
         check_suited(body, settings)
         watching = Watching(settings, source.path, given=True)
         try:
             people = find_people(watching(frames), source.up, body, settings, source.up_is_given)
-            flexible = self._followed(body, watching, people[0], source, settings, progress)
+            began, person = time.perf_counter(), people[0]
+            seen = watching.observed([person.frames[row] for row in watching.rows], person.scene)
+            flexible = follow(body, seen, settings, source.path, source.fixed_frame, (), task.progress, began)
         finally:
             watching.close()
-        main, *others = self._icp.follow(body, people, source, settings, progress, visit)
-        return [self._together(main, flexible, people[0], settings), *others]
-
-    # 6 parameters beside itself, those of `track`
-    def _followed(
-        self, body: Body, watching: Watching, person: Subject, source: Source, settings: Settings,
-        progress: Progress | None,
-    ) -> Tracks:  # fmt: skip
-        """The flexible tracker's tracks of a person who was found before."""
-        began = time.perf_counter()
-        seen = watching.observed([person.frames[row] for row in watching.rows], person.scene)
-        return follow(body, seen, settings, source.path, source.fixed_frame, (), progress, began)
+        main, *others = self._icp.follow(task, people)
+        return [self._together(main, flexible, person, settings), *others]
 
     def _together(self, icp: Tracks, flexible: Tracks, person: Subject, settings: Settings) -> Tracks:
         if not flexible.tracked.any() or any(f.T_fixed_steady is not None for f in person.frames):

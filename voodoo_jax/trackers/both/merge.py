@@ -14,7 +14,7 @@ from scipy.ndimage import correlate1d
 from scipy.spatial.transform import Rotation
 from scipy.special import expit, logit
 
-from voodoo_jax.geometry.rotations import axis_of, rotations
+from voodoo_jax.geometry.rotations import axis_of, rotations, shortest_turns, unit
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
@@ -142,7 +142,7 @@ def hung(icp: Tracks, flexible: Tracks, share: Float[np.ndarray, "frame joint"])
             much = share[:, end, None]
             bones = icp.joints[:, end] - icp.joints[:, root], b[:, end] - b[:, root]
             lengths = [np.linalg.norm(bone, axis=1, keepdims=True) for bone in bones]
-            along = _unit((1 - much) * _unit(bones[0]) + much * _unit(bones[1]))
+            along = unit((1 - much) * unit(bones[0]) + much * unit(bones[1]))
             length = (1 - much) * lengths[0] + much * lengths[1]
             joints[:, end] = np.where(much > 0, joints[:, root] + length * along, icp.joints[:, end])
     return joints.astype(icp.joints.dtype)
@@ -172,7 +172,8 @@ def posed(
         base = np.where(theirs[..., None], flexible.joints[:, rows], icp.joints[:, rows])
         for k, limb in enumerate(t.limbs.index(part) for part in parts):
             begin, end = (rows[k], rows[k + 1]) if k < 2 else (rows[1], rows[2])
-            turn = _shortest(base[:, min(k, 1) + 1] - base[:, min(k, 1)], joints[:, end] - joints[:, begin])
+            bones = base[:, min(k, 1) + 1] - base[:, min(k, 1)], joints[:, end] - joints[:, begin]
+            turn = shortest_turns(*(unit(np.nan_to_num(bone)) for bone in bones))
             q = np.where(theirs, flexible.rotation[:, limb], icp.rotation[:, limb])
             place = np.where(theirs, flexible.translation[:, limb], icp.translation[:, limb])
             put(limb, turn, q, joints[:, rows[k]] + turn.apply(np.nan_to_num(place - base[:, k])), much)
@@ -181,7 +182,7 @@ def posed(
     for limb in rest:
         a, b = (tracks.rotation[:, limb] for tracks in (icp, flexible))
         q = np.where((much > 0.5)[:, None], b, a)
-        turn = _shortest(axis_of(q), _between(axis_of(a), axis_of(b), much))
+        turn = shortest_turns(axis_of(q), _between(axis_of(a), axis_of(b), much))
         put(limb, turn, q, _between(icp.translation[:, limb], flexible.translation[:, limb], much), much)
     return rotation, translation
 
@@ -243,15 +244,3 @@ def _status(
     """Status of the tracker of which most is taken; LOST where too few joints are expected to be right."""
     status = np.where(np.mean(choice.share, 1) > 0.5, flexible.status, icp.status)
     return doubted(status.astype(np.int8), sure, least)
-
-
-def _unit(v: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3"]:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
-
-
-def _shortest(a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"]) -> Rotation:
-    """The shortest turns from some directions to others."""
-    a, b = _unit(np.nan_to_num(a)), _unit(np.nan_to_num(b))
-    axis = np.cross(a, b)
-    angle = np.arctan2(np.linalg.norm(axis, axis=1), np.sum(a * b, 1))
-    return Rotation.from_rotvec(_unit(axis) * angle[:, None])

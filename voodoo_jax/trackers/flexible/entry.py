@@ -2,13 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
-from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.base import Progress, Source
+from voodoo_jax.trackers.base import Task
 from voodoo_jax.trackers.flexible.tracker import track_frames
 
 
@@ -24,17 +23,9 @@ class FlexibleTracker:
     def passes(self, settings: Settings) -> int:
         return 1 + (settings.flexible.backwards and not settings.online)
 
-    def prepare(self, body: Body, settings: Settings, source: Source) -> None:
+    def prepare(self, task: Task) -> None:
         """Nothing: its program depends on the size of the images."""
 
-    def track(
-        self,
-        body: Body,
-        frames: Iterable[Frame],
-        source: Source,
-        settings: Settings,
-        progress: Progress | None = None,
-        visit: Any = None,
-    ) -> list[Tracks]:
+    def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
         """The main person alone: nobody else is told apart in images."""
-        return [track_frames(body, frames, source, settings, progress)]
+        return [track_frames(task.body, frames, task.source, task.settings, task.progress)]

@@ -3,7 +3,7 @@
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,6 @@ from voodoo_jax.trackers.flexible.scores import (
     LimbContext,
     Score,
     View,
-    Weighing,
     drawn,
     learn,
     limb_score,
@@ -42,6 +41,7 @@ from voodoo_jax.trackers.flexible.scores import (
     systematic,
     worthwhile,
 )
+from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
 from voodoo_jax.trackers.flexible.vectors import Vector, kept, turned, vector, vectors
 
 _PROJECTIONS = 3  # sweeps over a particle's constraints: more change little, by hand
@@ -56,80 +56,9 @@ _NOT_CLOTHES = 0.3  # metres: more than what is told apart by distances, by hand
 _FACE = 0.11  # of the stature: skin so near the head point may be the face's, measured on rendered people
 _BARE_WEIGHT = 3.0  # points of skin weigh so much more for arms: a hand has few, by hand
 _ANKLE, _STANCE = 0.041, 0.1  # height of an ankle, share of stature (the study's rest pose); metres, by hand
-_UNEXPLAINED = 0.06  # metres, by hand: points nearer to the rest of the body than this are no other limb's
 # share of a frame's points that a limb's particles look at: a leg has a fifth of a person's surface, by hand
 _WORTHWHILE = 1 / 3
-_EXPLAINED = 0.06  # metres, on real people's surface by cylinders: by hand
-
-
-class Shape(NamedTuple):
-    """What a program is compiled for."""
-
-    particles: int
-    layers: int
-    relaxations: int
-    refine: int
-    restarts: int
-    flow: bool
-    points: bool  # whether measured points are used at all
-
-
-class Numbers(NamedTuple):
-    """Settings that are traced: changing them compiles nothing."""
-
-    weighing: Weighing
-    velocity: Float[Array, ""]
-    depth_share: Float[Array, ""]
-    depth_noise: Float[Array, "3"]  # metres
-    base_noise: Float[Array, ""]
-    spread_noise: Float[Array, ""]
-    motion_noise: Float[Array, ""]
-    follow: Float[Array, "2"]  # level, up
-    gravity: Float[Array, ""]
-    masses: Float[Array, "3"]  # base, variable, falloff per metre
-    legs_apart: Float[Array, ""]
-    floor: Float[Array, "4"]  # normal upwards and offset, metres
-
-
-class State(NamedTuple):
-    """What goes from frame to frame."""
-
-    x: Float[Array, "16 3"]  # metres, fixed frame
-    before: Float[Array, "16 3"]  # a frame earlier
-    particles: Float[Array, "4 particle 3 3"]
-    previous: Float[Array, "4 particle 3 3"]
-    spread: Float[Array, "4 3"]  # standard deviation of the particles, metres
-    colours: Float[Array, "4 2 ring 3"]
-    learnt: Float[Array, "4 2 ring"]
-
-
-class Inputs(NamedTuple):
-    """What is seen in a frame."""
-
-    view: View
-    points: Float[Any, "point 3"]  # on the person, metres
-    share: Float[Any, "point"]  # 0: none
-    bare: Float[Any, "point"]  # how likely each is skin, 0..1
-    head: Float[Any, "3"]  # metres
-    head_seen: Float[Any, ""]  # 0 or 1
-    up: Float[Any, "3"]
-    dt: Float[Any, ""]  # seconds since the last frame
-    index: Int[Any, ""]
-    learn: Float[Any, ""]  # what the image counts for the colours; 0: nothing
-    valid: Bool[Any, ""]  # False: no frame, only there to fill up
-
-
-class Seen(NamedTuple):
-    """What a frame says of itself."""
-
-    x: Float[Array, "16 3"]
-    spread: Float[Array, "4 3"]
-    masses: Float[Array, " 16"]
-    score: Score  # of each limb
-    explained: Float[Array, ""]  # share of the points near the body
-    residual: Float[Array, ""]  # root mean square distance of these, metres
-    support: Float[Array, " part"]  # points of each part, see cylinders
-    off: Float[Array, " part"]  # root mean square distance of each part's points, metres
+_EXPLAINED = 0.06  # metres, on real people's surface by cylinders: by hand; nearer points are no other part's
 
 
 def start(key: Array, body: FlexibleBody, x: Float[Array, "16 3"], shape: Shape) -> State:
@@ -213,7 +142,7 @@ def _filtered(
 ) -> Filtered:
     """The filters of all limbs, of a body whose trunk stands."""
     view, keys = given.view, jax.random.split(key, 3)
-    space, context = limb_spaces(body, x, n.legs_apart, n.floor), _context(body, state, x, given, shape)
+    space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _context(body, state, x, given, shape)
     origin = state.particles
     ahead = _ahead(state, view, n, shape)
     if shape.restarts:
@@ -313,7 +242,7 @@ def restarted(
     def limb(key, root, bones, others, arm, tip):
         keys = jax.random.split(key, 4)
         far = length(given.points - root)[:, 0] / jnp.sum(bones)
-        weight = given.share * jnp.clip(others - _UNEXPLAINED, 0, 0.2) * jnp.where(far < 1.15, far**2, 0.0)
+        weight = given.share * jnp.clip(others - _EXPLAINED, 0, 0.2) * jnp.where(far < 1.15, far**2, 0.0)
         at = drawn(keys[0], weight + 1e-9, shape.restarts)
         end = given.points[at] + 0.03 * jax.random.normal(keys[1], (shape.restarts, 3))
         high = root @ up - floor[3] - _ANKLE * body.stature

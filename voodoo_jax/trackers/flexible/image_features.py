@@ -14,7 +14,7 @@ from voodoo_jax.records.recording import Frame, Picture
 from voodoo_jax.sensors.quick_stereo import EVERY, quick_depth
 
 WIDTH = 320  # columns of all features: a forearm at 3 m is six pixels wide, set by hand
-COARSE = 4  # by hand: rows and columns of motion and flow are each so many of the features'
+COARSE = 4  # by hand: rows and columns of motion, flow and the map of occlusion are each so many of the features'
 _GRADIENT, _DIFFERENCE = 18.0, 9.0  # grey levels above which there is an edge or a motion: noise of JPEG, measured
 _BINS = 64  # cells of Cr and Cb each in the skin model, by hand
 _CLOTHES, _ROOM = 2.0, 2.0  # how much more often than the face a colour has to be seen there, by hand

@@ -4,7 +4,7 @@ Everything is pure and takes arrays of fixed shapes, so that it is compiled once
 recordings; gradients flow through positions, lengths and stiffnesses.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -39,9 +39,9 @@ _KNEE_BACK = 0.02  # metres that a knee may be behind the line from hip to ankle
 _BOWED = 0.92
 # how near the two knees and the two ankles come to each other, shares of stature: measured on 27 recordings of people
 # who stand, walk, run and bow (knees 0.072 and more, ankles 0.053)
-_LEGS_NEAR = np.array([0.075, 0.058], np.float32)
+LEGS_NEAR = np.array([0.075, 0.058], np.float32)
 _OVER = 0.035  # share of the stature that an ankle is above the floor, measured on the built-in body
-_NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # by hand: a kilometre down
+NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # by hand: a kilometre down
 _TINY = 1e-9  # square metres: float32 has no smaller distances here
 
 
@@ -124,11 +124,6 @@ def _sprung(x: Vector, pulls: _Pulls) -> Vector:
     return x
 
 
-def relax_springs(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Array, " 16"]) -> Float[Array, "16 3"]:
-    """One Gauss-Seidel sweep over the springs, group by group; no spring moves a point of inverse mass 0."""
-    return _sprung(vectors(x), _pulls(body, inverse)).stacked()
-
-
 class LimbSpace(NamedTuple):
     """What the limits of limbs refer to. All but the limbs themselves stays where it is. Axis of each: limb."""
 
@@ -164,17 +159,13 @@ _ANCHOR_POINTS, _ANCHOR_SPRINGS, _ANCHOR_USED = _anchor_tables()
 
 
 def limb_spaces(
-    body: FlexibleBody, x: Float[Array, "16 3"], apart: Float[Array, ""] | float, floor: Float[Array, "4"] | None = None
+    body: FlexibleBody, x: Vector, apart: Float[Array, ""] | float, floor: Float[Array, "4"] | None
 ) -> LimbSpace:
     """Of the four limbs, as the rest of the body stands now; leading axis: limb.
 
     **Arguments:** `apart` least distance of knees and ankles from the plane between the legs, a share of the stature;
     `floor` normal and offset, metres; None: there is none.
     """
-    return _spaces(body, vectors(x), apart, floor)
-
-
-def _spaces(body: FlexibleBody, x: Vector, apart: Any, floor: Float[Array, "4"] | None) -> LimbSpace:
     upper, lower, middle, top = _torso(x)
     arm, side = jnp.asarray(IS_ARM), jnp.asarray(SIDE, x.v.dtype)
     forward, outward, up = (a.where(arm, b) for a, b in zip(upper, lower))
@@ -184,7 +175,7 @@ def _spaces(body: FlexibleBody, x: Vector, apart: Any, floor: Float[Array, "4"] 
     line = top - middle
     trunk = _axes(upper.left + lower.left, line)
     size = jnp.stack([0.9 * body.torso[0], 0.085 * body.stature, line.length()])
-    ground = jnp.asarray(_NO_FLOOR) if floor is None else floor
+    ground = jnp.asarray(NO_FLOOR) if floor is None else floor
     each = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a[..., None], (*a.shape, 4)), v)  # noqa: E731
     return LimbSpace(
         forward, limits, jnp.asarray(rows[:, :, 3]), bone_lengths(body).T, arm.astype(x.v.dtype), each(middle),
@@ -267,21 +258,13 @@ def _put(x: Vector, rows: np.ndarray, new: Vector) -> Vector:
     return Vector(jnp.concatenate([x.v, new.v.reshape(3, -1)], 1)[:, order])
 
 
-def stiff_trunk(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Array, " 16"]) -> Float[Array, "16 3"]:
-    """Neck and hips moved apart as far as a bowed spine holds them: the flat torso's springs alone let it fold at the
-    waist (the paper's waist is relatively stiff, sec. IV-B)."""
-    return _stiffened(vectors(x), inverse, _least_span(body)).stacked()
-
-
-def _least_span(body: FlexibleBody) -> Float[Array, ""]:
-    return _BOWED * _span(vectors(body.rest)).length()
-
-
 def _span(x: Vector) -> Vector:
     return x[NECK] - (x[LOWER[2]] + x[LOWER[3]]) * 0.5
 
 
-def _stiffened(x: Vector, inverse: Float[Array, " 16"], least: Float[Array, ""]) -> Vector:
+def stiff_trunk(x: Vector, inverse: Float[Array, " 16"], least: Float[Array, ""]) -> Vector:
+    """Neck and hips moved apart as far as a bowed spine holds them: the flat torso's springs alone let it fold at the
+    waist (the paper's waist is relatively stiff, sec. IV-B)."""
     d = _span(x)
     now = d.length()
     own, others = inverse[NECK], (inverse[LOWER[2]] + inverse[LOWER[3]]) / 2
@@ -292,13 +275,9 @@ def _stiffened(x: Vector, inverse: Float[Array, " 16"], least: Float[Array, ""])
     return x + d * by
 
 
-def separate_legs(body: FlexibleBody, x: Float[Array, "16 3"], inverse: Float[Array, " 16"]) -> Float[Array, "16 3"]:
+def separate_legs(x: Vector, inverse: Float[Array, " 16"], near: Float[Array, "2"]) -> Vector:
     """Knees and ankles moved apart, along the hips' line, to where two legs have room: else a leg that another one
     hides is drawn into it. Legs one before the other may cross."""
-    return _separated(vectors(x), inverse, jnp.asarray(_LEGS_NEAR) * body.stature).stacked()
-
-
-def _separated(x: Vector, inverse: Float[Array, " 16"], near: Float[Array, "2"]) -> Vector:
     left, right = np.array(LIMBS[2][1:]), np.array(LIMBS[3][1:])
     d, outward = x[left] - x[right], (x[LIMBS[2][0]] - x[LIMBS[3][0]]).unit()
     along = d.dot(outward)
@@ -322,15 +301,16 @@ def relax(
         `floor` see limb_spaces.
     """
     inverse = inverse_masses(masses)
-    pulls, least, near = _pulls(body, inverse), _least_span(body), jnp.asarray(_LEGS_NEAR) * body.stature
+    pulls, least = _pulls(body, inverse), _BOWED * _span(vectors(body.rest)).length()
+    near = jnp.asarray(LEGS_NEAR) * body.stature
     rows = np.ascontiguousarray(LIMBS.T)  # roots, middles, ends
 
     def sweep(_, x):
         x = _sprung(x, pulls)
         if not limits:
             return x
-        x = _separated(_stiffened(x, inverse, least), inverse, near)
-        moved = limb_limits((x[rows[0]], x[rows[1]], x[rows[2]]), inverse[rows], _spaces(body, x, apart, floor))
+        x = separate_legs(stiff_trunk(x, inverse, least), inverse, near)
+        moved = limb_limits((x[rows[0]], x[rows[1]], x[rows[2]]), inverse[rows], limb_spaces(body, x, apart, floor))
         return _put(x, rows, moved[0].stack(*moved[1:]))
 
     if isinstance(iterations, int) and not iterations:
@@ -343,15 +323,3 @@ def project_limb(p: Limb, inverse: Float[Array, "3 #limb"], space: LimbSpace, it
     one limb, broadcast to them."""
     step = lambda _, p: limb_limits(limb_bones(p, inverse, space), inverse, space)  # noqa: E731
     return limb_bones(lax.fori_loop(0, iterations, step, p), inverse, space)
-
-
-# 9 parameters: the body, its state and what acts on it, traced each
-def step(
-    body: FlexibleBody, x: Float[Array, "16 3"], before: Float[Array, "16 3"], gravity: Float[Array, "3"],
-    dt: Float[Array, ""] | float, damping: float, iterations: int,
-    apart: Float[Array, ""] | float = 0.0, floor: Float[Array, "4"] | None = None,
-) -> Float[Array, "16 3"]:  # fmt: skip
-    """The body a time step later, dangling from its head, which stays where it is (sec. II)."""
-    free = inverse_masses(body.masses)[:, None] > 0
-    moved = jnp.where(free, verlet(x, before, jnp.broadcast_to(gravity, x.shape), jnp.asarray(dt), damping), x)
-    return relax(body, moved, body.masses, iterations, apart, True, floor)

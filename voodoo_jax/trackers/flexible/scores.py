@@ -11,12 +11,12 @@ from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from voodoo_jax.trackers.flexible.cylinders import Segment, body_segments, limb_segments, segment_distance
 from voodoo_jax.trackers.flexible.flexible_body import IS_ARM, LIMBS, LOWER, UPPER, FlexibleBody
+from voodoo_jax.trackers.flexible.image_features import COARSE
 from voodoo_jax.trackers.flexible.physics import Frames, Limb
 from voodoo_jax.trackers.flexible.vectors import Vector, kept, turned, vectors
 
 RINGS = 10  # reference colours along a cylinder, by the paper
 ALONG, ACROSS = 6, 3  # samples of a cylinder's surface: set by hand, the study's
-SHRINK = 4  # by hand: the occlusion map's pixels are each so many of the features'
 _BEHIND = 0.12  # metres: what is so much farther than a surface ought to be is not it; cylinders are no people, by hand
 _HAND_SAMPLES = 5  # along a hand, by hand
 _HIDDEN_SKIN = 0.3  # score of a sample of a hand that is not seen, by hand
@@ -107,8 +107,8 @@ def occlusion(body: FlexibleBody, x: Float[Array, "16 3"], view: View) -> Float[
     quad_v = jnp.stack([at.v + side * r * line_u for at, r, side in sides], 1)
     quad_u, quad_v = jnp.concatenate([quad_u, corner.u]), jnp.concatenate([quad_v, corner.v])
     near = jnp.concatenate([near, corner.z.min(-1) - body.torso[1]])
-    rows, columns = view.depth.shape[0] // SHRINK, view.depth.shape[1] // SHRINK
-    v, u = ((np.arange(n, dtype=np.float32) + 0.5) * SHRINK - 0.5 for n in (rows, columns))
+    rows, columns = view.depth.shape[0] // COARSE, view.depth.shape[1] // COARSE
+    v, u = ((np.arange(n, dtype=np.float32) + 0.5) * COARSE - 0.5 for n in (rows, columns))
     # on which side of an edge a pixel is: by_u u + by_v v + constant, as a cross product
     by_u, by_v = quad_v - jnp.roll(quad_v, -1, 1), jnp.roll(quad_u, -1, 1) - quad_u
     constant = -(by_u * quad_u + by_v * quad_v)
@@ -227,7 +227,7 @@ def _image_score(
     at, there = samples(view, segments), view.focal[0] > 0
     surface, solid = kept(there, lambda at: _surface_scores(at, context, hidden, view, w), at.surface)
     pixels, inside = read(view.pixels, at.border)
-    nearest, _ = read(hidden, at.border, SHRINK)
+    nearest, _ = read(hidden, at.border, COARSE)
     shown = inside & (nearest >= at.border.z - 0.02)
     edge = jnp.where(shown, channels(pixels)[3], w.hidden_edge).mean((1, 2))
     share = w.seen_length * at.seen + (1 - w.seen_length)
@@ -242,7 +242,7 @@ def _surface_scores(
 ) -> tuple[Float[Array, "2 particle"], Float[Array, "2 particle"]]:
     """Of each cylinder: how much its colours are alike, and how much of it is where depth is measured."""
     # a sample is hidden where another part of the body is nearer, or outside of the image
-    nearest, _ = read(hidden, at, SHRINK)
+    nearest, _ = read(hidden, at, COARSE)
     behind = nearest < at.z - 0.02
     depth, inside = read(view.depth, at)
     covered = (depth > 0) & (depth < at.z - _BEHIND)
@@ -289,7 +289,7 @@ def _hand_score(s: Segment, context: LimbContext, hidden: Array, view: View) -> 
     hand = s.a[None] + (s.b - s.a)[None] * t
     at = project(view, hand)
     z = at.z - s.end
-    nearest, _ = read(hidden, at, SHRINK)
+    nearest, _ = read(hidden, at, COARSE)
     depth, inside = read(view.depth, at)
     seen = inside & (nearest >= z - 0.02) & ~((depth > 0) & (depth < z - _BEHIND))
     away = (depth > 0) & (depth > z + _BEHIND)  # of the room behind
@@ -321,7 +321,7 @@ def learn(
     points = [vectors(x[LIMBS[:, n]]) for n in range(3)]
     segments = limb_segments((points[0], points[1], points[2]), vectors(frames.lower[0]), arm, body.radii, body.tips)
     at = samples(view, segments).surface
-    nearest = jax.vmap(lambda image, place: read(image, place, SHRINK)[0], (0, -1), -1)(hidden, at)
+    nearest = jax.vmap(lambda image, place: read(image, place, COARSE)[0], (0, -1), -1)(hidden, at)
     depth, inside = read(view.depth, at)
     good = inside & (nearest >= at.z - 0.02) & (depth > 0) & (jnp.abs(depth - at.z) < _BEHIND)
     colour = jnp.stack(channels(read(view.pixels, at)[0])[:3], -1)

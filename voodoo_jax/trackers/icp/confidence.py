@@ -23,6 +23,7 @@ from scipy.special import expit
 from voodoo_jax.geometry.rigid import apply, cross_matrix, on_host
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
+from voodoo_jax.trackers.icp.joint_spread import BATCH
 
 CLOSE = 0.10  # metres
 CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
@@ -51,7 +52,6 @@ CONFIRMED, LONG = 0.63, 1.0
 # both legs so. Of 235 logs of all kinds one did: its legs were on the back of a chair, behind a desk; by hand
 HEELS_UP = 0.05
 EVERY = slice(None)
-BATCH = 4096  # frames that are looked at at once, by hand: clues of one take 3 kB
 # how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
 # limbs are bare; from experiments/trust/elsewhere.py
 SURELY, LESS_SURE = 18.8, (-2.98, -1.26)
@@ -273,20 +273,13 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
         span = slice(at, min(at + BATCH, shape[0]))
         around = slice(max(at - 1, 0), min(at + BATCH + 1, shape[0]))  # clues look at the frames beside each
         inner = slice(at - around.start, span.stop - around.start)
-        found = clues(_only(tracks, around), ahead)[inner]
+        found = clues(tracks.only(around), ahead)[inner]
         twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
-        misfit = _misfits(_only(tracks, span), averages and averages.some(span))
+        misfit = _misfits(tracks.only(span), averages and averages.some(span))
         fits, ill[span] = probability(FITS, misfit), ill_fit(misfit)
         sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
     told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
     return np.where(told[:, None], sure * facing_right(tracks, ill), np.nan).astype(np.float32)
-
-
-def _only(tracks: Tracks, frames: slice) -> Tracks:
-    """Some frames of tracks."""
-    of_frames = vars(tracks).keys() - {"up", "marker_residual"}
-    arrays = {name: value for name in of_frames if isinstance(value := getattr(tracks, name), np.ndarray)}
-    return replace(tracks, **{name: value[frames] for name, value in arrays.items()})
 
 
 def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, "frame joint"]:

@@ -19,7 +19,7 @@ NOISE, SHAPE, APART = 0.03, 0.0105, 0.6
 # the same where place_joints has moved joints: of people left out by halves 95, 94 and 93 % are inside, of the people
 # that it learned from 97, 97 and 94 %; of every fifth frame 90 %
 MOVED = 0.008
-BATCH = 4096  # frames that are looked at at once, by hand: 5 kB each
+BATCH = 4096  # frames of a recording that are looked at at once, by hand: 1 to 5 kB each
 
 
 def with_passes(tracks: Tracks) -> Tracks:

@@ -276,7 +276,7 @@ class _Shown:
             tracks = self._placed(tracks, frame, at - self._first)
         self._recent = [*self._recent[-AROUND:], tracks]
         window = joined_tracks([replace(t, body=tracks.body) for t in self._recent])
-        found = last_of(rated(window, run.settings.track.lost_confidence, False))
+        found = rated(window, run.settings.track.lost_confidence, False).only(slice(-1, None))
         return only_as_sure(found, log_doubts(run.body, run.scene, alone.people, run.settings).right)
 
     def _placed(self, tracks: Tracks, frame: BodyObservation, number: int) -> Tracks:
@@ -305,20 +305,8 @@ def joined_tracks(parts: list[Tracks]) -> Tracks:
     """Successive frames of one body as one."""
     if len(parts) == 1:
         return parts[0]
-    arrays = {}
-    for field in fields(Tracks):
-        if isinstance(getattr(parts[0], field.name), np.ndarray) and field.name not in ("up", "marker_residual"):
-            arrays[field.name] = np.concatenate([getattr(part, field.name) for part in parts])
-    return replace(parts[-1], **arrays)
-
-
-def last_of(tracks: Tracks) -> Tracks:
-    """The last frame alone."""
-    arrays = {}
-    for field in fields(Tracks):
-        if isinstance(value := getattr(tracks, field.name), np.ndarray) and field.name not in ("up", "marker_residual"):
-            arrays[field.name] = value[-1:]
-    return replace(tracks, **arrays)
+    rows = [part.rows() for part in parts]
+    return replace(parts[-1], **{name: np.concatenate([each[name] for each in rows]) for name in rows[0]})
 
 
 def _joined_rows(rows: list[Followed], limbs: int) -> Followed:

@@ -16,9 +16,9 @@ from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.limb_distance import signed_distance
+from voodoo_jax.trackers.icp.runner import FEW_POINTS
 
 POINTS = 250  # of a frame, evenly taken; by hand
-FEWEST = 20  # points of a frame, as trackers.icp.runner has it: fewer tell nothing; by hand
 OFF, AROUND = 0.05, 0.25  # metres from a limb's surface: a point is not explained, and is another limb's; by hand
 # metres from all limbs that are not joined to a limb: its points there are its own. Of 3, 5 and 7 cm the last tells
 # right from wrong best in kinds of logs left out, see experiments/trust
@@ -59,7 +59,7 @@ def misfit(
     frames, limbs = translation.shape[:2]
     out = np.full((5, frames, limbs), np.nan, np.float32)
     there = np.all(np.isfinite(translation[:, 0]), axis=1)
-    use = np.array([k for k, f in enumerate(people) if there[k] and len(f.points) >= FEWEST], int)
+    use = np.array([k for k, f in enumerate(people) if there[k] and len(f.points) >= FEW_POINTS], int)
     for at in range(0, len(use), BATCH):
         some = use[at : at + BATCH]
         clouds = [people[k] for k in some]
@@ -145,7 +145,7 @@ def _covered(
                 cloud.origins[sensor],
             )  # fmt: skip
             for sensor in range(len(cloud.origins))
-            if len(mine := np.flatnonzero(cloud.sensor == sensor)) >= FEWEST
+            if len(mine := np.flatnonzero(cloud.sensor == sensor)) >= FEW_POINTS
         ]
         if found:
             seen[k], bare[k] = np.max([f[0] for f in found], 0), np.min([f[1] for f in found], 0)

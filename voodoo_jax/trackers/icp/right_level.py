@@ -12,6 +12,7 @@ import numpy as np
 from voodoo_jax.config.options import Settings
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
+from voodoo_jax.trackers.icp.right_scale import ENOUGH
 
 # degrees, standard deviation of both angles of a level floor; measured: up to 0.6 in recordings and cases, 1.1 on a car
 LEVEL = 1.0
@@ -19,17 +20,16 @@ SLOPES, SLOPE = 0.03, 4.0  # share of logs on a slope, and standard deviation of
 WRONG, SPREAD = 0.05, 8.0  # the same of mounts that transforms turn wrongly; by hand
 STEEPEST = 40.0  # degrees: a frame that is turned by more has another axis for up, as in detect/scene.py; by hand
 MOUNTED = 0.01  # metres from the frame's origin: a sensor in it is the frame, which need not stand level; by hand
-ENOUGH = 0.85  # a probability of a level frame that is worth no word, and no doubt; by hand, as for the scale
 
 
 class Level(NamedTuple):
     """What is thought of how level a fixed frame is."""
 
-    right: float  # probability that transforms turn the sensor rightly, 0..1; 1 where there is hardly a doubt
-    degrees: float  # from the floor's normal to its z-axis
+    right: float = 1.0  # probability that transforms turn the sensor rightly, 0..1; 1 where there is hardly a doubt
+    degrees: float = 0.0  # from the floor's normal to its z-axis
 
 
-NO_DOUBT = Level(right=1.0, degrees=0.0)  # by hand: certainty
+NO_DOUBT = Level()
 
 
 def level_of(scene: Scene, people: list[BodyObservation], settings: Settings) -> Level:

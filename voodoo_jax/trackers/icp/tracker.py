@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Float32
+from jaxtyping import Array, Float, Float32, Float64
 
 from voodoo_jax.compile.executable import program, seconds_of_waiting
 from voodoo_jax.config.options import Settings
@@ -106,7 +106,7 @@ class Unplaced(NamedTuple):
     notes: tuple[str, ...]  # so far
 
 
-# 10 parameters: what a log says of itself, who looks on, and where to begin
+# 8 parameters: what a log says of itself, and what runs the program
 def track_person(
     body: Body,
     scene: Scene,
@@ -115,16 +115,14 @@ def track_person(
     source: str,
     fixed_frame: str,
     notes: tuple[str, ...] = (),
-    progress: Progress | None = None,
     visit: Visit | None = None,
-    begin: int = 0,
 ) -> Tracks:
     """Tracks a body through frames in which it was already told apart from its surroundings (see find_body);
-    `visit` see Runner. It starts in frame `begin` or later, and is tracked back from there, too."""
-    return placed(track_poses(body, scene, people, settings, source, fixed_frame, notes, progress, visit, begin))
+    `visit` see Runner."""
+    return placed(track_poses(body, scene, people, settings, source, fixed_frame, notes, visit=visit))
 
 
-# 10 parameters, as track_person
+# 10 parameters: besides who looks on, and where to begin
 def track_poses(
     body: Body,
     scene: Scene,
@@ -137,7 +135,8 @@ def track_poses(
     visit: Visit | None = None,
     begin: int = 0,
 ) -> Unplaced:
-    """As track_person, before joints are put in their places: `placed` does that."""
+    """As track_person, before joints are put in their places: `placed` does that. It starts in frame `begin` or later,
+    and is tracked back from there, too."""
     began, waited = time.perf_counter(), seconds_of_waiting()
     count = len(people)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
@@ -256,8 +255,14 @@ def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> T
         depth_inside=derived.depth_inside, limb_covariance=derived.limb_covariance,
         joint_covariance=derived.joint_covariance, up=_up(run), limb_beside=fit and fit.beside,
         limb_distance=fit and fit.distance, limb_bare=fit and fit.bare, limb_own=fit and fit.own,
-        facing_odds=segment.facing_odds,
+        facing_odds=segment.facing_odds, T_fixed_steady=_sensor_motion(run.people),
     )  # fmt: skip
+
+
+def _sensor_motion(people: list[BodyObservation]) -> Float64[np.ndarray, "frame 4 4"] | None:
+    """How sensors moved that the log has at rest, see Tracks; None if they did not."""
+    motion = [np.eye(4) if frame.T_fixed_steady is None else frame.T_fixed_steady for frame in people]
+    return np.stack(motion) if any(frame.T_fixed_steady is not None for frame in people) else None
 
 
 def _misfit(run: Runner, segment: Segment) -> Misfit | None:

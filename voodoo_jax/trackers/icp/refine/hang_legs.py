@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.options import TrackSettings
 from voodoo_jax.geometry.rigid import Poses, apply, inverse
+from voodoo_jax.geometry.rotations import unit
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.runner import Runner
@@ -90,9 +91,9 @@ def _hung(
     first, second = np.asarray(body.parent_anchor.translation), np.asarray(body.child_anchor.translation)
     for at, (limb, above, below) in enumerate(((thigh, hip, knee), (shank, knee, ankle))):
         top = np.asarray(apply(poses[:, limb], second[above]))
-        along = _unit(np.asarray(apply(poses[:, limb], first[below])) - top)
+        along = unit(np.asarray(apply(poses[:, limb], first[below])) - top)
         if limb == shank:
-            over = _unit(top - np.asarray(apply(poses[:, thigh], second[hip])))
+            over = unit(top - np.asarray(apply(poses[:, thigh], second[hip])))
             forward = np.sum(over * ahead, 1)
             want = -BACK - MORE * np.maximum(forward, 0) * np.maximum(-over @ up, 0)
         else:
@@ -100,16 +101,12 @@ def _hung(
         side = np.cross(up, ahead)
         aside = np.sum(along * side, 1, keepdims=True) * side
         down = np.sqrt(np.clip(1 - want**2 - np.sum(aside**2, 1), 0, 1))[:, None]
-        aim = _unit(want[:, None] * ahead + aside - down * up)
+        aim = unit(want[:, None] * ahead + aside - down * up)
         axis = np.cross(along, aim)
         angle = np.arctan2(np.linalg.norm(axis, axis=1), np.sum(along * aim, 1)) * much[at] * stands
-        turn = Rotation.from_rotvec(np.nan_to_num(_unit(axis) * angle[:, None]))
+        turn = Rotation.from_rotvec(np.nan_to_num(unit(axis) * angle[:, None]))
         poses = turned(poses, leg[at:], top, turn)
     return poses
-
-
-def _unit(v: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3"]:
-    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-9)
 
 
 def turned(poses: Poses, limbs: list[int], top: Float[np.ndarray, "frame 3"], turn: Rotation) -> Poses:

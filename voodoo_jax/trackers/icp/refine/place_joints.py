@@ -20,7 +20,7 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.icp.joint_spread import MOVED, SHAPE
+from voodoo_jax.trackers.icp.joint_spread import BATCH, MOVED, SHAPE
 from voodoo_jax.trackers.icp.runner import Runner
 
 # joint centre -> the limb in whose axes it is moved, and the limb whose direction tells how the joint is bent
@@ -35,7 +35,6 @@ EVERY = slice(None)
 # square of the mean error after moving over that before, people left out by halves: 1.88, 2.04 cm (experiments/
 # offsets); of joints that were tracked in one direction of time
 REMAINS = 0.85
-BATCH = 4096  # frames whose covariances are looked at at once, by hand: 1.4 kB each
 UNLIKE = 0.4  # logarithm of a size over the usual one: girths of people differ by 13 % (ANSUR II), three deviations
 
 

@@ -1,0 +1,89 @@
+"""Sensors whose transforms are wrong beside each other: found by the surfaces that both see."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.support.logs import START, Log, ros_cloud, ros_tf
+from tests.support.rooms import box, figure, room
+from voodoo_jax import read_log
+from voodoo_jax.config.options import ReadSettings
+from voodoo_jax.detect.misplaced import Surface, correction, normals_of
+
+HOME, UP = np.array([0, 0.3, 1.2]), np.array([0, 0, 1.0])
+
+
+def scene(rng, i: int = 0) -> np.ndarray:
+    things = [room(rng), figure(2.5, -0.5 + 0.02 * i), box(3.2, 0.9, 0.7, 1.1)]
+    side = box(0, 0, 1.2, 0.9) @ Rotation.from_euler("z", 70, degrees=True).as_matrix().T + [3.0, -1.2, 0]
+    return np.concatenate([*things, side]) + rng.normal(0, 0.003, (1, 3))
+
+
+def log_of_two(rng, path, place, turn: Rotation):
+    """Two sensors of one scene, of which the second has another transform than where it is (at HOME, unturned)."""
+    log = Log()
+    log.add("/tf_static", START, ros_tf((START, "base", "one", (0, 0, 1.2), (0, 0, 0, 1))))
+    log.add("/tf_static", START, ros_tf((START, "base", "two", tuple(place), tuple(turn.as_quat()))))
+    for i in range(20):
+        at, cloud = START + i * 100_000_000, scene(rng, i)
+        log.add("/one", at, ros_cloud(at, "one", cloud[::2] - [0, 0, 1.2]))
+        log.add("/two", at, ros_cloud(at, "two", cloud[1::2] - HOME))
+    return log.write(path)
+
+
+def gap(recording) -> float:
+    """How far the second sensor's part of the person is from the first one's, metres."""
+    frame = recording.frames[0]
+    near = (
+        (np.abs(frame.points[:, 0] - 2.4) < 0.45)
+        & (frame.points[:, 2] > 0.5)
+        & (np.abs(frame.points[:, 1] + 0.5) < 0.5)
+    )
+    middles = [np.median(frame.points[near & (frame.sensor == k)], 0) for k in (0, 1)]
+    return float(np.linalg.norm(middles[0] - middles[1]))
+
+
+def test_a_wrong_transform_is_put_right_and_said(rng, tmp_path):
+    wrong = HOME + [0.1, -0.06, 0.02], Rotation.from_euler("z", 4, degrees=True)
+    recording = read_log(log_of_two(rng, tmp_path / "a.mcap", *wrong))
+    (note,) = [note for note in recording.notes if "one of their transforms is wrong" in note]
+    assert recording.sure == 0.5 and gap(recording) < 0.03  # clouds do not tell whose floor is level
+    # either line settles it, and is believed
+    lines = [part.split('"')[0] for part in note.split('--read.transform "')[1:]]
+    put_right = read_log(tmp_path / "a.mcap", ReadSettings(transform=(lines[0],)))
+    assert put_right.sure == 1 and gap(put_right) < 0.03
+    other = read_log(tmp_path / "a.mcap", ReadSettings(transform=(lines[1],)))
+    assert gap(other) < 0.03 and any("'/one' sees what '/two' sees" in note for note in other.notes)
+
+
+def test_right_transforms_are_left_alone(rng, tmp_path):
+    recording = read_log(log_of_two(rng, tmp_path / "a.mcap", HOME, Rotation.identity()))
+    assert recording.notes == () and recording.sure == 1
+
+
+def patch(normal, middle, rng, size: float = 1.0) -> Surface:
+    """A flat piece of a wall or floor."""
+    across = np.linalg.svd(np.array(normal, float)[None])[2][1:]
+    points = rng.uniform(-size, size, (800, 2)) @ across + middle
+    return Surface(points, np.broadcast_to(np.array(normal, float), points.shape))
+
+
+@pytest.mark.parametrize("walls, sure", [([(-1, 0, 0), (0, 1, 0)], True), ([(-1, 0, 0)], False), ([], False)])
+def test_what_the_surfaces_leave_open_is_doubted(rng, walls, sure):
+    """The floor tells height and slope, one wall a shift and a turn, the corner all."""
+    shift = np.array([0.09, 0.08, 0.07])
+    there = [patch((0, 0, 1), (3, 0, 0), rng), *(patch(n, -1.0 * np.array(n) + [3, 0, 1], rng) for n in walls)]
+    whole = Surface(np.concatenate([s.points for s in there]), np.concatenate([s.normals for s in there]))
+    T, alone = correction([(whole, Surface(whole.points + shift, whole.normals))] * 4, UP)
+    assert alone == sure and abs(T[2, 3] + shift[2] + (T[2, :3] - UP) @ [3, 0, 0.5]) < 0.02
+    if sure:
+        np.testing.assert_allclose(T[:3, 3] + (T[:3, :3] - np.eye(3)) @ [3, 0, 0.5], -shift, atol=0.01)
+
+
+def test_normals_as_by_eigenvectors(rng):
+    patches = rng.normal(size=(50, 12, 3)) * [1, 0.7, 0.05] @ Rotation.random(rng=1).as_matrix()
+    patches -= patches.mean(1, keepdims=True)
+    normals, flat = normals_of(patches)
+    least = np.linalg.eigh(np.einsum("kpi,kpj->kij", patches, patches))[1][:, :, 0]
+    assert flat.all() and (np.abs(np.sum(normals * least, 1)) > 0.999).all()
+    assert normals_of(rng.normal(size=(50, 12, 3)))[1].mean() < 0.3

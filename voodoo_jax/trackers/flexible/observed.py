@@ -1,0 +1,281 @@
+"""What the flexible tracker sees of a recording: features of its images, and the person's points. Host side."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import prod
+from typing import IO, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from voodoo_jax.config.options import FlexibleSettings, Settings
+from voodoo_jax.detect.disk_buffer import spilled
+from voodoo_jax.detect.pipeline import watched
+from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.model.body import Body
+from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.recording import Frame, Picture, Rays
+from voodoo_jax.records.scene import Scene
+from voodoo_jax.storage.scratch import nameless_file
+from voodoo_jax.trackers.base import Unsuitable
+from voodoo_jax.trackers.flexible.image_features import Extractor, Features, Near, SkinModel, depth_points
+from voodoo_jax.trackers.flexible.scores import View
+
+_PATIENCE = 60  # frames without an image at the beginning of a log, after which none are expected, by hand
+_OVER_FLOOR = 0.06  # metres: lower points are the floor's as often as the feet's by stereo, by hand
+_NOTHING = np.zeros((0, 3), np.float32)
+_BESIDE, _FASTEST = 0.25, 2.5  # metres from a person's points, and per second: so far hands may be next, by hand
+
+
+class _Kept(NamedTuple):
+    """Features of a frame on disk."""
+
+    begin: int  # byte of the file
+    kinds: list[tuple[np.dtype, tuple[int, ...]]]  # of the arrays
+    place: Float64[np.ndarray, "3"]  # of the camera, metres
+
+
+class FeatureStore:
+    """A camera's features on disk, in the order of time; a recording's images do not fit into memory."""
+
+    def __init__(self, file: IO[bytes] | None = None, at: Sequence["_Kept | None"] = ()):
+        self._file = nameless_file() if file is None else file
+        self._at = list(at)
+
+    def __len__(self) -> int:
+        return len(self._at)
+
+    def close(self) -> None:
+        """Gives the disk space back."""
+        self._file.close()
+
+    def add(self, f: Features | None, place: Float64[np.ndarray, "3"] | None = None) -> None:
+        """Those of one more frame, and where the camera is, metres; None: it has no image of it."""
+        if f is None or place is None:
+            self._at.append(None)
+            return
+        self._at.append(_Kept(self._file.seek(0, 2), [(array.dtype, array.shape) for array in f], place))
+        for array in f:
+            self._file.write(np.ascontiguousarray(array).data)
+
+    def place(self, i: int) -> Float64[np.ndarray, "3"]:
+        """Where the camera is, metres."""
+        return self._kept(i).place
+
+    def _kept(self, i: int) -> "_Kept":
+        found = self._at[i]
+        if found is None:
+            raise IndexError(f"no image in row {i}")
+        return found
+
+    def has(self, i: int) -> bool:
+        return self._at[i] is not None
+
+    def latest(self, i: int) -> tuple[Features, bool]:
+        """Those of the row, or else the nearest ones, and which of both."""
+        if self.has(i):
+            return self[i], True
+        there = [k for k in range(len(self)) if self.has(k)]
+        return self[min(there, key=lambda k: abs(k - i))], False
+
+    def rows(self, at: Sequence[int]) -> "FeatureStore":
+        """Of some frames alone."""
+        return FeatureStore(self._file, [self._at[i] for i in at])
+
+    def __getitem__(self, i: int) -> Features:
+        found = self._kept(i)
+        self._file.seek(found.begin)
+        read = self._file.read
+        return Features(*(np.frombuffer(read(t.itemsize * prod(s)), t).reshape(s) for t, s in found.kinds))
+
+
+def uses_dense(s: FlexibleSettings) -> bool:
+    """Whether the depth of all pixels is needed in all frames; else only while colours are learnt, and of the face."""
+    return s.depth_weight > 0 or s.points_weight > 0 or s.refine > 0
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A recording as the filters take it. Rows are frames in which the first camera has an image."""
+
+    features: FeatureStore  # of the first camera: flow, motion and the head come from it
+    others: tuple[FeatureStore, ...]  # of further ones, which may have no image in some rows
+    people: list[BodyObservation]
+    scene: Scene
+    time_ns: np.ndarray
+    row: np.ndarray  # which frame of the recording each is
+    count: int  # frames of the recording
+
+    def close(self) -> None:
+        """Gives the disk space back."""
+        for store in (self.features, *self.others):
+            store.close()
+
+    def from_camera(self, number: int) -> "Observed":
+        """With another camera as the first one."""
+        stores = [self.features, *self.others]
+        first = stores.pop(number)
+        rows = [i for i in range(len(first)) if first.has(i)]
+        return replace(
+            self, features=first.rows(rows), others=tuple(s.rows(rows) for s in stores),
+            people=[self.people[i] for i in rows], row=self.row[rows],
+        )  # fmt: skip
+
+
+def _left(picture: Picture) -> Picture:
+    """A pair's left image alone."""
+    return replace(picture, unpack=lambda: picture.unpack()[:1], baseline=0.0) if picture.baseline > 0 else picture
+
+
+class Watching:
+    """Frames on their way to where the person in them is found; features of their images are kept, of all cameras.
+
+    Points of stereo pairs are added, unless the frames' points are `given`: then another tracker takes the same frames,
+    they stay as they are but for their images, and their points tell the depth of all pixels.
+
+    **Arguments:** `source` path of the log.
+    """
+
+    def __init__(self, settings: Settings, source: str, given: bool = False):
+        self._settings, self._source, self._given = settings.flexible, source, given
+        self.near: Callable[[int], Near | None] = lambda time_ns: None  # where depth is needed at a time
+        self._times: list[int] = []
+        self.rows: list[int] = []  # which frames have an image
+        self._extract, self._stores = dict[str, Extractor](), dict[str, FeatureStore]()
+        self._origins: dict[str, np.ndarray] = {}
+
+    def __call__(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames; those without an image are left out, unless they are given. Raises Unsuitable; ValueError for
+        broken images."""
+        for number, frame in enumerate(frames):
+            self._times.append(frame.time_ns)
+            if frame.pictures:
+                seen = self._looked_at(frame, self.near(frame.time_ns))
+                self.rows.append(number)
+                yield seen
+            elif number >= _PATIENCE and not self.rows:
+                raise self._without_images()
+            elif self._given:
+                yield frame
+
+    def _looked_at(self, frame: Frame, near: Near | None) -> Frame:
+        """The frame with the points that are measured; its features are kept."""
+        s, found, shown = self._settings, dict[str, tuple[Features, bool]](), len(self.rows)
+        given = self._given and len(frame.points) > 0
+        for picture in sorted(frame.pictures, key=lambda picture: picture.topic):
+            picture = _left(picture) if given else picture
+            dense = given or uses_dense(s) or shown < s.learn_frames
+            extract = self._extract.setdefault(picture.topic, Extractor())
+            found[picture.topic] = extract(frame, picture, dense, s.flow, near), picture.baseline > 0
+            if picture.topic not in self._stores:
+                self._stores[picture.topic] = FeatureStore(at=[None] * shown)
+        places = {picture.topic: picture.T_fixed_camera[:3, 3] for picture in frame.pictures}
+        for topic, store in self._stores.items():
+            store.add(found[topic][0] if topic in found else None, places.get(topic))
+        if given:
+            return replace(frame, pictures=())
+        frame = replace(frame, rays=Rays(), pictures=(), weight=None)
+        pairs = {topic: f for topic, (f, is_pair) in found.items() if is_pair}
+        if not pairs:
+            return frame
+        self._origins |= {topic: -f.shift @ f.turn for topic, f in pairs.items()}
+        clouds = [depth_points(pairs[topic])[0] if topic in pairs else _NOTHING for topic in self._origins]
+        sensor = np.repeat(np.arange(len(clouds), dtype=np.int32), [len(cloud) for cloud in clouds])
+        origins = np.stack(list(self._origins.values())).astype(np.float32)
+        return replace(frame, points=np.concatenate(clouds), sensor=sensor, origins=origins)
+
+    def observed(self, people: list[BodyObservation], scene: Scene) -> Observed:
+        """What was seen, once all frames are through; `people` of those with an image. Raises Unsuitable."""
+        if not self.rows:
+            raise self._without_images()
+        first, *others = self._stores.values()
+        row, times = np.array(self.rows, int), np.array(self._times, np.int64)
+        whole = Observed(first, tuple(others), people, scene, times, row, len(times))
+        return whole if all(first.has(i) for i in range(len(first))) else whole.from_camera(0)
+
+    def close(self) -> None:
+        """Gives the disk space back."""
+        for store in self._stores.values():
+            store.close()
+
+    def _without_images(self) -> Unsuitable:
+        return Unsuitable(
+            f"'{self._source}' has no images that the flexible tracker could look at (a calibrated stereo pair, or a "
+            "colour camera beside a depth camera; in Python read it with the settings of "
+            f"vj.preset('{'both' if self._given else 'flexible'}')): use --tracker icp"
+        )
+
+
+def observe(
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, source: str
+) -> Observed:
+    """Reads features and finds the person's points. Raises Unsuitable."""
+    watching = Watching(settings, source)
+    try:
+        chooser, found = watched(watching(frames), up, body, settings)
+        watching.near = partial(_near, chooser)
+        people = spilled(found)
+        return watching.observed(people, chooser.finder.scene)  # now, for the floor may have been found with the body
+    except BaseException:
+        watching.close()
+        raise
+
+
+def _near(chooser: Chooser, time_ns: int) -> Near | None:
+    """Where depth is needed in a frame of that time; None: everywhere."""
+    points = chooser.near_only(time_ns)
+    seconds = (time_ns - chooser.finder.last_ns) / 1e9
+    return None if points is None else Near(points, _BESIDE + _FASTEST * max(seconds, 0.0))
+
+
+class Look(NamedTuple):
+    """What one camera sees in a row."""
+
+    features: Features
+    bare: UInt8[np.ndarray, "row column"]  # how likely each pixel is skin if it is the person's, 0..255
+    there: bool  # False: it has no image then, this is the nearest one in time
+
+
+def looks(seen: Observed, i: int, s: FlexibleSettings, skin: SkinModel) -> list[Look]:
+    """What all cameras see in a row, the first one first."""
+    found = [(seen.features[i], True), *(store.latest(i) for store in seen.others)]
+    none = np.zeros(found[0][0].depth.shape, np.uint8)
+    return [Look(f, skin.on_person(f.cell) if s.skin_weight > 0 else none, there) for f, there in found]
+
+
+def chosen_points(
+    seen: Observed, i: int, s: FlexibleSettings, views: Sequence[Look]
+) -> tuple[Float32[np.ndarray, "point 3"], Float32[np.ndarray, " point"], Float32[np.ndarray, " point"]]:
+    """The points on the person in a row that are used, metres, what each counts (0: there is none), and the same times
+    how likely it is skin, by the camera that is nearest to where it was seen from."""
+    person = seen.people[i]
+    points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
+    good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
+    chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
+    points[: len(chosen)] = person.points[chosen]
+    share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]
+    each = [at_points(look.bare, look.features, points) for look in views]
+    if len(views) > 1:
+        cameras = np.stack([-look.features.shift @ look.features.turn for look in views])
+        apart = np.linalg.norm(person.origins[person.sensor[chosen], None] - cameras, axis=-1)
+        each[0][: len(chosen)] = np.stack(each)[apart.argmin(1), np.arange(len(chosen))]
+    return points, share, each[0] * share
+
+
+def at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "point"]:
+    """What an image says at points, 0..1; 0 outside of it."""
+    q = points @ f.turn.T + f.shift
+    at = np.round(q[:, :2] / np.maximum(q[:, 2:], 0.1) * f.focal[:2] + f.focal[2:]).astype(int)
+    rows, columns = image.shape
+    inside = (at >= 0).all(1) & (at[:, 0] < columns) & (at[:, 1] < rows) & (q[:, 2] > 0.1)
+    value = image[at[:, 1].clip(0, rows - 1), at[:, 0].clip(0, columns - 1)].astype(np.float32) / 255
+    return np.where(inside, value, np.float32(0))
+
+
+def view_of(look: Look) -> View:
+    """What a program takes of features."""
+    f = look.features
+    pixels = np.asarray(cv2.merge((f.colour, f.edge))).view("<u4")[..., 0]
+    return View(pixels, f.motion, f.flow, f.depth, f.focal, f.turn, f.shift, look.bare, np.float32(float(look.there)))
