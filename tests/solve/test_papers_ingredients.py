@@ -60,7 +60,7 @@ def test_points_far_from_the_body_from_limbs_or_from_their_pair_are_discarded():
     near, far = (0.06, 0.0, 0.2), (0.36, 0.0, 0.2)
     assert used(points(near, far)).any(0).all()
     for gate in (dict(body_enlarge=0.1), dict(limb_enlarge=0.1), dict(max_distance=0.1)):
-        assert used(points(near, far), **gate).any(0).tolist() == [True, False], gate
+        assert used(points(near, far), BODY, **gate).any(0).tolist() == [True, False], gate
 
 
 def test_point_number_reduction_keeps_few_points_and_thins_many():

@@ -153,8 +153,8 @@ def score_of(v: View, c: LimbContext | None = None, n=N):
     return _score(one, v, n)
 
 
-POINTS = tuple(vectors(BODY.rest[row, None]) for row in ARM)
-_score = jax.jit(lambda c, v, n: jax.tree.map(lambda a: a[0], limb_score(POINTS, c, v, n.weighing)))
+SHOULDER, ELBOW, WRIST = (vectors(BODY.rest[row, None]) for row in ARM)
+_score = jax.jit(lambda c, v, n: jax.tree.map(lambda a: a[0], limb_score((SHOULDER, ELBOW, WRIST), c, v, n.weighing)))
 
 
 def painted(channel: int, value: int) -> np.ndarray:
