@@ -18,13 +18,14 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry import lens
 from voodoo_jax.geometry.depth_edges import on_sheets
-from voodoo_jax.io.calibrations import calibration_of, lens_of
+from voodoo_jax.io.as_shown import with_images_as_shown, with_settled_frames
+from voodoo_jax.io.calibrations import BODY_OPTICAL, calibration_of, lens_of
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted, leeway, moved
-from voodoo_jax.io.image_planes import TELLING, flat_share, planes, seen_pixels
+from voodoo_jax.io.image_planes import TELLING
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.pictures import PictureReader, shape_of
@@ -33,7 +34,6 @@ from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.repeats import Repeats
 from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import HOLD_NS, Transform
-from voodoo_jax.io.which_depth import calibrated
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording, joined_rays
@@ -43,11 +43,6 @@ __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "rea
 
 Progress = Callable[[int, int], None]
 UNREADABLE = "cannot be decoded, left out"
-LEVEL = np.cos(np.radians(15))  # so near to upwards a normal is a floor's; by hand
-# degrees, or 2 centimetres, by which a floor is off level at most where transforms are right; and the probability that
-# they are where two contradict each other and nothing tells; by hand
-FITS, TORN = 2.5, 0.5
-BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical axes to those of a body (REP 103)
 STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
 BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
 FEW_POINTS = 5000  # of a message that are looked at to see whether it shows something
@@ -71,49 +66,9 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "Lo
         check_pose_net(settings.pose_net)
     scan = Scan(path, settings)
     try:
-        return _with_images_as_shown(_with_settled_frames(LogReader(scan, make_plan(scan, settings), settings)))
+        return with_images_as_shown(with_settled_frames(LogReader(scan, make_plan(scan, settings), settings)))
     except LogError as problem:
         raise LogError(f"{damaged(scan, problem)} {scan.part_of}".strip()) from problem
-
-
-def _with_settled_frames(reader: "LogReader") -> "LogReader":
-    """The reader with the one of two places of each frame that two publishers disagree about: that with which the floor
-    is level and at the height 0, if it tells."""
-    for child, count in reader.torn.items():
-        off, lines = zip(*((reader.off_level(), line) for line in (reader.choose(child, k) for k in (0, 1))))
-        best = int(np.argmin(off))
-        reader.choose(child, best)
-        told = off[best] < FITS and off[1 - best] > 2 * max(off[best], FITS / 4)
-        reader.sure *= 1.0 if told else TORN
-        why = "the floor is level with the one that is used" if told else "nothing tells which is right"
-        reader.say(
-            f"Frame '{child}' jumps between two places, {count} times: two publishers say where it is; {why}. "
-            f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
-        )
-    return reader
-
-
-def _with_images_as_shown(reader: "LogReader") -> "LogReader":
-    """The reader with depth images taken for what their planes show them to be: distances along the rays, and optical
-    ones in a frame of a camera's body."""
-    for topic in reader.sensors:
-        if not reader.is_image(topic) or (found := reader.first_pixels(topic)) is None:
-            continue
-        xy, values = found
-        if topic not in reader.radial and flat_share(xy, values)[1]:
-            reader.radial[topic] = True
-            reader.say(
-                f"'{topic}' has distances along the rays, not along the optical axis, to judge by the planes in it "
-                f"(read.radial={topic}=yes; =no says that they are depths)."
-            )
-        if reader.in_body_frame(topic, xy, values):
-            reader.of_body |= {topic}
-            reader.say(
-                f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor stands upright: that is the "
-                "frame of a camera's body, and its images are taken for optical ones (z ahead, x to the right) at that "
-                "place. A transform of an optical frame, or read.up, settles it."
-            )
-    return reader
 
 
 def read_log(path: Place, settings: ReadSettings | None = None, progress: Progress | None = None) -> Recording:
@@ -152,7 +107,7 @@ class LogReader:
     """A log opened for reading frame by frame. `notes` is complete once `frames()` has run through."""
 
     def __init__(self, scan: Scan, plan: Plan, settings: ReadSettings):
-        self._scan, self._settings = scan, settings
+        self.scan, self._settings = scan, settings
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
         self.origin, self.up_is_given = plan.origin, bool(settings.up)
         self.features, self.parts = plan.features, plan.parts.names
@@ -182,68 +137,16 @@ class LogReader:
 
     def unit(self, topic: str) -> float:
         """Metres per unit of a depth topic's numbers, as is usual for its encoding."""
-        sample = self._scan.topics[topic].sample
+        sample = self.scan.topics[topic].sample
         return sample.unit if isinstance(sample, Image) else 1.0
-
-    def first_pixels(self, topic: str) -> tuple[np.ndarray, np.ndarray] | None:
-        """Of some pixels of a topic's first image the rays to a depth of 1, and the values: see calibrated()."""
-        return calibrated(self._scan.topics, topic)
-
-    @property
-    def torn(self) -> dict[str, int]:
-        """Frames that jump between two places, and how often."""
-        return {child: 2 * min(len(e.stamps) for e in both) for child, both in self._scan.tree.torn.items()}
-
-    def choose(self, child: str, which: int) -> str:
-        """Takes one of these places; how read.transform says it."""
-        return self._scan.tree.choose(child, which)
-
-    def off_level(self) -> float:
-        """How far the floor in the first image of a depth camera is from lying level at the height 0 of the fixed
-        frame, in degrees, or 2 centimetres; the best of all cameras; infinite where none sees one. Walls beside the
-        axes of the frame count a tenth of that: rooms are often measured along them."""
-        least = np.inf
-        for topic in self.sensors:
-            found = self.first_pixels(topic) if self.is_image(topic) else None
-            at = int(self.stamps(topic)[0])
-            pose = self._scan.tree.lookup(self.fixed_frame, self.frame_name(topic), at, hold_ns=None)
-            if found is None or pose is None:
-                continue
-            ways, value = seen_pixels(*found)
-            seen = planes(ways, value) if len(value) >= TELLING else None
-            if seen is None or not len(seen.shares):
-                continue
-            normals = seen.normals @ pose[0].T
-            level = normals @ self.up
-            walls = normals[np.abs(level) < 0.2]
-            aside = np.degrees(np.arccos(np.clip(np.abs(walls).max(1), 0, 1))).mean() if len(walls) else 0.0
-            heights = float((pose[1] + self.origin) @ self.up) - seen.distances
-            off = np.degrees(np.arccos(np.clip(level, -1, 1))) + np.abs(heights) / 0.02
-            least = min(least, float(off[level > LEVEL].min(initial=np.inf)) + 0.1 * float(aside))
-        return least
 
     def frame_name(self, topic: str) -> str:
         """The frame in which a depth topic is given."""
-        return self._scan.topics[topic].sample.frame
-
-    def in_body_frame(self, topic: str, xy: np.ndarray, values: np.ndarray) -> bool:
-        """Whether the floor in a topic's first image is level only if its frame is that of a camera's body, as the
-        transforms place it."""
-        frame, tree = self.frame_name(topic), self._scan.tree
-        pose = tree.lookup(self.fixed_frame, frame, int(self.stamps(topic)[0]), hold_ns=None)
-        if self.up_is_given or pose is None or frame == tree.root(frame) or "optical" in frame.lower():
-            return False
-        ways, value = seen_pixels(xy, values)
-        if len(value) < TELLING:
-            return False
-        length = np.linalg.norm(ways, axis=1) if self.radial.get(topic) else 1.0
-        normals = planes(ways, value / length).normals
-        told, body = (np.max(normals @ turn.T @ self.up, initial=-1.0) for turn in (pose[0], pose[0] @ BODY_OPTICAL))
-        return bool(told < LEVEL < body)
+        return self.scan.topics[topic].sample.frame
 
     def is_image(self, topic: str) -> bool:
         """Whether a topic's messages are images, not clouds."""
-        return isinstance(self._scan.topics[topic].sample, Image)
+        return isinstance(self.scan.topics[topic].sample, Image)
 
     def with_scales(self, scales: dict[str, float]) -> "LogReader":
         """The same log with other units of some topics, metres per unit."""
@@ -268,8 +171,8 @@ class LogReader:
     def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
         """Pixels across and down by which the place is unknown where a topic's images were cropped, and their focal
         length, pixels."""
-        shape = shape_of(self._scan.topics[topic].sample)
-        c = None if shape is None else calibration_of(self._scan.topics, topic)
+        shape = shape_of(self.scan.topics[topic].sample)
+        c = None if shape is None else calibration_of(self.scan.topics, topic)
         if shape is None or c is None:
             return (0.0, 0.0), 1.0
         try:
@@ -294,7 +197,7 @@ class LogReader:
     def continued(self, scan: Scan, plan: Plan) -> "LogReader":
         """The same log with what has come since: another look at it, and its plan."""
         other = copy(self)
-        other._scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
+        other.scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
         other.sensors, other.features = plan.sensors, plan.features
         other._plan_parts, other._notes, other._counted, other._pictures = plan.parts, [], Counter(), {}
         other._assumed = {}  # said already
@@ -302,18 +205,18 @@ class LogReader:
 
     def settled(self, transforms: list[tuple[Transform, bool]], decoder: Decoder) -> Known:
         """What this look at the log has settled, for `continued`; `transforms` and `decoder` see Known."""
-        s = self._scan
+        s = self.scan
         return Known(s.topics, s.uses, s.skin, s.stereo, s.shifts, transforms, decoder)
 
     @property
     def shifts(self) -> dict[str, int]:
         """What was added to stamps, see Scan."""
-        return self._scan.shifts
+        return self.scan.shifts
 
     @property
     def units(self) -> list[str]:
         """Units of named points that were found by their extent, as in read.scale."""
-        return [f"{name}={unit:g}" for name, unit in self._scan.units.items()]
+        return [f"{name}={unit:g}" for name, unit in self.scan.units.items()]
 
     @property
     def losses(self) -> dict[tuple[str, str], int]:
@@ -337,14 +240,14 @@ class LogReader:
     def sampled(self, topic: str, count: int, spread: bool = False, step: int = 1) -> list[Sample]:
         """Some messages of a depth topic that show something: the first ones (every so many-th), or `spread` over the
         log."""
-        total = len(self._scan.topics[topic].stamps)
+        total = len(self.scan.topics[topic].stamps)
         step = max(1, total // count) if spread else step
         found, decoder, number = [], Decoder(), -1
-        stereo = {pair.left for pair in self._scan.stereo}
-        wanted = lambda s, c: c.topic == topic and self._scan.kind(s, c) == self._scan.topics[topic].kind  # noqa: E731
-        for schema, channel, message in guarded(self._scan.log, wanted) if topic not in stereo else ():
+        stereo = {pair.left for pair in self.scan.stereo}
+        wanted = lambda s, c: c.topic == topic and self.scan.kind(s, c) == self.scan.topics[topic].kind  # noqa: E731
+        for schema, channel, message in guarded(self.scan.log, wanted) if topic not in stereo else ():
             number += 1
-            self._scan.log.clock.check()
+            self.scan.log.clock.check()
             if number % step or schema is None:
                 continue
             try:
@@ -403,13 +306,13 @@ class LogReader:
 
     def _damage(self) -> list[str]:
         """A sentence if frames were lost to damage."""
-        lost = self._scan.lost({*self.sensors, *self.features})
+        lost = self.scan.lost({*self.sensors, *self.features})
         lost += sum(n for (_, what), n in self._counted.items() if what == UNREADABLE)
-        lost += sum(self._scan.topics[name].broken for name in self.features)
+        lost += sum(self.scan.topics[name].broken for name in self.features)
         if lost:
             return [f"{DAMAGED}{many(lost)} that frames were to be made of {'is' if lost == 1 else 'are'} lost."]
         # without statistics nobody knows how many there were
-        unsure = self._scan.log.declared is None and any("cannot be read" in text for text in self._scan.log.damage)
+        unsure = self.scan.log.declared is None and any("cannot be read" in text for text in self.scan.log.damage)
         if unsure:
             return [f"{DAMAGED}how many frames are lost is not known."]
         return []
@@ -428,7 +331,7 @@ class LogReader:
 
         Raises LogError if not one message can be used.
         """
-        scan, decoder = self._scan, self._decoder
+        scan, decoder = self.scan, self._decoder
         scan.log.clock.restart()  # it goes by this thread, which may be another one than before
         self._counted = Counter()
         sensor_of = {name: i for i, name in enumerate(self.sensors)}
@@ -523,8 +426,8 @@ class LogReader:
         for sensor, measured in parts:
             origins[sensor] = measured.origin
         for sensor in np.flatnonzero(np.isnan(origins[:, 0])):  # sensors that have not measured yet
-            frame = self._scan.topics[self.sensors[sensor]].sample.frame
-            found = self._scan.tree.lookup(self.fixed_frame, frame, time_ns, hold_ns=None)
+            frame = self.scan.topics[self.sensors[sensor]].sample.frame
+            found = self.scan.tree.lookup(self.fixed_frame, frame, time_ns, hold_ns=None)
             origins[sensor] = found[1] if found else 0.0
         parts = sorted(parts, key=lambda part: part[0])
         sizes = [len(m.points) for _, m in parts]
@@ -552,7 +455,7 @@ class LogReader:
 
     def _picture_stamp(self, topic: str, number: int) -> int:
         """When a message of a single camera was taken, nanoseconds."""
-        found = self._scan.topics[topic]
+        found = self.scan.topics[topic]
         return int(clean_stamps(topic, found.stamps, found.log_times, [])[number])
 
     def _keep(self, frame: int, topic: str, make: Callable[[], Picture | None]) -> None:
@@ -576,7 +479,7 @@ class LogReader:
     def _measure(self, topic: str, content: Cloud | Image, stamp_ns: int) -> "_Measured | None":
         """What a message measured, in the fixed frame; None if there is no transform."""
         s = self._settings
-        found = self._scan.tree.lookup(self.fixed_frame, content.frame, stamp_ns)
+        found = self.scan.tree.lookup(self.fixed_frame, content.frame, stamp_ns)
         if found is None:
             seconds = f"{HOLD_NS / 1e9:g} s"
             why = f"left out, no transform from '{content.frame}' to '{self.fixed_frame}' within {seconds} of the stamp"
@@ -656,7 +559,7 @@ class LogReader:
     def _pixel_rays(self, topic: str, image: Image, k: int) -> np.ndarray:
         key = (topic, image.shape, k)
         if key not in self._rays:
-            c = calibration_of(self._scan.topics, topic)
+            c = calibration_of(self.scan.topics, topic)
             assert c is not None
             size = c.width, c.height
             c, assumed = fitted(c, image.shape)
