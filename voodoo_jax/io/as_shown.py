@@ -44,14 +44,14 @@ def with_images_as_shown(reader: LogReader) -> LogReader:
         if not reader.is_image(topic) or (found := calibrated(reader.scan.topics, topic)) is None:
             continue
         xy, values = found
-        if topic not in reader.radial and flat_share(xy, values)[1]:
-            reader.radial[topic] = True
+        if topic not in reader.measuring.radial and flat_share(xy, values)[1]:
+            reader.measuring.radial[topic] = True
             reader.say(
                 f"'{topic}' has distances along the rays, not along the optical axis, to judge by the planes in it "
                 f"(read.radial={topic}=yes; =no says that they are depths)."
             )
         if in_body_frame(reader, topic, xy, values):
-            reader.of_body |= {topic}
+            reader.measuring.of_body |= {topic}
             reader.say(
                 f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor stands upright: that is the "
                 "frame of a camera's body, and its images are taken for optical ones (z ahead, x to the right) at that "
@@ -95,7 +95,7 @@ def in_body_frame(reader: LogReader, topic: str, xy: np.ndarray, values: np.ndar
     ways, value = seen_pixels(xy, values)
     if len(value) < TELLING:
         return False
-    length = np.linalg.norm(ways, axis=1) if reader.radial.get(topic) else 1.0
+    length = np.linalg.norm(ways, axis=1) if reader.measuring.radial.get(topic) else 1.0
     normals = planes(ways, value / length).normals
     told, body = (np.max(normals @ turn.T @ reader.up, initial=-1.0) for turn in (pose[0], pose[0] @ BODY_OPTICAL))
     return bool(told < LEVEL < body)
