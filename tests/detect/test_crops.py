@@ -44,7 +44,7 @@ def lowest(recording: Recording) -> np.ndarray:
 @pytest.mark.parametrize("rows", [np.s_[24:], np.s_[:100], np.s_[12:112], np.s_[6:106]])
 def test_a_floor_tells_how_far_from_the_top_rows_were_cut(rng, tmp_path, rows):
     path = cropped(tmp_path, rng, rows)
-    assert open_checked(path).moved["/d"][1] == pytest.approx(12 - (rows.start or 0), abs=1.0)
+    assert open_checked(path).measuring.moved["/d"][1] == pytest.approx(12 - (rows.start or 0), abs=1.0)
     read = read_log(path)
     assert abs(np.median(lowest(read)[:, 2])) < 0.02 and read.sure == 1
     assert len([note for note in read.notes if "cropped" in note]) == 1

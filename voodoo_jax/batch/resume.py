@@ -16,7 +16,7 @@ from voodoo_jax.compile.executable import code_fingerprint
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.npz import tracks_arrays
-from voodoo_jax.io.container import READ_ERRORS
+from voodoo_jax.io.chunks import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
 from voodoo_jax.storage.urls import Readable, is_url, log_parts, opened, person_place

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from voodoo_jax.config.bounds import check_bounds
+
 # least and most of each number: with fewer frames or points nothing is determined, with more memory ends
 BOUNDS: dict[str, tuple[float, float]] = {
     "folds": (0, 1000),
@@ -19,9 +21,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
 
 def check_fit(options: "FitSettings") -> None:
     """Raises ValueError for a number that no fit can be made with."""
-    for name, (low, high) in BOUNDS.items():
-        if not low <= getattr(options, name) <= high:
-            raise ValueError(f"--{name} {getattr(options, name)}: must be from {low:g} to {high:g}")
+    check_bounds(options, BOUNDS)
 
 
 @dataclass(frozen=True)

@@ -7,26 +7,14 @@ import os
 import textwrap
 import tomllib
 from collections.abc import Iterable
-from dataclasses import Field, fields, replace
+from dataclasses import Field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from math import hypot
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from voodoo_jax.config.bounds import LARGEST, LEAST, SIZES
-from voodoo_jax.config.options import (
-    Change,
-    DetectSettings,
-    FeatureSettings,
-    FlexibleSettings,
-    LimitSettings,
-    ReadSettings,
-    Settings,
-    SettingsError,
-    SolveSettings,
-    StartSettings,
-    TrackSettings,
-)
+from voodoo_jax.config.options import Change, LimitSettings, Settings, SettingsError
 from voodoo_jax.storage.troubles import small_text
 
 MOST = 2**31 - 1  # of what is counted: 32 bits
@@ -251,18 +239,8 @@ def settings_text(settings: "Settings | None" = None) -> str:
 
 
 # by the names of their tables; "": what stands before all tables
-_STAGES: dict[str, type] = {
-    "": Settings,
-    "read": ReadSettings,
-    "detect": DetectSettings,
-    "start": StartSettings,
-    "features": FeatureSettings,
-    "solve": SolveSettings,
-    "track": TrackSettings,
-    "flexible": FlexibleSettings,
-    "limits": LimitSettings,
-}
-_OF_ALL = {f.name: f for f in fields(Settings) if f.name in ("online", "tracker")}
+_STAGES: dict[str, Any] = {"": Settings} | {f.name: f.type for f in fields(Settings) if is_dataclass(f.type)}
+_OF_ALL = {f.name: f for f in fields(Settings) if f.name not in (*_STAGES, "changes")}
 # texts like "face=10", and whether a number stands behind the equals sign
 _PAIRS = {
     "features.names": False,

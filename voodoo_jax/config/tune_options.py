@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from voodoo_jax.config.bounds import check_bounds
+
 # least and most of each number: a distribution needs some candidates, and a judgement some seeds
 BOUNDS: dict[str, tuple[float, float]] = {
     "evaluations": (8, 100_000),
@@ -37,7 +39,4 @@ class TuneSettings:
 
 def check_tune(options: TuneSettings) -> None:
     """Raises ValueError for a number with which nothing can be searched for."""
-    for name, (low, high) in BOUNDS.items():
-        if not low <= getattr(options, name) <= high:
-            option = name.replace("_", "-")
-            raise ValueError(f"--{option} {getattr(options, name)}: must be from {low:g} to {high:g}")
+    check_bounds(options, BOUNDS)

@@ -12,7 +12,8 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.detect.camera_motion import FASTER, STILL, moved, onto_planes, turned
 from voodoo_jax.detect.crops import RIGHT
-from voodoo_jax.io.log_reader import TORN, LogReader, is_told
+from voodoo_jax.io.as_shown import TORN, is_told, off_level
+from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.records.recording import Frame
 
 # By hand, tried on simulated pairs of cameras; judged on others in experiments/scoreboard/promises/sensors_agree.py
@@ -45,7 +46,7 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
     if len(one_each) < 2:
         return reader
     given, coarse = reader.given_frames, reader.coarse(POINTS)
-    off = {topic: 0.0 if frame in given else reader.off_level(topic) for frame, topic in one_each.items()}
+    off = {topic: 0.0 if frame in given else off_level(reader, topic) for frame, topic in one_each.items()}
     first, *others = sorted(off, key=lambda topic: (reader.frame_name(topic) not in given, off[topic], topic))
     known = {frame.time_ns: [_surface(frame)] for frame in _frames(coarse, first, None)}
     for topic in others if known else ():

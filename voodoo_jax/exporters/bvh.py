@@ -7,6 +7,7 @@ so joints are as far off the tracks as elastic bands were stretched. Frames with
 
 import os
 import warnings
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,17 +23,9 @@ PLACES = "Xposition Yposition Zposition"
 CENTIMETRES = 100.0
 
 
-def write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None = None) -> None:
-    """Writes a BVH whose joints are those of the tracks. Raises OSError."""
-    _write(tracks, path, style, rigid=False)
-
-
-def write_rigid(tracks: Tracks, path: str | os.PathLike[str], style: Style | None = None) -> None:
-    """Writes a BVH of limbs of fixed lengths, without positions but the root's. Raises OSError."""
-    _write(tracks, path, style, rigid=True)
-
-
-def _write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None, rigid: bool) -> None:
+def write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None = None, rigid: bool = False) -> None:
+    """Writes a BVH whose joints are those of the tracks; `rigid`: of limbs of fixed lengths, without positions but the
+    root's. Raises OSError."""
     tracks, rate = evenly(tracks)
     bones = skeleton(tracks, ANIMATION, style, rigid)
     lines = ["HIERARCHY", *_joint(bones, 0, 0, rigid), "MOTION", f"Frames: {len(tracks.time_ns)}"]
@@ -46,6 +39,9 @@ def _write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None, ri
         lines.append(" ".join(f"{value:.6f}" for value in row))
     with replacing(path) as partial:
         partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+write_rigid = partial(write, rigid=True)
 
 
 def _joint(bones: Skeleton, bone: int, depth: int, rigid: bool) -> list[str]:

@@ -9,6 +9,8 @@ from voodoo_jax.io.decode.registry import DEPTH_KINDS
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import RAYS, Calibration, Image
 
+BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical axes to those of a body (REP 103)
+
 
 def bare(topic: str) -> str:
     """Topic of the image itself, without what image_transport adds for a packed one."""

@@ -3,71 +3,54 @@
 import heapq
 import os
 import struct
-import time
 import weakref
 import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from itertools import chain
 from operator import attrgetter
-from threading import Lock
 from typing import BinaryIO
 
-import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Message, Schema, Statistics
-from mcap.stream_reader import CRCValidationError
+from mcap.records import Channel, ChunkIndex, DataEnd, Message, Schema, Statistics
 from mcap.summary import Summary
 
-from voodoo_jax.io.limits import TIME, limits, too_large
-from voodoo_jax.records.notes import INCOMPLETE, SENTENCE, plain, plain_name
+from voodoo_jax.io.chunks import (
+    READ_ERRORS,
+    ZSTD,
+    Budget,
+    Clock,
+    LogError,
+    chunk_records,
+    clean_channel,
+    clean_schema,
+    unpacked_message,
+    words,
+)
+from voodoo_jax.io.limits import TIME, limits
+from voodoo_jax.records.notes import INCOMPLETE
 from voodoo_jax.storage.scratch import named_file
 from voodoo_jax.storage.urls import TOGETHER, log_parts
 
 MAGIC = b"\x89MCAP0\r\n"
-ZSTD = b"\x28\xb5\x2f\xfd"  # how data packed with zstd begin
-METADATA = ("latching", "offered_qos_profiles", "up")  # of a channel
-COMPRESSIONS = ("", "lz4", "zstd")
+# how files of other formats begin that can be converted
+FOREIGN = {b"#ROSBAG": "a ROS 1 bag", b"SQLite": "an SQLite bag of ROS 2", b"PathFile": "a TRC file"}
 KEPT = 256 << 20  # bytes of unpacked chunks that stay in memory until the next pass
 UNPACKERS = 2  # threads that unpack chunks: as many as a small machine has cores; by hand
 SMALL = 16 << 20  # bytes of chunks of which two more in memory do not count; recorders write 1 to 5 MB; by hand
-# What mcap 1.6 and its decompressors raise on bad bytes (lz4: RuntimeError; lengths over 2^63: OverflowError).
-READ_ERRORS = (
-    McapError,
-    CRCValidationError,
-    struct.error,
-    KeyError,
-    UnicodeDecodeError,
-    zstandard.ZstdError,
-    RuntimeError,
-    OSError,
-    OverflowError,
-    EOFError,
-    MemoryError,
-)
-
-_RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")  # heads: of a record, and of a message behind it
 _BY_TIME = attrgetter("log_time")
 
 Item = tuple[Schema | None, Channel, Message]
 Place = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]  # of a log: a file, a folder, or several files
-
-
-class LogError(Exception):
-    """A log cannot be used. The text says what is wrong, where, and what to try; names in it are spelt out."""
-
-    def __init__(self, text: str):
-        super().__init__(plain(text, 2 * SENTENCE))
 
 
 class LogFile:
@@ -199,7 +182,7 @@ class LogFile:
             if not known or not summary.channels or not summary.chunk_indexes:
                 return None  # legal: channels not repeated at the end, or a file without chunks
         except READ_ERRORS as error:
-            self._trouble = _words(error)
+            self._trouble = words(error)
             return None
         self.channels = {i: clean_channel(channel) for i, channel in summary.channels.items()}
         for schema in summary.schemas.values():
@@ -225,7 +208,7 @@ class LogFile:
                 if trouble:
                     bad.append(f"at byte {index.chunk_start_offset}: {trouble}")
             except READ_ERRORS as error:
-                bad.append(f"at byte {index.chunk_start_offset}: {_words(error)}")
+                bad.append(f"at byte {index.chunk_start_offset}: {words(error)}")
                 continue
             if keep:
                 room -= sum(len(record.data) for record in records if isinstance(record, Message))
@@ -303,7 +286,7 @@ class LogFile:
                 elif opcode == Opcode.MESSAGE:
                     yield [Message.read(ReadDataStream(BytesIO(body)), length)]
             except READ_ERRORS as error:
-                bad.append(f"at byte {position}: {_words(error)}")
+                bad.append(f"at byte {position}: {words(error)}")
             if not ended:
                 crc = zlib.crc32(body, zlib.crc32(head, crc))
             position += 9 + length
@@ -406,157 +389,14 @@ def check_head(path: str, file: str, growing: bool = False) -> int:
     if not head:
         raise LogError(f"'{path}' is empty (0 bytes). Was the recording started, and the copy finished?")
     if head != MAGIC:
-        hint = ""
-        if head.startswith(b"#ROSBAG"):
-            hint = " It is a ROS 1 bag: `voodoo-jax convert` makes an MCAP file of it."
-        elif head.startswith(b"SQLite"):
-            hint = " It is an SQLite bag of ROS 2: `voodoo-jax convert` makes an MCAP file of it."
-        elif head.startswith(b"PathFile"):
-            hint = " It is a TRC file: `voodoo-jax convert` makes an MCAP file of it."
-        elif head[1:2] == b"\x50" and head[0] < 32:
-            hint = " It seems to be a C3D file: `voodoo-jax convert` makes an MCAP file of it."
-        elif head.startswith(b"RRF"):
-            hint = " It is a recording of Rerun: give the log that it was made of."
-        hint = hint or " Give a .mcap file; if this was one, it is damaged: copy it again."
-        raise LogError(f"'{path}' is not an MCAP log: it does not start with the MCAP mark.{hint}")
+        kind = next((kind for mark, kind in FOREIGN.items() if head.startswith(mark)), "")
+        kind = "a C3D file" if head[1:2] == b"\x50" and head[0] < 32 else kind
+        hint = f"It is {kind}: `voodoo-jax convert` makes an MCAP file of it." if kind else ""
+        if head.startswith(b"RRF"):
+            hint = "It is a recording of Rerun: give the log that it was made of."
+        hint = hint or "Give a .mcap file; if this was one, it is damaged: copy it again."
+        raise LogError(f"'{path}' is not an MCAP log: it does not start with the MCAP mark. {hint}")
     return size
-
-
-class Clock:
-    """How long a log has taken since it yielded something, in seconds of the processor for this thread."""
-
-    def __init__(self, size: int):
-        self.most = limits().seconds * (1 + (size >> 30))
-        self.restart()
-
-    def restart(self) -> None:
-        """Something came of it."""
-        self._wall, self._began = time.monotonic(), time.thread_time()
-
-    def check(self) -> None:
-        """Raises LogError if it took too long."""
-        # the processor's time is asked for where all time could be enough only: that takes ten times as long
-        if 0 < self.most < time.monotonic() - self._wall and self.most < time.thread_time() - self._began:
-            raise LogError(
-                f"The log took {self.most:g} s of the processor without yielding a frame: it is damaged, or made to "
-                "take long. If it is as it should be, allow more (--limits.seconds)."
-            )
-
-
-class Budget:
-    """How much a log may still unpack to."""
-
-    def __init__(self, size: int):
-        self.most = self.left = limits().log_bytes + limits().log_times * size
-        self.lock = Lock()
-
-    def take(self, count: int) -> None:
-        """Takes note of so many bytes. Raises LogError if they are too many: other than a bad chunk this ends all."""
-        with self.lock:
-            self.left -= count
-        if self.left < 0:
-            raise LogError(
-                f"The log unpacks to more than {self.most} bytes, over {limits().log_times} times its size: it is "
-                "damaged, or made to take long. Nothing of it is used (--limits.log_bytes, --limits.log_times)."
-            )
-
-
-def chunk_records(body: bytes, budget: Budget) -> tuple[list, str]:
-    """Schemas, channels and messages of one chunk record, and why some are missing; raises one of READ_ERRORS if its
-    bytes are not as written."""
-    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-    if chunk.compression not in COMPRESSIONS:
-        # mcap 1.6 would take the bytes for uncompressed ones and lose them without a word.
-        raise McapError(f"compression '{chunk.compression}' is not known")
-    if not chunk.uncompressed_crc and not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
-        raise McapError("its length is not the one stated")
-    data = _unpacked(chunk)
-    budget.take(len(data))
-    if chunk.uncompressed_crc and (crc := zlib.crc32(data)) != chunk.uncompressed_crc:
-        raise CRCValidationError(expected=chunk.uncompressed_crc, actual=crc, record=chunk)
-    return _records(data)
-
-
-def _unpacked(chunk: Chunk) -> bytes:
-    """What is packed in a chunk, if it is not too large: looked up in its head, before any memory is asked for."""
-    size, most = len(chunk.data), limits().chunk_bytes
-    if chunk.compression == "zstd":
-        # -1 where the packed data do not say it; where they do, the chunk's own word does not count
-        size = zstandard.frame_content_size(chunk.data)
-        size = chunk.uncompressed_size if size < 0 else size
-    elif chunk.compression == "lz4":
-        size = lz4.frame.get_frame_info(chunk.data)["content_size"]
-    if trouble := too_large("it unpacks to", size, "chunk_bytes"):
-        raise McapError(trouble)
-    if chunk.compression == "zstd":
-        return zstandard.decompress(chunk.data, chunk.uncompressed_size)
-    if chunk.compression == "lz4":
-        decoder = lz4.frame.LZ4FrameDecompressor()
-        data = decoder.decompress(chunk.data, max_length=most)
-        if not decoder.eof:
-            raise McapError(f"it is cut off, or unpacks to more than {most} bytes (--limits.chunk_bytes)")
-        return data
-    return chunk.data
-
-
-def _records(data: bytes) -> tuple[list, str]:
-    """Schemas, channels and messages in the bytes of a chunk, and "" or why it ends early."""
-    records, at, end, most = [], 0, len(data), limits().chunk_messages
-    while at < end:
-        opcode, length = _RECORD.unpack_from(data, at)
-        at += _RECORD.size
-        stop = at + length
-        if stop > end:
-            return records, "a message in it is longer than the rest of it"
-        if opcode == Opcode.MESSAGE:
-            if length < _MESSAGE.size:
-                raise McapError("a message in it has no head")
-            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, at)
-            records.append(Message(channel, log_time, data[at + _MESSAGE.size : stop], publish_time, sequence))
-        elif opcode == Opcode.CHANNEL:
-            records.append(Channel.read(ReadDataStream(BytesIO(data[at:stop]))))
-        elif opcode == Opcode.SCHEMA:
-            records.append(Schema.read(ReadDataStream(BytesIO(data[at:stop]))))
-        elif opcode == 0:  # MCAP has no such record: a chunk of zeros would be millions of them
-            raise McapError("it holds bytes that are no records")
-        if len(records) > most:
-            raise McapError(f"it holds more than {most} messages (--limits.chunk_messages)")
-        at = stop
-    return records, ""
-
-
-def clean_channel(channel: Channel) -> Channel:
-    """A channel by whose names no terminal is harmed."""
-    topic, encoding = plain_name(channel.topic), plain(channel.message_encoding)
-    if (topic, encoding) == (channel.topic, channel.message_encoding) and not channel.metadata:
-        return channel
-    # what is looked at (registry.is_static), and no more of it than recorders write: there may be 65,536 channels
-    metadata = {key: channel.metadata[key][:4096] for key in METADATA if key in channel.metadata}
-    return replace(channel, topic=topic, message_encoding=encoding, metadata=metadata)
-
-
-def clean_schema(schema: Schema) -> Schema:
-    """The same of a schema."""
-    name, encoding = plain_name(schema.name), plain(schema.encoding)
-    if (name, encoding) == (schema.name, schema.encoding):
-        return schema
-    return replace(schema, name=name, encoding=encoding)
-
-
-def unpacked_message(channel: Channel, message: Message) -> Message:
-    """The message, unpacked if a bag was recorded with compression of each message."""
-    if channel.message_encoding in ("cdr", "ros1") and message.data[:4] == ZSTD:
-        with suppress(zstandard.ZstdError):  # what cannot be unpacked cannot be decoded, and is said to be so there
-            with zstandard.ZstdDecompressor().stream_reader(message.data) as stream:
-                data = stream.read(limits().chunk_bytes + 1)
-            return replace(message, data=data) if len(data) <= limits().chunk_bytes else message
-    return message
-
-
-def _words(error: BaseException) -> str:
-    if isinstance(error, CRCValidationError):
-        return "checksum does not match, bytes were changed"
-    return str(error).strip().rstrip(".") or f"broken off ({type(error).__name__})"
 
 
 def guarded(log: LogFile, wanted: Callable[[Schema | None, Channel], bool]) -> Iterator[Item]:

@@ -10,31 +10,31 @@ from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32, Int64
+from jaxtyping import Float, Float32, Int64
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.geometry import lens
-from voodoo_jax.geometry.depth_edges import on_sheets
-from voodoo_jax.io.calibrations import calibration_of, lens_of
+from voodoo_jax.io.as_shown import with_images_as_shown, with_settled_frames
+from voodoo_jax.io.calibrations import calibration_of
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.given import given_transforms
-from voodoo_jax.io.image_fit import fitted, leeway, moved
-from voodoo_jax.io.image_planes import TELLING, flat_share, planes, seen_pixels
+from voodoo_jax.io.image_fit import fitted, leeway
+from voodoo_jax.io.image_planes import TELLING
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
+from voodoo_jax.io.measuring import Measured, Measuring
 from voodoo_jax.io.pictures import PictureReader, shape_of
 from voodoo_jax.io.pose_rays import NAMES, PoseRays
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.repeats import Repeats
 from voodoo_jax.io.stereo_pairs import StereoReader
-from voodoo_jax.io.transforms import HOLD_NS, Transform
-from voodoo_jax.io.which_depth import calibrated
+from voodoo_jax.io.transforms import Transform
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording, joined_rays
@@ -44,11 +44,6 @@ __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "rea
 
 Progress = Callable[[int, int], None]
 UNREADABLE = "cannot be decoded, left out"
-LEVEL = np.cos(np.radians(15))  # so near to upwards a normal is a floor's; by hand
-# degrees, or 2 centimetres, by which a floor is off level at most where transforms are right; and the probability that
-# they are where two contradict each other and nothing tells; by hand
-FITS, TORN = 2.5, 0.5
-BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical axes to those of a body (REP 103)
 STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
 BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
 FEW_POINTS = 5000  # of a message that are looked at to see whether it shows something
@@ -72,54 +67,9 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "Lo
         check_pose_net(settings.pose_net)
     scan = Scan(path, settings)
     try:
-        return _with_images_as_shown(_with_settled_frames(LogReader(scan, make_plan(scan, settings), settings)))
+        return with_images_as_shown(with_settled_frames(LogReader(scan, make_plan(scan, settings), settings)))
     except LogError as problem:
         raise LogError(f"{damaged(scan, problem)} {scan.part_of}".strip()) from problem
-
-
-def _with_settled_frames(reader: "LogReader") -> "LogReader":
-    """The reader with the one of two places of each frame that two publishers disagree about: that with which the floor
-    is level and at the height 0, if it tells."""
-    for child, count in reader.torn.items():
-        off, lines = zip(*((reader.off_level(), line) for line in (reader.choose(child, k) for k in (0, 1))))
-        best = int(np.argmin(off))
-        reader.choose(child, best)
-        told = is_told(off[best], off[1 - best])
-        reader.sure *= 1.0 if told else TORN
-        why = "the floor is level with the one that is used" if told else "nothing tells which is right"
-        reader.say(
-            f"Frame '{child}' jumps between two places, {count} times: two publishers say where it is; {why}. "
-            f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
-        )
-    return reader
-
-
-def is_told(best: float, other: float) -> bool:
-    """Whether the better of two places of a sensor is right, to judge by `LogReader.off_level` of both."""
-    return best < FITS and other > 2 * max(best, FITS / 4)
-
-
-def _with_images_as_shown(reader: "LogReader") -> "LogReader":
-    """The reader with depth images taken for what their planes show them to be: distances along the rays, and optical
-    ones in a frame of a camera's body."""
-    for topic in reader.sensors:
-        if not reader.is_image(topic) or (found := reader.first_pixels(topic)) is None:
-            continue
-        xy, values = found
-        if topic not in reader.radial and flat_share(xy, values)[1]:
-            reader.radial[topic] = True
-            reader.say(
-                f"'{topic}' has distances along the rays, not along the optical axis, to judge by the planes in it "
-                f"(read.radial={topic}=yes; =no says that they are depths)."
-            )
-        if reader.in_body_frame(topic, xy, values):
-            reader.of_body |= {topic}
-            reader.say(
-                f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor stands upright: that is the "
-                "frame of a camera's body, and its images are taken for optical ones (z ahead, x to the right) at that "
-                "place. A transform of an optical frame, or read.up, settles it."
-            )
-    return reader
 
 
 def read_log(path: Place, settings: ReadSettings | None = None, progress: Progress | None = None) -> Recording:
@@ -145,74 +95,54 @@ class Sample:
     distances: Float[np.ndarray, " point"]  # from the sensor, in metres if its unit is the usual one
 
 
-@dataclass(frozen=True)
-class _Measured:
-    """One message in the fixed frame."""
-
-    points: Float[np.ndarray, "point 3"]  # metres
-    origin: Float[np.ndarray, "3"]  # of the sensor
-    part: Int32[np.ndarray, " point"]  # see Frame
-
-
 class LogReader:
     """A log opened for reading frame by frame. `notes` is complete once `frames()` has run through."""
 
     def __init__(self, scan: Scan, plan: Plan, settings: ReadSettings):
-        self._scan, self._settings = scan, settings
+        self.scan, self._settings = scan, settings
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
         self.origin, self.up_is_given = plan.origin, bool(settings.up)
         self.features, self.parts = plan.features, plan.parts.names
         self._whole, self._stamps, self._plan = plan, plan.stamps, plan.frames
-        self._plan_parts = plan.parts
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
-        self._rays: dict[tuple, np.ndarray] = {}
-        self._assumed: dict[str, str] = {}  # of calibrations, by topic; shared by all readers of the log, as their rays
         self._decoder, self._repeats = Decoder(), Repeats()
-        self._turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
         self._pose: PoseRays | None = None  # of the run through the log
-        given = check_pairs("read.scale", settings.scale, numbers=True)
-        self.scales = {
-            name: float(value) for name, value in given.items()
-        }  # metres per unit, where it is not the usual
-        self.moved: dict[str, tuple[float, float]] = {}  # principal points of cropped images, see detect.crops; pixels
         self.sure = 1.0  # probability that places are right for which a calibration was assumed
-        radial = check_pairs("read.radial", settings.radial, numbers=False)
-        # by topic: whether the values of depth images are distances along the rays
-        self.radial: dict[str, bool] = {name: word == "yes" for name, word in radial.items()}
-        self.of_body: frozenset[str] = frozenset()  # images in a frame of their camera's body: x ahead, z up
-        mirrors = check_pairs("read.mirror", settings.mirror, numbers=False)
-        self._mirrored = {name: "xyz".index(axis) for name, axis in mirrors.items() if axis in ("x", "y", "z")}
         self.placed: tuple[str, ...] = ()  # transforms that were found, as read.transform says them
-        self.smeared: frozenset[str] = frozenset()  # depth images without what lies in their smeared edges
+        scales = check_pairs("read.scale", settings.scale, numbers=True)
+        radial = check_pairs("read.radial", settings.radial, numbers=False)
+        mirrors = check_pairs("read.mirror", settings.mirror, numbers=False)
+        self.measuring = Measuring(
+            scan.topics, scan.tree, plan.fixed_frame, settings, plan.parts,
+            scales={name: float(value) for name, value in scales.items()},
+            radial={name: word == "yes" for name, word in radial.items()},
+            mirrored={name: "xyz".index(axis) for name, axis in mirrors.items() if axis in ("x", "y", "z")},
+        )  # fmt: skip
+
+    @property
+    def scales(self) -> dict[str, float]:
+        """Metres per unit of topics, where it is not the usual."""
+        return self.measuring.scales
 
     def unit(self, topic: str) -> float:
         """Metres per unit of a depth topic's numbers, as is usual for its encoding."""
-        sample = self._scan.topics[topic].sample
+        sample = self.scan.topics[topic].sample
         return sample.unit if isinstance(sample, Image) else 1.0
 
-    def first_pixels(self, topic: str) -> tuple[np.ndarray, np.ndarray] | None:
-        """Of some pixels of a topic's first image the rays to a depth of 1, and the values: see calibrated()."""
-        return calibrated(self._scan.topics, topic)
-
-    @property
-    def torn(self) -> dict[str, int]:
-        """Frames that jump between two places, and how often."""
-        return {child: 2 * min(len(e.stamps) for e in both) for child, both in self._scan.tree.torn.items()}
-
-    def choose(self, child: str, which: int) -> str:
-        """Takes one of these places; how read.transform says it."""
-        return self._scan.tree.choose(child, which)
+    def frame_name(self, topic: str) -> str:
+        """The frame in which a depth topic is given."""
+        return self.scan.topics[topic].sample.frame
 
     def move(self, topic: str, T: Float[np.ndarray, "4 4"]) -> tuple[str, str]:
         """Moves a sensor that stands still by `T`, in the fixed frame. Returns how read.transform says where it then
         is, and where the log has it; both are empty where the log's transforms cannot be changed so."""
-        name = self.frame_name(topic)
-        before = self._scan.tree.said(name)
-        if not self._scan.tree.move(name, self.fixed_frame, T):
+        name, tree = self.frame_name(topic), self.scan.tree
+        before = tree.said(name)
+        if not tree.move(name, self.fixed_frame, T):
             return "", ""
-        self.placed += (self._scan.tree.said(name),)
+        self.placed += (tree.said(name),)
         return self.placed[-1], before
 
     @property
@@ -220,78 +150,37 @@ class LogReader:
         """Frames that read.transform places."""
         return {transform.child for transform in given_transforms(self._settings.transform)}
 
-    def off_level(self, topic: str = "") -> float:
-        """How far the floor in the first image of a depth camera is from lying level at the height 0 of the fixed
-        frame, in degrees, or 2 centimetres; the best of all cameras, or that of one; infinite where none sees one.
-        Walls beside the axes of the frame count a tenth of that: rooms are often measured along them."""
-        least = np.inf
-        for name in (topic,) if topic else self.sensors:
-            found = self.first_pixels(name) if self.is_image(name) else None
-            at = int(self.stamps(name)[0])
-            pose = self._scan.tree.lookup(self.fixed_frame, self.frame_name(name), at, hold_ns=None)
-            if found is None or pose is None:
-                continue
-            ways, value = seen_pixels(*found)
-            seen = planes(ways, value) if len(value) >= TELLING else None
-            if seen is None or not len(seen.shares):
-                continue
-            normals = seen.normals @ pose[0].T
-            level = normals @ self.up
-            walls = normals[np.abs(level) < 0.2]
-            aside = np.degrees(np.arccos(np.clip(np.abs(walls).max(1), 0, 1))).mean() if len(walls) else 0.0
-            heights = float((pose[1] + self.origin) @ self.up) - seen.distances
-            off = np.degrees(np.arccos(np.clip(level, -1, 1))) + np.abs(heights) / 0.02
-            least = min(least, float(off[level > LEVEL].min(initial=np.inf)) + 0.1 * float(aside))
-        return least
-
-    def frame_name(self, topic: str) -> str:
-        """The frame in which a depth topic is given."""
-        return self._scan.topics[topic].sample.frame
-
-    def in_body_frame(self, topic: str, xy: np.ndarray, values: np.ndarray) -> bool:
-        """Whether the floor in a topic's first image is level only if its frame is that of a camera's body, as the
-        transforms place it."""
-        frame, tree = self.frame_name(topic), self._scan.tree
-        pose = tree.lookup(self.fixed_frame, frame, int(self.stamps(topic)[0]), hold_ns=None)
-        if self.up_is_given or pose is None or frame == tree.root(frame) or "optical" in frame.lower():
-            return False
-        ways, value = seen_pixels(xy, values)
-        if len(value) < TELLING:
-            return False
-        length = np.linalg.norm(ways, axis=1) if self.radial.get(topic) else 1.0
-        normals = planes(ways, value / length).normals
-        told, body = (np.max(normals @ turn.T @ self.up, initial=-1.0) for turn in (pose[0], pose[0] @ BODY_OPTICAL))
-        return bool(told < LEVEL < body)
-
     def is_image(self, topic: str) -> bool:
         """Whether a topic's messages are images, not clouds."""
-        return isinstance(self._scan.topics[topic].sample, Image)
+        return isinstance(self.scan.topics[topic].sample, Image)
 
     def with_scales(self, scales: dict[str, float]) -> "LogReader":
         """The same log with other units of some topics, metres per unit."""
+        return self._with(scales={**self.scales, **scales})
+
+    def _with(self, **changes: Any) -> "LogReader":
+        """The same log with other fields of `measuring`."""
         other = copy(self)
-        other.scales, other._notes, other._counted = {**self.scales, **scales}, list(self._notes), Counter()
+        other.measuring = replace(self.measuring, **changes)
+        other._notes, other._counted = list(self._notes), Counter()
         return other
 
     def without_sheets(self, topics: frozenset[str]) -> "LogReader":
         """The same log without the points in the smeared edges of some depth images, see geometry.depth_edges."""
-        other = self.with_scales({})
-        other.smeared = topics
-        return other
+        return self._with(smeared=topics)
 
     def with_crop(self, topic: str, moved: tuple[float, float], sure: float = 1.0) -> "LogReader":
         """The same log with the principal point of a topic's cropped images so many pixels to the right and down of
         where it is if they were cropped about their middle, which is right with the probability `sure`."""
-        other = self.with_scales({})
-        other.moved, other.sure = {**self.moved, topic: moved}, self.sure * sure
-        other._rays, other._turned, other._assumed = {}, {}, {}
+        other = self._with(moved={**self.measuring.moved, topic: moved}, rays={}, turned={}, assumed={})
+        other.sure *= sure
         return other
 
     def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
         """Pixels across and down by which the place is unknown where a topic's images were cropped, and their focal
         length, pixels."""
-        shape = shape_of(self._scan.topics[topic].sample)
-        c = None if shape is None else calibration_of(self._scan.topics, topic)
+        shape = shape_of(self.scan.topics[topic].sample)
+        c = None if shape is None else calibration_of(self.scan.topics, topic)
         if shape is None or c is None:
             return (0.0, 0.0), 1.0
         try:
@@ -305,37 +194,33 @@ class LogReader:
         return tuple(self._whole.pictures.cameras) if self._whole.pictures is not None else ()
 
     def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
-        """Of every so many-th row and column of a depth image, metres; None if it is of another kind."""
-        raw = raw_of(image)
-        if raw is None:
-            return None
-        if (axis := self._mirrored.get(topic)) in (0, 1):  # x: left to right, y: upside down
-            raw = raw[:, ::-1] if axis == 0 else raw[::-1]
-        return raw[::every, ::every].astype(np.float32) * np.float32(self.scales.get(topic, image.unit))
+        """See Measuring.depth."""
+        return self.measuring.depth(topic, image, every)
 
     def continued(self, scan: Scan, plan: Plan) -> "LogReader":
         """The same log with what has come since: another look at it, and its plan."""
         other = copy(self)
-        other._scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
+        other.scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
         other.sensors, other.features = plan.sensors, plan.features
-        other._plan_parts, other._notes, other._counted, other._pictures = plan.parts, [], Counter(), {}
-        other._assumed = {}  # said already
+        other._notes, other._counted, other._pictures = [], Counter(), {}
+        # what was assumed is said already
+        other.measuring = replace(self.measuring, topics=scan.topics, tree=scan.tree, parts=plan.parts, assumed={})
         return other
 
     def settled(self, transforms: list[tuple[Transform, bool]], decoder: Decoder) -> Known:
         """What this look at the log has settled, for `continued`; `transforms` and `decoder` see Known."""
-        s = self._scan
+        s = self.scan
         return Known(s.topics, s.uses, s.skin, s.stereo, s.shifts, transforms, decoder)
 
     @property
     def shifts(self) -> dict[str, int]:
         """What was added to stamps, see Scan."""
-        return self._scan.shifts
+        return self.scan.shifts
 
     @property
     def units(self) -> list[str]:
         """Units of named points that were found by their extent, as in read.scale."""
-        return [f"{name}={unit:g}" for name, unit in self._scan.units.items()]
+        return [f"{name}={unit:g}" for name, unit in self.scan.units.items()]
 
     @property
     def losses(self) -> dict[tuple[str, str], int]:
@@ -344,8 +229,8 @@ class LogReader:
 
     def coarse(self, max_points: int) -> "LogReader":
         """The same log with so many points of each message only."""
-        other = self.with_scales({})
-        other._settings = replace(self._settings, max_points=max_points)
+        other = self._with(settings=replace(self._settings, max_points=max_points))
+        other._settings = other.measuring.settings
         return other
 
     def stamps(self, topic: str) -> Int64[np.ndarray, " message"]:
@@ -366,16 +251,16 @@ class LogReader:
     ) -> list[Sample]:
         """Some messages of a depth topic that show something: the first ones (every so many-th), or `spread` over the
         log, or those nearest to some times (nanoseconds)."""
-        total = len(self._scan.topics[topic].stamps)
+        total = len(self.scan.topics[topic].stamps)
         step = max(1, total // count) if spread else step
         stamps = self.stamps(topic)
         near = None if at is None else {int(np.argmin(np.abs(stamps - t))) for t in at}
         found, decoder, number = [], Decoder(), -1
-        stereo = {pair.left for pair in self._scan.stereo}
-        wanted = lambda s, c: c.topic == topic and self._scan.kind(s, c) == self._scan.topics[topic].kind  # noqa: E731
-        for schema, channel, message in guarded(self._scan.log, wanted) if topic not in stereo else ():
+        stereo = {pair.left for pair in self.scan.stereo}
+        wanted = lambda s, c: c.topic == topic and self.scan.kind(s, c) == self.scan.topics[topic].kind  # noqa: E731
+        for schema, channel, message in guarded(self.scan.log, wanted) if topic not in stereo else ():
             number += 1
-            self._scan.log.clock.check()
+            self.scan.log.clock.check()
             if (number % step if near is None else number not in near) or schema is None:
                 continue
             try:
@@ -392,7 +277,7 @@ class LogReader:
     def frame_of(self, topic: str, sample: Sample) -> Frame | None:
         """What one message shows, alone, in the fixed frame; None if there is no transform."""
         at = int(self._stamps[self.sensors.index(topic)][sample.number])
-        measured = self._measure(topic, sample.content, at)
+        measured = self.measuring.measured(topic, sample.content, at, self._counted)
         if measured is None:
             return None
         sensor = np.zeros(len(measured.points), np.int32)
@@ -430,17 +315,17 @@ class LogReader:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out, missing or damaged, one sentence each."""
-        return as_few([*self._notes, *self._assumed.values(), *self._losses(), *self._damage()])
+        return as_few([*self._notes, *self.measuring.assumed.values(), *self._losses(), *self._damage()])
 
     def _damage(self) -> list[str]:
         """A sentence if frames were lost to damage."""
-        lost = self._scan.lost({*self.sensors, *self.features})
+        lost = self.scan.lost({*self.sensors, *self.features})
         lost += sum(n for (_, what), n in self._counted.items() if what == UNREADABLE)
-        lost += sum(self._scan.topics[name].broken for name in self.features)
+        lost += sum(self.scan.topics[name].broken for name in self.features)
         if lost:
             return [f"{DAMAGED}{many(lost)} that frames were to be made of {'is' if lost == 1 else 'are'} lost."]
         # without statistics nobody knows how many there were
-        unsure = self._scan.log.declared is None and any("cannot be read" in text for text in self._scan.log.damage)
+        unsure = self.scan.log.declared is None and any("cannot be read" in text for text in self.scan.log.damage)
         if unsure:
             return [f"{DAMAGED}how many frames are lost is not known."]
         return []
@@ -448,7 +333,7 @@ class LogReader:
     def _losses(self) -> list[str]:
         counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
         counted += [f"'{topic}': {many(n)} {BEGAN}." for topic, n in self._repeats.began.items()]
-        return counted + self._plan_parts.losses()
+        return counted + self._whole.parts.losses()
 
     # 75 lines: one pass over the messages, which share a dozen variables
     def frames(
@@ -459,21 +344,21 @@ class LogReader:
 
         Raises LogError if not one message can be used.
         """
-        scan, decoder = self._scan, self._decoder
+        scan, decoder = self.scan, self._decoder
         scan.log.clock.restart()  # it goes by this thread, which may be another one than before
         self._counted = Counter()
         sensor_of = {name: i for i, name in enumerate(self.sensors)}
         homes, wanted_count = self._homes()
         missing = [len(members) for _, members in self._plan]
-        self._plan_parts.forget()
-        parts: dict[int, list[tuple[int, _Measured]]] = {}
+        self._whole.parts.forget()
+        parts: dict[int, list[tuple[int, Measured]]] = {}
         planned = self._whole.pictures
         extra = planned.frame_of if planned is not None else {}
         for i in extra.values():
             missing[i] += 1
         self._pictures.clear()
         net = self._settings.pose_net
-        self._pose = PoseRays(net, self._plan_parts, self._counted) if net else None
+        self._pose = PoseRays(net, self._whole.parts, self._counted) if net else None
         reader = PictureReader(scan, self.fixed_frame, planned.cameras if planned is not None else {})
         stereo = StereoReader(scan.topics, scan.tree, [p for p in scan.stereo if p.left in sensor_of], self._settings)
         used = {*sensor_of, *stereo.rights, *(name for name, _ in extra)}
@@ -512,7 +397,8 @@ class LogReader:
                 else:
                     self._counted[topic, "left out, without an image of the other camera at the same time"] += 1
                 if content is not None and self._is_new(topic, content):
-                    part = self._measure(topic, content, int(self._stamps[member[0]][number]))
+                    stamp = int(self._stamps[member[0]][number])
+                    part = self.measuring.measured(topic, content, stamp, self._counted)
                 if part is not None:
                     parts.setdefault(i, []).append((member[0], part))
             except DECODE_ERRORS as problem:
@@ -549,20 +435,20 @@ class LogReader:
                 homes[sensor][message] = i
         return homes, sum(len(members) for _, members in self._plan)
 
-    def _frame(self, i: int, parts: list[tuple[int, "_Measured"]], origins: np.ndarray) -> Frame:
+    def _frame(self, i: int, parts: list[tuple[int, Measured]], origins: np.ndarray) -> Frame:
         time_ns = self._plan[i][0]
         for sensor, measured in parts:
             origins[sensor] = measured.origin
         for sensor in np.flatnonzero(np.isnan(origins[:, 0])):  # sensors that have not measured yet
-            frame = self._scan.topics[self.sensors[sensor]].sample.frame
-            found = self._scan.tree.lookup(self.fixed_frame, frame, time_ns, hold_ns=None)
+            frame = self.scan.topics[self.sensors[sensor]].sample.frame
+            found = self.scan.tree.lookup(self.fixed_frame, frame, time_ns, hold_ns=None)
             origins[sensor] = found[1] if found else 0.0
         parts = sorted(parts, key=lambda part: part[0])
         sizes = [len(m.points) for _, m in parts]
         sensor = np.repeat(np.array([s for s, _ in parts], np.int32), sizes)
         clouds = [m.points for _, m in parts] or [np.zeros((0, 3), np.float32)]
         points = clouds[0] if len(clouds) == 1 else np.concatenate(clouds)
-        said = self._plan_parts
+        said = self._whole.parts
         part = np.concatenate([np.zeros(0, np.int32), *(m.part for _, m in parts)]) if said.names else None
         weights = np.array([said.weight(name) for name in self.sensors], np.float32)
         rays, pictures = self._whole.rays.get(i, NO_RAYS), tuple(self._pictures.pop(i, ()))
@@ -570,7 +456,7 @@ class LogReader:
             rays = joined_rays([rays, self._pose.rays(pictures)])
         return Frame(
             time_ns=time_ns,
-            points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see _measure
+            points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see Measuring
             sensor=sensor,
             origins=origins.astype(np.float32),
             rays=rays,
@@ -583,7 +469,7 @@ class LogReader:
 
     def _picture_stamp(self, topic: str, number: int) -> int:
         """When a message of a single camera was taken, nanoseconds."""
-        found = self._scan.topics[topic]
+        found = self.scan.topics[topic]
         return int(clean_stamps(topic, found.stamps, found.log_times, [])[number])
 
     def _keep(self, frame: int, topic: str, make: Callable[[], Picture | None]) -> None:
@@ -603,103 +489,3 @@ class LogReader:
         if again := self._repeats.again(topic, content):
             self._counted[topic, STUCK] += 1
         return not again
-
-    def _measure(self, topic: str, content: Cloud | Image, stamp_ns: int) -> "_Measured | None":
-        """What a message measured, in the fixed frame; None if there is no transform."""
-        s = self._settings
-        found = self._scan.tree.lookup(self.fixed_frame, content.frame, stamp_ns)
-        if found is None:
-            seconds = f"{HOLD_NS / 1e9:g} s"
-            why = f"left out, no transform from '{content.frame}' to '{self.fixed_frame}' within {seconds} of the stamp"
-            self._counted[topic, why] += 1
-            return None
-        rotation, translation = found
-        if topic in self.of_body:
-            rotation = rotation @ BODY_OPTICAL
-        labels = None
-        if isinstance(content, Image):
-            k = stride(*content.shape, s.max_points)
-            if (depth := self.depth(topic, content, k)) is None:
-                raise ValueError(f"encoding changed to {content.encoding}")
-            if topic in self.smeared:
-                rows = self._pixel_rays(topic, content, k)[:, 0, 1]
-                depth[on_sheets(depth, float(np.nanmedian(np.diff(rows))), k)] = 0
-            z = depth.ravel()
-            rays, nearest, farthest = self._directions(topic, content, k, rotation)
-            with np.errstate(invalid="ignore"):  # NaN fails every comparison
-                keep = np.flatnonzero((z >= nearest) & (z <= farthest))
-            depth, xyz = z[keep], np.empty((3, len(keep)), np.float32)
-            for axis, place in enumerate(translation.astype(np.float32)):
-                # one by one: all three at once take three times as long; clipped (all exist): at once where it is to be
-                mine = np.take(rays[axis], keep, out=xyz[axis], mode="clip")
-                np.add(np.multiply(mine, depth, out=mine), place, out=mine)
-            points = xyz.T  # by coordinate in memory: all that looks at many points is several times as fast
-        else:
-            points = content.points(s.max_points)
-            if topic in self.scales:
-                points *= self.scales[topic]
-            if topic in self._mirrored:
-                points[:, self._mirrored[topic]] *= -1
-            if field := self._plan_parts.field(topic):
-                if field in content.fields:
-                    labels = content.field(field, s.max_points)
-                else:
-                    self._counted[topic, f"without the field '{field}', so that all points are free"] += 1
-            with np.errstate(invalid="ignore", over="ignore"):
-                keep = self._in_range(np.einsum("ni,ni->n", points, points))
-            if content.pose is not None:
-                translation = rotation @ content.pose[1] + translation
-                rotation = rotation @ content.pose[0]
-            points, labels = points[keep] @ rotation.T + translation, None if labels is None else labels[keep]
-        part = self._plan_parts.numbers(topic, labels, len(points))
-        return _Measured(points, translation, part)
-
-    def _in_range(self, square: Float[np.ndarray, " point"]) -> Bool[np.ndarray, " point"]:
-        """Which squared distances from the sensor count."""
-        # NaN fails every comparison; a range of exactly 0 is a driver's word for nothing seen
-        return (square >= self._settings.min_range**2) & (square <= self._settings.max_range**2) & (square > 0)
-
-    def _directions(
-        self, topic: str, image: Image, k: int, rotation: Float[np.ndarray, "3 3"]
-    ) -> tuple[Float32[np.ndarray, "3 pixel"], Float32[np.ndarray, " pixel"], Float32[np.ndarray, " pixel"]]:
-        """Of each pixel the way to a depth of 1 m, in the fixed frame's directions, and the least and the greatest
-        depth that count, more than 0."""
-        key = topic, image.shape, k
-        before = self._turned.get(key)
-        if before is None or not np.array_equal(before[0], rotation):
-            xy = self._pixel_rays(topic, image, k).reshape(-1, 2)
-            rays = np.column_stack([xy, np.ones(len(xy))])
-            if self.radial.get(topic):
-                rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-            limits = self._depths(rays) if before is None else before[2:]
-            self._turned[key] = rotation, (rotation @ rays.T).astype(np.float32), *limits
-        return self._turned[key][1:]
-
-    def _depths(
-        self, rays: Float[np.ndarray, "pixel 3"]
-    ) -> tuple[Float32[np.ndarray, " pixel"], Float32[np.ndarray, " pixel"]]:
-        """The least and the greatest depth that count, of each pixel with its way to a depth of 1 m; metres."""
-        length = np.sqrt(np.einsum("ni,ni->n", rays, rays))
-        # exactly 0 is a driver's word for nothing seen
-        nearest = np.maximum((self._settings.min_range / length).astype(np.float32), np.finfo(np.float32).tiny)
-        return nearest, (self._settings.max_range / length).astype(np.float32)
-
-    def _pixel_rays(self, topic: str, image: Image, k: int) -> np.ndarray:
-        key = (topic, image.shape, k)
-        if key not in self._rays:
-            c = calibration_of(self._scan.topics, topic)
-            assert c is not None
-            size = c.width, c.height
-            c, assumed = fitted(c, image.shape)
-            if topic in self.moved and any(self.moved[topic]):
-                c = moved(c, self.moved[topic])
-                assumed = (
-                    f"taken for cropped {abs(self.moved[topic][1]):.0f} pixels beside its middle: with that the floor "
-                    "is level (if it is not, give its calibration by read.camera)"
-                )
-            if assumed:
-                own = f"{image.shape[1]} x {image.shape[0]}"
-                self._assumed[topic] = f"'{topic}' is {own} pixels, its calibration {size[0]} x {size[1]}: {assumed}."
-            height, width = image.shape
-            self._rays[key] = lens.pixel_rays(*lens_of(topic, c), c.model, width, height, k)
-        return self._rays[key]

@@ -14,7 +14,8 @@ from typing import Any
 
 from mcap.records import Channel, Message, Schema
 
-from voodoo_jax.io.container import Item, LogError, clean_channel, clean_schema, unpacked_message
+from voodoo_jax.io.chunks import LogError, clean_channel, clean_schema, unpacked_message
+from voodoo_jax.io.container import Item
 from voodoo_jax.io.decode.registry import kind_of
 from voodoo_jax.io.limits import TIME, limited, limits, too_large
 

@@ -15,7 +15,8 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.container import Clock, Item, LogError, LogFile
+from voodoo_jax.io.chunks import Clock, LogError
+from voodoo_jax.io.container import Item, LogFile
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, DEPTH_KINDS, FEATURE_KINDS, Decoder, is_static, kind_of
 from voodoo_jax.io.frame_sync import period_of
 from voodoo_jax.io.limits import limits

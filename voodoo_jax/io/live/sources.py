@@ -10,18 +10,16 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
 
-from voodoo_jax.io.container import (
-    MAGIC,
+from voodoo_jax.io.chunks import (
     READ_ERRORS,
     Budget,
-    Item,
     LogError,
-    check_head,
     chunk_records,
     clean_channel,
     clean_schema,
     unpacked_message,
 )
+from voodoo_jax.io.container import MAGIC, Item, check_head
 from voodoo_jax.io.limits import TIME, limits
 
 LOOK = 0.005  # seconds between two looks at a file that has not grown: far below a frame's time; by hand
