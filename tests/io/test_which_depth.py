@@ -71,7 +71,7 @@ def test_distances_along_the_rays(tmp_path):
     depth = open_log(log(tmp_path / "z.mcap", {"/camera/image": lambda z, i: z}))
     path = log(tmp_path / "r.mcap", {"/camera/image": lambda z, i: z * length})
     radial = read_log(path)
-    assert not depth.radial and any("read.radial=/camera/image=yes" in note for note in radial.notes)
+    assert not depth.measuring.radial and any("read.radial=/camera/image=yes" in note for note in radial.notes)
     a, b = next(depth.frames()).points, radial.frames[0].points
     np.testing.assert_allclose(a, b, atol=3e-3)  # whole millimetres
     said = open_log(path, ReadSettings(radial=("/camera/image=no",)))
