@@ -34,15 +34,15 @@ from voodoo_jax.trackers.flexible.tracker import (
     FeatureStore,
     Look,
     Observed,
-    _camera,
-    _heads,
-    _run,
-    _tracks,
-    _view,
+    camera_places,
     follow,
+    heads_of,
     numbers,
     observe,
+    run_filters,
     shape_of,
+    tracks_of,
+    view_of,
 )
 from voodoo_jax.trackers.flexible.vectors import vectors
 
@@ -126,7 +126,7 @@ def dangling(body: FlexibleBody, begin: Start, up: np.ndarray) -> jax.Array:
 def edge_score(body: FlexibleBody, x: jax.Array, f: Features, settings: Settings) -> float:
     """Mean over the four limbs."""
     s = settings.flexible
-    view = _view(Look(f, np.zeros(f.depth.shape, np.uint8), True))
+    view = view_of(Look(f, np.zeros(f.depth.shape, np.uint8), True))
     far, none = jnp.full((f.depth.shape[0] // 4, f.depth.shape[1] // 4), 1e6), jnp.zeros((1, 3))
     weighing, found = numbers(s).weighing, []
     for limb in range(4):
@@ -174,9 +174,9 @@ def followed(path: Path, seen: Seen, settings: Settings, stature: float, fixed_f
     score, first, x, begin = max(tried, key=lambda one: one[0])
     key, order = jax.random.PRNGKey(s.seed), range(first, len(observed.features))
     state = start(jax.random.fold_in(key, 2**30), model, x, shape_of(s))
-    heads = _heads(observed, first, begin, skin, s)
-    found = _run(model, state, observed, heads, order, key, s, up, skin, None)[1]
-    tracks = _tracks(body, begin, observed, first, found, _camera(observed, order), str(path), fixed_frame, ())
+    heads = heads_of(observed, first, begin, skin, s)
+    found = run_filters(model, state, observed, heads, order, key, s, up, skin, None)[1]
+    tracks = tracks_of(body, begin, observed, first, found, camera_places(observed, order), str(path), fixed_frame, ())
     return Followed(tracks, first, score, score >= MATCHED)
 
 

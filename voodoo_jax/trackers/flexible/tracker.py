@@ -350,21 +350,21 @@ def followed(
     model = flexible_body(body, begin.stature)
     floor_up = seen.scene.floor.normal.astype(np.float32)
     x = first_pose(np.asarray(model.rest), begin, floor_up)
-    heads = _heads(seen, first, begin, skin, s)
+    heads = heads_of(seen, first, begin, skin, s)
     key = jax.random.PRNGKey(s.seed)
     state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
     order = range(first, len(seen.features))
-    state, found = _run(model, state, seen, heads, order, key, s, floor_up, skin, progress)
-    camera = _camera(seen, order)
+    state, found = run_filters(model, state, seen, heads, order, key, s, floor_up, skin, progress)
+    camera = camera_places(seen, order)
     found = with_the_face(found, heads.seen[first:], camera, floor_up)
     if s.backwards and not settings.online:
         again = jax.random.fold_in(key, 2**30 + 1)
         back = state._replace(before=state.x, previous=state.particles)
-        _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, skin, progress)
+        _, second = run_filters(model, back, seen, heads, order[::-1], again, s, floor_up, skin, progress)
         second = with_the_face(jax.tree.map(lambda a: a[::-1], second), heads.seen[first:], camera, floor_up)
         found = better(found, second, numbers(s).weighing)
         found = found._replace(x=smoothed(np.asarray(found.x), seen.time_ns[seen.row[first:]]))
-    tracks = _tracks(body, begin, seen, first, found, camera, source, fixed_frame, notes)
+    tracks = tracks_of(body, begin, seen, first, found, camera, source, fixed_frame, notes)
     compiling = seconds_of_waiting() - waited
     if not begin.face_seen:
         tracks = replace(
@@ -410,7 +410,7 @@ class Heads(NamedTuple):
     seen: Bool[np.ndarray, " frame"]  # whether a face is seen
 
 
-def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings) -> Heads:
+def heads_of(seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings) -> Heads:
     count = len(seen.features)
     out = Heads(np.zeros((count, 3), np.float32), np.zeros(count, bool))
     if not begin.face_seen:
@@ -473,7 +473,7 @@ def _inputs(
     rows = []
     for k, i in enumerate(at):
         views = looks(seen, i, s, skin)
-        view, *more = (_view(look) for look in views)
+        view, *more = (view_of(look) for look in views)
         points, share, bare = chosen_points(seen, i, s, views)
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
@@ -485,7 +485,7 @@ def _inputs(
 
 
 # 10 parameters: a pass is run from two places
-def _run(
+def run_filters(
     model: FlexibleBody, state: State, seen: Observed, heads: Heads, order: range, key: jax.Array, s: FlexibleSettings,
     up: np.ndarray, skin: SkinModel, progress: Progress | None,
 ) -> tuple[State, Seen]:  # fmt: skip
@@ -495,7 +495,7 @@ def _run(
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
-        if heads.seen[at[0]] and _cosine(np.asarray(state.x)[None], _camera(seen, at[:1]), up)[0] < _AWAY:
+        if heads.seen[at[0]] and _cosine(np.asarray(state.x)[None], camera_places(seen, at[:1]), up)[0] < _AWAY:
             state = _turned(state)
         state, found = track_chunk(
             model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad, skin)), key, n, shape
@@ -538,7 +538,7 @@ def _turned(state: State) -> State:
     return state._replace(x=state.x[OTHER_SIDE], before=state.before[OTHER_SIDE], **limbs)
 
 
-def _camera(seen: Observed, at: Iterable[int]) -> Float[np.ndarray, "frame 3"]:
+def camera_places(seen: Observed, at: Iterable[int]) -> Float[np.ndarray, "frame 3"]:
     """The camera's centres in some images, metres."""
     return np.array([seen.features.place(i) for i in at], float)
 
@@ -594,7 +594,7 @@ def at_points(image: np.ndarray, f: Features, points: Float32[np.ndarray, "point
     return np.where(inside, value, np.float32(0))
 
 
-def _view(look: Look) -> View:
+def view_of(look: Look) -> View:
     """What a program takes of features."""
     f = look.features
     pixels = np.asarray(cv2.merge((f.colour, f.edge))).view("<u4")[..., 0]
@@ -610,7 +610,7 @@ def _first(count: int, a: jax.Array) -> np.ndarray:
 
 
 # 9 parameters: what a log says of itself, and what was found
-def _tracks(
+def tracks_of(
     body: Body, begin: Start, seen: Observed, first: int, found: Seen, camera: np.ndarray, source: str,
     fixed_frame: str, notes: tuple[str, ...],
 ) -> Tracks:  # fmt: skip
