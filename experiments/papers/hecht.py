@@ -28,21 +28,18 @@ from voodoo_jax.trackers.flexible.filters import start
 from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, FlexibleBody, flexible_body
 from voodoo_jax.trackers.flexible.head import BEHIND, FACE, Start, first_pose
 from voodoo_jax.trackers.flexible.image_features import Features, SkinModel
-from voodoo_jax.trackers.flexible.physics import frames, step
+from voodoo_jax.trackers.flexible.observed import FeatureStore, Look, Observed, observe, view_of
+from voodoo_jax.trackers.flexible.physics import frames, inverse_masses, relax, verlet
 from voodoo_jax.trackers.flexible.scores import LimbContext, limb_score
 from voodoo_jax.trackers.flexible.tracker import (
-    FeatureStore,
-    Look,
-    Observed,
-    _camera,
-    _heads,
-    _run,
-    _tracks,
-    _view,
+    camera_places,
     follow,
+    heads_of,
+    nobody_of,
     numbers,
-    observe,
+    run_filters,
     shape_of,
+    tracks_of,
 )
 from voodoo_jax.trackers.flexible.vectors import vectors
 
@@ -118,7 +115,9 @@ def dangling(body: FlexibleBody, begin: Start, up: np.ndarray) -> jax.Array:
 
     def one(carry, _):
         x, before = carry
-        return (step(body, x, before, jnp.asarray(-9.81 * up), 1 / 30, DAMPING, 6), x), None
+        moved = verlet(x, before, jnp.broadcast_to(jnp.asarray(-9.81 * up), x.shape), jnp.asarray(1 / 30), DAMPING)
+        held = jnp.where(inverse_masses(body.masses)[:, None] > 0, moved, x)
+        return (relax(body, held, body.masses, 6, 0.0, True, None), x), None
 
     return jax.jit(lambda x: jax.lax.scan(one, (x, x), None, DANGLING)[0][0])(x)
 
@@ -126,7 +125,7 @@ def dangling(body: FlexibleBody, begin: Start, up: np.ndarray) -> jax.Array:
 def edge_score(body: FlexibleBody, x: jax.Array, f: Features, settings: Settings) -> float:
     """Mean over the four limbs."""
     s = settings.flexible
-    view = _view(Look(f, np.zeros(f.depth.shape, np.uint8), True))
+    view = view_of(Look(f, np.zeros(f.depth.shape, np.uint8), True))
     far, none = jnp.full((f.depth.shape[0] // 4, f.depth.shape[1] // 4), 1e6), jnp.zeros((1, 3))
     weighing, found = numbers(s).weighing, []
     for limb in range(4):
@@ -174,9 +173,10 @@ def followed(path: Path, seen: Seen, settings: Settings, stature: float, fixed_f
     score, first, x, begin = max(tried, key=lambda one: one[0])
     key, order = jax.random.PRNGKey(s.seed), range(first, len(observed.features))
     state = start(jax.random.fold_in(key, 2**30), model, x, shape_of(s))
-    heads = _heads(observed, first, begin, skin, s)
-    found = _run(model, state, observed, heads, order, key, s, up, skin, None)[1]
-    tracks = _tracks(body, begin, observed, first, found, _camera(observed, order), str(path), fixed_frame, ())
+    heads = heads_of(observed, first, begin, skin, s)
+    found = run_filters(model, state, observed, heads, order, key, s, up, skin, None)[1]
+    camera = camera_places(observed, order)
+    tracks = tracks_of(nobody_of(body, observed, str(path), fixed_frame, ()), begin, observed, first, found, camera)
     return Followed(tracks, first, score, score >= MATCHED)
 
 

@@ -11,7 +11,7 @@ import pytest
 import voodoo_jax as vj
 from tests.trackers.flexible.test_scores import SIZE, context, view
 from voodoo_jax.config.presets import preset
-from voodoo_jax.trackers.flexible.filters import Inputs, State, _ahead, _layers, _moved, frame, start
+from voodoo_jax.trackers.flexible.filters import Inputs, State, carried_on, frame, head_moved, spread_and_drawn, start
 from voodoo_jax.trackers.flexible.flexible_body import HEAD, LIMBS, flexible_body
 from voodoo_jax.trackers.flexible.image_features import Extractor
 from voodoo_jax.trackers.flexible.physics import frames, limb_spaces, relax, verlet
@@ -91,7 +91,7 @@ def test_springs_limits_and_collisions_each_hold():
 
 def test_the_head_is_put_where_it_was_measured_and_the_body_follows_most_of_its_way_and_dangles():
     there = BODY.rest[HEAD] + jnp.array([0.1, 0.0, 0.0])
-    x = _moved(BODY, state(), given(there), N)
+    x = head_moved(BODY, state(), given(there), N)
     np.testing.assert_allclose(x[HEAD], there, atol=1e-6)
     np.testing.assert_allclose((x - BODY.rest)[1:, 0], 0.08, atol=1e-4)
     np.testing.assert_allclose((x - BODY.rest)[1:, 2], -9.81 * 0.1**2, rtol=0.02)
@@ -100,7 +100,7 @@ def test_the_head_is_put_where_it_was_measured_and_the_body_follows_most_of_its_
 def test_particles_go_on_with_a_share_of_their_velocity():
     s = state()
     moving = s._replace(previous=s.particles - 0.1)
-    np.testing.assert_allclose(_ahead(moving, given().view, N, SHAPE) - s.particles, 0.065, atol=1e-5)
+    np.testing.assert_allclose(carried_on(moving, given().view, N, SHAPE) - s.particles, 0.065, atol=1e-5)
 
 
 def layer(spread: float = 0.0, n=N, at=None, **more):
@@ -115,10 +115,12 @@ def layer(spread: float = 0.0, n=N, at=None, **more):
     v = seen_by_camera(**more)
     each = jax.tree.map(lambda a: jnp.broadcast_to(a, (4, *a.shape)), context((0, 0, 9.0), np.zeros((4, 3))))
     space = limb_spaces(BODY, x, 0.02, jnp.array([0.0, 0.0, 1.0, -1e3]))
-    return _run(jax.random.key(1), p, jnp.full((4, 3), spread), space, each, v, n)
+    return run_layer(jax.random.key(1), p, jnp.full((4, 3), spread), space, each, v, n)
 
 
-_run = jax.jit(lambda key, p, spread, space, each, v, n: _layers(key, p, p, spread, space, each, v, n, SHAPE))
+run_layer = jax.jit(
+    lambda key, p, spread, space, each, v, n: spread_and_drawn(key, p, p, spread, space, each, v, n, SHAPE)
+)
 PLAIN = N._replace(depth_share=jnp.asarray(0.0))
 DEVIATION = lambda found: float(found[3][0, 2])  # noqa: E731  (of the wrist)
 
@@ -174,10 +176,13 @@ def test_borders_on_edges_and_surfaces_of_the_known_colour_score():
 
 
 def test_what_is_hidden_or_outside_of_the_image_scores_a_default():
-    hidden = context((0, 0, 9.0), np.zeros((4, 3)))._replace(hidden=jnp.zeros((SIZE[0] // 4, SIZE[1] // 4)))
+    """Though it would score fully where it is seen."""
+    known = context((0, 0, 9.0), np.zeros((4, 3)))._replace(learnt=jnp.ones((2, 10)), colours=jnp.zeros((2, 10, 3)))
+    hidden = known._replace(hidden=jnp.zeros((SIZE[0] // 4, SIZE[1] // 4)))
     bright = seen_by_camera(pixels=painted(3, 255))
     away = bright._replace(shift=SHIFT + np.array([50, 0, 0], np.float32))
-    for found in (score_of(bright, hidden), score_of(away)):
+    assert float(score_of(bright, known).surface) > 0.9 and float(score_of(bright, known).edge) > 0.9
+    for found in (score_of(bright, hidden), score_of(away, known)):
         assert float(found.edge) == pytest.approx(SETTINGS.hidden_edge, abs=1e-5)
         assert float(found.surface) == pytest.approx(SETTINGS.hidden_surface, abs=1e-5)
 

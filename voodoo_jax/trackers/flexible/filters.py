@@ -94,7 +94,7 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
     """One frame: prediction, filters, springs, refinement."""
     view, args = given.view, (body, state, given, key, n)
     filters = jax.jit(_filtered, static_argnums=6)  # it is traced once, for its shapes and for itself
-    x, blank = _moved(body, state, given, n), jax.eval_shape(filters, *args, state.x, shape)
+    x, blank = head_moved(body, state, given, n), jax.eval_shape(filters, *args, state.x, shape)
     none = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), blank)
 
     def settle(phase, carry):
@@ -144,7 +144,7 @@ def _filtered(
     view, keys = given.view, jax.random.split(key, 3)
     space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _context(body, state, x, given, shape)
     origin = state.particles
-    ahead = _ahead(state, view, n, shape)
+    ahead = carried_on(state, view, n, shape)
     if shape.restarts:
         new = restarted(keys[1], body, x, context, given, n.floor, shape)
         ahead = ahead.at[:, -shape.restarts :].set(
@@ -154,13 +154,13 @@ def _filtered(
             jnp.where(new[1][:, :, None, None], new[0], origin[:, -shape.restarts :])
         )
     near = jax.vmap(lambda one: worthwhile(one, round(_WORTHWHILE * len(given.points)), n.weighing))(context)
-    p, origin, mean, spread = _layers(keys[2], ahead, origin, state.spread, space, near, view, n, shape)
+    p, origin, mean, spread = spread_and_drawn(keys[2], ahead, origin, state.spread, space, near, view, n, shape)
     masses = body.masses.at[LIMBS.ravel()].set((n.masses[0] + n.masses[1] * jnp.exp(-n.masses[2] * spread)).ravel())
     x = x.at[LIMBS.ravel()].set(mean.reshape(12, 3))
     return Filtered(x, masses, p, origin, mean, spread, near, context.hidden, context.more)
 
 
-def _moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers) -> Float[Array, "16 3"]:
+def head_moved(body: FlexibleBody, state: State, given: Inputs, n: Numbers) -> Float[Array, "16 3"]:
     """The body with its head where it was measured, the rest following, a Verlet step later; not yet relaxed."""
     move = jnp.where(given.head_seen > 0, given.head - state.x[HEAD], 0.0)
     high = jnp.sum(move * given.up) * given.up
@@ -215,7 +215,7 @@ def clothed(bare: Float[Array, " point"]) -> Float[Array, "part point"]:
     return _NOT_CLOTHES * jnp.asarray(covered) * bare
 
 
-def _ahead(state: State, view: View, n: Numbers, shape: Shape) -> Float[Array, "4 particle 3 3"]:
+def carried_on(state: State, view: View, n: Numbers, shape: Shape) -> Float[Array, "4 particle 3 3"]:
     """Where the particles are expected: damped constant velocity, every second one by the optical flow."""
     p = state.particles
     by_velocity = p + n.velocity * (p - state.previous)
@@ -270,7 +270,7 @@ def restarted(
 
 
 # 9 parameters: model, state and measurements of a limb, traced each
-def _layers(
+def spread_and_drawn(
     key: Array, p: Array, origin: Array, spread: Array, space: LimbSpace, context: LimbContext, view: View, n: Numbers,
     shape: Shape,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip

@@ -125,27 +125,27 @@ def followed(
     s, waited = settings.flexible, seconds_of_waiting()
     began = time.perf_counter() if began is None else began
     seen, skin, first, begin = started(seen, settings.start.scale)
-    nobody = _nobody(body, seen, source, fixed_frame, notes)
+    nobody = nobody_of(body, seen, source, fixed_frame, notes)
     if begin is None:
         return Followed(replace(nobody, notes=(*notes, "Nobody was found.")), None, first, skin, seen)
     model = flexible_body(body, begin.stature)
     floor_up = seen.scene.floor.normal.astype(np.float32)
     x = first_pose(np.asarray(model.rest), begin, floor_up)
-    heads = _heads(seen, first, begin, skin, s)
+    heads = heads_of(seen, first, begin, skin, s)
     key = jax.random.PRNGKey(s.seed)
     state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
     order = range(first, len(seen.features))
-    state, found = _run(model, state, seen, heads, order, key, s, floor_up, skin, progress)
-    camera = _camera(seen, order)
+    state, found = run_filters(model, state, seen, heads, order, key, s, floor_up, skin, progress)
+    camera = camera_places(seen, order)
     found = with_the_face(found, heads.seen[first:], camera, floor_up)
     if s.backwards and not settings.online:
         again = jax.random.fold_in(key, 2**30 + 1)
         back = state._replace(before=state.x, previous=state.particles)
-        _, second = _run(model, back, seen, heads, order[::-1], again, s, floor_up, skin, progress)
+        _, second = run_filters(model, back, seen, heads, order[::-1], again, s, floor_up, skin, progress)
         second = with_the_face(jax.tree.map(lambda a: a[::-1], second), heads.seen[first:], camera, floor_up)
         found = better(found, second, numbers(s).weighing)
         found = found._replace(x=smoothed(np.asarray(found.x), seen.time_ns[seen.row[first:]]))
-    tracks = _tracks(nobody, begin, seen, first, found, camera)
+    tracks = tracks_of(nobody, begin, seen, first, found, camera)
     compiling = seconds_of_waiting() - waited
     if not begin.face_seen:
         tracks = replace(
@@ -191,7 +191,7 @@ class Heads(NamedTuple):
     seen: Bool[np.ndarray, " frame"]  # whether a face is seen
 
 
-def _heads(seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings) -> Heads:
+def heads_of(seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings) -> Heads:
     count = len(seen.features)
     out = Heads(np.zeros((count, 3), np.float32), np.zeros(count, bool))
     if not begin.face_seen:
@@ -232,7 +232,7 @@ def _inputs(
 
 
 # 10 parameters: a pass is run from two places
-def _run(
+def run_filters(
     model: FlexibleBody, state: State, seen: Observed, heads: Heads, order: range, key: jax.Array, s: FlexibleSettings,
     up: np.ndarray, skin: SkinModel, progress: Progress | None,
 ) -> tuple[State, Seen]:  # fmt: skip
@@ -242,7 +242,7 @@ def _run(
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
-        if heads.seen[at[0]] and _cosine(np.asarray(state.x)[None], _camera(seen, at[:1]), up)[0] < _AWAY:
+        if heads.seen[at[0]] and _cosine(np.asarray(state.x)[None], camera_places(seen, at[:1]), up)[0] < _AWAY:
             state = _turned(state)
         state, found = track_chunk(
             model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad, skin)), key, n, shape
@@ -285,7 +285,7 @@ def _turned(state: State) -> State:
     return state._replace(x=state.x[OTHER_SIDE], before=state.before[OTHER_SIDE], **limbs)
 
 
-def _camera(seen: Observed, at: Iterable[int]) -> Float[np.ndarray, "frame 3"]:
+def camera_places(seen: Observed, at: Iterable[int]) -> Float[np.ndarray, "frame 3"]:
     """The camera's centres in some images, metres."""
     return np.array([seen.features.place(i) for i in at], float)
 
@@ -331,8 +331,8 @@ def smoothed(x: Float32[np.ndarray, "frame 16 3"], time_ns: np.ndarray) -> Float
     return gaussian_filter1d(x, sigma, axis=0, mode="nearest")
 
 
-def _tracks(tracks: Tracks, begin: Start, seen: Observed, first: int, found: Seen, camera: np.ndarray) -> Tracks:
-    """The tracks of `_nobody` with what was found from row `first` on."""
+def tracks_of(tracks: Tracks, begin: Start, seen: Observed, first: int, found: Seen, camera: np.ndarray) -> Tracks:
+    """The tracks of `nobody_of` with what was found from row `first` on."""
     body = scaled(tracks.body, begin.stature)
     rows, x = seen.row[first:], np.asarray(found.x, float)
     tracks.rotation[rows], tracks.translation[rows] = limb_poses(body, x)
@@ -343,7 +343,7 @@ def _tracks(tracks: Tracks, begin: Start, seen: Observed, first: int, found: See
     return replace(tracks, body=body, limb_weight=np.ones_like(tracks.limb_weight))
 
 
-def _nobody(body: Body, seen: Observed, source: str, fixed_frame: str, notes: tuple[str, ...]) -> Tracks:
+def nobody_of(body: Body, seen: Observed, source: str, fixed_frame: str, notes: tuple[str, ...]) -> Tracks:
     """Tracks of a recording in which nobody is found."""
     count, limbs, centres = seen.count, body.limb_count, len(body.topology.centres)
     blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
