@@ -114,7 +114,7 @@ def layer(spread: float = 0.0, n=N, at=None, **more):
     p = jnp.broadcast_to(x[LIMBS][:, None], (4, 64, 3, 3))
     v = seen_by_camera(**more)
     each = jax.tree.map(lambda a: jnp.broadcast_to(a, (4, *a.shape)), context((0, 0, 9.0), np.zeros((4, 3))))
-    space = limb_spaces(BODY, x, 0.02, jnp.array([0.0, 0.0, 1.0, -1e3]))
+    space = limb_spaces(BODY, vectors(x), 0.02, jnp.array([0.0, 0.0, 1.0, -1e3]))
     return run_layer(jax.random.key(1), p, jnp.full((4, 3), spread), space, each, v, n)
 
 
