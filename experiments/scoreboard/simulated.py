@@ -19,12 +19,13 @@ from voodoo_jax.records.recording import Frame
 from voodoo_jax.simulate.mcap import depth_image, foxglove_log, put_camera, write_simulation
 from voodoo_jax.simulate.motion import Motion, make_motion, placed
 from voodoo_jax.simulate.recording import Simulation, simulate
-from voodoo_jax.simulate.room import Room
+from voodoo_jax.simulate.room import Box, Room
 from voodoo_jax.simulate.sensor import Camera, tof_camera
 
 TOGETHER = 17_000_000  # nanoseconds: half a frame at 30 Hz
 # simulated people may stand as still as nobody does
 FROZEN = DetectSettings(skip=("drop_motionless",))
+SHELF = Box(5.0, 0.3, (0.4, 1.1, 1.9), 0.2)
 MISSING = 1.0  # metres that count where there is no answer, as for recordings
 
 
@@ -183,8 +184,11 @@ class MisplacedCamera:
         motion = placed(make_motion(body, self.motion, 2.0, 30.0), 3.0, 0.0, np.radians(self.facing))
         x, y, yaw = self.second
         views = {"first": camera(0.0, 0.0, 0.0), "second": camera(x, y, np.radians(yaw))}
+        room = Room(
+            wall=6.6, boxes=(Box(2.9, 0.95, (0.5, 0.45, 0.75), 0.3), Box(4.0, -1.1, (0.6, 0.9, 1.0), -0.5), SHELF)
+        )
         seen = {
-            name: simulate(body, part(motion, np.arange(0, 60, 4)), view, room=Room(wall=6.6), seed=seed)
+            name: simulate(body, part(motion, np.arange(0, 60, 4)), view, room=room, seed=seed)
             for seed, (name, view) in enumerate(views.items())
         }
         right = views["second"]

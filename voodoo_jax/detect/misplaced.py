@@ -1,23 +1,27 @@
 """Sensors that a log places wrongly beside each other: a surface that two of them see is one surface. Host side, NumPy.
 
 Point-to-plane ICP (Chen and Medioni 1992, doi:10.1016/0262-8856(92)90066-C) of one sensor's points onto the surfaces
-that the others see at the same time, in several frames at once: one shift and turn for all.
+that the others see, of what is at rest: in several frames at once, one shift and turn for all.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64, Int64
 from scipy.spatial import KDTree
 
 from voodoo_jax.detect.camera_motion import FASTER, STILL, moved, onto_planes, turned
 from voodoo_jax.detect.crops import RIGHT
+from voodoo_jax.detect.delays import WINDOW
+from voodoo_jax.detect.segmentation import CELL
+from voodoo_jax.geometry.voxels import Counted, cells_of
 from voodoo_jax.io.as_shown import TORN, is_told, off_level
 from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.records.recording import Frame
 
 # By hand, tried on simulated pairs of cameras; judged on others in experiments/scoreboard/promises/sensors_agree.py
-# Frames of a sensor, spread over the log; points of a frame; points around one that show its normal.
+# Frames of a sensor, spread over the beginning; points of a frame; points around one that show its normal.
 FRAMES, POINTS, PATCH = 10, 8000, 12
 # By hand, as above: metres from a surface, at most; share of a sensor's upright points on others' surfaces, and points,
 # at least; times as many as at first; of the best fit's, those of one as good
@@ -28,7 +32,7 @@ YAWS, SHIFTS, TRIED, STEPS = (-6.0, -3.0, 0.0, 3.0, 6.0), (-0.15, 0.0, 0.15), 4,
 FACING, FLAT = 0.8, 0.05
 NOISE = 0.015  # metres, of depth at 3 metres (Khoshelham and Elberink 2012, doi:10.3390/s120201437: 0.013)
 ON, OFF = 4 * NOISE, 2 * NOISE  # so near one surface ends; less is usual for calibrations, and between halves; by hand
-TOGETHER_NS = 50_000_000  # between frames that show the same; by hand
+STAYS = 0.7  # of the frames: in so many something is where what is at rest is; by hand
 
 
 class Surface(NamedTuple):
@@ -48,22 +52,20 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
     given, coarse = reader.given_frames, reader.coarse(POINTS)
     off = {topic: 0.0 if frame in given else off_level(reader, topic) for frame, topic in one_each.items()}
     first, *others = sorted(off, key=lambda topic: (reader.frame_name(topic) not in given, off[topic], topic))
-    known = {frame.time_ns: [_surface(frame)] for frame in _frames(coarse, first, None)}
+    begun = max(int(reader.stamps(topic).min()) for topic in off)
+    ended = min(int(reader.stamps(topic).max()) for topic in off)
+    times = np.linspace(begun, min(ended, begun + int(WINDOW * 1e9)), FRAMES).astype(np.int64)
+    known = _surfaces(coarse, first, times)
     for topic in others if known else ():
-        pairs = []
-        for frame in _frames(coarse, topic, np.array(list(known))):
-            nearest = min(known, key=lambda t: abs(t - frame.time_ns))
-            if abs(nearest - frame.time_ns) < TOGETHER_NS:
-                pairs.append((nearest, _surface(frame)))
-        T, sure = correction([(_joined(known[at]), mine) for at, mine in pairs], reader.up)
-        away = [_apart(mine.points, T, STILL) for _, mine in pairs if len(mine.points)]
-        if away and max(away) > OFF and reader.frame_name(topic) not in given:
+        mine = _surfaces(coarse, topic, times)
+        T, sure = correction(_joined(known), mine, reader.up)
+        away = max((_apart(one.points, T, STILL) for one in mine if len(one.points)), default=0.0)
+        if away > (OFF if sure else RIGHT) and reader.frame_name(topic) not in given:
             lines = reader.move(topic, T) if sure else ("", "")
-            _say(reader, (first, topic), max(away), is_told(off[first], off[topic]), lines)
+            _say(reader, (first, topic), away, is_told(off[first], off[topic]), lines)
         else:
             T = STILL
-        for at, mine in pairs:
-            known[at].append(Surface(moved(mine.points, T), mine.normals @ T[:3, :3].T) if sure else mine)
+        known += [Surface(moved(one.points, T), one.normals @ T[:3, :3].T) if sure else one for one in mine]
     return reader
 
 
@@ -83,51 +85,40 @@ def _say(reader: LogReader, topics: tuple[str, str], away: float, told: bool, li
     )
 
 
-class _Pairs(NamedTuple):
-    """What others see, and what one sensor sees at the same time, in several frames."""
+class _Views(NamedTuple):
+    """What others see, and what one sensor sees in several frames."""
 
-    there: tuple[Surface, ...]
-    trees: tuple[KDTree, ...]
+    there: Surface
+    tree: KDTree
     mine: tuple[Surface, ...]
 
-    @classmethod
-    def of(cls, pairs: list[tuple[Surface, Surface]]) -> "_Pairs":
-        there, mine = tuple(one for one, _ in pairs), tuple(other for _, other in pairs)
-        return cls(there, tuple(KDTree(one.points) for one in there), mine)
-
-    def part(self, begin: int, step: int) -> "_Pairs":
-        """Every so many-th pair."""
-        return _Pairs(self.there[begin::step], self.trees[begin::step], self.mine[begin::step])
-
-    def matched(self, T: np.ndarray, reach: float, every: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    def matched(self, T: np.ndarray, reach: float, every: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The points (of which every so many-th is asked) that have a surface within reach which faces as theirs, its
-        normals, how far they are from it, and of how many points they are."""
-        points, normals, offs, count = [], [], [], 0
-        for there, tree, mine in zip(self.there, self.trees, self.mine):
-            asked, facing = moved(mine.points[::every], T), mine.normals[::every] @ T[:3, :3].T
-            away, which = tree.query(asked, distance_upper_bound=reach)
-            near = np.flatnonzero(np.isfinite(away))
-            near = near[np.sum(facing[near] * there.normals[np.asarray(which)[near]], 1) > FACING]
-            nearest = np.asarray(which)[near]
-            points.append(asked[near])
-            normals.append(there.normals[nearest])
-            offs.append(np.sum((asked[near] - there.points[nearest]) * there.normals[nearest], 1))
-            count += len(asked)
-        return np.concatenate(points), np.concatenate(normals), np.concatenate(offs), count
+        normals, and how far they are from it."""
+        points = moved(np.concatenate([one.points[::every] for one in self.mine]), T)
+        facing = np.concatenate([one.normals[::every] for one in self.mine]) @ T[:3, :3].T
+        away, which = self.tree.query(points, distance_upper_bound=reach)
+        near = np.flatnonzero(np.isfinite(away))
+        near = near[np.sum(facing[near] * self.there.normals[np.asarray(which)[near]], 1) > FACING]
+        points, nearest = points[near], np.asarray(which)[near]
+        normals = self.there.normals[nearest]
+        return points, normals, np.sum((points - self.there.points[nearest]) * normals, 1)
 
-    def shared(self, T: np.ndarray, up: np.ndarray) -> float:
-        """The share of the points on upright surfaces that lie on what others see; of level ones each shift shares as
-        many."""
-        _, normal, off, _ = self.matched(T, ON, 4)
-        count = sum(np.sum(np.abs(mine.normals[::4] @ up) < FACING) for mine in self.mine)
+    def shared(self, T: np.ndarray, up: np.ndarray | None = None) -> float:
+        """The share of the points that lie on what others see; of those on upright surfaces, if it is said what is up:
+        of level ones each shift shares as many."""
+        _, normal, off = self.matched(T, ON, 4)
+        asked = np.concatenate([one.normals[::4] for one in self.mine])
         on = np.clip(1 - (off / (2 * NOISE)) ** 2, 0, None) ** 2
-        return float(on[np.abs(normal @ up) < FACING].sum() / max(count, 1))
+        if up is not None:
+            on, asked = on[np.abs(normal @ up) < FACING], asked[np.abs(asked @ up) < FACING]
+        return float(on.sum() / max(len(asked), 1))
 
     def fitted(self, T: np.ndarray = STILL, reach: float = REACH) -> np.ndarray:
         """The best fit of the sensor's surfaces to the others', from `T` on."""
         whole, pivot = np.zeros(6), self.middle
         for _ in range(STEPS):
-            points, normal, off, _ = self.matched(T, reach)
+            points, normal, off = self.matched(T, reach)
             if len(off) < FEWEST:
                 return T
             size = np.full(len(off), reach)
@@ -145,13 +136,14 @@ class _Pairs(NamedTuple):
 
 
 def correction(
-    pairs: list[tuple[Surface, Surface]], up: Float[np.ndarray, "3"]
+    there: Surface, mine: Sequence[Surface], up: Float[np.ndarray, "3"]
 ) -> tuple[Float64[np.ndarray, "4 4"], bool]:
-    """What takes the second surfaces onto the first ones, in pairs that are seen at the same time, and whether nothing
-    else does so as well. The identity where they lie on each other already, or nothing tells."""
-    both = _Pairs.of([(there, mine) for there, mine in pairs if len(there.points) >= FEWEST and len(mine.points)])
-    if len(both.mine) < 2:
+    """What takes what a sensor sees, frame by frame, onto what others see, and whether nothing else does so as well.
+    The identity where they lie on each other already, or nothing tells."""
+    mine = [one for one in mine if len(one.points)]
+    if len(mine) < 2 or len(there.points) < FEWEST:
         return STILL, True
+    both = _Views(there, KDTree(there.points), tuple(mine))
     T, points = both.fitted(), np.concatenate([mine.points for mine in both.mine])[::10]
     if _apart(points, T, STILL) < OFF:
         return STILL, True
@@ -164,10 +156,11 @@ def correction(
     fits = [T, *(both.fitted(start) for start in best)]
     shares = [both.shared(fit, up) for fit in fits]
     if max(shares) <= max(SHARED, BETTER * both.shared(STILL, up)):
-        return T, False  # level surfaces alone are brought together
+        # level surfaces alone are brought together, if those
+        return (T, False) if both.shared(T) > BETTER * both.shared(STILL) else (STILL, True)
     found = fits[int(np.argmax(shares))]
     as_good = [fit for fit, share in zip(fits, shares) if share > ALMOST * max(shares)]
-    halves = [both.part(k, 2).fitted(found, 2 * ON) for k in (0, 1)]
+    halves = [both._replace(mine=both.mine[k::2]).fitted(found, 2 * ON) for k in (0, 1)]
     return found, all(_apart(points, found, other) < OFF for other in (*as_good, *halves))
 
 
@@ -176,24 +169,27 @@ def _apart(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum((moved(points, one) - moved(points, other)) ** 2, 1))))
 
 
-def _frames(reader: LogReader, topic: str, at: np.ndarray | None) -> list[Frame]:
-    """Some frames of a sensor that stands still, those nearest to some times if any are given."""
-    samples = reader.sampled(topic, FRAMES, spread=True, at=at)
+def _surfaces(reader: LogReader, topic: str, at: Int64[np.ndarray, " time"]) -> list[Surface]:
+    """What a sensor sees at rest around some times; nothing of one that moves itself."""
+    samples = reader.sampled(topic, FRAMES, at=at)
     frames = [frame for sample in samples if (frame := reader.frame_of(topic, sample)) is not None]
     if not frames or np.ptp([frame.origins[0] for frame in frames], axis=0).max() > 0.01:
         return []
-    return frames
+    seen = Counted(CELL)
+    for frame in frames:
+        seen.add(cells_of(frame.points, CELL), 1.0)
+    return [_surface(frame, seen.at(frame.points) >= STAYS * len(frames)) for frame in frames]
 
 
-def _surface(frame: Frame) -> Surface:
-    """The points of a frame that lie on something smooth, with its normals."""
+def _surface(frame: Frame, still: Bool[np.ndarray, " point"]) -> Surface:
+    """The points of a frame that are at rest and lie on something smooth, with its normals."""
     points = frame.points.astype(float)
     if len(points) < PATCH:
         return Surface(points[:0], points[:0])
-    around = points[KDTree(points).query(points, PATCH)[1]] - points[:, None]
+    around = points[KDTree(points).query(points[still], PATCH)[1]] - points[still][:, None]
     normals, flat = normals_of(around - around.mean(1, keepdims=True))
-    normals *= np.sign(np.sum(normals * (frame.origins[0] - points), 1))[:, None]
-    return Surface(points[flat], normals[flat])
+    normals *= np.sign(np.sum(normals * (frame.origins[0] - points[still]), 1))[:, None]
+    return Surface(points[still][flat], normals[flat])
 
 
 def normals_of(patches: Float[np.ndarray, "patch point 3"]) -> tuple[np.ndarray, np.ndarray]:

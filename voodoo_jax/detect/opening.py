@@ -33,7 +33,7 @@ def open_checked(
     settings, detect = settings or ReadSettings(), detect or DetectSettings()
     reader = _checked(path, settings, build, detect)
     if settings.delays or not (found := offsets(reader, build, detect)):
-        return reader
+        return with_sensors_in_place(reader)  # not before: who moves is elsewhere at another time
     late = tuple(f"{topic}={by:g}" for topic, by in found.items())
     reader = _checked(path, replace(settings, delays=late), build, detect)
     for topic, by in found.items():
@@ -41,11 +41,11 @@ def open_checked(
             f"'{topic}': its stamps are {abs(by):.2f} s {'late' if by > 0 else 'early'}, to judge by what it and "
             "another sensor see move: taken out. read.delays settles it."
         )
-    return reader
+    return with_sensors_in_place(reader)
 
 
 def _checked(path: Place | LogFile, settings: ReadSettings, build: Build, detect: DetectSettings) -> LogReader:
-    return with_sensors_in_place(without_smeared_edges(with_crops(with_units(open_log(path, settings), build, detect))))
+    return without_smeared_edges(with_crops(with_units(open_log(path, settings), build, detect)))
 
 
 def read_log(

@@ -255,12 +255,16 @@ class LogReader:
         step = max(1, total // count) if spread else step
         stamps = self.stamps(topic)
         near = None if at is None else {int(np.argmin(np.abs(stamps - t))) for t in at}
+        last = total if spread else 60 + step * count  # two seconds of darkness
+        last = last if near is None else max(near, default=0)
         found, decoder, number = [], Decoder(), -1
         stereo = {pair.left for pair in self.scan.stereo}
         wanted = lambda s, c: c.topic == topic and self.scan.kind(s, c) == self.scan.topics[topic].kind  # noqa: E731
         for schema, channel, message in guarded(self.scan.log, wanted) if topic not in stereo else ():
             number += 1
             self.scan.log.clock.check()
+            if number > last:
+                break
             if (number % step if near is None else number not in near) or schema is None:
                 continue
             try:
@@ -270,7 +274,7 @@ class LogReader:
                 continue
             if len(distances) >= TELLING:
                 found.append(Sample(number, content, distances))
-            if len(found) == count or (not spread and number >= 60 + step * count):  # two seconds of darkness
+            if len(found) == count:
                 break
         return found
 

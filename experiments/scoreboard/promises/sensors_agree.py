@@ -32,7 +32,7 @@ def measure(takes: Sequence[tuple[float, float, bool, float]]) -> dict[str, floa
         "made worse, cm": float((after - before).max()),
         "put right, %": 100.0 * float(np.mean(after[bad] < 0.5 * before[bad])) if bad.any() else 100.0,
         "wrong and not doubted": float(np.sum(wrong & (sure > 0.5))),
-        "unsaid": float(np.sum(bad & (said == 0))),
+        "wrong and unsaid": float(np.sum(wrong & (said == 0))),
     }
 
 
@@ -47,7 +47,7 @@ PROMISE = Promise(
         Figure("made worse, cm", 1.0, tolerance=1.0),
         Figure("put right, %", None),
         Figure("wrong and not doubted", 0.0),
-        Figure("unsaid", 0.0),
+        Figure("wrong and unsaid", 0.0),
     ),
     jobs=lambda data: data.part(TAKES, 2),
     measure=measure,
