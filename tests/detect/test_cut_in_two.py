@@ -75,7 +75,7 @@ def test_they_are_found_together():
 def test_a_head_belongs_to_the_shoulders_that_it_is_near(gap, one):
     """A neck is thin: a cell of the grid may be empty where the gap is shorter than `link`."""
     trunk = figure(2.5, 0.0, 1.41)
-    head = figure(2.5, 0.0, 0.22, 0.09) + [0, 0, 1.4 + gap]
+    head = figure(2.41, 0.0, 0.22, 0.09) + [0, 0, 1.4 + gap]
     cloud = np.concatenate([trunk, head])
     assert len(np.unique(components(cloud.astype(np.float32), 0.12))) == 2
     seen = BodySegmenter(Scene(FLOOR, (), True), build_of(HEIGHT), DetectSettings())(frame(cloud))

@@ -56,8 +56,9 @@ def test_noise_of_a_slanted_surface(rng):
 def test_noise_of_clouds_that_were_joined(rng, sigma):
     """Points of the far side lie beside those of the near side in the picture; on the surface they do not."""
     near = cylinder(rng, 3.0, sigma)
-    far = near * np.float32([-1, 1, 1]) + np.float32([2 * (3.0 + ORIGIN[0]), 0, 0])  # as from the other side
-    both = np.concatenate([near, far])
+    axis = np.float32([3.0 + ORIGIN[0], ORIGIN[1], ORIGIN[2]])
+    far = (near - axis) * np.float32([-1, -1, 1]) + axis  # as from the other side
+    both = rng.permutation(np.concatenate([near, far]))
     assert range_noise(both, ORIGIN) > 0.05  # the cylinder's thickness
     assert 0.6 * sigma < range_noise(both, ORIGIN, joined=True) < sigma * 1.2 + 0.003
     (seen,) = weighed([frame(both)], 0.01)

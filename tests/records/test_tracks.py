@@ -66,7 +66,7 @@ def test_joints_under_the_names_of_other_conventions():
 
 
 @pytest.mark.parametrize(
-    "name, near", [("l_radiocarpl", "l_radiocarpal"), ("left_knie", "there are"), ("", "there are")]
+    "name, near", [("l_radiocarpl", "l_radiocarpal"), ("left_knie", "did you mean 'left_knee'"), ("", "there are")]
 )
 def test_unknown_joints_are_refused_with_near_names(name, near):
     with pytest.raises(ValueError, match=near):

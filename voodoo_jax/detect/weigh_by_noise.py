@@ -20,6 +20,8 @@ from voodoo_jax.records.observation import BodyObservation
 MOST, ASKED = 3000, 150  # points that neighbours are looked for among, and points whose neighbours are looked at
 NEIGHBOURS = 9  # of a point, itself among them: a plane has three numbers
 FEWEST = 60  # points of a sensor from which its noise can be told
+# metres among nearest neighbours in space: noise that alone looks like far sides leaves more (measured: 0.023 of 0.06)
+CLEAN = 0.02
 EVERY = 30  # frames after which it is measured again
 
 
@@ -65,6 +67,13 @@ def range_noise(
     return float(np.median(np.sqrt(np.sum(left**2, 1) / (NEIGHBOURS - 3))))
 
 
+def _noise_of(frame: BodyObservation, points: Float32[np.ndarray, "point 3"], origin: np.ndarray) -> float:
+    """The noise of one sensor's points in a frame, which may be those of several whose clouds were joined."""
+    if has_far_sides([frame]) and (noise := range_noise(points, origin, joined=True)) < CLEAN:
+        return noise
+    return range_noise(points, origin)
+
+
 def weighed(frames: Iterable[BodyObservation], usual: float) -> Iterator[BodyObservation]:
     """The frames with the noise of their points, and with weights: 1 for points with a noise of `usual` metres or less,
     less for others, in inverse proportion to their variance; times the weight that they have already.
@@ -84,7 +93,7 @@ def weighed(frames: Iterable[BodyObservation], usual: float) -> Iterator[BodyObs
             some = points[:: len(points) // ASKED + 1].T - origin[:, None]
             square = float(quantile(np.einsum("ij,ij->j", some, some), 0.5))
             if sensor not in growth or number % EVERY == 0:
-                found = range_noise(points, origin, has_far_sides([frame])) / max(square, 1e-6)
+                found = _noise_of(frame, points, origin) / max(square, 1e-6)
                 if np.isfinite(found):
                     growth[sensor] = found
             noise[mine] = growth.get(sensor, 0.0) * square

@@ -59,8 +59,8 @@ def test_who_sat_before_the_chair_was_taken_away_sits(session, monkeypatch):
     run.stances = {}
     assert begin(run, 0).cost == 10e-4 and run.stances == {}
     run = session()
-    run.stances = {0: STANCES[3]}
-    assert begin(run, 0).cost == 11e-4 and run.stances == {0: STANCES[3]}
+    run.stances = {0: STANCES[-1]}
+    assert begin(run, 0).cost == 11e-4 and run.stances == {0: STANCES[-1]}
 
 
 @pytest.mark.parametrize(("cost", "sits"), [(6e-4, False), (1e-4, True)])
