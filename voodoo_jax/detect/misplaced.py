@@ -43,9 +43,9 @@ class Surface(NamedTuple):
 
 
 def with_sensors_in_place(reader: LogReader) -> LogReader:
-    """The reader with misplaced sensors moved to where they fit the others, where one place alone does; else its places
-    are doubted. Sensors that move are left alone. Of two that contradict each other the one whose floor is less level
-    is moved, and never one that read.transform places."""
+    """The reader with each misplaced sensor moved to where its surfaces fit those of the others. Where more than one
+    place fits, the sensor stays, and `reader.sure` falls. Sensors that move by themselves are left alone. Of two that
+    contradict each other, the one whose floor is less level is moved, but none that read.transform places."""
     one_each = {reader.frame_name(topic): topic for topic in reversed(reader.sensors)}
     if len(one_each) < 2:
         return reader
@@ -60,12 +60,12 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
         mine = _surfaces(coarse, topic, times)
         T, sure = correction(_joined(known), mine, reader.up)
         away = max((_apart(one.points, T, STILL) for one in mine if len(one.points)), default=0.0)
+        lines = "", ""
         if away > (OFF if sure else RIGHT) and reader.frame_name(topic) not in given:
-            lines = reader.move(topic, T) if sure else ("", "")
+            lines = reader.move(topic, T) if sure else lines
             _say(reader, (first, topic), away, is_told(off[first], off[topic]), lines)
-        else:
-            T = STILL
-        known += [Surface(moved(one.points, T), one.normals @ T[:3, :3].T) if sure else one for one in mine]
+        T = T if lines[0] else STILL  # as it is read from now on
+        known += [Surface(moved(one.points, T), one.normals @ T[:3, :3].T) for one in mine]
     return reader
 
 
@@ -93,8 +93,8 @@ class _Views(NamedTuple):
     mine: tuple[Surface, ...]
 
     def matched(self, T: np.ndarray, reach: float, every: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The points (of which every so many-th is asked) that have a surface within reach which faces as theirs, its
-        normals, and how far they are from it."""
+        """Those of the points (every so many-th) that have a surface of the others within reach that faces as they do,
+        the normals of that surface, and the signed distances from it, metres."""
         points = moved(np.concatenate([one.points[::every] for one in self.mine]), T)
         facing = np.concatenate([one.normals[::every] for one in self.mine]) @ T[:3, :3].T
         away, which = self.tree.query(points, distance_upper_bound=reach)
@@ -138,8 +138,8 @@ class _Views(NamedTuple):
 def correction(
     there: Surface, mine: Sequence[Surface], up: Float[np.ndarray, "3"]
 ) -> tuple[Float64[np.ndarray, "4 4"], bool]:
-    """What takes what a sensor sees, frame by frame, onto what others see, and whether nothing else does so as well.
-    The identity where they lie on each other already, or nothing tells."""
+    """The transform that takes a sensor's surfaces, frame by frame, onto those of the others, and whether no other one
+    fits as well. The identity where they lie on each other already, or where nothing tells."""
     mine = [one for one in mine if len(one.points)]
     if len(mine) < 2 or len(there.points) < FEWEST:
         return STILL, True

@@ -353,7 +353,7 @@ class BodySegmenter:
         points, count, out = seen.points, np.bincount(label), np.array(label)
         lowest = np.full(len(count), np.inf, np.float32)
         np.minimum.at(lowest, label, self.scene.floor.height(points))
-        for k in np.flatnonzero((lowest > HEADS * self.body.height) & (count >= TELLING) & np.isfinite(lowest)):
+        for k in np.flatnonzero((lowest > HEADS * self.body.height) & (count >= TELLING)):
             for j in np.flatnonzero(count > count[k]):
                 if lowest[j] < lowest[k] and within(points[label == k], points[label == j], self._link(seen)).any():
                     out[out == out[label == k][0]] = out[label == j][0]
