@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from experiments.common import human
 from experiments.judged import Verdict, judge, read
 from experiments.people.figure import BONES, Figure, read_meshes
-from experiments.people.motions import RATE, Clip, after_standing, read_clip, there_and_back
+from experiments.people.motions import RATE, Clip, after_standing, find_clip, there_and_back
 from experiments.people.paths import moved
 from experiments.people.pictures import RIGS, Rig, dressed, painted, photographed
 from experiments.people.poses import chair, exercise, planted, sitting
@@ -81,11 +81,11 @@ def _in_depth(take: Take, path: Path, figure: Figure, rng: np.random.Generator) 
 def _in_pictures(take: Take, path: Path, figure: Figure, rig: Rig, rng: np.random.Generator) -> None:
     """As two cameras side by side see it."""
     vertices, joints, room = _staged(take, figure, rig.cameras()[0], rng)
-    colours, empty = dressed(figure, rng), painted(room, rig, rng)
+    colours, empty = dressed(figure, rng), painted(room, rig, rng, take.light)
     shown = range(0, len(vertices), EVERY)
     pictures = [
         [
-            photographed(nobody, vertices[i], figure.meshes.faces, colours, camera, rng, rig.grey)[0]
+            photographed(nobody, vertices[i], figure.meshes.faces, colours, camera, rng, rig.grey, take.light)[0]
             for nobody, camera in zip(empty, rig.cameras())
         ]
         for i in shown
@@ -133,7 +133,7 @@ def _moves(take: Take, rng: np.random.Generator) -> tuple[Clip, np.ndarray]:
     if take.clip in POSED:
         clip = sitting(rng, take.clip == SEATED[1]) if take.clip in SEATED else exercise(rng, take.clip == "exercise")
         return clip.mirrored() if take.mirrored else clip, np.zeros(len(clip.place))
-    clip = read_clip(take.motions / f"humanoid3d_{take.clip}.txt", take.speed, CLIPS.get(take.clip, 1))
+    clip = find_clip(take.motions, take.clip, take.speed, CLIPS.get(take.clip, 1), take.most)
     if take.clip.startswith("getup"):  # lies down first
         clip = there_and_back(clip, HELD)
     clip = after_standing(clip.mirrored() if take.mirrored else clip, STILL, EASED, HELD)

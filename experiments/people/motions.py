@@ -1,6 +1,8 @@
-"""Motion clips of DeepMimic (Peng 2018), as PyBullet's package brings them, for any skeleton: turns of segments."""
+"""Motion clips for any skeleton, as turns of segments: those of DeepMimic (Peng 2018), as PyBullet's package brings
+them, and those of the Bandai-Namco motion data set (*.bvh)."""
 
 import json
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +20,16 @@ PARENT = {"root": "", "chest": "root", "neck": "chest"} | {
     )
 }  # fmt: skip
 BALLS = dict(root=4, chest=8, neck=12, r_thigh=16, r_foot=21, r_upper_arm=25, l_thigh=30, l_foot=35, l_upper_arm=39)
+ENDS = ("l_forearm", "r_forearm", "l_shank", "r_shank")
+# the joints of a *.bvh that turn each segment, and where the segment ends
+BVH = {"root": ("Hips", ""), "chest": ("Chest", ""), "neck": ("Head", "")} | {
+    f"{side}_{name}": (f"{joint}_{side.upper()}", f"{end}_{side.upper()}" if end else "")
+    for side in "lr"
+    for name, joint, end in (
+        ("thigh", "UpperLeg", "LowerLeg"), ("shank", "LowerLeg", "Foot"), ("foot", "Foot", ""),
+        ("upper_arm", "UpperArm", "LowerArm"), ("forearm", "LowerArm", "Hand"),
+    )
+}  # fmt: skip
 HINGES = dict(r_shank=20, r_forearm=29, l_shank=34, l_forearm=43)  # columns of a clip's frames
 
 
@@ -63,6 +75,66 @@ def read_clip(path: Path, speed: float, times: int) -> Clip:
         heading, here = _heading(root[-1][-1]), rounds[-1][-1, :2]
     turns = {k: Rotation.concatenate([v] * times) for k, v in turns.items()} | {"root": Rotation.concatenate(root)}
     return Clip(turns, np.concatenate(rounds))
+
+
+def find_clip(folder: Path, name: str, speed: float, times: int, most: int = 0) -> Clip:
+    """The clip of a name in a folder, of either kind; its `most` liveliest frames on end (0: all)."""
+    path = next(path for path in sorted(folder.glob(f"*_{name}.*")) if path.suffix in (".txt", ".bvh"))
+    return liveliest(read_bvh(path) if path.suffix == ".bvh" else read_clip(path, speed, times), most)
+
+
+def read_bvh(path: Path) -> Clip:
+    """A clip of the Bandai-Namco data set; begins at the origin and faces x.
+
+    In its first frame somebody stands: limbs there are turned the shortest way from hanging, all else not at all.
+    """
+    places, turns, names = [], [], re.findall(r"(?:ROOT|JOINT) (\w+)", text := path.read_text())
+    frames = np.array([row.split() for row in text.split("Frame Time:")[1].splitlines()[1:] if row.strip()], float)
+    parents: dict[str, str] = {}
+    above: list[str] = []
+    for word, name in re.findall(r"(ROOT|JOINT|End|\})(?: (\w+))?", text.split("MOTION")[0]):
+        if word == "}":
+            above.pop()
+        else:
+            parents[name] = above[-1] if above else ""
+            above.append(name)
+    axes = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0.0]])  # z forward, x left, y up becomes x, y, z
+    for k, name in enumerate(names):
+        place = axes.apply(frames[:, 6 * k : 6 * k + 3]) / 100
+        turn = axes * Rotation.from_euler("ZXY", frames[:, 6 * k + 3 : 6 * k + 6], degrees=True) * axes.inv()
+        if parent := parents[name]:
+            at = names.index(parent)
+            place, turn = places[at] + turns[at].apply(place), turns[at] * turn
+        places.append(place)
+        turns.append(turn)
+    at = dict(zip(names, places))
+    left = at["UpperLeg_L"][0] - at["UpperLeg_R"][0]
+    facing = Rotation.from_euler("z", np.arctan2(left[0], left[1]))
+    world = {}
+    for name, (joint, end) in BVH.items():
+        turn, begins = turns[names.index(joint)], Rotation.identity()
+        if end:
+            along = facing.apply(at[end][0] - at[joint][0])
+            begins = Rotation.align_vectors([along], [[0, 0, -1.0]])[0]
+        world[name] = facing * turn * turn[0].inv() * facing.inv() * begins
+    legs = np.linalg.norm(at["UpperLeg_L"] - at["LowerLeg_L"], axis=1) + np.linalg.norm(
+        at["LowerLeg_L"] - at["Foot_L"], axis=1
+    )
+    relative = {k: world[parent].inv() * world[k] if (parent := PARENT[k]) else world[k] for k in PARENT}
+    return Clip(relative, facing.apply(at["Hips"] - at["Hips"][0] * [1, 1, 0]) / legs.mean())
+
+
+def liveliest(clip: Clip, most: int) -> Clip:
+    """Its frames on end, `most` of them, in which forearms and shanks turn most; all of them if that is 0."""
+    if not 0 < most < len(clip.place):
+        return clip
+    world = clip.world()
+    speed = sum((world[name][1:] * world[name][:-1].inv()).magnitude() for name in ENDS)
+    first = int(np.argmax(np.convolve(speed, np.ones(most - 1), "valid")))
+    some = slice(first, first + most)
+    turn = Rotation.from_euler("z", -_heading(world["root"][first]))
+    turns = {k: v[some] for k, v in clip.turns.items()} | {"root": turn * world["root"][some]}
+    return Clip(turns, turn.apply(clip.place[some] - clip.place[first] * [1, 1, 0]))
 
 
 def _heading(turn: Rotation) -> float:

@@ -1,6 +1,7 @@
 """What colour cameras see of a dressed mesh in a room: pictures for stereo pairs."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,14 +18,24 @@ except ImportError:
     njit = lambda f: f  # noqa: E731
 
 FINER = 2  # times as many pixels each way are drawn, then averaged
-LIGHT = np.array([-0.6, 0.4, 0.7]) / np.linalg.norm([-0.6, 0.4, 0.7])  # from where it comes
-AMBIENT = 0.45  # of the light comes from everywhere
 GREY_NOISE = 2.0  # standard deviation of a pixel, of 255
 JPEG = 90  # quality
 SEEDS = 2**31  # of patterns, below this number
 SKIN = ((120, 150, 190), (90, 120, 165), (60, 80, 115), (150, 175, 215))  # blue, green, red
 HAIR = ((25, 30, 35), (40, 60, 90), (90, 130, 160), (130, 130, 130))
 ROOMS = ((150, 155, 160), (120, 150, 165), (165, 160, 150), (95, 105, 120))
+
+
+class Light(NamedTuple):
+    """The light in a room."""
+
+    toward: tuple[float, float, float] = (-0.6, 0.4, 0.7)  # from where it comes
+    ambient: float = 0.45  # of the light comes from everywhere
+    bright: float = 1.0
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)  # blue, green, red
+
+
+DAY = Light()
 
 
 @dataclass(frozen=True)
@@ -114,7 +125,7 @@ def dressed(figure: Figure, rng: np.random.Generator) -> np.ndarray:
     return colours * np.clip(1 + 0.04 * fractal(rest, 0.1, 0.01, int(rng.integers(SEEDS))), 0.5, 1.5)[:, None]
 
 
-def painted(room: Room, rig: Rig, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+def painted(room: Room, rig: Rig, rng: np.random.Generator, light: Light = DAY) -> list[tuple[np.ndarray, np.ndarray]]:
     """Depth and picture of the room without anybody, for each camera, FINER: walls, floor and furniture are mottled."""
     seeds, found = rng.integers(SEEDS, size=3), []
     base = [np.array(ROOMS[k], float) * rng.uniform(0.7, 1.2) for k in rng.permutation(len(ROOMS))[:3]]
@@ -131,7 +142,9 @@ def painted(room: Room, rig: Rig, rng: np.random.Generator) -> list[tuple[np.nda
             noise = fractal(points, 0.5, 0.008, int(seeds[k]))
             mine = which == k
             picture[mine] = base[k] * (1 + mottled[k] * noise[mine, None])
-        picture *= (AMBIENT + (1 - AMBIENT) * cosine.reshape(-1, 1) ** 0.3) / 1.0
+        picture *= (
+            (light.ambient + (1 - light.ambient) * cosine.reshape(-1, 1) ** 0.3) * light.bright * np.array(light.tint)
+        )
         found.append((depth, np.clip(picture, 0, 255).reshape(*depth.shape, 3).astype(np.float32)))
     return found
 
@@ -150,6 +163,7 @@ def photographed(
     camera: Camera,
     rng: np.random.Generator,
     grey: bool,
+    light: Light = DAY,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A picture (blue, green, red, or grey) of somebody in a room, noisy; and the true depth, FINER."""
     depth, picture = empty[0].copy(), empty[1].copy()
@@ -160,7 +174,9 @@ def photographed(
     rows, columns = np.nonzero(which >= 0)
     corners = faces[which[rows, columns]]
     weights = np.concatenate([1 - share[rows, columns].sum(1, keepdims=True), share[rows, columns]], 1)
-    shade = colours * (AMBIENT + (1 - AMBIENT) * np.maximum(_normals(vertices, faces) @ LIGHT, 0))[:, None]
+    toward = np.array(light.toward) / np.linalg.norm(light.toward)
+    shade = light.ambient + (1 - light.ambient) * np.maximum(_normals(vertices, faces) @ toward, 0)
+    shade = colours * shade[:, None] * light.bright * np.array(light.tint)
     picture[rows, columns] = np.einsum("pk,pkc->pc", weights, shade[corners])
     picture = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     if grey:

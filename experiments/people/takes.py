@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.people.bodies import UNUSUAL, USUAL
 from experiments.people.paths import PATHS
-from experiments.people.pictures import RIGS
+from experiments.people.pictures import DAY, RIGS, Light
 from voodoo_jax.simulate.sensor import TOF_NOISE, Camera, Noise, tof_camera
 
 CLIPS = {"walk": 2, "run": 1, "jump": 2, "kick": 1, "punch": 1, "spinkick": 1, "dance_a": 1, "dance_b": 1, "spin": 1}
@@ -54,6 +54,8 @@ class Take:
     told: bool = True  # the log's transforms tell how it moves, or lies
     roll: float = 0.0  # of the camera, radians
     stage: float = 0.0  # height of what somebody stands on, metres
+    most: int = 0  # frames of the clip, its liveliest ones; 0: all
+    light: Light = DAY  # of pictures
 
 
 def takes(meshes: Path, motions: Path, logs: Path, seed: int) -> list[Take]:

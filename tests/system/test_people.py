@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,49 @@ def test_knees_bend_backwards_on_the_other_side_when_mirrored(clip):
         down = {s: some.world()[f"{s}_shank"][0].apply([0, 0, -1.0]) for s in "lr"}
         np.testing.assert_allclose(down[straight], [0, 0, -1], atol=1e-9)
         np.testing.assert_allclose(down[bent], [-np.sin(1), 0, -np.cos(1)], atol=1e-9)
+
+
+@pytest.fixture
+def bvh(tmp_path):
+    """Somebody of the Bandai-Namco data set who faces its x axis and raises the left arm ahead by a right angle."""
+
+    def joint(name, offset, *inside):
+        return f"JOINT {name}\n{{\nOFFSET {offset}\n{' '.join(inside) or 'End Site { OFFSET 0 0 0 }'}\n}}\n"
+
+    def chain(side, *names):
+        name, *rest = names
+        return joint(f"{name}_{side}", "0 0 0", *([chain(side, *rest)] if rest else []))
+
+    legs = [chain(side, "UpperLeg", "LowerLeg", "Foot") for side in "LR"]
+    arms = [chain(side, "UpperArm", "LowerArm", "Hand") for side in "LR"]
+    text = joint("Hips", "0 0 0", joint("Chest", "0 0 0", joint("Head", "0 0 0"), *arms), *legs)
+    names = re.findall(r"JOINT (\w+)", text)
+    frames = np.zeros((5, len(names), 6))
+    frames[:, names.index("Hips"), 1] = 90
+    bones = dict(Chest=40, Head=20, LowerLeg=-40, Foot=-60, LowerArm=-30, Hand=-25)
+    for name, length in bones.items():
+        for k in (k for k, each in enumerate(names) if each.startswith(name)):
+            frames[:, k, 1] = length
+    for side, z in (("L", -10), ("R", 10)):  # x ahead and y up: z is to the right
+        frames[:, names.index(f"UpperLeg_{side}"), 2] = frames[:, names.index(f"UpperArm_{side}"), 2] = z
+    frames[:, names.index("UpperArm_L"), 3] = np.linspace(0, 90, 5)  # about z: the hand goes to x
+    rows = "\n".join(" ".join(map(str, row)) for row in frames.reshape(5, -1).tolist())
+    path = tmp_path / "dataset-1_raise_001.bvh"
+    path.write_text(f"HIERARCHY\n{text.replace('JOINT', 'ROOT', 1)}MOTION\nFrames: 5\nFrame Time: 0.0333333\n{rows}\n")
+    return path
+
+
+def test_clips_of_the_other_data_set_mean_the_same(bvh):
+    clip = part("motions").find_clip(bvh.parent, "raise_001", 1.0, 1)
+    world, down = clip.world(), [0, 0, -1.0]
+    angle = np.linspace(0, np.pi / 2, 5)
+    raised = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], 1)
+    np.testing.assert_allclose(world["l_upper_arm"].apply(down), raised, atol=1e-9)
+    np.testing.assert_allclose(world["l_forearm"].apply(down), raised, atol=1e-9)
+    for name in ("r_upper_arm", "root", "chest", "l_thigh", "r_shank"):
+        np.testing.assert_allclose(world[name].magnitude(), 0, atol=1e-9)
+    np.testing.assert_allclose(clip.place, [[0, 0, 0.9]] * 5, atol=1e-9)
+    assert len(part("motions").find_clip(bvh.parent, "raise_001", 1.0, 1, most=3).place) == 3
 
 
 def test_standing_comes_first(clip):
