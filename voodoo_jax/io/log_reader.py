@@ -469,6 +469,7 @@ class LogReader:
             parts=said.names,
             weight=weights[sensor] if said.weighted(self.sensors) else None,
             pictures=pictures if self._settings.images else (),
+            matched=bool(parts) and {self.sensors[k] for k, _ in parts} <= {pair.left for pair in self.scan.stereo},
         )
 
     def _picture_stamp(self, topic: str, number: int) -> int:

@@ -36,6 +36,7 @@ class BodyObservation:
     # some points of whatever is nearer to a sensor than the body and may hide it, and which sensor; None: nothing is
     before: Float32[np.ndarray, "some 3"] | None = None
     before_sensor: Int[np.ndarray, " some"] | None = None
+    matched: bool = False  # as in Frame
     other: bool = False  # from here on something else is taken for the body than in the frames before
 
     def only(self, keep: np.ndarray) -> "BodyObservation":
@@ -72,7 +73,7 @@ def whole(frame: Frame | BodyObservation) -> BodyObservation:
         return frame
     return BodyObservation(
         frame.time_ns, frame.points, frame.sensor, frame.origins, frame.rays, frame.pairs, frame.part, frame.parts,
-        frame.weight, T_fixed_steady=frame.T_fixed_steady,
+        frame.weight, T_fixed_steady=frame.T_fixed_steady, matched=frame.matched,
     )  # fmt: skip
 
 

@@ -89,6 +89,7 @@ class Frame:
     # None: all places are in the fixed frame; see detect/camera_motion.py
     T_fixed_steady: Float64[np.ndarray, "4 4"] | None = None
     pictures: tuple[Picture, ...] = ()  # where they are asked for (read.images)
+    matched: bool = False  # all points were measured by matching the images of stereo pairs
 
 
 @dataclass(frozen=True)

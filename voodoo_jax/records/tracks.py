@@ -71,6 +71,7 @@ class Tracks:
     # where sensors were in each frame beside where the log has them, as the room tells: what takes points from there to
     # the fixed frame; None: where the log has them. See detect/camera_motion.py
     T_fixed_steady: Float64[np.ndarray, "frame 4 4"] | None = None
+    matched: bool = False  # all points were measured by matching images, which errs otherwise than a depth sensor
     up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
     marker_names: tuple[str, ...] = ()  # named 3D points that the body was tracked by, where there was no depth
     # root mean square distance of each from its place on the body, tracked frames, metres

@@ -100,7 +100,7 @@ def test_the_head_is_put_where_it_was_measured_and_the_body_follows_most_of_its_
 def test_particles_go_on_with_a_share_of_their_velocity():
     s = state()
     moving = s._replace(previous=s.particles - 0.1)
-    np.testing.assert_allclose(carried_on(moving, moving.particles, moving.previous, given().view, N, SHAPE) - s.particles, 0.065, atol=1e-5)
+    np.testing.assert_allclose(carried_on(moving, given().view, N, SHAPE) - s.particles, 0.065, atol=1e-5)
 
 
 def layer(spread: float = 0.0, n=N, at=None, **more):

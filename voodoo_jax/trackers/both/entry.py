@@ -19,6 +19,7 @@ from voodoo_jax.trackers.flexible.tracker import check_suited, follow
 from voodoo_jax.trackers.icp.diagnostics import looked_at_again
 from voodoo_jax.trackers.icp.entry import IcpTracker
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
+from voodoo_jax.trackers.icp.people import main_first, numbered
 
 NOBODY = "The flexible tracker found nobody: these are the ICP tracker's tracks."
 MOVING = "The camera moves, unknown to the log: these are the ICP tracker's tracks."
@@ -49,12 +50,15 @@ class BothTrackers:
         watching = Watching(settings, source.path, given=True)
         try:
             people = find_people(watching(frames), source.up, body, settings, source.up_is_given)
-            began, person = time.perf_counter(), people[0]
+            icp = self._icp.follow(task, people)
+            order = main_first(icp)
+            began, person = time.perf_counter(), people[order[0]]
             seen = watching.observed([person.frames[row] for row in watching.rows], person.scene)
             flexible = follow(body, seen, settings, source.path, source.fixed_frame, (), task.progress, began)
         finally:
             watching.close()
         main, *others = self._icp.follow(task, people)
+        main, *others = numbered(icp, order)
         return [self._together(main, flexible, person, settings), *others]
 
     def _together(self, icp: Tracks, flexible: Tracks, person: Subject, settings: Settings) -> Tracks:

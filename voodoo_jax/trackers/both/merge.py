@@ -1,8 +1,8 @@
 """Tracks of the ICP and of the flexible tracker of one person made one, limb by limb. Host side.
 
-One fits cylinders to points, the other weighs particles on images: they err independently, so that where both agree
-their mean is nearer to the truth than either. Where they do not, a limb is the one's whose confidence is clearly
-higher, whole and hung on the merged trunk; else the ICP tracker's.
+One fits cylinders to points, the other weighs particles on images: they err independently. Each says how probable it is
+that a joint is right; by Bayes' rule how far both are apart then says whether both are, one of them, or none. A limb is
+where the error to expect is least: between both, or one's, whole and hung on the merged trunk.
 """
 
 from dataclasses import replace
@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float, Float32
 from scipy.ndimage import correlate1d
 from scipy.spatial.transform import Rotation
-from scipy.special import expit, logit
 
 from voodoo_jax.geometry.rotations import axis_of, rotations, shortest_turns, unit
 from voodoo_jax.model.body import Body
@@ -31,16 +30,13 @@ PARTS = tuple(
     for parts in (("upper_arm", "forearm", "hand"), ("thigh", "shank", "foot"))
     for side in "lr"
 )
-# metres between both up to which their mean is taken (none from twice that on), and by how much the flexible tracker's
-# joint confidence has to be higher; chosen on five of nine rendered stereo logs and on simulated ones (see
-# experiments/flexible)
-AGREE, SURER = 0.1, 0.2
+# metres along each axis, standard deviation of how far both are apart: where both are right, and else; of 0.03 to 0.07
+# and 0.2 and 0.3 those with the least error on the choosing half of experiments/stereo
+BOTH_RIGHT, ELSE = 0.03, 0.2
+LEAST = 1e-3  # probability at least of being right, and of being wrong; by hand
 STEADY = 0.13  # seconds, standard deviation of the frames over which both are compared; by hand: 0 to 0.26 are alike
-# numbers of the merged confidence: a constant, for the logarithm of the odds of who is taken, and for the logarithm of
-# how far both are apart, metres, at least NEAR; measured: fitted to the same logs and one of somebody who sits down
-TRUST, NEAR, LEAST = (-6.75, 0.79, -3.41), 0.05, 1e-3
 # metres: of a joint by the flexible tracker alone, and what a metre that both are apart counts for, standard deviations
-# along each axis; measured: 95 % of the truth of those five is inside
+# along each axis; measured: 95 % of the truth of five rendered stereo logs is inside
 SPREAD, APART = 0.01, 0.25
 STUB = 0.1  # metres: limbs that are shorter turn as if they were so long; by hand
 
@@ -49,6 +45,7 @@ class Choice(NamedTuple):
     """What is taken of whom."""
 
     share: Float[np.ndarray, "frame joint"]  # of the flexible tracker's, 0 to 1
+    right: Float32[np.ndarray, "frame joint"]  # probability that what comes out is within 10 cm
     apart: Float[np.ndarray, "frame joint"]  # metres between both, of an arm or leg its farthest joint
 
 
@@ -75,12 +72,11 @@ def merged(
     limb_covariance, joint_covariance = _spread(icp, choice)
     fit = misfit(icp.body, rotation, translation, people)
     beyond, depth = _implausible(icp.body, rotation, translation, chunk)
-    sure = confidence(icp, flexible, choice)
     return replace(
         out, joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
-        joint_covariance=joint_covariance, joint_confidence=sure, limb_beside=fit.beside,
+        joint_covariance=joint_covariance, joint_confidence=choice.right, limb_beside=fit.beside,
         limb_distance=fit.distance, limb_bare=fit.bare, limb_own=fit.own, beyond_limits=beyond, depth_inside=depth,
-        status=_status(icp, flexible, choice, sure, least),
+        status=_status(icp, flexible, choice, least),
     )  # fmt: skip
 
 
@@ -91,30 +87,36 @@ def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
     known = np.isfinite(icp.joints).all(-1) & np.isfinite(flexible.joints).all(-1)
     usable = known.sum(1) == known.sum(1).max(initial=0)  # frames in which both have all that they ever have
     gap = np.where(known, np.linalg.norm(np.nan_to_num(icp.joints - flexible.joints), axis=-1), 0.0)
-    sure = [_said(each) for each in (icp, flexible)]
+    said = [np.clip(_said(each), LEAST, 1 - LEAST) for each in (icp, flexible)]
     chains = [[names.index(name) for name in chain] for chain in CHAINS]
     moved = [row for chain in chains for row in chain[1:]]
-    trunk = [row for row in range(len(names)) if row not in moved]
 
-    def compared(rows: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        """How near both are, 1: their mean is taken, 0: one of both is; and how much of the flexible tracker's then."""
-        apart, gain = gap[:, rows].max(1), sure[1][:, rows].min(1) - sure[0][:, rows].min(1)
-        near = np.clip(2 - np.maximum(apart, steady(apart)) / AGREE, 0.0, 1.0)
-        return near, steady((steady(gain) > SURER).astype(float))
+    def supposed(rows: list[int]) -> Float[np.ndarray, "4 frame"]:
+        """Probabilities that of some joints together both have them right, the ICP tracker alone, the flexible one
+        alone, and none."""
+        apart, (a, b) = np.minimum(gap[:, rows].max(1), 10 * ELSE), (each[:, rows].min(1) for each in said)
+        near, far = (np.exp(-((apart / sigma) ** 2) / 2) / sigma**3 for sigma in (BOTH_RIGHT, ELSE))
+        found = np.stack([a * b * near, a * (1 - b) * far, (1 - a) * b * far, (1 - a) * (1 - b) * far])
+        return found / found.sum(0)
 
-    def share(near: np.ndarray, surer: np.ndarray) -> np.ndarray:
-        return near / 2 + (1 - near) * surer
+    def share(p: Float[np.ndarray, "4 frame"]) -> Float[np.ndarray, " frame"]:
+        """Half of the way from one to the other where both are right, else all of it where the flexible tracker mostly
+        is around that time: about where the error to expect is least."""
+        both, one, other, _ = (steady(each) for each in p)
+        return p[0] / 2 + (1 - p[0]) * steady((other > both + one).astype(float))
 
-    out, apart = np.zeros(gap.shape), gap.copy()
-    roots = [chain[0] for chain in chains]
-    near, surer = compared(roots)
-    whole = share(near, surer)  # of a trunk that is elsewhere, or faces the other way, all of the body
-    for row in trunk:
-        out[:, row] = near * share(*compared([row])) + (1 - near) * whole
-    for chain in chains:
-        out[:, chain[1:]] = (near * share(*compared(chain[1:])) + (1 - near) * whole)[:, None]
-        apart[:, chain[1:]] = gap[:, chain[1:]].max(1, keepdims=True)
-    return Choice(np.where(known & usable[:, None], out, 0.0), apart)
+    out, right, apart = np.zeros(gap.shape), np.zeros(gap.shape), gap.copy()
+    trunk = supposed([chain[0] for chain in chains])
+    near, whole = trunk[0], share(trunk)  # of a trunk that is elsewhere, or faces the other way, all of the body
+    groups = [[row] for row in range(len(names)) if row not in moved] + [chain[1:] for chain in chains]
+    for rows in groups:
+        much = near * share(supposed(rows)) + (1 - near) * whole
+        apart[:, rows] = gap[:, rows].max(1, keepdims=True)
+        for row in rows:
+            p = supposed([row])
+            out[:, row], right[:, row] = much, p[0] + (1 - much) * p[1] + much * p[2]
+    taken = known & usable[:, None]
+    return Choice(np.where(taken, out, 0.0), np.where(taken, right, _said(icp)).astype(np.float32), apart)
 
 
 class _Steady:
@@ -191,16 +193,6 @@ def _between(a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"], m
     return (1 - much[:, None]) * a + much[:, None] * b
 
 
-def confidence(icp: Tracks, flexible: Tracks, choice: Choice) -> Float32[np.ndarray, "frame joint"]:
-    """Probability that a merged joint centre is within 10 cm of the true one; the ICP tracker's where nothing is taken
-    of the other."""
-    odds = [logit(np.clip(_said(each), LEAST, 1 - LEAST)) for each in (icp, flexible)]
-    taken = (1 - choice.share) * odds[0] + choice.share * odds[1]
-    constant, by_odds, by_gap = TRUST
-    found = expit(constant + by_odds * taken + by_gap * np.log(np.maximum(choice.apart, NEAR)))
-    return np.where(choice.share > 0, found, _said(icp)).astype(np.float32)
-
-
 def _said(tracks: Tracks) -> Float32[np.ndarray, "frame joint"]:
     """Confidence of the joints, 0 where there is none."""
     assert tracks.joint_confidence is not None
@@ -238,9 +230,7 @@ def _implausible(
     return np.concatenate([f.beyond_limits for f in found]), np.concatenate([f.depth_inside for f in found])
 
 
-def _status(
-    icp: Tracks, flexible: Tracks, choice: Choice, sure: Float32[np.ndarray, "frame joint"], least: float
-) -> np.ndarray:
+def _status(icp: Tracks, flexible: Tracks, choice: Choice, least: float) -> np.ndarray:
     """Status of the tracker of which most is taken; LOST where too few joints are expected to be right."""
     status = np.where(np.mean(choice.share, 1) > 0.5, flexible.status, icp.status)
-    return doubted(status.astype(np.int8), sure, least)
+    return doubted(status.astype(np.int8), choice.right, least)

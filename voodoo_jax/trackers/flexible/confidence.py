@@ -1,27 +1,32 @@
 """How far the flexible tracker's joints can be trusted: the probability that each is within 10 cm. Host side.
 
-A logistic function of what a frame says of itself, fitted to four rendered stereo recordings (experiments/flexible).
+A logistic function of what some frames say of themselves, fitted to rendered stereo recordings (experiments/stereo).
 """
 
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
+from scipy.ndimage import uniform_filter1d
 from scipy.special import expit
 
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
 from voodoo_jax.trackers.flexible.filters import Seen
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
 
-# of the clues below, from experiments/flexible
-CONSTANT = -8.19
-SLOPES = (-2.28, -0.08, -1.84, -0.59)  # from experiments/flexible, too
+# of the clues below, from experiments/stereo
+CONSTANT, SLOPES = -9.927, (-1.283, 0.037, -1.829, 0.619)
+AROUND = 5  # frames over which clues are averaged: of single ones right is trusted above wrong less often, measured
 _FEW = 1e-3  # metres: less is not told from it, by hand
 
 
-def clues(found: Seen) -> Float[np.ndarray, "frame point clue"]:
-    """Of each point of the body: logarithms of the particles' spread, of the distance of the points around it to the
-    surface, and of the share of points that nothing explains; log(1 + number) of the points around it."""
+def clues(found: Seen, ahead: bool = True) -> Float[np.ndarray, "frame point clue"]:
+    """Of each point of the body, averaged over some frames: logarithms of the particles' spread, of the distance of
+    the points around it to the surface, and of the share of points that nothing explains; log(1 + number) of the points
+    around it.
+
+    **Arguments:** `ahead` whether later frames may be looked at.
+    """
     frames = len(found.x)
     spread = np.empty((frames, 16))
     spread[:] = np.asarray(found.spread)[:, :, 0].mean(1)[:, None]
@@ -30,7 +35,8 @@ def clues(found: Seen) -> Float[np.ndarray, "frame point clue"]:
     off, support = np.asarray(found.off)[:, part], np.asarray(found.support)[:, part]
     unexplained = np.broadcast_to(1 - np.asarray(found.explained)[:, None], spread.shape)
     log = lambda a, least: np.log(np.maximum(a, least))  # noqa: E731
-    return np.stack([log(spread, _FEW), log(off, _FEW), log(unexplained, 0.01), np.log1p(support)], -1)
+    each = np.stack([log(spread, _FEW), log(off, _FEW), log(unexplained, 0.01), np.log1p(support)], -1)
+    return uniform_filter1d(each, AROUND, 0, mode="nearest", origin=0 if ahead else AROUND // 2)
 
 
 def _parts() -> Int[np.ndarray, " point"]:
@@ -43,20 +49,20 @@ def _parts() -> Int[np.ndarray, " point"]:
     return out
 
 
-def confidence(found: Seen) -> Float[np.ndarray, "frame point"]:
-    """Probability that a point is within 10 cm of its true place, 0..1."""
-    return expit(CONSTANT + clues(found) @ np.array(SLOPES))
+def confidence(found: Seen, ahead: bool = True) -> Float[np.ndarray, "frame point"]:
+    """Probability that a point is within 10 cm of its true place, 0..1; `ahead` as for `clues`."""
+    return expit(CONSTANT + clues(found, ahead) @ np.array(SLOPES))
 
 
-def rated(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: float) -> Tracks:
+def rated(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: float, ahead: bool = True) -> Tracks:
     """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
     be right.
 
-    **Arguments:** `rows` frames of the tracks that `found` tells of.
+    **Arguments:** `rows` frames of the tracks that `found` tells of; `ahead` as for `clues`.
     """
     names = {centre: POINTS.index(name) for name, centre in CENTRES.items()}
     order = [names.get(name, -1) for name in tracks.body.topology.centres]
-    each = confidence(found).astype(np.float32)
+    each = confidence(found, ahead).astype(np.float32)
     each = np.where(np.array(order) >= 0, each[:, order], np.float32(np.nan))
     out: Float32[np.ndarray, "frame joint"] = np.full((len(tracks.time_ns), len(order)), np.nan, np.float32)
     out[rows] = each

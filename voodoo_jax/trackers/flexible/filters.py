@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.compile.executable import program
 from voodoo_jax.trackers.flexible.cylinders import PARTS, nearest_places, surface_distance
-from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, NECK, FlexibleBody, bone_lengths
+from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, FlexibleBody, bone_lengths
 from voodoo_jax.trackers.flexible.image_features import COARSE
 from voodoo_jax.trackers.flexible.physics import (
     Limb,
@@ -58,9 +58,6 @@ _BARE_WEIGHT = 3.0  # points of skin weigh so much more for arms: a hand has few
 _ANKLE, _STANCE = 0.041, 0.1  # height of an ankle, share of stature (the study's rest pose); metres, by hand
 # share of a frame's points that a limb's particles look at: a leg has a fifth of a person's surface, by hand
 _WORTHWHILE = 1 / 3
-# degrees that a body may turn in a frame, how fast people turn (rad/s, standard deviation), and how many points the
-# points of a frame tell as much as if each erred by itself: by hand
-_TURNS, _FASTEST_TURN, _TELLING = (0, -15, 15, -30, 30, -50, 50), 4.0, 50.0
 _EXPLAINED = 0.06  # metres, on real people's surface by cylinders: by hand; nearer points are no other part's
 
 
@@ -96,12 +93,8 @@ def _nothing(state: State) -> Seen:
 def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, shape: Shape) -> tuple[State, Seen]:
     """One frame: prediction, filters, springs, refinement."""
     view, args = given.view, (body, state, given, key, n)
-    filters = jax.jit(_filtered, static_argnums=7)  # it is traced once, for its shapes and for itself
-    x = head_moved(body, state, given, n)
-    turn = turned_by(body, x, given) if shape.refine else jnp.eye(3)
-    x = _about_neck(turn, x, x)
-    args = (*args, turn)
-    blank = jax.eval_shape(filters, *args, state.x, shape)
+    filters = jax.jit(_filtered, static_argnums=6)  # it is traced once, for its shapes and for itself
+    x, blank = head_moved(body, state, given, n), jax.eval_shape(filters, *args, state.x, shape)
     none = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), blank)
 
     def settle(phase, carry):
@@ -143,42 +136,15 @@ class Filtered(NamedTuple):
     more: tuple[Float[Array, "4 row column"], ...]  # the same in the views of further cameras
 
 
-def turned_by(body: FlexibleBody, x: Float[Array, "16 3"], given: Inputs) -> Float[Array, "3 3"]:
-    """By how much the person has turned about the vertical since the frame before: of some turns the one after which
-    the measured points are nearest to the body, unless it is faster than people are.
-
-    Points that pull turn a trunk by little: that of a kick turns by 40 degrees from one frame to the next.
-    """
-    q, side = vectors(given.points), clothed(given.bare)
-    total = jnp.maximum(jnp.sum(given.share), 1e-6)
-    rows = [jnp.cross(given.up, axis) for axis in jnp.eye(3)]
-    cross, level = jnp.stack(rows, 1), jnp.eye(3) - jnp.outer(given.up, given.up)
-
-    def one(angle):
-        turn = jnp.eye(3) - (1 - jnp.cos(angle)) * level + jnp.sin(angle) * cross
-        d = jnp.min(jnp.abs(surface_distance(body, _about_neck(turn, x, x), q)) + side, 0)
-        off = jnp.sum(given.share * jnp.minimum(d, _EXPLAINED) ** 2) / total
-        return turn, _TELLING * off / _EXPLAINED**2 + (angle / (_FASTEST_TURN * given.dt)) ** 2 / 2
-
-    turns, costs = lax.map(one, jnp.asarray(np.radians(_TURNS), x.dtype))
-    return turns[jnp.argmin(costs)]
-
-
-def _about_neck(turn: Float[Array, "3 3"], x: Float[Array, "16 3"], points: Float[Array, "*n 3"]):
-    """Points turned about the neck of a body."""
-    return x[NECK] + (points - x[NECK]) @ turn.T
-
-
-# 8 parameters: model, state and measurements, traced each
+# 7 parameters: model, state and measurements, traced each
 def _filtered(
-    body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, turn: Float[Array, "3 3"],
-    x: Float[Array, "16 3"], shape: Shape,
-) -> Filtered:  # fmt: skip
-    """The filters of all limbs, of a body whose trunk stands; `turn` by which it has turned since the frame before."""
+    body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, x: Float[Array, "16 3"], shape: Shape
+) -> Filtered:
+    """The filters of all limbs, of a body whose trunk stands."""
     view, keys = given.view, jax.random.split(key, 3)
     space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _context(body, state, x, given, shape)
-    origin = _about_neck(turn, state.x, state.particles)
-    ahead = carried_on(state, origin, _about_neck(turn, state.x, state.previous), view, n, shape)
+    origin = state.particles
+    ahead = carried_on(state, view, n, shape)
     if shape.restarts:
         new = restarted(keys[1], body, x, context, given, n.floor, shape)
         ahead = ahead.at[:, -shape.restarts :].set(
@@ -249,14 +215,10 @@ def clothed(bare: Float[Array, " point"]) -> Float[Array, "part point"]:
     return _NOT_CLOTHES * jnp.asarray(covered) * bare
 
 
-# 6 parameters: state and measurements, traced each
-def carried_on(
-    state: State, origin: Float[Array, "4 particle 3 3"], previous: Float[Array, "4 particle 3 3"], view: View,
-    n: Numbers, shape: Shape,
-) -> Float[Array, "4 particle 3 3"]:  # fmt: skip
-    """Where the particles are expected: damped constant velocity, every second one by the optical flow; of particles
-    and those before, once they have turned with the body."""
-    by_velocity, p = origin + n.velocity * (origin - previous), state.particles
+def carried_on(state: State, view: View, n: Numbers, shape: Shape) -> Float[Array, "4 particle 3 3"]:
+    """Where the particles are expected: damped constant velocity, every second one by the optical flow."""
+    p = state.particles
+    by_velocity = p + n.velocity * (p - state.previous)
     if not shape.flow:
         return by_velocity
     at = project(view, vectors(p))

@@ -184,7 +184,7 @@ class Watching:
         clouds = [depth_points(pairs[topic])[0] if topic in pairs else _NOTHING for topic in self._origins]
         sensor = np.repeat(np.arange(len(clouds), dtype=np.int32), [len(cloud) for cloud in clouds])
         origins = np.stack(list(self._origins.values())).astype(np.float32)
-        return replace(frame, points=np.concatenate(clouds), sensor=sensor, origins=origins)
+        return replace(frame, points=np.concatenate(clouds), sensor=sensor, origins=origins, matched=True)
 
     def observed(self, people: list[BodyObservation], scene: Scene) -> Observed:
         """What was seen, once all frames are through; `people` of those with an image. Raises Unsuitable."""

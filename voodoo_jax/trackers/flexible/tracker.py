@@ -151,7 +151,7 @@ def followed(
         tracks = replace(
             tracks, notes=(*tracks.notes, "No face was seen at the start: it was taken to be turned here.")
         )
-    tracks = rated(tracks, found, seen.row[first:], s.lost_confidence)
+    tracks = rated(tracks, found, seen.row[first:], s.lost_confidence, not settings.online)
     tracks = replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
     return Followed(tracks, found, first, skin, seen)
 

@@ -73,6 +73,10 @@ ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
 # they were
 FITS = Trust(-16.063, (-1.268, -4.100, -3.320, -1.441, -2.553, -0.254, -1.288, -0.356))
 
+# the same where points are measured by matching images: of the choosing half of experiments/stereo, fitted likewise.
+# Errors of neighbours are alike there: how far points are from limbs tells nothing, nor does ill_fit of facing
+MATCHED_FITS = Trust(0.330, (-1.279, -5.902, 0.0, -0.240, -2.113, -0.239, -0.022, -0.848))
+
 
 def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
     """What tells of trouble, of each joint centre: logarithms of how far off it may be by its limb's covariance, of the
@@ -276,7 +280,8 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
         found = clues(tracks.only(around), ahead)[inner]
         twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
         misfit = _misfits(tracks.only(span), averages and averages.some(span))
-        fits, ill[span] = probability(FITS, misfit), ill_fit(misfit)
+        fits = probability(MATCHED_FITS if tracks.matched else FITS, misfit)
+        ill[span] = 0.0 if tracks.matched else ill_fit(misfit)
         sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
     told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
     return np.where(told[:, None], sure * facing_right(tracks, ill), np.nan).astype(np.float32)

@@ -11,7 +11,7 @@ from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import Task
-from voodoo_jax.trackers.icp.people import track_subjects
+from voodoo_jax.trackers.icp.people import main_first, numbered, track_subjects
 from voodoo_jax.trackers.icp.runner import by_markers
 from voodoo_jax.trackers.icp.tracker import prepare
 
@@ -32,7 +32,8 @@ class IcpTracker:
 
     def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
         source, found = task.source, find_people if task.source.sensors else only_named
-        return self.follow(task, found(frames, source.up, task.body, task.settings, source.up_is_given))
+        tracks = self.follow(task, found(frames, source.up, task.body, task.settings, source.up_is_given))
+        return numbered(tracks, main_first(tracks))
 
     def follow(self, task: Task, people: list[Subject]) -> list[Tracks]:
         """Tracks of people who were found before."""

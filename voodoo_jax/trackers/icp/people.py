@@ -96,6 +96,16 @@ def track_subjects(
     return [replace(t, person=s.number, people=len(subjects)) for s, t in zip(subjects, found)]
 
 
+def main_first(found: list[Tracks]) -> list[int]:
+    """The order of people: as they are, who is seen longest first, but last what was never surely a person."""
+    return sorted(range(len(found)), key=lambda k: not found[k].tracked.any())
+
+
+def numbered(found: list[Tracks], order: list[int]) -> list[Tracks]:
+    """People in an order, with their numbers."""
+    return [replace(found[k], person=number) for number, k in enumerate(order, 1)]
+
+
 def held(frames: list[BodyObservation], count: int, interval: float) -> list[BodyObservation]:
     """Frames after so many copies of the first one: a scan or two take as many steps as the start of a recording."""
     step = round(LONG * interval * 1e9)

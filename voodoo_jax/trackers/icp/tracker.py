@@ -256,6 +256,7 @@ def tracks_of(run: Runner, segment: Segment, source: str, fixed_frame: str) -> T
         joint_covariance=derived.joint_covariance, up=_up(run), limb_beside=fit and fit.beside,
         limb_distance=fit and fit.distance, limb_bare=fit and fit.bare, limb_own=fit and fit.own,
         facing_odds=segment.facing_odds, T_fixed_steady=_sensor_motion(run.people),
+        matched=any(f.matched for f in run.people),
     )  # fmt: skip
 
 
