@@ -129,7 +129,7 @@ def liveliest(clip: Clip, most: int) -> Clip:
     if not 0 < most < len(clip.place):
         return clip
     world = clip.world()
-    speed = sum((world[name][1:] * world[name][:-1].inv()).magnitude() for name in ENDS)
+    speed = np.sum([(world[name][1:] * world[name][:-1].inv()).magnitude() for name in ENDS], 0)
     first = int(np.argmax(np.convolve(speed, np.ones(most - 1), "valid")))
     some = slice(first, first + most)
     turn = Rotation.from_euler("z", -_heading(world["root"][first]))

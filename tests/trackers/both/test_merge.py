@@ -10,7 +10,7 @@ from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.trackers.both.merge import BOTH_RIGHT, CHAINS, chosen, hung, merged, posed
+from voodoo_jax.trackers.both.merge import CHAINS, ERRS, THEIRS, chosen, hung, merged, posed
 
 FRAMES = 40
 
@@ -61,7 +61,7 @@ def lengths(tracks: Tracks, joints: np.ndarray) -> np.ndarray:
 def test_of_two_that_are_the_same_nothing_changes():
     one = tracks_at_rest()
     choice = chosen(one, one)
-    np.testing.assert_allclose(choice.share, 0.5, atol=1e-3)
+    np.testing.assert_allclose(choice.share, THEIRS, atol=1e-3)
     joints = hung(one, one, choice.share)
     np.testing.assert_allclose(joints, one.joints, atol=1e-6)
     rotation, translation = posed(one, one, choice.share, joints)
@@ -90,9 +90,9 @@ def test_a_limb_is_whose_confidence_is_higher_and_a_mean_where_both_agree():
     end = rows(icp, 0)[-1]
     near, far = moved(icp, 0, 0.1, sure=0.7), moved(icp, 0, 1.5, sure=0.7)
     apart = lambda joints, other: np.linalg.norm(joints[:, end] - other.joints[:, end], axis=-1)  # noqa: E731
-    assert (apart(near.joints, icp) < 2 * BOTH_RIGHT).all() and (apart(far.joints, icp) > 0.2).all()
+    assert (apart(near.joints, icp) < 2 * np.hypot(*ERRS)).all() and (apart(far.joints, icp) > 0.2).all()
     mean = hung(icp, near, chosen(icp, near).share)
-    np.testing.assert_allclose(apart(mean, icp), apart(mean, near), rtol=0.05)
+    np.testing.assert_allclose((1 - THEIRS) * apart(mean, icp), THEIRS * apart(mean, near), rtol=0.05)
     for sure, taken in ((0.65, icp), (0.95, far)):
         other = moved(icp, 0, 1.5, sure=sure)
         np.testing.assert_allclose(apart(hung(icp, other, chosen(icp, other).share), taken), 0, atol=2e-3)

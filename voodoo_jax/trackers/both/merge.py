@@ -6,11 +6,12 @@ where the error to expect is least: between both, or one's, whole and hung on th
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
-from scipy.ndimage import correlate1d
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rotations import axis_of, rotations, shortest_turns, unit
@@ -30,11 +31,12 @@ PARTS = tuple(
     for parts in (("upper_arm", "forearm", "hand"), ("thigh", "shank", "foot"))
     for side in "lr"
 )
-# metres along each axis, standard deviation of how far both are apart: where both are right, and else; of 0.03 to 0.07
-# and 0.2 and 0.3 those with the least error on the choosing half of experiments/stereo
-BOTH_RIGHT, ELSE = 0.03, 0.2
-LEAST = 1e-3  # probability at least of being right, and of being wrong; by hand
-STEADY = 0.13  # seconds, standard deviation of the frames over which both are compared; by hand: 0 to 0.26 are alike
+# metres along each axis, standard deviations: of joints that the ICP tracker has right, and the flexible one, measured
+# on the choosing half of experiments/stereo and four other rendered logs; of how far both are apart where one is wrong,
+# of 0.2 and 0.3 the better there
+ERRS, ELSE = (0.021, 0.027), 0.2
+THEIRS = ERRS[0] ** 2 / (ERRS[0] ** 2 + ERRS[1] ** 2)  # what counts of the flexible tracker's where both are right
+STEADY = 0.45  # seconds over which both are compared; by hand: 0 to 0.9 are alike
 # metres: of a joint by the flexible tracker alone, and what a metre that both are apart counts for, standard deviations
 # along each axis; measured: 95 % of the truth of five rendered stereo logs is inside
 SPREAD, APART = 0.01, 0.25
@@ -83,27 +85,29 @@ def merged(
 def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
     """What is taken of whom; arguments as for `merged`."""
     names = icp.body.topology.centres
-    steady = _Steady(icp.time_ns, ahead)
+    between = float(np.median(np.diff(icp.time_ns))) / 1e9 if len(icp.time_ns) > 1 else STEADY
+    half = round(STEADY / max(between, 1e-3) / 2)
+    steady = partial(uniform_filter1d, size=2 * half + 1, axis=-1, mode="nearest", origin=0 if ahead else half)
     known = np.isfinite(icp.joints).all(-1) & np.isfinite(flexible.joints).all(-1)
     usable = known.sum(1) == known.sum(1).max(initial=0)  # frames in which both have all that they ever have
     gap = np.where(known, np.linalg.norm(np.nan_to_num(icp.joints - flexible.joints), axis=-1), 0.0)
-    said = [np.clip(_said(each), LEAST, 1 - LEAST) for each in (icp, flexible)]
+    said = [_said(each).astype(float) for each in (icp, flexible)]
     chains = [[names.index(name) for name in chain] for chain in CHAINS]
     moved = [row for chain in chains for row in chain[1:]]
 
     def supposed(rows: list[int]) -> Float[np.ndarray, "4 frame"]:
         """Probabilities that of some joints together both have them right, the ICP tracker alone, the flexible one
         alone, and none."""
-        apart, (a, b) = np.minimum(gap[:, rows].max(1), 10 * ELSE), (each[:, rows].min(1) for each in said)
-        near, far = (np.exp(-((apart / sigma) ** 2) / 2) / sigma**3 for sigma in (BOTH_RIGHT, ELSE))
+        apart, (a, b) = np.minimum(gap[:, rows].max(1), 2 * ELSE), (each[:, rows].min(1) for each in said)
+        near, far = (np.exp(-((apart / sigma) ** 2) / 2) / sigma**3 for sigma in (np.hypot(*ERRS), ELSE))
         found = np.stack([a * b * near, a * (1 - b) * far, (1 - a) * b * far, (1 - a) * (1 - b) * far])
         return found / found.sum(0)
 
     def share(p: Float[np.ndarray, "4 frame"]) -> Float[np.ndarray, " frame"]:
-        """Half of the way from one to the other where both are right, else all of it where the flexible tracker mostly
-        is around that time: about where the error to expect is least."""
-        both, one, other, _ = (steady(each) for each in p)
-        return p[0] / 2 + (1 - p[0]) * steady((other > both + one).astype(float))
+        """On the way from one to the other: by their variances where both are right, else all of it where the flexible
+        tracker mostly is around that time. About where the error to expect is least."""
+        both, one, other, _ = steady(p)
+        return THEIRS * p[0] + (1 - p[0]) * steady((other > both + one).astype(float))
 
     out, right, apart = np.zeros(gap.shape), np.zeros(gap.shape), gap.copy()
     trunk = supposed([chain[0] for chain in chains])
@@ -117,21 +121,6 @@ def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
             out[:, row], right[:, row] = much, p[0] + (1 - much) * p[1] + much * p[2]
     taken = known & usable[:, None]
     return Choice(np.where(taken, out, 0.0), np.where(taken, right, _said(icp)).astype(np.float32), apart)
-
-
-class _Steady:
-    """A mean over the frames around each, or those before it alone."""
-
-    def __init__(self, time_ns: np.ndarray, ahead: bool):
-        between = float(np.median(np.diff(time_ns))) / 1e9 if len(time_ns) > 1 else STEADY
-        sigma = STEADY / max(between, 1e-3)
-        reach = int(np.ceil(3 * sigma))
-        weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-        weight[reach + 1 :] *= ahead
-        self._weight = weight / weight.sum()
-
-    def __call__(self, values: Float[np.ndarray, " frame"]) -> Float[np.ndarray, " frame"]:
-        return correlate1d(values.astype(float), self._weight, axis=0, mode="nearest")
 
 
 def hung(icp: Tracks, flexible: Tracks, share: Float[np.ndarray, "frame joint"]) -> Float[np.ndarray, "frame joint 3"]:
