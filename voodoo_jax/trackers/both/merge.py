@@ -65,20 +65,21 @@ def merged(
     looked at.
     """
     choice = chosen(icp, flexible, ahead)
-    seconds = icp.seconds + flexible.seconds, icp.compile_seconds + flexible.compile_seconds
-    out = replace(icp, seconds=seconds[0], compile_seconds=seconds[1])
+    waited = icp.compile_seconds + flexible.compile_seconds
+    out = replace(icp, seconds=icp.seconds + flexible.seconds, compile_seconds=waited)
     if not choice.share.any():
         return out
     joints = hung(icp, flexible, choice.share)
     rotation, translation = posed(icp, flexible, choice.share, joints)
     limb_covariance, joint_covariance = _spread(icp, choice)
     fit = misfit(icp.body, rotation, translation, people)
+    status = np.where(choice.share.mean(1) > 0.5, flexible.status, icp.status)  # of whom most is taken
     beyond, depth = _implausible(icp.body, rotation, translation, chunk)
     return replace(
         out, joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
         joint_covariance=joint_covariance, joint_confidence=choice.right, limb_beside=fit.beside,
         limb_distance=fit.distance, limb_bare=fit.bare, limb_own=fit.own, beyond_limits=beyond, depth_inside=depth,
-        status=_status(icp, flexible, choice, least),
+        status=doubted(status.astype(np.int8), choice.right, least),
     )  # fmt: skip
 
 
@@ -170,16 +171,13 @@ def posed(
             put(limb, turn, q, joints[:, rows[k]] + turn.apply(np.nan_to_num(place - base[:, k])), much)
             rest.discard(limb)
     much = share[:, [t.centres.index(chain[0]) for chain in CHAINS]].mean(1)
+    between = lambda a, b: (1 - much[:, None]) * a + much[:, None] * b  # noqa: E731
     for limb in rest:
         a, b = (tracks.rotation[:, limb] for tracks in (icp, flexible))
         q = np.where((much > 0.5)[:, None], b, a)
-        turn = shortest_turns(axis_of(q), _between(axis_of(a), axis_of(b), much))
-        put(limb, turn, q, _between(icp.translation[:, limb], flexible.translation[:, limb], much), much)
+        turn = shortest_turns(axis_of(q), between(axis_of(a), axis_of(b)))
+        put(limb, turn, q, between(icp.translation[:, limb], flexible.translation[:, limb]), much)
     return rotation, translation
-
-
-def _between(a: Float[np.ndarray, "frame 3"], b: Float[np.ndarray, "frame 3"], much: Float[np.ndarray, " frame"]):
-    return (1 - much[:, None]) * a + much[:, None] * b
 
 
 def _said(tracks: Tracks) -> Float32[np.ndarray, "frame joint"]:
@@ -217,9 +215,3 @@ def _implausible(
     )  # fmt: skip
     found = [derived_from(body, segment[at : at + chunk], chunk) for at in range(0, len(rotation), chunk)]
     return np.concatenate([f.beyond_limits for f in found]), np.concatenate([f.depth_inside for f in found])
-
-
-def _status(icp: Tracks, flexible: Tracks, choice: Choice, least: float) -> np.ndarray:
-    """Status of the tracker of which most is taken; LOST where too few joints are expected to be right."""
-    status = np.where(np.mean(choice.share, 1) > 0.5, flexible.status, icp.status)
-    return doubted(status.astype(np.int8), choice.right, least)

@@ -49,11 +49,6 @@ def _parts() -> Int[np.ndarray, " point"]:
     return out
 
 
-def confidence(found: Seen, ahead: bool = True) -> Float[np.ndarray, "frame point"]:
-    """Probability that a point is within 10 cm of its true place, 0..1; `ahead` as for `clues`."""
-    return expit(CONSTANT + clues(found, ahead) @ np.array(SLOPES))
-
-
 def rated(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: float, ahead: bool = True) -> Tracks:
     """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
     be right.
@@ -62,7 +57,7 @@ def rated(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: flo
     """
     names = {centre: POINTS.index(name) for name, centre in CENTRES.items()}
     order = [names.get(name, -1) for name in tracks.body.topology.centres]
-    each = confidence(found, ahead).astype(np.float32)
+    each = expit(CONSTANT + clues(found, ahead) @ np.array(SLOPES)).astype(np.float32)
     each = np.where(np.array(order) >= 0, each[:, order], np.float32(np.nan))
     out: Float32[np.ndarray, "frame joint"] = np.full((len(tracks.time_ns), len(order)), np.nan, np.float32)
     out[rows] = each
