@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int8
 
 from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.people import CLOSE
+from voodoo_jax.detect.tracklets import CLOSE
 from voodoo_jax.detect.visibility import has_far_sides
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation, joined
