@@ -18,7 +18,7 @@ from voodoo_jax.fitting.frames import Truth
 from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.fitting.judge import Judged, compared
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.trackers.base import Source
+from voodoo_jax.trackers.base import LogInfo
 from voodoo_jax.trackers.flexible.tracker import numbers, shape_of
 
 RUNS = 16
@@ -60,7 +60,7 @@ def test_settings_are_better_only_beyond_noise_and_without_losses():
 
 
 TIMES = 1_000_000_000 + np.arange(64) * 66_666_667
-SOURCE = Source("log", "map", np.array([0, 0, 1], np.float32), 1, set(), False, tuple)
+SOURCE = LogInfo("log", "map", np.array([0, 0, 1], np.float32), 1, set(), False, tuple)
 BEST = {"edge_weight": 6.0, "base_noise": 0.01}
 
 

@@ -244,12 +244,14 @@ def _points(seen: Seen) -> Int[np.ndarray, " frame"]:
 
 def track_again(seen: Seen, body: Body, settings: Settings) -> Seen:
     """A recording tracked with a body of known size."""
-    from voodoo_jax.trackers.icp.tracker import track_person
+    from voodoo_jax.trackers.base import LogInfo, Task
+    from voodoo_jax.trackers.of_points import track_person
 
     start = replace(settings.start, scale=float(body.scale))
     track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms"))
     known = replace(settings, start=start, track=track)
-    found = track_person(body, seen.scene, seen.people, known, seen.tracks.source, seen.tracks.fixed_frame)
+    source = LogInfo(seen.tracks.source, seen.tracks.fixed_frame)
+    found = track_person(Task(body, source, known), seen.scene, seen.people)
     return seen._replace(tracks=found)
 
 

@@ -26,7 +26,7 @@ from voodoo_jax.fitting.judge import Compared, Judged, compared
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.base import Source
+from voodoo_jax.trackers.base import LogInfo
 from voodoo_jax.trackers.flexible.tracker import Observed, follow
 
 LOST = 0.5  # metres, by hand: a joint that is farther off, or not tracked, counts as this; how far it is tells nothing
@@ -36,7 +36,7 @@ JUDGING = 1_000_000  # seeds from here on judge: none of them has been searched 
 class Watched(NamedTuple):
     """A log, read once, and its truth."""
 
-    source: Source
+    source: LogInfo
     seen: Observed
     truth: Truth
 
