@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -52,28 +52,24 @@ class Task:
     visit: Any = None  # runs programs of several recordings as one batch, where the tracker can
 
 
-@runtime_checkable
-class Tracker(Protocol):
+class Tracker:
     """Follows a body through the frames of a log."""
-
-    name: ClassVar[str]
 
     def reads(self, read: ReadSettings) -> ReadSettings:
         """How it wants logs to be read."""
-        ...
+        return read
 
     def passes(self, settings: Settings) -> int:
         """How often it reports each frame as done, reading not counted."""
-        ...
+        return 1 + settings.looks_ahead("track")
 
     def prepare(self, task: Task) -> None:
         """Begins to compile, in threads, while the log is read."""
-        ...
 
     def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
         """Tracks of everybody whom the tracker tells apart, `settings.detect.people` of them at most, who is seen
         longest first; one at least. One row per frame, in the frames' own places. Raises Unsuitable."""
-        ...
+        raise NotImplementedError
 
 
 TRACKERS = {

@@ -2,16 +2,14 @@
 all that a recording has."""
 
 from collections.abc import Iterable
-from typing import ClassVar
 
-from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.detect.pipeline import find_people, only_named
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.base import Task
+from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.icp.entry import IcpTracker
 from voodoo_jax.trackers.icp.tracker import placed, track_poses
 from voodoo_jax.trackers.markers.entry import MarkerTracker
@@ -19,16 +17,8 @@ from voodoo_jax.trackers.markers.tracker import track_named
 from voodoo_jax.trackers.shared.runner import names_alone
 
 
-class PointTracker:
+class PointTracker(Tracker):
     """The ICP tracker, or that of named points for recordings of these alone."""
-
-    name: ClassVar[str] = "icp"
-
-    def reads(self, read: ReadSettings) -> ReadSettings:
-        return read
-
-    def passes(self, settings: Settings) -> int:
-        return IcpTracker().passes(settings)
 
     def prepare(self, task: Task) -> None:
         (IcpTracker() if task.source.sensors else MarkerTracker()).prepare(task)

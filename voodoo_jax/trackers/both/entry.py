@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.detect.pipeline import find_people
@@ -11,7 +10,7 @@ from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks, scaled_confidence
-from voodoo_jax.trackers.base import Task
+from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.entry import FlexibleTracker
 from voodoo_jax.trackers.flexible.observed import Watching
@@ -24,10 +23,8 @@ NOBODY = "The flexible tracker found nobody: these are the ICP tracker's tracks.
 MOVING = "The camera moves, unknown to the log: these are the ICP tracker's tracks."
 
 
-class BothTrackers:
+class BothTrackers(Tracker):
     """The ICP tracker's tracks, with limbs of the main person where the flexible tracker has them, too."""
-
-    name: ClassVar[str] = "both"
 
     def __init__(self):
         self._icp, self._flexible = PointTracker(), FlexibleTracker()

@@ -2,28 +2,18 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import ClassVar
 
-from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.detect.pipeline import find_people
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.base import Task
+from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.icp.people import track_subjects
 from voodoo_jax.trackers.icp.tracker import prepare
 
 
-class IcpTracker:
+class IcpTracker(Tracker):
     """Limbs as cylinders that are fitted to 3D points (Knoop et al. 2006, 2007)."""
-
-    name: ClassVar[str] = "icp"
-
-    def reads(self, read: ReadSettings) -> ReadSettings:
-        return read
-
-    def passes(self, settings: Settings) -> int:
-        return 1 + settings.looks_ahead("track")
 
     def prepare(self, task: Task) -> None:
         prepare(task)

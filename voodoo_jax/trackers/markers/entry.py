@@ -2,29 +2,19 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import ClassVar
 
-from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.detect.pipeline import only_named
 from voodoo_jax.markers.own_sites import apart_by_names
 from voodoo_jax.markers.upward import with_upward
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.base import Task
+from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.markers.tracker import prepare, track_named
 
 
-class MarkerTracker:
+class MarkerTracker(Tracker):
     """Limbs that are fitted to named points, each of which has a place of its own on the body."""
-
-    name: ClassVar[str] = "markers"
-
-    def reads(self, read: ReadSettings) -> ReadSettings:
-        return read
-
-    def passes(self, settings: Settings) -> int:
-        return 1 + settings.looks_ahead("track")
 
     def prepare(self, task: Task) -> None:
         prepare(task)
