@@ -1,8 +1,8 @@
 """Where and how a segment begins: the best of several starts, tracked as trials. Host side."""
 
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.stage import is_active
 from voodoo_jax.trackers.icp.start.cut_off_size import CutOffSize
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, measured_at, sized_at, trial
 from voodoo_jax.trackers.icp.start.later_start import LaterStart

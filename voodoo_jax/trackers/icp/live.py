@@ -32,8 +32,8 @@ from voodoo_jax.trackers.icp.joint_spread import with_passes
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.pipeline import PLACE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
-from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import THING_FRAMES, Runner
+from voodoo_jax.trackers.icp.stage import is_active
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.icp.tracker import finished, tracks_of
 from voodoo_jax.trackers.shared.confidence import AROUND

@@ -10,9 +10,9 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.trackers.icp.initialise import begin, clearer
-from voodoo_jax.trackers.icp.refine.stage import Named, Stage, is_active, refined
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import backwards
+from voodoo_jax.trackers.icp.stage import Named, Stage, is_active, refined
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.shared.segment import Followed
 from voodoo_jax.trackers.shared.sequence import Method, Progress, follow

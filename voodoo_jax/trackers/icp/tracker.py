@@ -27,10 +27,10 @@ from voodoo_jax.trackers.icp.joint_spread import with_passes
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.misfit import Misfit, misfit
 from voodoo_jax.trackers.icp.pipeline import FINISH, PLACE, REFINE
-from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import depths
 from voodoo_jax.trackers.icp.sequence import track_whole
+from voodoo_jax.trackers.icp.stage import is_active
 from voodoo_jax.trackers.shared import report
 from voodoo_jax.trackers.shared.runner import FEW_POINTS, spans
 

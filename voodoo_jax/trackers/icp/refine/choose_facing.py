@@ -14,9 +14,9 @@ from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.posture import faces_ahead
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.trackers.icp.refine.stage import Stage, refined
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import WRONG_WAY, bent
+from voodoo_jax.trackers.icp.stage import Stage, refined
 from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, RIVAL, StartHypothesis
 from voodoo_jax.trackers.icp.trials import facing
 from voodoo_jax.trackers.shared.segment import Followed, segment_of

@@ -18,8 +18,8 @@ from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.detect.lying import mostly_lie
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation, assigned
-from voodoo_jax.trackers.icp.refine.stage import Stage
 from voodoo_jax.trackers.icp.sequence import Whole
+from voodoo_jax.trackers.icp.stage import Stage
 from voodoo_jax.trackers.icp.start.hypothesis import USUAL
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
