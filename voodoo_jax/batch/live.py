@@ -29,7 +29,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.storage.atomic import made_folder
-from voodoo_jax.trackers.base import Unsuitable
+from voodoo_jax.trackers.base import LogInfo, Unsuitable
 from voodoo_jax.trackers.icp.live import LiveTracker
 
 CAUGHT_UP = 0.25  # seconds: from the first frame on that is given out so soon, latencies count; by hand
@@ -136,7 +136,7 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
         keep_compiled()
         say("ready; Ctrl-C ends it")
         pace = _followed(tracker, live, reader, job, publishers, progress)
-        tracks = tracker.whole(source.path, reader.fixed_frame, live.notes)
+        tracks = tracker.whole(LogInfo(source.path, reader.fixed_frame, notes=lambda: live.notes))
     tracks = for_users(tracks.with_names(job.names), reader)
     say(str(pace))
     return _written(job, tracks)
