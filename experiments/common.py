@@ -27,7 +27,8 @@ from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.base import LogInfo, Task
+from voodoo_jax.trackers.of_points import track_person
 
 DEMO = Path(__file__).parents[1] / "voodoo_jax" / "data"  # the recording that the package brings along
 SKIP = 0.5  # seconds of the truth's beginning that are not scored: the tracker finds the body there
@@ -74,7 +75,7 @@ class Log:
     def track(self, body: Body, settings: Settings, people: list[BodyObservation] | None = None) -> Tracks:
         """Tracks the person, or other frames of it."""
         people = self.people if people is None else people
-        return track_person(body, self.scene, people, settings, self.path, self.fixed_frame)
+        return track_person(Task(body, LogInfo(self.path, self.fixed_frame), settings), self.scene, people)
 
 
 def log_files(recordings: Path) -> list[Path]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from voodoo_jax.detect.opening import read_log as read_log
     from voodoo_jax.exporters.formats import export as export
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
-    from voodoo_jax.fitting.fit import fit as fit
+    from voodoo_jax.fitting.front import fit as fit
     from voodoo_jax.fitting.losses import loss as loss
     from voodoo_jax.fitting.problem import problem as problem
     from voodoo_jax.fitting.problem import solved as solved
@@ -63,7 +63,7 @@ _PUBLIC = {
     "attach": ("model.attachments", "attach"),
     "body_from": ("model.foreign.sources", "body_from"),
     "export": ("exporters.formats", "export"),
-    "fit": ("fitting.fit", "fit"),
+    "fit": ("fitting.front", "fit"),
     "human": ("model.body_file", "human"),
     "joint_centres": ("model.body", "joint_centres"),
     "loss": ("fitting.losses", "loss"),

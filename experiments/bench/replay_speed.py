@@ -37,7 +37,8 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.padding import Chunk, pad_frames
 from voodoo_jax.solve.scan import Step, at_rest, options_from, track_chunk
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.base import LogInfo, Task
+from voodoo_jax.trackers.of_points import track_person
 
 ROOT = Path(__file__).parents[2]
 JITTER = 0.002  # metres
@@ -73,9 +74,10 @@ def prepare(log: Path, body: Body, settings: Settings) -> Started:
     reader = open_log(log, settings.read)
     scene, people = find_body(reader.frames(), reader.up, body, settings)
     prepare_fps = len(people) / (time.perf_counter() - begin)
-    first = int(np.argmax(track_person(body, scene, people, settings, reader.path, reader.fixed_frame).tracked))
+    task = Task(body, LogInfo(reader.path, reader.fixed_frame), settings)
+    first = int(np.argmax(track_person(task, scene, people).tracked))
     # once more, compiled: for its time, and without the frames before the first tracked one
-    tracks = track_person(body, scene, people[first:], settings, reader.path, reader.fixed_frame)
+    tracks = track_person(task, scene, people[first:])
     if not tracks.tracked[0]:
         raise SystemExit(f"{log}: nobody was tracked in it, there is nothing to measure")
     return Started(tracks, people[first:], prepare_fps)

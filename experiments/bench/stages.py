@@ -32,7 +32,8 @@ from voodoo_jax.kernels.correspondences import closest_limbs, match, moments
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.solve.frame import Problem, adjacency, icp_step
 from voodoo_jax.solve.padding import bucket, pad_frames
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.base import LogInfo, Task
+from voodoo_jax.trackers.of_points import track_person
 
 REPEATS = 20  # of a stage inside one program
 
@@ -102,7 +103,7 @@ def replay_times(log: Path) -> dict[str, float]:
     scene, people = timed("find the person", lambda: find_body(frames, reader.up, body, settings))
     most = max(len(p.points) for p in people)
     timed("pad", lambda: pad_frames(people, bucket(most), len(people), None, len(people[0].origins)))
-    track = lambda: track_person(body, scene, people, settings, reader.path, reader.fixed_frame)  # noqa: E731
+    track = lambda: track_person(Task(body, LogInfo(reader.path, reader.fixed_frame), settings), scene, people)  # noqa: E731
     timed("start and track, first time", track)
     tracks = timed("start and track, both ways", track)
     with tempfile.TemporaryDirectory() as folder:

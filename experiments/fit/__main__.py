@@ -22,8 +22,9 @@ from experiments.common import DEMO, human, load_log, log_files, table, without_
 from experiments.stress.motions import KNEES_BENT, RELAXED, SPREAD, bend, posed
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.fit import Seen, fit, fit_tracked
+from voodoo_jax.fitting.fit import Seen, fit_tracked
 from voodoo_jax.fitting.frames import Truth
+from voodoo_jax.fitting.front import fit
 from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.model.body import Body, scaled, segment_lengths, with_proportions

@@ -19,7 +19,8 @@ from experiments.common import DEMO, human, load_dims, load_log, log_files, scor
 from experiments.fit.__main__ import LIMBS, SURFACE, exercise, exercised, of_size, off, recording_of
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.fit import Seen, fit, fit_tracked
+from voodoo_jax.fitting.fit import Seen, fit_tracked
+from voodoo_jax.fitting.front import fit
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.model.body import Body, scaled, segment_lengths, with_proportions
 from voodoo_jax.simulate.recording import simulate

@@ -25,7 +25,7 @@ from voodoo_jax.trackers.base import Task, source_of_log
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.observed import Observed, Watching, observe
 from voodoo_jax.trackers.flexible.tracker import follow
-from voodoo_jax.trackers.icp.entry import IcpTracker
+from voodoo_jax.trackers.of_points import PointTracker
 
 SKIP = 0.5  # seconds of each recording that are not scored
 VARIANTS: dict[str, dict] = {
@@ -66,7 +66,7 @@ def together(path: Path, truth: Truth, matching: Literal["fine", "none"], seeds:
     people = find_people(watching(log.frames()), log.up, body, settings, log.up_is_given)
     frames = people[0].frames
     seen = watching.observed([frames[row] for row in watching.rows], people[0].scene)
-    icp = IcpTracker().follow(Task(body, source, settings), people)[0]
+    icp = PointTracker().follow(Task(body, source, settings), people)[0]
     out: dict[str, list[np.ndarray]] = {"icp": [errors(icp, truth)], "flexible": [], "both": []}
     for seed in range(seeds):
         own = replace(settings, flexible=replace(settings.flexible, seed=seed))

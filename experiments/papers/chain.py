@@ -25,7 +25,8 @@ from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.padding import pad_features, pad_frames
 from voodoo_jax.solve.scan import State, Step, TrackOptions, at_rest, options_from, track_chunk
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.base import LogInfo, Task
+from voodoo_jax.trackers.of_points import track_person
 
 CAPACITY = 2048  # points of a whole cloud, at most: denser ones are thinned at random
 FOUND, NONE = 1024, 256  # points of somebody whom our finder found; and of nobody, whose weights are zero, padded
@@ -57,7 +58,7 @@ def begun(path: Path) -> Begun:
     reader = open_log(path)
     frames = list(reader.frames())
     scene, people = find_body(iter(frames), reader.up, body, Settings(), reader.up_is_given)
-    found = track_person(body, scene, people[:START], Settings(), reader.path, reader.fixed_frame)
+    found = track_person(Task(body, LogInfo(reader.path, reader.fixed_frame), Settings()), scene, people[:START])
     first = int(np.argmax(found.tracked))
     if not found.tracked[first]:
         raise SystemExit(f"{path}: nobody was found")

@@ -10,7 +10,7 @@ from experiments.fit.promises import WRONG, Outcome, fitted_to, recovers_simulat
 from experiments.fit.weights import tracked
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.fit import fit
+from voodoo_jax.fitting.front import fit
 
 
 @dataclass(frozen=True)

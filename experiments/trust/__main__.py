@@ -1,4 +1,4 @@
-"""How far tracks can be trusted: the numbers of voodoo_jax/trackers/icp/confidence.py and what they are worth.
+"""How far tracks can be trusted: the numbers of voodoo_jax/trackers/shared/confidence.py and what they are worth.
 
 python -m experiments.trust RECORDINGS tracks every recording as it is and made harder, fits the logistic functions on
 one half of the people and compares what they say with what is right on the other half. Writes trust.md and trust.png.
@@ -20,7 +20,7 @@ from experiments.common import DEMO, log_files, machine_line, table, write
 from experiments.judged import trials
 from experiments.trust.gather import Job, Told, work
 from voodoo_jax.config.options import Settings
-from voodoo_jax.trackers.icp.confidence import CLUES, ONE_PASS, THERE_AND_BACK, Trust, probability
+from voodoo_jax.trackers.shared.confidence import CLUES, ONE_PASS, THERE_AND_BACK, Trust, probability
 
 CHANGES = (
     "as they are", "depth only", "every third frame", "every fifth frame", "three times the noise",
@@ -50,7 +50,7 @@ def fitted(clues: np.ndarray, close: np.ndarray, count: int) -> Trust:
 
 def held_out(told: list[Told], count: int) -> list[np.ndarray]:
     """[frame, joint] of each recording: what the other half of the people lets one expect; what
-    trackers/icp/confidence.py says where there was one pass only."""
+    trackers/shared/confidence.py says where there was one pass only."""
     people = sorted({t.stature for t in told})
     half = [people.index(t.stature) % 2 for t in told]
     if len(people) < 2:  # the demo: nobody else to learn from

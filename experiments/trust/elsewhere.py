@@ -1,4 +1,4 @@
-"""Numbers of voodoo_jax/trackers/icp/confidence.py for logs of all kinds, and what they are worth for a kind left out.
+"""Numbers of trackers/shared/confidence.py for logs of all kinds, and what they are worth for a kind left out.
 
 python -m experiments.trust.elsewhere KIND=FOLDER ... tracks logs of several kinds, fits FITS, SURELY and LESS_SURE on
 all kinds but one, with THERE_AND_BACK as it is, and compares what they say with what is right in that one. A folder
@@ -23,7 +23,7 @@ from experiments.judged import trials
 from experiments.scoreboard.tracked import read_known
 from experiments.trust.__main__ import rank
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.trackers.icp.confidence import (
+from voodoo_jax.trackers.shared.confidence import (
     CLOSE,
     FITS,
     LEAST_DISTANCE,

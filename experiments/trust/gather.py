@@ -11,7 +11,7 @@ from experiments.judged import root_near, whole
 from experiments.stress.changes import changes
 from voodoo_jax.config.options import Settings
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.trackers.icp.confidence import CLOSE, clues
+from voodoo_jax.trackers.shared.confidence import CLOSE, clues
 
 
 @dataclass(frozen=True)

@@ -72,9 +72,9 @@ def test_shards_change_nothing_and_share_nothing(some_logs, reference, tmp_path)
 
 def test_one_program_whatever_the_lengths(some_logs, reference, tmp_path):
     """A log of a length and of numbers of points that no other has had: nothing of the tracking is compiled for it."""
-    import voodoo_jax.trackers.icp.runner
+    import voodoo_jax.trackers.shared.runner
 
-    programs = voodoo_jax.trackers.icp.runner.track_visits.ready
+    programs = voodoo_jax.trackers.shared.runner.track_visits.ready
     before = len(programs)
     points = {int(number) for arrays in arrays_of(reference).values() for number in arrays["points"]}
     assert len(points) > 10

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
-import voodoo_jax.trackers.icp.runner
+import voodoo_jax.trackers.shared.runner
 from tests.support import logs
 from voodoo_jax.batch.output_paths import folders_within, logs_of
 from voodoo_jax.batch.replay import output_paths, replay
@@ -90,7 +90,7 @@ def wave_log(tmp_path_factory) -> Path:
 
 def programs() -> int:
     """How many compiled programs there are of the tracker."""
-    return len(voodoo_jax.trackers.icp.runner.track_visits.ready)
+    return len(voodoo_jax.trackers.shared.runner.track_visits.ready)
 
 
 @pytest.fixture(scope="module")

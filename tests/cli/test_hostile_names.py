@@ -14,7 +14,7 @@ WORDS = {
     "demo": ["--out", "{}/file"], "replay": ["{}.mcap", "--out", "out", "--workers", "1"],
     "live": ["{}.mcap", "--idle", "0.1", "--out", "out"], "info": ["{}.mcap"], "view": ["{}.mcap", "{}.tracks.npz"],
     "export": ["{}.tracks.npz", "--as", "csv"], "convert": ["{}.trc", "--out", "{}.mcap"],
-    "fit": ["{}.mcap", "--out", "{}.toml"], "tune": ["{}.mcap", "--out", "{}.x"],
+    "fit": ["{}.mcap", "--out", "{}.toml"],
     "body": ["{}.urdf", "--out", "{}.toml"],
     "config": ["--config", "{}.toml"], "layout": [],
 }  # fmt: skip

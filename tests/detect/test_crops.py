@@ -12,7 +12,7 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.detect.opening import open_checked, read_log
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.records.tracks import for_users, only_as_sure
+from voodoo_jax.records.tracks import for_users, scaled_confidence
 
 K = np.array([[140.0, 0, 79.5], [0, 140.0, 61.5], [0, 0, 1]])
 SHAPE, HIGH, WALL = (124, 160), 0.7, 4.5
@@ -104,10 +104,10 @@ def test_colour_images_that_were_cropped_are_named(rng, tmp_path):
     assert len(notes((124, 200))) == 1 and not notes(SHAPE)
 
 
-def test_joints_are_only_as_sure():
+def test_joints_are_scaled_confidence():
     tracks = blank_tracks(human(), 2, joint_confidence=np.full((2, 14), 0.9, np.float32))
-    np.testing.assert_allclose(only_as_sure(tracks, 0.5).joint_confidence, 0.45)
-    assert only_as_sure(tracks, 1.0) is tracks
+    np.testing.assert_allclose(scaled_confidence(tracks, 0.5).joint_confidence, 0.45)
+    assert scaled_confidence(tracks, 1.0) is tracks
     log = SimpleNamespace(origin=np.array([1.0, 2.0, 0.0]), sure=0.5)  # as users get them, from Python and the command
     given = for_users(tracks, log)
     np.testing.assert_allclose(given.joint_confidence, 0.45)

@@ -119,5 +119,5 @@ def test_a_noisy_log_says_so(rng, sigma, said):
     scene = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), True)
     run = Runner(body, options_from(settings.solve, settings.track), people, scene, settings)
     named = named_subject(people, body.topology, settings.features)
-    notes = notes_on(run, blank_tracks(body, len(people)), [], named)
+    notes = notes_on(run, blank_tracks(body, len(people)), named)
     assert any("Distances are noisy" in note for note in notes) == said

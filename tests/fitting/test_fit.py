@@ -14,9 +14,9 @@ from voodoo_jax.compile.sequential_map import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
-from voodoo_jax.fitting.fit import all_shared, fit
 from voodoo_jax.fitting.folds import check_common, folds_of, with_bands
 from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
+from voodoo_jax.fitting.front import all_shared, fit
 from voodoo_jax.fitting.gauss_newton import FitError, undetermined
 from voodoo_jax.fitting.judge import ERROR, Judged, untold, verdict_on
 from voodoo_jax.fitting.objective import as_distances

@@ -104,3 +104,30 @@ def test_links_of_the_readme_lead_somewhere_from_a_package_index():
     for kind in ("raw", "blob"):
         found = [link.split(f"/{kind}/v1/")[1] for link in links if f"/{kind}/v1/" in link]
         assert found and all((ROOT / path).exists() for path in found)
+
+
+# phrases of a language of our own: persons without a noun, passives without an agent, words that hide the subject
+PHRASES = [
+    r"\b(?:of|for|to|from|by|with|than|as|where|and|on|at|over|under|beside|that) who (?!else)",
+    r"(?:^|[.:;|] )who (?:is|has|lies|stands|sits|walks|bends|turns|gets|begins|pushes|carries|crawls)\b",
+    r"\btells? (?:of|nothing|it)\b", r"\btold (?:by|apart|from|to be)\b", r"\b(?:is|are|was|were) (?:told|asked)\b",
+    r"\bsays? nothing\b", r"\bnobody has\b", r"\bwhat is (?:low|far|carried|said|missing|left|in doubt)\b",
+    r"\bhow sure\b", r"\bbecomes of\b", r"\bas far as it goes\b", r"\bcosts? (?:itself|themselves)\b",
+    r"\bput right\b", r"\bso many of (?:these|them)\b", r"\bno look into\b", r"\bin passing\b",
+]  # fmt: skip
+
+
+def phrases(text: str) -> list[str]:
+    """Lines of a page, without blocks of code, that have one of PHRASES."""
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    return [line for line in prose.splitlines() if re.search("|".join(PHRASES), line, re.IGNORECASE)]
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name != "CHANGELOG.md"], ids=lambda page: page.name)
+def test_pages_are_in_plain_english(page):
+    assert not phrases(page.read_text())
+
+
+def test_phrases_are_found():
+    assert phrases("Who lies on the floor is found.") and phrases("The floor is that of who stands on it.")
+    assert not phrases("A person lying on the floor is found.\n```sh\n# who stands\n```\nPeople who sit are tracked.")

@@ -45,7 +45,7 @@ def test_the_front_door_runs_word_for_word(tmp_path, monkeypatch, request):
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)
     # the same lines with less work
-    monkeypatch.setattr("voodoo_jax.fitting.fit.FitSettings", lambda: FitSettings(frames=8, points=128, iterations=1))
+    monkeypatch.setattr("voodoo_jax.fitting.front.FitSettings", lambda: FitSettings(frames=8, points=128, iterations=1))
     beginning("bow.mcap")
     names: dict = {"jax": jax}
     exec(TRACKED, names)

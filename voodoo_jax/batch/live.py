@@ -29,7 +29,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.storage.atomic import made_folder
-from voodoo_jax.trackers.base import Unsuitable
+from voodoo_jax.trackers.base import LogInfo, Unsuitable
 from voodoo_jax.trackers.icp.live import LiveTracker
 
 CAUGHT_UP = 0.25  # seconds: from the first frame on that is given out so soon, latencies count; by hand
@@ -136,7 +136,7 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
         keep_compiled()
         say("ready; Ctrl-C ends it")
         pace = _followed(tracker, live, reader, job, publishers, progress)
-        tracks = tracker.whole(source.path, reader.fixed_frame, live.notes)
+        tracks = tracker.whole(LogInfo(source.path, reader.fixed_frame, notes=lambda: live.notes))
     tracks = for_users(tracks.with_names(job.names), reader)
     say(str(pace))
     return _written(job, tracks)
@@ -148,7 +148,7 @@ def _followed(
     """Tracks all frames and gives them out."""
     pace, said = Pace(), time.monotonic()
     times: dict[int, tuple[float | None, int | None]] = {}  # of frames that are not given out yet
-    chooser, seen = watched(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
+    tracklets, seen = watched(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
 
     def give(found: list[Tracks]) -> None:
         nonlocal said
@@ -165,7 +165,7 @@ def _followed(
     for observation in seen:
         at = observation.time_ns
         times[at] = live.arrived.get(at), live.log_times.get(at)
-        give(tracker.add(observation, chooser.finder.scene))
+        give(tracker.add(observation, tracklets.finder.scene))
     give(tracker.end())
     return pace
 

@@ -15,7 +15,7 @@ from voodoo_jax.records.recording import Recording
 from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.solve.scan import Visit
 from voodoo_jax.trackers.base import Task, alone, check_arguments, source_of, tracker_of
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.of_points import track_person
 from voodoo_jax.trackers.stages import check_stages
 
 
@@ -75,9 +75,8 @@ def track_many(
                 if key not in people:
                     people[key] = find_body(recording, recording.up, body, own, recording.up_is_given)
                 scene, seen = people[key]
-                r = recording
-                tracks = track_person(body, scene, seen, own, r.path, r.fixed_frame, r.notes, visit=visit)
-                return for_users(tracks, r)
+                tracks = track_person(Task(body, source_of(recording), own, visit=visit), scene, seen)
+                return for_users(tracks, recording)
             except Exception as problem:
                 problem.add_note(f"Number {number} of {count} (from 0): '{recording.path}'")
                 raise

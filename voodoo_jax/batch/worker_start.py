@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import Any
 
 # what one log needs, beside what log_job.py imports at once
-IMPORTS = ("trackers.icp.tracker", "trackers.smoothing", "io.log_reader", "exporters.foxglove", "exporters.npz")
+IMPORTS = ("trackers.of_points", "trackers.smoothing", "io.log_reader", "exporters.foxglove", "exporters.npz")
 ENVIRONMENT = ("PJRT_NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 PATIENCE = 50  # milliseconds
 

@@ -19,7 +19,6 @@ from voodoo_jax.config.options import (
     TrackSettings,
 )
 from voodoo_jax.config.output_style import Names, Style
-from voodoo_jax.config.tune_options import TuneSettings
 
 BODY_HELP = (
     "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
@@ -254,32 +253,6 @@ class FitCommand:
 
 
 @dataclass(frozen=True)
-class TuneCommand:
-    """Search for noise and weights of the flexible tracker that suit your logs, without gradients (CMA-ES).
-
-    Every second log is searched on, in the order of their names; the others judge, with other random numbers. Settings
-    are written only if joints are nearer to the truth there, beyond noise; use them with `voodoo-jax replay LOG
-    --config FILE`. Needs the package cma: pip install -e ".[tune]".
-    """
-
-    logs: Positional[tuple[Path, ...]] = ()
-    """MCAP logs with images, or folders of them; beside each <log>.truth.npz (time_ns, joints, joint_names)."""
-    out: Path = Path("tuned.toml")
-    """Settings file to write if it is better."""
-    truth: tuple[Path, ...] = ()
-    """The truths, one for each log, if they are elsewhere."""
-    simulate: int = 0
-    """First simulate so many stereo logs of other people, clothes, rooms and movements into the folder named."""
-    overwrite: bool = False
-    """Replace files that exist."""
-    body: Annotated[str, arg(help=BODY_HELP)] = ""
-    preset: Literal["flexible", "hecht2009"] = "flexible"
-    """Settings to start from."""
-    config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
-    tune: Annotated[TuneSettings, arg(name="")] = field(default_factory=TuneSettings)
-
-
-@dataclass(frozen=True)
 class BodyCommand:
     """Make a body file of a robot description (URDF) or of a skinned mesh (glTF).
 
@@ -323,7 +296,6 @@ Command = (
     | Annotated[Export, subcommand("export")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[FitCommand, subcommand("fit")]
-    | Annotated[TuneCommand, subcommand("tune")]
     | Annotated[BodyCommand, subcommand("body")]
     | Annotated[Config, subcommand("config")]
     | Annotated[Layout, subcommand("layout")]

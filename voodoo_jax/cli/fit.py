@@ -11,8 +11,8 @@ from voodoo_jax.config.fit_options import check_fit
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.toml import settings_text
 from voodoo_jax.fitting.checkpoint import Progress
-from voodoo_jax.fitting.fit import fit
 from voodoo_jax.fitting.frames import TruthError
+from voodoo_jax.fitting.front import fit
 from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.fitting.report import write_report
 from voodoo_jax.fitting.result import Fit

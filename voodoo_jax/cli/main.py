@@ -25,7 +25,6 @@ from voodoo_jax.cli.commands import (
     Layout,
     Live,
     Replay,
-    TuneCommand,
     UsualSettings,
     View,
 )
@@ -44,7 +43,7 @@ ALL_HELP = "--help-all"
 # each has a function run_<name>, here or in a module <name> of this package
 NAMES = {
     Replay: "replay", Info: "info", Demo: "demo", Live: "live", Export: "export", Convert: "convert", View: "view",
-    BodyCommand: "body", FitCommand: "fit", TuneCommand: "tune",
+    BodyCommand: "body", FitCommand: "fit",
 }  # fmt: skip
 ALL = 1 << 20  # characters of a list of logs: not cut
 _T = TypeVar("_T")
@@ -277,7 +276,7 @@ def _run(command: Command, base: Settings) -> int:
         if isinstance(command, kind):
             run = own.get(kind) or getattr(import_module(f"voodoo_jax.cli.{name}"), f"run_{name}")
             try:
-                return run(command, base) if kind in (FitCommand, TuneCommand) else run(command)
+                return run(command, base) if kind is FitCommand else run(command)
             except Stop as why:
                 say(name, why)
                 return why.status

@@ -48,7 +48,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
     body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
     limb frame), joint_covariance (square metres, fixed frame; see solve/covariance.py), joint_confidence (0 to 1; see
-    trackers/icp/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
+    trackers/shared/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
     fixed frame), limb_beside, limb_distance (metres), limb_bare and limb_own (see trackers/icp/misfit.py), facing_odds
     (logarithm; see trackers/icp/refine/choose_facing.py), T_fixed_steady where sensors moved though the log says
     they stand (4 x 4; see records/tracks.py), fixed_frame, source, seconds, notes, body_toml; marker_names

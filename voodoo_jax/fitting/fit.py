@@ -1,4 +1,4 @@
-"""A body's sizes, joints and bands from recordings: `fit`."""
+"""A body's sizes, joints and bands from recordings that the ICP tracker has tracked: the search, and its judge."""
 
 import hashlib
 import os
@@ -12,14 +12,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from voodoo_jax.compile.cache_dir import users_cache
-from voodoo_jax.config.fit_options import FitSettings, check_fit
+from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
 from voodoo_jax.fitting.gauss_newton import (
     FEW_MORE,
-    FitError,
     Part,
     Search,
     covariance,
@@ -29,7 +27,7 @@ from voodoo_jax.fitting.gauss_newton import (
 from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, untold, verdict_on
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
-from voodoo_jax.fitting.seen import Log, Seen, tracked
+from voodoo_jax.fitting.seen import Seen
 from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.fitting.tuned_options import tuned_settings
 from voodoo_jax.model.body import Body, scaled
@@ -43,60 +41,6 @@ MOVED = 0.2  # deviations of what was found: a round that changes nothing by mor
 
 
 TruthLike = Truth | str | os.PathLike[str] | None
-
-
-# 8 parameters: the options of the command, each by name
-@users_cache()
-def fit(
-    body: Body,
-    logs: Sequence[Log],
-    settings: Settings | None = None,
-    options: FitSettings | None = None,
-    truths: Sequence[TruthLike] = (),
-    state: str | os.PathLike[str] | None = None,
-    say: Callable[[str, Progress | None], None] | None = None,
-    *,
-    free: Sequence[str] = (),
-) -> Fit:
-    """Tunes a body to recordings, or to their truth where one is given; the Fit's `body` is the better one of the body
-    before and the fitted one (see fitting.judge), `better` says which.
-
-    **Arguments:** `logs` paths or recordings; `truths` one for each log: then joint centres are what is fitted to;
-    `state` a file that the search is saved in after every step, and resumed from; `say` hears what is being done, step
-    by step; `free` what may change, instead of what `options` say.
-
-    Raises FitError, LogError, TruthError, ValueError (unknown parameters).
-    """
-    settings, options = settings or Settings(), options or FitSettings()
-    options = replace(options, free=tuple(free)) if free else options
-    check_fit(options)
-    if not logs:
-        raise FitError("name at least one log to fit to")
-    if options.folds:
-        from voodoo_jax.fitting.folds import fit_folds, folds_of  # which take what stands here
-
-        folds_of(len(logs), options.folds)  # before anything is tracked
-    if truths and len(truths) != len(logs):
-        raise FitError(f"{len(logs)} logs, but {len(truths)} truths: give one for each log, in the same order")
-    if settings.tracker == "both":
-        raise FitError("sizes are fitted with one of both trackers: set tracker to icp or flexible")
-    if settings.tracker == "flexible":
-        from voodoo_jax.fitting.flexible_fit import fit_flexible  # which takes what stands here
-
-        return fit_flexible(body, logs, settings, options, truths, state, say)
-    if truths and not all_shared(options.free):
-        # joints are where the fit puts them: what was learned of other people would move them again
-        settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, "place_joints")))
-    tell = say or (lambda what, progress: None)
-    seen = tracked(body, logs, settings, lambda what: tell(what, None))
-    if options.folds:
-        return fit_folds(seen, settings, options, truths, say)
-    return fit_tracked(seen, settings, options, truths, state, say)
-
-
-def all_shared(free: Sequence[str]) -> bool:
-    """Whether words and patterns of what is free name nothing but what several persons have in common."""
-    return all(word == "measurement weights" or f"{word}.".startswith(SHARED) for word in free)
 
 
 class Found(NamedTuple):
@@ -244,12 +188,14 @@ def _points(seen: Seen) -> Int[np.ndarray, " frame"]:
 
 def track_again(seen: Seen, body: Body, settings: Settings) -> Seen:
     """A recording tracked with a body of known size."""
-    from voodoo_jax.trackers.icp.tracker import track_person
+    from voodoo_jax.trackers.base import LogInfo, Task
+    from voodoo_jax.trackers.of_points import track_person
 
     start = replace(settings.start, scale=float(body.scale))
     track = replace(settings.track, skip=(*settings.track.skip, "fit_forearms"))
     known = replace(settings, start=start, track=track)
-    found = track_person(body, seen.scene, seen.people, known, seen.tracks.source, seen.tracks.fixed_frame)
+    source = LogInfo(seen.tracks.source, seen.tracks.fixed_frame)
+    found = track_person(Task(body, source, known), seen.scene, seen.people)
     return seen._replace(tracks=found)
 
 

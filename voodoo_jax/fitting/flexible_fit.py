@@ -46,7 +46,7 @@ from voodoo_jax.fitting.sizes import sizes_after
 from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.trackers.base import Source, source_of, source_of_log, tracker_of
+from voodoo_jax.trackers.base import LogInfo, source_of, source_of_log, tracker_of
 from voodoo_jax.trackers.flexible.cylinders import PARTS, surface_distance
 from voodoo_jax.trackers.flexible.filters import clothed, refined
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS, FlexibleBody, flexible_body
@@ -269,7 +269,7 @@ def watched(
 
 def observed_log(
     body: Body, log: Any, settings: Settings, opened: ExitStack, tell: Callable[[str], None]
-) -> tuple[Source, Observed]:
+) -> tuple[LogInfo, Observed]:
     """A log as the filters take it; its features wait on disk until `opened` is closed; `tell` hears its name."""
     if isinstance(log, Recording):
         source, frames = source_of(log), iter(log)

@@ -30,7 +30,8 @@ def tracked(
     """Every log tracked with the body, and the person's frames."""
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of, find_body
-    from voodoo_jax.trackers.icp.tracker import track_person
+    from voodoo_jax.trackers.base import LogInfo, Task
+    from voodoo_jax.trackers.of_points import track_person
 
     seen = []
     for log in logs:
@@ -41,6 +42,6 @@ def tracked(
             frames = source.frames()
         tell(f"tracking {Path(source.path).name}")
         scene, people = find_body(frames, source.up, body, settings, source.up_is_given)
-        found = track_person(body, scene, people, settings, source.path, source.fixed_frame)
+        found = track_person(Task(body, LogInfo(source.path, source.fixed_frame), settings), scene, people)
         seen.append(Seen(found, people, scene, body))
     return seen

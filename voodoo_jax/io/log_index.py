@@ -12,7 +12,7 @@ from mcap.records import Channel, Schema
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.clocks import Stamps, shifts
-from voodoo_jax.io.container import LogError, LogFile, Place, guarded, open_files
+from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.decode.registry import (
     DECODE_ERRORS,
@@ -28,6 +28,7 @@ from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.limits import TIME, limits
 from voodoo_jax.io.pictures import camera_topics
+from voodoo_jax.io.several_files import open_files
 from voodoo_jax.io.skin_rays import UNSEARCHED
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic

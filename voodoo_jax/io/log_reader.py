@@ -7,6 +7,7 @@ images.
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,7 +20,7 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.as_shown import with_images_as_shown, with_settled_frames
 from voodoo_jax.io.calibrations import calibration_of
-from voodoo_jax.io.container import LogError, LogFile, Place, guarded
+from voodoo_jax.io.container import UNPACKERS, LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
@@ -43,6 +44,8 @@ from voodoo_jax.sensors.pose_net import check_pose_net
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
 Progress = Callable[[int, int], None]
+AHEAD = 2 * UNPACKERS  # frames: so that no thread waits for the next pair of images
+Part = tuple[int, int, Measured | Future[Cloud]]  # number of a sensor, and of its message; a pair's is being matched
 UNREADABLE = "cannot be decoded, left out"
 STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
 BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
@@ -355,7 +358,7 @@ class LogReader:
         homes, wanted_count = self._homes()
         missing = [len(members) for _, members in self._plan]
         self._whole.parts.forget()
-        parts: dict[int, list[tuple[int, Measured]]] = {}
+        parts: dict[int, list[Part]] = {}
         planned = self._whole.pictures
         extra = planned.frame_of if planned is not None else {}
         for i in extra.values():
@@ -366,7 +369,8 @@ class LogReader:
         reader = PictureReader(scan, self.fixed_frame, planned.cameras if planned is not None else {})
         stereo = StereoReader(scan.topics, scan.tree, [p for p in scan.stereo if p.left in sensor_of], self._settings)
         used = {*sensor_of, *stereo.rights, *(name for name, _ in extra)}
-        done, made, following, error = 0, 0, 0, ""
+        done, made, following, complete, self._error = 0, 0, 0, 0, ""
+        ahead = AHEAD if stereo.pairs else 0  # frames whose images are matched while those before are used
         if origins is None:
             origins = self.no_origins()
         wanted = lambda s, c: c.topic in used and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
@@ -397,35 +401,60 @@ class LogReader:
                     if self._settings.matching == "none":
                         parts.setdefault(i, [])
                     else:
-                        content = stereo.cloud(item, partner, self.fixed_frame, self.up)
+                        part = stereo.begin(item, partner, self.fixed_frame, self.up)
                 else:
                     self._counted[topic, "left out, without an image of the other camera at the same time"] += 1
                 if content is not None and self._is_new(topic, content):
                     stamp = int(self._stamps[member[0]][number])
                     part = self.measuring.measured(topic, content, stamp, self._counted)
                 if part is not None:
-                    parts.setdefault(i, []).append((member[0], part))
+                    parts.setdefault(i, []).append((*member, part))
             except DECODE_ERRORS as problem:
-                error = error or f"{type(problem).__name__}: {problem}"
-                self._counted[topic, UNREADABLE] += 1
-            while following < len(self._plan) and missing[following] == 0:
-                if following in parts or not self._whole.led_by_points:
-                    yield self._frame(following, parts.pop(following, []), origins)
+                self._broken(topic, problem)
+            while complete < len(self._plan) and missing[complete] == 0:
+                complete += 1
+            while following < complete - ahead:
+                if (found := self._measured(parts.pop(following, None))) is not None:
+                    yield self._frame(following, found, origins)
                     made += 1
                     scan.log.clock.restart()
                 following += 1
         # What follows the last depth message; of frames with depth only if the file was changed between the passes.
         for i in range(following, len(self._plan)):
-            if i in parts or not self._whole.led_by_points:
+            if (found := self._measured(parts.pop(i, None))) is not None:
                 if progress is not None and not wanted_count:
                     progress(i + 1, len(self._plan))
-                yield self._frame(i, parts.get(i, []), origins)
+                yield self._frame(i, found, origins)
                 made += 1
         if not made:
-            text = " ".join([f"'{self.path}': not one depth message can be used.", *self._losses(), error]).strip()
+            why = [f"'{self.path}': not one depth message can be used.", *self._losses(), self._error]
+            text = " ".join(why).strip()
             if any(what == UNREADABLE for _, what in self._counted):
                 text = f"{text}. It is damaged, or was written by another version: copy it again."
             raise LogError(damaged(scan, LogError(text)))
+
+    def _measured(self, parts: list[Part] | None) -> list[tuple[int, Measured]] | None:
+        """What the sensors of a frame measured, once the images of stereo pairs are matched; None if the frame is left
+        out, for no depth message of it can be used."""
+        found = [] if parts == [] or not self._whole.led_by_points else None
+        for sensor, number, part in parts or ():
+            topic = self.sensors[sensor]
+            if isinstance(part, Future):
+                try:
+                    content, stamp = part.result(), int(self._stamps[sensor][number])
+                    new = self._is_new(topic, content)
+                    part = self.measuring.measured(topic, content, stamp, self._counted) if new else None
+                except DECODE_ERRORS as problem:
+                    self._broken(topic, problem)
+                    continue
+            if part is not None:
+                found = [*(found or ()), (sensor, part)]
+        return found
+
+    def _broken(self, topic: str, problem: Exception) -> None:
+        """Counts a message that cannot be read, and keeps why the first one cannot."""
+        self._error = self._error or f"{type(problem).__name__}: {problem}"
+        self._counted[topic, UNREADABLE] += 1
 
     def no_origins(self) -> Float[np.ndarray, "sensor 3"]:
         """Where sensors are before they have measured."""

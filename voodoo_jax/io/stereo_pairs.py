@@ -2,8 +2,11 @@
 
 import re
 from collections import Counter, OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +14,7 @@ from mcap.records import Channel, Message, Schema
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.calibrations import calibration_of, rectified
+from voodoo_jax.io.container import UNPACKERS
 from voodoo_jax.io.decode.registry import Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted
@@ -119,6 +123,7 @@ class StereoReader:
     def __init__(self, topics: dict[str, Topic], tree: TransformTree, pairs: list[Pair], settings: ReadSettings):
         self._topics, self._tree, self._settings = topics, tree, settings
         self._decoder, self._matchers = Decoder(), dict[tuple, "StereoMatcher"]()
+        self._pool, self._making = ThreadPoolExecutor(UNPACKERS), Lock()
         self.pairs = {pair.left: pair for pair in pairs}
         self.rights = {pair.right for pair in pairs}
         self._key: dict[tuple[str, int], tuple[str, int]] = {}  # (topic, number) -> (left topic, number)
@@ -155,25 +160,31 @@ class StereoReader:
             elif not is_right:
                 yield *key, item, None
 
-    def cloud(self, left: Item, right: Item, fixed_frame: str, up: np.ndarray) -> Cloud:
-        """What a pair of images shows, in the left camera's frame; `up` is upwards in the fixed one. Raises one of
-        DECODE_ERRORS for broken images."""
+    def begin(self, left: Item, right: Item, fixed_frame: str, up: np.ndarray) -> Future[Cloud]:
+        """What a pair of images shows, in the left camera's frame; `up` is upwards in the fixed one. Other threads
+        match the images. Raises one of DECODE_ERRORS for broken images, here or where the result is asked for."""
+        contents = [self._decoder.message(s, c, m.data) for s, c, m in (left, right) if s is not None]
+        stamp, frame = contents[0].stamp_ns, contents[0].frame
+        pose = self._tree.lookup(fixed_frame, frame, stamp, hold_ns=None)
+        upwards = None if pose is None else up @ pose[0]
+        # the limits that hold here hold there, too
+        return self._pool.submit(copy_context().run, self._cloud, left[1].topic, contents, upwards)
+
+    def _cloud(self, topic: str, contents: Sequence[Colour | Image], upwards: np.ndarray | None) -> Cloud:
         from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only for logs with pairs
         from voodoo_jax.sensors.stereo_matching import UPWARDS, StereoMatcher
 
-        contents = [self._decoder.message(s, c, m.data) for s, c, m in (left, right) if s is not None]
         images = [pixels(picture) for content in contents if (picture := picture_of(content)) is not None]
         if len(images) < 2:
             raise ValueError("not a colour or grey image")
-        topic, shape, s = left[1].topic, (images[0].shape[0], images[0].shape[1]), self._settings
-        if (topic, shape) not in self._matchers:
-            rig = make_rig(self._topics, self._tree, self.pairs[topic], shape)
-            self._matchers[topic, shape] = StereoMatcher(rig, shape, s.min_range)
-        stamp, frame = contents[0].stamp_ns, contents[0].frame
-        pose = self._tree.lookup(fixed_frame, frame, stamp, hold_ns=None)
-        upwards = UPWARDS if pose is None else up @ pose[0]
-        points = self._matchers[topic, shape].points(images[0], images[1], s.max_points, upwards)
+        shape, s = (images[0].shape[0], images[0].shape[1]), self._settings
+        with self._making:
+            if (topic, shape) not in self._matchers:
+                rig = make_rig(self._topics, self._tree, self.pairs[topic], shape)
+                self._matchers[topic, shape] = StereoMatcher(rig, shape, s.min_range)
+        up = UPWARDS if upwards is None else upwards
+        points = self._matchers[topic, shape].points(images[0], images[1], s.max_points, up)
         grid = np.zeros((1, len(points)), np.dtype([(axis, "f8") for axis in "xyz"]))
         for i, axis in enumerate("xyz"):
             grid[axis] = points[:, i]
-        return Cloud(stamp, frame, grid)
+        return Cloud(contents[0].stamp_ns, contents[0].frame, grid)

@@ -9,7 +9,7 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.markers.label_swaps import Exchange
 from voodoo_jax.markers.own_sites import OWN, Named
 from voodoo_jax.markers.size_fit import Markers
-from voodoo_jax.markers.table import CLOSE, MarkerTable, places
+from voodoo_jax.markers.table import CLOSE, TO_START, MarkerTable, places
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.marker_names import nobodys
 from voodoo_jax.records.stretches import stretches
@@ -21,6 +21,12 @@ HINT = 0.06  # set by hand, metres: so near to a point of the body a marker may 
 HINTED = 0.3  # set by hand: share of the frames in which a marker must be seen to say where it sits
 USUAL = "Plug-in Gait"  # the set that needs no note
 FAR = 0.025  # set by hand: metres: a marker that is on average farther from its fitted place is named
+FEW = f"No frame has {TO_START} markers that features.names knows a point of this body for."
+MIRRORED = (
+    "By the places of the named points left is where right is: either all names are exchanged, as was taken here, or "
+    "coordinates are left-handed (as Unity's are). read.mirror TOPIC=y (or x, z) turns that axis round, TOPIC=none "
+    "says that names are wrong."
+)
 
 
 class Spans(NamedTuple):

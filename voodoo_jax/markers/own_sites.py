@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from voodoo_jax.config.options import FeatureSettings
+from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.geometry.rigid import on_device, on_host
 from voodoo_jax.model.body import Body, Topology
@@ -100,7 +100,17 @@ def of_subject(people: list[BodyObservation], named: Named) -> list[BodyObservat
     return out
 
 
-def told(settings: FeatureSettings, known: Known, points: Collection[str]) -> FeatureSettings:
+def with_names(
+    body: Body, people: list[BodyObservation], settings: Settings
+) -> tuple[list[BodyObservation], Settings, Named]:
+    """The frames with the named points of one subject, the settings with what their names mean, and who it is."""
+    t = body.topology
+    named = named_subject(people, t, settings.features)
+    features = with_meanings(settings.features, named.known, (*t.sites, *t.centres))
+    return of_subject(people, named), replace(settings, features=features), named
+
+
+def with_meanings(settings: FeatureSettings, known: Known, points: Collection[str]) -> FeatureSettings:
     """The settings with what the names mean, where that is one of the body's `points`; what they say already stays."""
     given = check_pairs("features.names", settings.names, numbers=False)
     weighed = check_pairs("features.weights", settings.weights, numbers=True)

@@ -66,7 +66,7 @@ class Tracks:
     limb_own: Float32[np.ndarray, "frame limb"] | None = None
     # logarithm of the odds that the body does not face the other way; see trackers/icp/refine/choose_facing.py
     facing_odds: Float32[np.ndarray, " frame"] | None = None
-    # of `joints`: within 10 cm? 0..1; see trackers/icp/confidence.py
+    # of `joints`: within 10 cm? 0..1; see trackers/shared/confidence.py
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
     # where sensors were in each frame beside where the log has them, as the room tells: what takes points from there to
     # the fixed frame; None: where the log has them. See detect/camera_motion.py
@@ -186,7 +186,7 @@ class Given(Protocol):
 def for_users(tracks: Tracks, log: Given) -> Tracks:
     """Tracks with places in the log's fixed frame, and confidence that counts what was assumed of its calibration, for
     all joints alike; joints that can hardly be trusted with that are named in a note."""
-    tracks = only_as_sure(given_from(tracks, log.origin), log.sure)
+    tracks = scaled_confidence(given_from(tracks, log.origin), log.sure)
     return replace(tracks, notes=(*tracks.notes, *_doubtful(tracks)))
 
 
@@ -200,7 +200,7 @@ def _doubtful(tracks: Tracks) -> list[str]:
     return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
 
 
-def only_as_sure(tracks: Tracks, sure: float) -> Tracks:
+def scaled_confidence(tracks: Tracks, sure: float) -> Tracks:
     """Tracks of a log whose places are right with the probability `sure` only, for all joints alike."""
     if sure >= 1 or tracks.joint_confidence is None:
         return tracks

@@ -52,7 +52,7 @@ class StereoMatcher:
         shift = rig.shift / self.shrink
         self._least = int(np.floor(-shift))
         most = min(reach / max(min_range, 1e-3), width / _SHARE) - shift
-        self._count = self._used = max(16, int(np.ceil((most - self._least) / 16)) * 16)  # pixels
+        self._count = max(16, int(np.ceil((most - self._least) / 16)) * 16)  # pixels
         self._gap = [self._outside(mapping) for mapping in self.rig.maps]
 
     def points(
@@ -75,7 +75,8 @@ class StereoMatcher:
                 grey = cv2.remap(grey, mapping[..., 0], mapping[..., 1], cv2.INTER_LINEAR)
             images.append(grey)
         k = stride(*self.shape, max_points)
-        room, every = self._room(images[0], images[1]), EVERY * self.shrink
+        every, used = EVERY * self.shrink, self._used(images[0], images[1])
+        room = self._room(images[0], images[1], used)
         things = self._things(room, up @ self.rig.left_R_rectified)
         room[things] = 0
         more = -(-k // every)
@@ -83,7 +84,8 @@ class StereoMatcher:
         if things.any():
             rows, columns = ((np.flatnonzero(things.any(axis)) * every).tolist() for axis in (1, 0))
             v0, u0 = rows[0] // k * k, columns[0] // k * k
-            fine = self._disparity(images[0], images[1], k, (v0, u0, rows[-1] + every, columns[-1] + every))
+            window = v0, u0, rows[-1] + every, columns[-1] + every
+            fine = self._disparity(images[0], images[1], k, window, used)
             v, u = (((at + np.arange(n) * k) // every).clip(max=m - 1)
                     for at, n, m in zip((v0, u0), fine.shape, things.shape))  # fmt: skip
             found.append(self._placed(np.where(things[np.ix_(v, u)], fine, 0), v0, u0, k))
@@ -102,22 +104,24 @@ class StereoMatcher:
                 for at, first, c in zip((columns, rows), (column, row), self.rig.centre))  # fmt: skip
         return np.column_stack([x, y, np.ones(len(z))]) * z[:, None]
 
-    def _room(self, left: Grey, right: Grey) -> Float32[np.ndarray, "some_row some_column"]:
-        """Disparities as of `_disparity`, found quickly, of every EVERY-th row and column of the shrunk images. Learns
-        which disparities there are."""
-        small = self._shrunk(left), self._shrunk(right)
-        shrunk = 1 / _COARSE
+    def _used(self, left: Grey, right: Grey) -> int:
+        """How many disparities of the shrunk images there are, from the least on: the nearest thing tells."""
+        shrunk, small = 1 / _COARSE, (self._shrunk(left), self._shrunk(right))
         tiny = [cv2.resize(image, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA) for image in small]
         shift, count = self.rig.shift / self.shrink, -(-self._count // (16 * _COARSE)) * 16
         nearest = np.inf
         if tiny[0].shape[1] > 2 * count:  # else all are looked for
             d = quick_disparity(tiny[0], tiny[1], shift * shrunk, self._least // _COARSE, count)
             nearest = _NEARER[0] * float(np.max(d)) * _COARSE + _NEARER[1] - shift - self._least
-        self._used = int(np.clip(np.ceil(min(nearest, self._count) / 16) * 16, 16, self._count))
+        return int(np.clip(np.ceil(min(nearest, self._count) / 16) * 16, 16, self._count))
+
+    def _room(self, left: Grey, right: Grey, used: int) -> Float32[np.ndarray, "some_row some_column"]:
+        """Disparities as of `_disparity`, found quickly, of every EVERY-th row and column of the shrunk images."""
+        small, shift = (self._shrunk(left), self._shrunk(right)), self.rig.shift / self.shrink
         rows, columns = small[0].shape
-        if columns <= self._used + 32:  # fewer than one may be apart in the two images
+        if columns <= used + 32:  # fewer than one may be apart in the two images
             return np.zeros((-(-rows // EVERY), -(-columns // EVERY)), np.float32)
-        d = quick_disparity(small[0], small[1], shift, self._least, self._used, narrow=EVERY) * np.float32(self.shrink)
+        d = quick_disparity(small[0], small[1], shift, self._least, used, narrow=EVERY) * np.float32(self.shrink)
         v, u = places(d) * np.float32(EVERY * self.shrink)
         return np.where(self._hidden(v, u, d - np.float32(self.rig.shift)), np.float32(0), d)
 
@@ -167,18 +171,17 @@ class StereoMatcher:
         return (here < 0.99) | (np.asarray(there) < 0.99)
 
     def _disparity(
-        self, left: Grey, right: Grey, every: int, window: tuple[int, int, int, int]
+        self, left: Grey, right: Grey, every: int, window: tuple[int, int, int, int], used: int
     ) -> Float32[np.ndarray, "some_row some_column"]:
         """Pixels from the left to the right image, as if the principal points were the same; 0 where there is none. Of
         every so many-th row and column of a window: its first row and column, and those behind the last."""
         s, (v0, u0, v1, u1) = self.shrink, window
         # room for what edges take from around, and for the columns that the right image is shifted by
         top, before = (max(0, at - by) // (every * s) * every * s for at, by in
-                       ((v0, MARGIN * s), (u0, (MARGIN + self._least + self._used) * s)))  # fmt: skip
+                       ((v0, MARGIN * s), (u0, (MARGIN + self._least + used) * s)))  # fmt: skip
         left, right = (image[top : v1 + MARGIN * s, before : u1 + MARGIN * s] for image in (left, right))
         small = self._shrunk(left), self._shrunk(right)
-        match = self._matcher()
-        blocks = self._matched(match, *small), self._matched(match, mirror(small[1]), mirror(small[0]))
+        blocks = self._matched(*small, used), self._matched(mirror(small[1]), mirror(small[0]), used)
         a, b = (image.astype(np.float32) for image in (left, right))
         gain, offset = brightness(*small, blocks[0])
         b = gain * b + offset
@@ -195,10 +198,15 @@ class StereoMatcher:
                          ((v0, v1, top), (u0, u1, before)))  # fmt: skip
         return np.where(good, np.maximum(d + self.rig.shift, 0), 0).astype(np.float32)[rows, columns]
 
-    def _matcher(self) -> cv2.StereoSGBM:
-        return cv2.StereoSGBM.create(
+    def _shrunk(self, image: np.ndarray) -> np.ndarray:
+        scale = 1 / self.shrink
+        return image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+    def _matched(self, left: Grey, right: Grey, used: int) -> Pixels:
+        """Disparities of the left image by block matching; NOWHERE where there is none."""
+        match = cv2.StereoSGBM.create(
             minDisparity=self._least,
-            numDisparities=self._used,
+            numDisparities=used,
             blockSize=_BLOCK,
             P1=8 * _BLOCK**2,
             P2=32 * _BLOCK**2,
@@ -208,16 +216,9 @@ class StereoMatcher:
             speckleRange=2,
             mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
         )
-
-    def _shrunk(self, image: np.ndarray) -> np.ndarray:
-        scale = 1 / self.shrink
-        return image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-
-    def _matched(self, match: cv2.StereoSGBM, left: Grey, right: Grey) -> Pixels:
-        """Disparities of the left image by block matching; NOWHERE where there is none."""
         # sensor noise is what block matching suffers from most
         smooth = [cv2.GaussianBlur(image, (0, 0), 1.2) for image in (left, right)]
-        most = max(0, self._least + self._used)
+        most = max(0, self._least + used)
         # what would be matched outside of the other image is not found, nor all else that is so near the border
         a, b = (cv2.copyMakeBorder(i, 0, 0, most, 0, cv2.BORDER_REPLICATE) for i in smooth)
         raw = match.compute(a, b)[:, most:].astype(np.float32) / 16

@@ -1,9 +1,9 @@
 """What every tracker takes and gives, and the table of trackers by name (setting `tracker`)."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field, replace
 from importlib import import_module
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -23,17 +23,22 @@ class Unsuitable(ValueError):
 
 
 @dataclass(frozen=True)
-class Source:
+class LogInfo:
     """What a log says of itself beside its frames."""
 
-    path: str
-    fixed_frame: str
-    up: Float32[np.ndarray, "3"]  # unit, in the fixed frame
-    sensors: int  # that give points
-    names: set[tuple[str, ...]]  # of the features that frames have at once
-    parts: bool  # whether points have limbs assigned
-    notes: Callable[[], tuple[str, ...]]  # complete once all frames were taken
+    path: str = ""
+    fixed_frame: str = ""
+    up: Float32[np.ndarray, "3"] = field(default_factory=lambda: np.array([0, 0, 1], np.float32))  # unit, fixed frame
+    sensors: int = 1  # that give points
+    names: Collection[tuple[str, ...]] = ()  # of the features that frames have at once
+    parts: bool = False  # whether points have limbs assigned
+    notes: Callable[[], tuple[str, ...]] = tuple  # complete once all frames were taken
     up_is_given: bool = False  # a user has said it
+
+    def noted(self, *notes: str) -> "LogInfo":
+        """The same with more notes."""
+        before = self.notes
+        return replace(self, notes=lambda: (*before(), *notes)) if notes else self
 
 
 @dataclass(frozen=True)
@@ -41,38 +46,34 @@ class Task:
     """What is to be tracked in a log, and how."""
 
     body: Body
-    source: Source
+    source: LogInfo
     settings: Settings
     progress: Progress | None = None
     visit: Any = None  # runs programs of several recordings as one batch, where the tracker can
 
 
-@runtime_checkable
-class Tracker(Protocol):
+class Tracker:
     """Follows a body through the frames of a log."""
-
-    name: ClassVar[str]
 
     def reads(self, read: ReadSettings) -> ReadSettings:
         """How it wants logs to be read."""
-        ...
+        return read
 
     def passes(self, settings: Settings) -> int:
         """How often it reports each frame as done, reading not counted."""
-        ...
+        return 1 + settings.looks_ahead("track")
 
     def prepare(self, task: Task) -> None:
         """Begins to compile, in threads, while the log is read."""
-        ...
 
     def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
         """Tracks of everybody whom the tracker tells apart, `settings.detect.people` of them at most, who is seen
         longest first; one at least. One row per frame, in the frames' own places. Raises Unsuitable."""
-        ...
+        raise NotImplementedError
 
 
 TRACKERS = {
-    "icp": "voodoo_jax.trackers.icp.entry:IcpTracker",
+    "icp": "voodoo_jax.trackers.of_points:PointTracker",
     "flexible": "voodoo_jax.trackers.flexible.entry:FlexibleTracker",
     "both": "voodoo_jax.trackers.both.entry:BothTrackers",
 }
@@ -102,17 +103,17 @@ def check_arguments(bodies: Iterable[Any], recordings: Iterable[Any]) -> None:
             raise TypeError(f"{what}. Read the log first: vj.read_log(PATH). {tracked}.")
 
 
-def source_of(recording: Recording) -> Source:
+def source_of(recording: Recording) -> LogInfo:
     """What a recording in memory says of itself."""
     frames = recording.frames
     sensors = len(frames[0].origins) if frames and any(len(f.points) for f in frames) else 0
     names = {(*f.rays.names, *f.pairs.names) for f in frames}
     parts = bool(frames) and frames[0].part is not None
     r = recording
-    return Source(r.path, r.fixed_frame, r.up, sensors, names, parts, lambda: r.notes, r.up_is_given)
+    return LogInfo(r.path, r.fixed_frame, r.up, sensors, names, parts, lambda: r.notes, r.up_is_given)
 
 
-def source_of_log(log: LogReader) -> Source:
+def source_of_log(log: LogReader) -> LogInfo:
     """What a log says of itself that is read frame by frame."""
     sensors, names, parts = len(log.sensors), log.named_at_once, bool(log.parts)
-    return Source(log.path, log.fixed_frame, log.up, sensors, names, parts, lambda: log.notes, log.up_is_given)
+    return LogInfo(log.path, log.fixed_frame, log.up, sensors, names, parts, lambda: log.notes, log.up_is_given)

@@ -34,9 +34,10 @@ def played():
         turn, at = divmod(k, len(frames))
         yield replace(frames[at if turn % 2 == 0 else -1 - at], time_ns=frames[0].time_ns + k * step)
 from voodoo_jax.detect.pipeline import find_body
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.base import LogInfo, Task
+from voodoo_jax.trackers.of_points import track_person
 scene, people = find_body(played(), recording.up, vj.human(), vj.Settings())
-tracks = track_person(vj.human(), scene, people, vj.Settings(), "", recording.fixed_frame)
+tracks = track_person(Task(vj.human(), LogInfo("", recording.fixed_frame), vj.Settings()), scene, people)
 assert tracks.tracked.mean() > 0.9
 print(peak, now())
 """

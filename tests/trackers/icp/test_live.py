@@ -14,8 +14,9 @@ from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.trackers.base import LogInfo, Task
 from voodoo_jax.trackers.icp.live import LiveTracker
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.of_points import track_person
 
 # as long as the program of a live tracker: one is compiled for both
 SETTINGS = replace(ONLINE, track=replace(ONLINE.track, chunk=12, patience=5))
@@ -36,13 +37,13 @@ def followed(scene: Scene, people: list[BodyObservation]) -> tuple[Tracks, list[
     tracker = LiveTracker(human(), SETTINGS, people[:1], scene)
     given = [tracker.add(frame, scene) for frame in people]
     given.append(tracker.end())
-    return tracker.whole("demo", "base"), given
+    return tracker.whole(LogInfo("demo", "base")), given
 
 
 def compared(scene: Scene, people: list[BodyObservation], resized: int = 0) -> tuple[Tracks, list[list[Tracks]]]:
     """Whole and given are what a replay makes of it; but for joints before the frame from which on the body has the
     size that it has at last."""
-    wanted = track_person(human(), scene, people, SETTINGS, "demo", "base")
+    wanted = track_person(Task(human(), LogInfo("demo", "base"), SETTINGS), scene, people)
     whole, given = followed(scene, people)
     every = [one for some in given for one in some]
     assert len(every) == len(people) and float(whole.body.scale) == float(wanted.body.scale)

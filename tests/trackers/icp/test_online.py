@@ -16,7 +16,8 @@ from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.trackers.icp.tracker import track_person
+from voodoo_jax.trackers.base import LogInfo, Task
+from voodoo_jax.trackers.of_points import track_person
 
 SETTINGS = online(Settings())
 CUT = 60
@@ -34,7 +35,7 @@ def demo() -> tuple[Scene, list[BodyObservation], list[BodyObservation]]:
 
 
 def tracks_of(scene: Scene, people: list[BodyObservation]) -> Tracks:
-    return track_person(human(), scene, people, SETTINGS, "demo", "base")
+    return track_person(Task(human(), LogInfo("demo", "base"), SETTINGS), scene, people)
 
 
 def same(whole: Tracks, cut: Tracks) -> None:
@@ -112,7 +113,7 @@ def test_something_else_is_the_body_from_some_frame_on(demo, settings):
     larger = [replace(frame, points=frame.points * np.float32(1.2)) for frame in people[:30]]
     later = people[30:60]
     whole, alone = (
-        track_person(human(), scene, frames, settings, "demo", "base")
+        track_person(Task(human(), LogInfo("demo", "base"), settings), scene, frames)
         for frames in ([*larger, replace(later[0], other=True), *later[1:]], later)
     )
     assert whole.tracked[30:].all()

@@ -8,6 +8,7 @@ import pytest
 from tests.support.segments import blank_tracks
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.markers.own_sites import with_names
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
@@ -17,7 +18,6 @@ from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.right_level import NO_DOUBT, level_odds, level_of
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.tracker import with_names
 
 USUAL, MOUNT = Settings(), np.array([[0.0, 0.0, 1.25]], np.float32)
 
@@ -64,6 +64,6 @@ def test_it_is_said_with_what_settles_it_and_lowers_the_confidence():
         beyond_limits=np.zeros((1, len(body.topology.joints)), np.float32),
         depth_inside=np.zeros((1, body.limb_count), np.float32),
     )  # fmt: skip
-    said = [note for note in notes_on(run, tracks, [], named) if "read.transform" in note]
+    said = [note for note in notes_on(run, tracks, named) if "read.transform" in note]
     assert len(said) == 1 and "12 degrees" in said[0] and "read.up=0.21,0.00,0.98" in said[0]
     assert log_doubts(body, run.scene, run.people, settings).right < 0.1

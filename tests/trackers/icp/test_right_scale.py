@@ -8,6 +8,7 @@ import pytest
 from tests.support.segments import blank_tracks
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.markers.own_sites import with_names
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import BodyObservation
@@ -17,7 +18,7 @@ from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.right_scale import NO_DOUBT, Scale, scale_odds, scale_of
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.tracker import with_names, with_rating
+from voodoo_jax.trackers.icp.tracker import with_rating
 
 BODY, USUAL = human(), Settings()
 
@@ -77,9 +78,9 @@ def test_a_doubtful_scale_makes_all_joints_less_sure_and_is_said():
     assert doubted.joint_confidence is not None and sure.joint_confidence is not None
     np.testing.assert_allclose(doubted.joint_confidence, thought(run).right * sure.joint_confidence, rtol=1e-5)
     assert sure.tracked.all() and doubted.tracked.all()
-    said = [note for note in notes_on(run, doubted, [], named) if "read.scale" in note]
+    said = [note for note in notes_on(run, doubted, named) if "read.scale" in note]
     assert len(said) == 1 and "2.05 m" in said[0] and "38 cm below" in said[0] and " 1.29 times" in said[0]
-    assert not any("read.scale" in note for note in notes_on(run_of(1.75), sure, [], named))
+    assert not any("read.scale" in note for note in notes_on(run_of(1.75), sure, named))
 
 
 def test_what_a_user_says_settles_the_scale():

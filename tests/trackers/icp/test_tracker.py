@@ -23,9 +23,11 @@ from voodoo_jax.simulate.recording import render, simulate
 from voodoo_jax.simulate.room import Room
 from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
 from voodoo_jax.solve.scan import track_visits
+from voodoo_jax.trackers.base import LogInfo, Task
 from voodoo_jax.trackers.front import track
-from voodoo_jax.trackers.icp.runner import first_run
-from voodoo_jax.trackers.icp.tracker import looked_at, prepare
+from voodoo_jax.trackers.icp.tracker import prepare
+from voodoo_jax.trackers.shared.report import looked_at
+from voodoo_jax.trackers.shared.runner import first_run
 
 CAMERA = tof_camera(1.0, 0.07)
 NO, YES, GONE = Status.NOT_STARTED, Status.TRACKED, Status.NO_DATA
@@ -158,7 +160,7 @@ def test_what_is_prepared_is_what_is_used(recording, sensors, parts, names):
         for f, name in zip(recording, said)
     ]
     forget()
-    for thread in prepare(body, settings, sensors, names, parts):
+    for thread in prepare(Task(body, LogInfo(sensors=sensors, names=names, parts=parts), settings)):
         thread.join()
     made = [set(p.ready) for p in (track_visits, looked_at)]
     assert [len(keys) for keys in made] == [1, 1]

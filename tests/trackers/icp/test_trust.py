@@ -10,22 +10,20 @@ from tests.support.segments import blank_tracks
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
-from voodoo_jax.trackers.icp.confidence import (
+from voodoo_jax.trackers.icp.confidence import confirmed, doubted, rated
+from voodoo_jax.trackers.markers.tracker import marker_confidence
+from voodoo_jax.trackers.shared.confidence import (
     BATCH,
     ONE_PASS,
     THERE_AND_BACK,
     UNMARKED,
     averaged,
     clues,
-    confirmed,
-    doubted,
     facing_right,
     ill_fit,
     joint_confidence,
-    marker_confidence,
     misfits,
     probability,
-    rated,
 )
 
 BODY = human()

@@ -3,35 +3,32 @@
 import time
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.detect.pipeline import find_people
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
-from voodoo_jax.records.tracks import Tracks, only_as_sure
-from voodoo_jax.trackers.base import Task
+from voodoo_jax.records.tracks import Tracks, scaled_confidence
+from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.entry import FlexibleTracker
 from voodoo_jax.trackers.flexible.observed import Watching
 from voodoo_jax.trackers.flexible.tracker import check_suited, follow
-from voodoo_jax.trackers.icp.diagnostics import looked_at_again
-from voodoo_jax.trackers.icp.entry import IcpTracker
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.people import main_first, numbered
+from voodoo_jax.trackers.of_points import PointTracker
+from voodoo_jax.trackers.shared.notes import looked_at_again
 
 NOBODY = "The flexible tracker found nobody: these are the ICP tracker's tracks."
 MOVING = "The camera moves, unknown to the log: these are the ICP tracker's tracks."
 
 
-class BothTrackers:
+class BothTrackers(Tracker):
     """The ICP tracker's tracks, with limbs of the main person where the flexible tracker has them, too."""
 
-    name: ClassVar[str] = "both"
-
     def __init__(self):
-        self._icp, self._flexible = IcpTracker(), FlexibleTracker()
+        self._icp, self._flexible = PointTracker(), FlexibleTracker()
 
     def reads(self, read: ReadSettings) -> ReadSettings:
         """With images; pairs that the reader does not match are matched as the flexible tracker does."""
@@ -57,7 +54,6 @@ class BothTrackers:
             flexible = follow(body, seen, settings, source.path, source.fixed_frame, (), task.progress, began)
         finally:
             watching.close()
-        main, *others = self._icp.follow(task, people)
         main, *others = numbered(icp, order)
         return [self._together(main, flexible, person, settings), *others]
 
@@ -70,5 +66,5 @@ class BothTrackers:
             icp, flexible, person.frames, track.lost_confidence, track.chunk, settings.looks_ahead("track")
         )  # fmt: skip
         doubts = log_doubts(icp.body, person.scene, person.frames, settings)
-        found = only_as_sure(looked_at_again(found), doubts.right)
+        found = scaled_confidence(looked_at_again(found), doubts.right)
         return replace(found, notes=as_few((*found.notes, *flexible.notes)))

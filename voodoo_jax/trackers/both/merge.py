@@ -22,7 +22,7 @@ from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
 from voodoo_jax.trackers.icp.confidence import doubted
 from voodoo_jax.trackers.icp.misfit import misfit
-from voodoo_jax.trackers.icp.tracker import derived_from
+from voodoo_jax.trackers.shared.report import derived_from
 
 # joint centres of each arm and leg, from the trunk on, and the limbs that begin at them
 CHAINS = tuple(tuple(CENTRES[POINTS[point]] for point in row) for row in LIMBS.tolist())

@@ -2,19 +2,16 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import ClassVar
 
 from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.base import Task
+from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.flexible.tracker import track_frames
 
 
-class FlexibleTracker:
+class FlexibleTracker(Tracker):
     """Masses and springs, particle filters on images (Hecht, Azad, Dillmann 2009)."""
-
-    name: ClassVar[str] = "flexible"
 
     def reads(self, read: ReadSettings) -> ReadSettings:
         """With images; pairs are not matched by the reader, for the tracker does so as far as it needs depth."""
@@ -22,9 +19,6 @@ class FlexibleTracker:
 
     def passes(self, settings: Settings) -> int:
         return 1 + (settings.flexible.backwards and not settings.online)
-
-    def prepare(self, task: Task) -> None:
-        """Nothing: its program depends on the size of the images."""
 
     def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
         """The main person alone: nobody else is told apart in images."""

@@ -19,7 +19,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.trackers.base import Progress, Source, Unsuitable
+from voodoo_jax.trackers.base import LogInfo, Progress, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rated
 from voodoo_jax.trackers.flexible.filters import start, track_chunk
 from voodoo_jax.trackers.flexible.flexible_body import (
@@ -85,7 +85,7 @@ def check_suited(body: Body, settings: Settings) -> None:
 
 
 def track_frames(
-    body: Body, frames: Iterable[Frame], source: Source, settings: Settings, progress: Progress | None = None
+    body: Body, frames: Iterable[Frame], source: LogInfo, settings: Settings, progress: Progress | None = None
 ) -> Tracks:
     """Tracks a person through frames with pictures. Raises Unsuitable."""
     check_suited(body, settings)

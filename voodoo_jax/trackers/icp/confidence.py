@@ -1,49 +1,16 @@
-"""How far tracks can be trusted: the probability that a joint's centre is within 10 cm of the true one. Host side.
+"""Whether what was tracked in points is somebody, and which of its joints can be trusted. Host side, NumPy.
 
-A logistic function of what a frame says of itself, fitted to recordings with known truth, as they are and made harder
-(fewer frames, noise, coarse distances, begun midway), by experiments/trust. There, with the numbers of one half of the
-people, the other half's joints are right as often as is said.
-
-These are all recordings of people with nothing before or around them. A body that was fitted to a table or a coat, or
-that faces the wrong way, is as smooth and as near to its points: two more factors say whether it fits at all
-(misfits: points beside limbs, bare limbs, limbs in each other, joints bent too far, passes that once were apart, limbs
-whose points another limb explains as well), and
-whether it faces the right way. What a body faces is told by what it is fitted to: of those that fit, all
-of some two hundred decisions at odds of 0.1 and more (logarithms) were right, of those in skirts two of five.
+The probability of each joint is that of shared/confidence.py; here it decides which frames are LOST.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int8, Int64
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
-from scipy.special import expit
+from jaxtyping import Bool, Float32, Int8, Int64
 
-from voodoo_jax.geometry.rigid import apply, cross_matrix, on_host
-from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
-from voodoo_jax.trackers.icp.joint_spread import BATCH
+from voodoo_jax.trackers.shared.confidence import UNMARKED, averaged, joint_confidence
 
-CLOSE = 0.10  # metres
-CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
-# of a joint whose limb no marker tells of: nothing of a frame shows how far it hangs off. Of knees and ankles in a walk
-# on a treadmill 12 % were within 10 cm, of joints of a recording without its legs', arms' or shanks' markers 39 %
-UNMARKED = 0.1
-MISFITS = ("beside", "bare", "all distance", "size", "inside", "beyond", "apart", "shared")
-AROUND = 31  # frames over which a limb's misfit is averaged, about a second; by hand
-# of a limb's points, and metres: less tells nothing. Of 3, 5, 6 and 9 mm the first tells right from wrong best in kinds
-# of logs left out (0.952, 0.945, 0.941 and 0.937 with AT_LEAST 0, see experiments/trust)
-LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.003
-# by hand: metres in another limb that count as one, and how many count at most; radians beyond a joint's limit,
-# likewise; metres between the passes that tell nothing, and those that tell all
-DEEP, DEEPEST, BENT, MOST_BENT, TOGETHER, ASUNDER = 0.01, 8.0, float(np.radians(10)), 3.0, 0.05, 1.0
-# weight of a limb's own points, those that no other limb explains, beyond which more tell nothing; by hand
-PLENTY = 20.0
-# metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
-# nothing, and so many beyond count at most: of who is small less, for children are people, too (by hand: in the nine
-# kinds of logs there are none)
-STATURE, STATURES, USUAL, UNUSUAL, SMALL = 1.70, 0.095, 2.7, 2.0, 0.9
 # somebody is there if once, for so many seconds on end, this was expected of the better half of the joints (of who is
 # cut off or behind something the others are hidden): measured, 0.60 at most for curtains, doors, robots and trolleys
 # that move, 0.66 at least for people who are less than 10 cm off. A dummy on a trolley had 0.70
@@ -51,253 +18,6 @@ CONFIRMED, LONG = 0.63, 1.0
 # metres between hips and ankles above them, over a second: with a knee below the hip and an upright trunk nobody holds
 # both legs so. Of 235 logs of all kinds one did: its legs were on the back of a chair, behind a desk; by hand
 HEELS_UP = 0.05
-EVERY = slice(None)
-# how much the odds of facing tell, see facing_right, and by how much less (logarithm) where points are beside limbs and
-# limbs are bare; from experiments/trust/elsewhere.py
-SURELY, LESS_SURE = 18.8, (-2.98, -1.26)
-
-
-class Trust(NamedTuple):
-    """Numbers of the logistic function: of a change of a clue by one, see `clues`."""
-
-    constant: float
-    slopes: tuple[float, ...]
-
-
-# fitted together with FITS to tracks of 2026-11-26, see experiments/trust
-THERE_AND_BACK = Trust(-12.173, (-3.734, -0.124, -0.047, -0.333, 0.522, -0.702))
-# from experiments/trust
-ONE_PASS = Trust(-11.546, (-2.840, -0.021, -0.607, -0.529, 0.173))
-
-# of MISFITS; from experiments/trust/elsewhere.py. "shared" was fitted later, to 127 tracks of 13 kinds, the others as
-# they were
-FITS = Trust(-16.063, (-1.268, -4.100, -3.320, -1.441, -2.553, -0.254, -1.288, -0.356))
-
-# the same where points are measured by matching images: of the choosing half of experiments/stereo, fitted likewise.
-# Errors of neighbours are alike there: how far points are from limbs tells nothing, nor does ill_fit of facing
-MATCHED_FITS = Trust(0.330, (-1.279, -5.902, 0.0, -0.240, -2.113, -0.239, -0.022, -0.848))
-
-
-def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
-    """What tells of trouble, of each joint centre: logarithms of how far off it may be by its limb's covariance, of the
-    frame's residual and share of unexplained points, of how far it moves between frames and of how far the passes there
-    and back in time are apart (all in metres), and log(1 + weight) of what was measured of its limb.
-
-    **Arguments:** `ahead` whether the frame after each may be looked at, too.
-
-    The last clue is NaN where there was one pass only.
-    """
-    assert tracks.passes_apart is not None
-    joints, limbs = tracks.joints, np.array(tracks.body.topology.centre_limbs, int)
-    step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
-    still = np.zeros((1, joints.shape[1]))
-    before, after = np.concatenate([still, step]), np.concatenate([step, still])
-    moved = (np.fmax(before, after) if ahead else before)[: len(joints)]
-    spread = _spread(tracks)
-    log = lambda found, least, most: np.log(np.clip(found, least, most))  # noqa: E731
-    each = lambda row: np.broadcast_to(row[:, None], moved.shape)  # noqa: E731
-    found = (
-        log(spread, 1e-3, 10.0),
-        each(log(tracks.residual, 0.003, 1.0)),
-        each(log(1 - tracks.explained, 0.003, 1.0)),
-        log(moved, 0.003, 1.0),
-        np.log1p(tracks.limb_weight[:, limbs]),
-        log(tracks.passes_apart[:, limbs], 0.005, 1.0),
-    )
-    return np.stack(found, -1)
-
-
-def _spread(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
-    """How far off joint centres may be by what was measured of their limbs, metres: without what place_joints and the
-    other pass say of them, for that is a clue of its own."""
-    t = tracks.body.topology
-    assert tracks.limb_covariance is not None
-    twist = tracks.limb_covariance[:, np.array(t.centre_limbs, int)].astype(float)
-    turned = -cross_matrix(np.asarray(tracks.body.centres, float))
-    shift = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], 2)  # of a joint, by its limb's twist
-    return np.sqrt(np.einsum("jab,fjbc,jac->fj", shift, twist, shift))
-
-
-def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint misfit"]:
-    """What tells that a body is on something else, of each joint centre, averaged over a second.
-
-    Of its limb, the next one towards the trunk and the one that it meets there, the worst counts: the logarithm of the
-    share of unexplained points beside it; the share of its length that is bare (of the first two); log(1 + centimetres
-    in other limbs); how far joints are bent beyond their limits, in tens of degrees; and the logarithm of how far the
-    passes there and back in time were apart at most. Of its limb alone: by how much log(1 + weight) of the points that
-    no other limb explains falls short of PLENTY's. Of the body: the logarithm of how far points are from all limbs,
-    metres (see misfit.py), and how unusual the size is.
-
-    **Arguments:** `ahead` as for `clues`.
-
-    NaN where it is not known.
-    """
-    return _misfits(tracks, _averages(tracks, ahead))
-
-
-class Averages(NamedTuple):
-    """What tells that limbs do not fit, over a second around each frame."""
-
-    beside: Float32[np.ndarray, "frame limb"]  # means, see Tracks
-    distance: Float32[np.ndarray, "frame limb"]
-    bare: Float32[np.ndarray, "frame limb"]
-    inside: Float32[np.ndarray, "frame limb"]  # in other limbs, metres, mean
-    beyond: Float32[np.ndarray, "frame limb"]  # of the joint towards the trunk, beyond its limits, radians, mean
-    apart: Float32[np.ndarray, "frame limb"]  # passes, metres, the most; 0 where there was one
-    own: Float32[np.ndarray, "frame limb"]  # weight of points that no other limb explains, mean
-
-    def some(self, span: slice) -> "Averages":
-        """Those of some frames."""
-        return Averages(*(each[span] for each in self))
-
-
-def _averages(tracks: Tracks, ahead: bool) -> Averages | None:
-    """None where it is not known how limbs fit."""
-    beside, distance, bare, own = tracks.limb_beside, tracks.limb_distance, tracks.limb_bare, tracks.limb_own
-    if beside is None or distance is None or bare is None or own is None:
-        return None
-    nothing = np.zeros(beside.shape, np.float32)
-    known = lambda found: nothing if found is None else np.nan_to_num(found)  # noqa: E731
-    beyond, apart = nothing.copy(), known(tracks.passes_apart)
-    if tracks.beyond_limits is not None:
-        beyond[:, np.array(tracks.body.topology.children, int)] = np.nan_to_num(tracks.beyond_limits)
-    return Averages(
-        averaged(beside, ahead),
-        averaged(distance, ahead),
-        averaged(bare, ahead),
-        averaged(known(tracks.depth_inside), ahead),
-        averaged(beyond, ahead),
-        maximum_filter1d(apart, AROUND, 0) if len(apart) else apart,
-        averaged(tracks.limb_weight * np.nan_to_num(own), ahead),
-    )
-
-
-def _misfits(tracks: Tracks, averages: Averages | None) -> Float[np.ndarray, "frame joint misfit"]:
-    """See misfits; of tracks whose `averages` these are."""
-    t, count = tracks.body.topology, len(tracks.status)
-    limbs = np.array(t.centre_limbs, int)
-    if averages is None:
-        return np.full((count, len(limbs), len(MISFITS)), np.nan)
-    parent = np.arange(len(t.limbs))
-    parent[np.array(t.children, int)] = np.array(t.parents, int)
-    towards, meets = parent[limbs], meeting_limbs(tracks.body)
-    worse = lambda found: np.fmax(found[:, limbs], found[:, towards])  # noqa: E731
-    worst = lambda found: np.fmax(worse(found), found[:, meets])  # noqa: E731
-    every = np.broadcast_to(averages.distance.mean(1, keepdims=True), (count, len(limbs)))
-    size = np.broadcast_to(_unusual(tracks), every.shape)
-    log = lambda found, least: np.log(np.clip(found, least, 1.0))  # noqa: E731
-    found = (
-        log(worst(averages.beside), LEAST_SHARE),
-        worse(averages.bare),
-        log(every, LEAST_DISTANCE),
-        size,
-        np.log1p(np.clip(worst(averages.inside) / DEEP, 0.0, DEEPEST)),
-        np.clip(worst(averages.beyond) / BENT, 0.0, MOST_BENT),
-        np.log(np.clip(worst(averages.apart) / TOGETHER, 1.0, ASUNDER / TOGETHER)),
-        np.log1p(PLENTY) - np.log1p(np.clip(averages.own[:, limbs], 0.0, PLENTY)),
-    )
-    return np.stack(found, -1)
-
-
-def meeting_limbs(body: Body) -> Int[np.ndarray, " joint"]:
-    """The limb that meets a joint centre's limb there: of the joint that is nearest to the centre in the rest pose."""
-    t, body = body.topology, on_host(body)
-    limbs, parents = np.array(t.centre_limbs, int), np.array(t.parents, int)
-    if not len(parents):
-        return limbs
-    at = joint_centres(body, body.rest)
-    joints = apply(body.rest[parents], body.parent_anchor.translation)
-    near = np.linalg.norm(at[:, None] - joints[None], axis=-1).argmin(1)
-    children = np.array(t.children, int)[near]
-    return np.where(parents[near] == limbs, children, parents[near])
-
-
-def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float32[np.ndarray, "frame limb"]:
-    """Mean over the AROUND frames around each that tell something, or over those before if not `ahead`."""
-    origin = 0 if ahead else AROUND // 2  # the window ends with the frame
-    mean = lambda x: uniform_filter1d(x.astype(float), AROUND, 0, mode="constant", origin=origin)  # noqa: E731
-    out = np.full(found.shape, np.nan, np.float32)
-    # one by one, if they are long: all at once take several times their memory
-    columns = [EVERY] if len(found) <= BATCH else [slice(k, k + 1) for k in range(found.shape[1])]
-    for some in columns:
-        known = np.isfinite(found[:, some])
-        total, count = mean(np.where(known, found[:, some], 0.0)), mean(known)
-        out[:, some][known] = (total / np.maximum(count, 1e-9))[known]
-    return out
-
-
-def _unusual(tracks: Tracks) -> float:
-    """How unusual the body's size is: the square of standard deviations beyond USUAL of them."""
-    if tracks.body.scale_name != "stature":
-        return 0.0
-    off = (float(tracks.body.scale) - STATURE) / STATURES
-    return min(max(abs(off) - USUAL, 0.0), UNUSUAL if off > 0 else SMALL) ** 2
-
-
-def facing_right(tracks: Tracks, ill: Float[np.ndarray, "frame 2"]) -> Float[np.ndarray, "frame joint"]:
-    """Probability that a joint is not off because the body faces the other way: 1 of joints in its middle.
-
-    Of frames of which nobody has asked the last answer before holds, or the next one. The less the body fits, the less
-    its odds tell.
-
-    **Arguments:** `ill` of `ill_fit`.
-    """
-    sides = np.array([name.startswith(("l_", "r_")) for name in tracks.body.topology.centres])
-    out = np.ones((len(tracks.status), len(sides)))
-    if tracks.facing_odds is None or not np.isfinite(tracks.facing_odds).any():
-        return out
-    known = np.flatnonzero(np.isfinite(tracks.facing_odds))
-    at = known[np.maximum(np.searchsorted(known, np.arange(len(out)), "right") - 1, 0)]
-    odds = tracks.facing_odds[at].astype(float)
-    out[:, sides] = expit(SURELY * np.exp(ill @ np.array(LESS_SURE)) * odds)[:, None]
-    return out
-
-
-def ill_fit(found: Float[np.ndarray, "frame joint misfit"]) -> Float[np.ndarray, "frame 2"]:
-    """What tells that the odds of facing are of something else: the logarithm of the share of points beside limbs, over
-    what tells nothing, and the share of limbs that is bare; means over the body of `misfits`, 0 where these are not
-    known."""
-    whole = found[..., :2].mean(1) - [np.log(LEAST_SHARE), 0.0]
-    return np.where(np.isfinite(whole), whole, 0.0)
-
-
-def probability(trust: Trust, found: Float[np.ndarray, "... clue"]) -> Float[np.ndarray, "..."]:
-    """The logistic function of some clues."""
-    return expit(trust.constant + found[..., : len(trust.slopes)] @ np.array(trust.slopes))
-
-
-def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, "frame joint"]:
-    """Probability that a joint centre is within CLOSE of the true one; NaN in frames without points.
-
-    **Arguments:** `ahead` as for `clues`.
-    """
-    averages, shape = _averages(tracks, ahead), (len(tracks.status), len(tracks.body.topology.centres))
-    sure, ill = np.full(shape, np.nan), np.zeros((shape[0], 2))
-    for at in range(0, shape[0], BATCH):
-        span = slice(at, min(at + BATCH, shape[0]))
-        around = slice(max(at - 1, 0), min(at + BATCH + 1, shape[0]))  # clues look at the frames beside each
-        inner = slice(at - around.start, span.stop - around.start)
-        found = clues(tracks.only(around), ahead)[inner]
-        twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
-        misfit = _misfits(tracks.only(span), averages and averages.some(span))
-        fits = probability(MATCHED_FITS if tracks.matched else FITS, misfit)
-        ill[span] = 0.0 if tracks.matched else ill_fit(misfit)
-        sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
-    told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
-    return np.where(told[:, None], sure * facing_right(tracks, ill), np.nan).astype(np.float32)
-
-
-def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, "frame joint"]:
-    """As joint_confidence, for recordings of named points alone, whose `limb_weight` is the number of those near their
-    places on each limb.
-
-    The logistic function was fitted to depth and is too sure of limbs without any: at most UNMARKED is said of a joint
-    whose own limb has none in the frame, even if a neighbour's markers hold it.
-    """
-    found = joint_confidence(tracks, ahead)
-    unmarked = tracks.limb_weight[:, np.array(tracks.body.topology.centre_limbs, int)] <= 0
-    # not np.fmin: where there is none, there is none
-    return np.where(unmarked, np.minimum(found, np.float32(UNMARKED)), found)
 
 
 def legs_folded_up(tracks: Tracks, ahead: bool = True) -> Bool[np.ndarray, "frame joint"]:
@@ -320,15 +40,12 @@ def legs_folded_up(tracks: Tracks, ahead: bool = True) -> Bool[np.ndarray, "fram
     return out
 
 
-def rated(tracks: Tracks, least: float, ahead: bool = True, by_markers: bool = False) -> Tracks:
+def rated(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
     """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
-    be right, and everywhere where it was never sure that this is somebody (see confirmed; only if `ahead`). By markers
-    alone nothing is LOST for that: a set for legs alone is none to doubt as a whole.
+    be right, and everywhere where it was never sure that this is somebody (see confirmed; only if `ahead`).
 
     **Arguments:** `ahead` as for `clues`.
     """
-    if by_markers:
-        return replace(tracks, joint_confidence=marker_confidence(tracks, ahead))
     confidence = joint_confidence(tracks, ahead)
     confidence = np.where(legs_folded_up(tracks, ahead), np.minimum(confidence, np.float32(UNMARKED)), confidence)
     never = ahead and least > 0 and not confirmed(tracks.time_ns, confidence)

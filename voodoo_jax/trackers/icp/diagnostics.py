@@ -1,50 +1,22 @@
 """What a user should know about a tracked recording: what was left out, not known or not plausible; in sentences."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.markers.diagnostics import LISTED, SHOWN, marker_notes, name_notes
-from voodoo_jax.markers.label_swaps import Exchange
+from voodoo_jax.markers.diagnostics import FEW, LISTED, SHOWN, name_notes
 from voodoo_jax.markers.own_sites import Named
-from voodoo_jax.markers.table import TO_START
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.right_level import Level
 from voodoo_jax.trackers.icp.right_scale import LEVEL, Scale
 from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.shared.notes import implausible
 
-FAR_BEYOND, DEEP = 20.0, 0.04  # degrees beyond a joint's limit, metres inside another limb: worth a note
 NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
 # degrees and metres by which sensors seem to move at most where that is no more than noise and drift of distances make
 # of walls; by hand
 TURNED, SHIFTED = 1.0, 0.12
-MIRRORED = (
-    "By the places of the named points left is where right is: either all names are exchanged, as was taken here, or "
-    "coordinates are left-handed (as Unity's are). read.mirror TOPIC=y (or x, z) turns that axis round, TOPIC=none "
-    "says that names are wrong."
-)
-ODD = "Not plausible"  # sentences on the tracks themselves begin so
-
-
-def _implausible(tracks: Tracks) -> list[str]:
-    """Sentences on joints beyond their limits and limbs in each other, where they are so in many tracked frames."""
-    assert tracks.beyond_limits is not None and tracks.depth_inside is not None
-    notes, tracked, t = [], tracks.tracked, tracks.body.topology
-    for what, names, found, most in (
-        (f"bent more than {FAR_BEYOND:.0f} degrees beyond their limits", t.joints,
-         np.degrees(tracks.beyond_limits), FAR_BEYOND),
-        (f"more than {100 * DEEP:.0f} cm inside other limbs", t.limbs, tracks.depth_inside, DEEP),
-    ):  # fmt: skip
-        with np.errstate(invalid="ignore"):
-            share = (found[tracked] > most).mean(0) if tracked.any() else np.zeros(len(names))
-        often = [f"{names[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(-share) if share[k] > 0.05]
-        if often:
-            notes.append(f"{ODD}, {what} (share of the frames): {', '.join(often)}.")
-    return notes
 
 
 def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
@@ -77,26 +49,11 @@ def _of_level(run: Runner, level: Level) -> str:
     )
 
 
-def looked_at_again(tracks: Tracks) -> Tracks:
-    """Tracks whose poses are others now, with what the notes say of these."""
-    kept = [note for note in tracks.notes if not note.startswith(ODD)]
-    return replace(tracks, notes=(*_implausible(tracks), *kept))
-
-
-def notes_on(run: Runner, tracks: Tracks, exchanges: list[Exchange], named: Named) -> tuple[str, ...]:
-    """Notes on a tracked recording; `exchanges` of markers were put right before, `named` whose named points these
-    are."""
-    notes = _implausible(tracks) + name_notes(named)
-    few = f"No frame has {TO_START} markers that features.names knows a point of this body for."
-    if not run.by_markers and not tracks.points.any() and any(len(frame.pairs.names) for frame in run.people):
-        return (*notes, few)
-    if run.by_markers:
-        poses = Poses(tracks.rotation, tracks.translation)
-        if not run.table.enough(TO_START).any():
-            notes.append(few)
-        if run.mirrored:
-            notes.append(MIRRORED)
-        return (*notes, *marker_notes(run.body, run.table, poses, tracks.time_ns, tracks.tracked, exchanges))
+def notes_on(run: Runner, tracks: Tracks, named: Named) -> tuple[str, ...]:
+    """Notes on a tracked recording; `named` whose named points these are."""
+    notes = implausible(tracks) + name_notes(named)
+    if not tracks.points.any() and any(len(frame.pairs.names) for frame in run.people):
+        return (*notes, FEW)
     notes += run.scene.notes
     if not run.scene.floor_seen:
         notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")

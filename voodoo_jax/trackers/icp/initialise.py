@@ -1,11 +1,8 @@
 """Where and how a segment begins: the best of several starts, tracked as trials. Host side."""
 
-import numpy as np
-
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.markers.table import TO_START, marker_start
-from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.stage import is_active
 from voodoo_jax.trackers.icp.start.cut_off_size import CutOffSize
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, measured_at, sized_at, trial
 from voodoo_jax.trackers.icp.start.later_start import LaterStart
@@ -21,13 +18,9 @@ START: tuple[StartStage, ...] = (CutOffSize(), LyingDown(), LaterStart(), OtherS
 def begin(run: Runner, at: int, before: Poses | None = None) -> StartHypothesis:
     """The best trial in frame `at`, or a better one later on, followed back to there.
 
-    By markers alone: in the nearest frame that has enough of them. The first start settles the body's size, too.
-    `before` the last poses before the body was lost: it may still be in them, elsewhere.
+    The first start settles the body's size, too. `before` the last poses before the body was lost: it may still be in
+    them, elsewhere.
     """
-    if run.by_markers:
-        good = np.flatnonzero(run.table.enough(TO_START))
-        frame = int(good[np.argmin(np.abs(good - at))])
-        return StartHypothesis(at, run.body, marker_start(run.body, run.table.markers, frame), 0.0)
     first = trial(run, at, sized_at(run, at), before)
     search = Search(at, first, (first,))
     for stage in START:
@@ -45,7 +38,7 @@ def begin(run: Runner, at: int, before: Poses | None = None) -> StartHypothesis:
 def clearer(run: Runner, at: int) -> StartHypothesis | None:
     """A start in frame `at` that leaves no doubt, in the size that the body has there, if there is one; it settles the
     size anew. For who began in doubt and may not look ahead."""
-    if run.by_markers or not run.can_start(at):
+    if not run.can_start(at):
         return None
     found = trial(run, at, measured_at(run, at))
     if not found.clear(run.settings.start.sure):

@@ -11,6 +11,7 @@ import numpy as np
 
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.solve import covariance
+from voodoo_jax.trackers.shared.confidence import BATCH
 
 # as NOISE and SHAPE of solve/covariance.py, where both passes are known, and what a metre that they are apart counts
 # for: chosen so that 95 % of the truth is inside, on the 18 recordings, as they are and from depth alone, and on 40
@@ -19,7 +20,6 @@ NOISE, SHAPE, APART = 0.03, 0.0105, 0.6
 # the same where place_joints has moved joints: of people left out by halves 95, 94 and 93 % are inside, of the people
 # that it learned from 97, 97 and 94 %; of every fifth frame 90 %
 MOVED = 0.008
-BATCH = 4096  # frames of a recording that are looked at at once, by hand: 1 to 5 kB each
 
 
 def with_passes(tracks: Tracks) -> Tracks:

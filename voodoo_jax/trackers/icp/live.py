@@ -15,27 +15,32 @@ from voodoo_jax.compile.executable import seconds_of_waiting
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.markers.own_sites import with_names
 from voodoo_jax.model.attachments import prepared
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.tracks import Status, Tracks, only_as_sure
+from voodoo_jax.records.tracks import Status, Tracks, scaled_confidence
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket
 from voodoo_jax.solve.scan import State, at_rest, options_from
-from voodoo_jax.trackers.icp.confidence import AROUND, rated
+from voodoo_jax.trackers.base import LogInfo
+from voodoo_jax.trackers.icp.confidence import rated
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.joint_spread import with_passes
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.pipeline import PLACE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
-from voodoo_jax.trackers.icp.refine.stage import is_active
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, THING_FRAMES, Runner
-from voodoo_jax.trackers.icp.segment import Followed, segment_of
-from voodoo_jax.trackers.icp.sequence import DOUBT, SPAN, WRONG
+from voodoo_jax.trackers.icp.runner import THING_FRAMES, Runner
+from voodoo_jax.trackers.icp.stage import is_active
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
-from voodoo_jax.trackers.icp.tracker import finished, looked_at, padded, tracks_of, with_names
+from voodoo_jax.trackers.icp.tracker import finished, tracks_of
+from voodoo_jax.trackers.shared.confidence import AROUND
+from voodoo_jax.trackers.shared.report import looked_at, padded
+from voodoo_jax.trackers.shared.runner import FEW_POINTS
+from voodoo_jax.trackers.shared.segment import Followed, segment_of
+from voodoo_jax.trackers.shared.sequence import DOUBT, SPAN, WRONG
 
 KEPT = 64  # frames whose points stay in memory: more than a start looks back or ahead; by hand
 
@@ -50,7 +55,7 @@ class LiveRunner(Runner):
         self.length = THING_FRAMES * settings.start.frames  # of one program for trials and single frames
         if features and self.names.rows:
             self.feature_capacity = max(self.feature_capacity, bucket(1, FEATURE_BUCKETS))
-        self.by_markers, self.people = False, []
+        self.people = []
         self.others: list[int] = []
         self.named = self.featured = np.zeros(0, bool)
 
@@ -119,14 +124,14 @@ class LiveTracker:
         self._ended = True
         return self._settled()
 
-    def whole(self, source: str, fixed_frame: str, notes: tuple[str, ...] = ()) -> Tracks:
+    def whole(self, source: LogInfo) -> Tracks:
         """All frames as one, as replay writes them."""
         run, people = self.run, self._kept.frames()
         every = Runner(self._body, run.options, people, run.scene, self.settings)
         every.body, every.bodies, every.sized, every.left_out = run.body, run.bodies, run.sized, run.left_out
-        tracks = finished(every, _joined_rows(self._rows, run.body.limb_count), source, fixed_frame)
-        told = notes_on(every, tracks, [], self._named)
-        return replace(tracks, seconds=self.seconds, notes=as_few((*notes, *told)))
+        tracks = finished(every, _joined_rows(self._rows, run.body.limb_count), source)
+        notes = as_few((*source.notes(), *notes_on(every, tracks, self._named)))
+        return replace(tracks, seconds=self.seconds, notes=notes)
 
     def _settled(self) -> list[Tracks]:
         began, waited = time.perf_counter(), seconds_of_waiting()
@@ -269,7 +274,7 @@ class _Shown:
         alone.people, alone.bodies = [frame], [(0, run.body)]
         alone.settings = replace(run.settings, track=replace(run.settings.track, chunk=1))
         own = {f.name: np.array(v) if isinstance(v := getattr(row, f.name), np.ndarray) else v for f in fields(row)}
-        tracks = with_passes(tracks_of(alone, replace(row, **own | {"first": 0}), "", ""))
+        tracks = with_passes(tracks_of(alone, replace(row, **own | {"first": 0}), LogInfo()))
         if frame.other and at > 0:
             self._rows, self._first, self._until = [], at, 0
         for _ in self._places:
@@ -277,7 +282,7 @@ class _Shown:
         self._recent = [*self._recent[-AROUND:], tracks]
         window = joined_tracks([replace(t, body=tracks.body) for t in self._recent])
         found = rated(window, run.settings.track.lost_confidence, False).only(slice(-1, None))
-        return only_as_sure(found, log_doubts(run.body, run.scene, alone.people, run.settings).right)
+        return scaled_confidence(found, log_doubts(run.body, run.scene, alone.people, run.settings).right)
 
     def _placed(self, tracks: Tracks, frame: BodyObservation, number: int) -> Tracks:
         """With joints moved by the bands of the frames until one not long ago, as PlaceJoints does online."""

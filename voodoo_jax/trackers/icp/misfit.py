@@ -16,7 +16,7 @@ from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.limb_distance import signed_distance
-from voodoo_jax.trackers.icp.runner import FEW_POINTS
+from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 POINTS = 250  # of a frame, evenly taken; by hand
 OFF, AROUND = 0.05, 0.25  # metres from a limb's surface: a point is not explained, and is another limb's; by hand

@@ -11,20 +11,17 @@ from itertools import permutations
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int8
 
-from voodoo_jax.config.options import Settings
-from voodoo_jax.detect.people import CLOSE
+from voodoo_jax.detect.tracklets import CLOSE
 from voodoo_jax.detect.visibility import has_far_sides
-from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.solve.scan import Visit
+from voodoo_jax.trackers.base import Task
 from voodoo_jax.trackers.icp.limb_distance import body_distance
 from voodoo_jax.trackers.icp.own_features import with_own_features
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, by_markers
-from voodoo_jax.trackers.icp.sequence import Progress
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
+from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 ASKED_FRAMES = 10  # of a recording: by so many, evenly spread, it is told whether clouds were joined; by hand
 # times track.prior_interval from copy to copy of a scan: over it the pull to the prediction is weakest (solve/scan);
@@ -44,40 +41,23 @@ SLIVER = 0.12  # of that area: who shows less is not tracked; by hand
 WHOLE = 0.5  # of the area that is usually seen of somebody: who shows so much is wholly in view; by hand
 
 
-# 8 parameters, as track_person
-def track_subjects(
-    body: Body,
-    subjects: list[Subject],
-    settings: Settings,
-    source: str,
-    fixed_frame: str,
-    notes: tuple[str, ...] = (),
-    progress: Progress | None = None,
-    visit: Visit | None = None,
-) -> list[Tracks]:
-    """Tracks a body through what was seen of each person, see find_people; the others as for track_person."""
-
+def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
+    """Tracks a body through what was seen of each person, see find_people."""
+    settings, visit = task.settings, task.visit
     frames, repeats = subjects[0].frames, settings.looks_ahead("track") and not settings.changes
-    added = max(0, settings.start.frames - len(frames)) if frames and repeats and not by_markers(frames) else 0
+    added = max(0, settings.start.frames - len(frames)) if frames and repeats else 0
     subjects = [replace(s, frames=held(s.frames, added, settings.track.prior_interval)) for s in subjects]
     if any(has_far_sides(s.frames[:: len(s.frames) // ASKED_FRAMES + 1]) for s in subjects):
-        settings, notes = replace(settings, solve=replace(settings.solve, near_side=False)), (*notes, FUSED)
-    names = [subject.name for subject in subjects if subject.name]
-    shares = any(len(frame.points) for subject in subjects for frame in subject.frames)
-
-    if len(subjects) > 1 and shares:
+        settings = replace(settings, solve=replace(settings.solve, near_side=False))
+        task = replace(task, settings=settings, source=task.source.noted(FUSED))
+    several = len(subjects) > 1
+    shares = several and any(len(frame.points) for subject in subjects for frame in subject.frames)
+    if shares:
         subjects = with_own_features(subjects)
-
-    def tracked(subject: Subject, say: Progress | None = None) -> Unplaced:
-        whose = f"Named points of {len(names)} people: these are the tracks of '{subject.name}'."
-        told = [whose] if subject.name else []
-        begin = in_view_from(subject) if len(subjects) > 1 else 0
-        return track_poses(
-            body, subject.scene, subject.frames, settings, source, fixed_frame, (*notes, *told), say, visit, begin
-        )
-
-    people = [tracked(subject, progress) for subject in subjects]
-    for turn in range(ROUNDS if len(subjects) > 1 and shares else 0):
+    begins = [in_view_from(s) if several else 0 for s in subjects]
+    people = [track_poses(task, s, begin) for s, begin in zip(subjects, begins)]
+    silent = replace(task, progress=None)
+    for turn in range(ROUNDS if shares else 0):
         seen = [with_rating(one.run, one.tracks) for one in people]
         close = close_in(seen)
         if turn == 0 and not settings.changes:
@@ -88,9 +68,12 @@ def track_subjects(
         subjects = [replace(s, frames=own) for s, own in zip(subjects, frames)]
         if not concerned.any():
             break
-        people = [_again(tracked(s), one) if c else one for s, one, c in zip(subjects, people, concerned)]
+        people = [
+            _again(track_poses(silent, s, in_view_from(s)), one) if c else one
+            for s, one, c in zip(subjects, people, concerned)
+        ]
     found = [placed(one) for one in people]
-    if len(subjects) > 1:
+    if several:
         found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
     found = [t.since(added) for t in found]
     return [replace(t, person=s.number, people=len(subjects)) for s, t in zip(subjects, found)]

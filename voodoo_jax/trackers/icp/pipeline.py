@@ -16,8 +16,8 @@ from voodoo_jax.trackers.icp.refine.hang_legs import HangLegs
 from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
 from voodoo_jax.trackers.icp.refine.place_joints import PlaceJoints
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
-from voodoo_jax.trackers.icp.refine.stage import Named, Stage
 from voodoo_jax.trackers.icp.sequence import RecordingStage
+from voodoo_jax.trackers.icp.stage import Named, Stage
 from voodoo_jax.trackers.icp.start.fresh_end import FreshEnd
 
 # where the pass back in time begins

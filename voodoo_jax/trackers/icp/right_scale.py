@@ -18,8 +18,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.trackers.icp.confidence import STATURE, STATURES
-from voodoo_jax.trackers.icp.runner import by_markers
+from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
 FOUND = 0.03  # metres: standard deviation of the stature that is found; measured: 2 cm in the 18 recordings
 CHILDREN, SMALLEST, GROWN = 0.1, 0.8, 1.6  # share of people, and between which statures (metres) all are alike; by hand
@@ -45,9 +44,9 @@ NO_DOUBT = Scale(1.0, 1.0)
 
 def scale_of(body: Body, scene: Scene, people: list[BodyObservation], settings: Settings) -> Scale:
     """What is thought of the scale of a log, by the size that was found of its main body: nothing where a user has said
-    the scale or the stature, or named points did."""
-    told = settings.start.scale > 0 or bool(settings.read.scale) or by_markers(people)
-    if told or not people or body.scale_name != "stature":
+    the scale or the stature."""
+    given = settings.start.scale > 0 or bool(settings.read.scale)
+    if given or not people or body.scale_name != "stature":
         return NO_DOUBT
     sensor = float(np.median(people[0].origins @ scene.floor.normal))
     # without a floor in view it is where it should be, unless something lies lower

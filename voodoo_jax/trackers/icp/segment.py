@@ -1,6 +1,5 @@
-"""Segments from the steps of the compiled program, tracked anew from other poses, and what they cost. Host side."""
+"""Segments tracked anew from other poses, and what they cost. Host side."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -13,17 +12,8 @@ from voodoo_jax.kernels.joint_limits import check
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.joint_bend import wrong_bend
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.solve.scan import State, Step, cost_of
-from voodoo_jax.trackers.icp.runner import Runner, status_of
-from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
-
-
-@dataclass(frozen=True)
-class Followed(Segment):
-    """A segment, and what this tracker knows of it."""
-
-    start: StartHypothesis | None = None  # that it was tracked from
-    state: State | None = None  # after its last frame, where another start took the place of its own
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.shared.segment import Followed, segment_of
 
 
 class Pass(NamedTuple):
@@ -36,26 +26,6 @@ class Pass(NamedTuple):
 
 FREE_BEND = 0.17  # radians beyond a joint's limits that say nothing: people differ
 WRONG_WAY = 0.1  # radians beyond, mean of all joints and frames, that count as much as costs e times higher
-
-
-def segment_of(run: Runner, step: Step, first: int, count: int) -> Followed:
-    """The steps of `count` frames from `first` on, as a segment of one pass."""
-    span = slice(first, first + count)
-    weight = np.asarray(step.limb_weight)[:count]
-    return Followed(
-        first=first,
-        status=status_of(step, run.settings.track.lost_explained, run.named[span], run.featured[span])[:count],
-        rotation=np.asarray(step.poses.rotation)[:count],
-        translation=np.asarray(step.poses.translation)[:count],
-        cost=np.asarray(cost_of(step))[:count],
-        passes_apart=np.full_like(weight, np.nan),
-        residual=np.asarray(step.residual)[:count],
-        explained=np.asarray(step.explained)[:count],
-        steps=np.asarray(step.steps)[:count],
-        limb_weight=weight,
-        limb_covariance=np.asarray(step.covariance)[:count],
-        facing_odds=np.full(count, np.nan, np.float32),
-    )
 
 
 def forwards(run: Runner, poses: Poses, first: int, end: int) -> Followed:

@@ -19,7 +19,8 @@ from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import State, Visit, at_rest, options_from
 from voodoo_jax.trackers.icp.limb_distance import body_distance
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 
 @dataclass

@@ -11,9 +11,10 @@ from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.trackers.icp.pipeline import SETTLE
 from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing, gone_ahead
-from voodoo_jax.trackers.icp.refine.stage import refined
 from voodoo_jax.trackers.icp.segment import forwards
+from voodoo_jax.trackers.icp.stage import refined
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
+from voodoo_jax.trackers.shared.sequence import KnownStart
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
@@ -66,7 +67,7 @@ def test_odds_are_known_of_a_start_without_a_rival_and_of_one_that_costs_far_mor
     start = StartHypothesis(0, BODY, truth, 1.0)
     alone = ChooseFacing(SETTLE)(run, replace(forwards(run, truth, 0, COUNT), start=start))
     assert (alone.facing_odds > clear.facing_odds).all()
-    on = ChooseFacing(SETTLE)(run, replace(forwards(run, truth, 0, COUNT), start=start._replace(cost=0.0)))
+    on = ChooseFacing(SETTLE)(run, replace(forwards(run, truth, 0, COUNT), start=KnownStart(0, truth)))
     assert np.isnan(on.facing_odds).all()  # it goes on from frames that were asked
 
 

@@ -15,8 +15,8 @@ from voodoo_jax.records.scene import Scene
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.icp.refine.drop_carried import CARRIED_NOTE, DropCarried, unexplained
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.segment import Followed
 from voodoo_jax.trackers.icp.sequence import Whole
+from voodoo_jax.trackers.shared.segment import Followed
 
 BODY, COUNT = scaled(human(), 1.7), 20
 STAGE, FLOOR = DropCarried(among=()), Plane(np.array([0, 0, 1], np.float32), 0.0)

@@ -98,7 +98,8 @@ def test_tracks_say_what_they_found():
     """The demo with and without: poses are the same, wrists and forearms are not; one pass leaves the body alone."""
     from voodoo_jax.detect.pipeline import find_body
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.trackers.icp.tracker import track_person
+    from voodoo_jax.trackers.base import LogInfo, Task
+    from voodoo_jax.trackers.of_points import track_person
 
     source = open_log(str(files("voodoo_jax") / "data" / "demo.mcap"))
     frames = [frame for frame, _ in zip(source.frames(), range(40))]
@@ -107,7 +108,7 @@ def test_tracks_say_what_they_found():
     lengths = {}
     for name, skip in (("on", ()), ("off", ("fit_forearms",)), ("one pass", ("looks_ahead",))):
         how = replace(settings, track=replace(settings.track, skip=skip))
-        tracks = track_person(human(), scene, found, how, "demo", "base")
+        tracks = track_person(Task(human(), LogInfo("demo", "base"), how), scene, found)
         lengths[name] = segment_lengths(tracks.body)["forearm"], tracks
     usual = segment_lengths(scaled(human(), float(lengths["off"][1].body.scale)))["forearm"]
     assert lengths["off"][0] == pytest.approx(usual, rel=1e-4) == lengths["one pass"][0]

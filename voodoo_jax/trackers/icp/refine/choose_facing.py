@@ -14,11 +14,12 @@ from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.posture import faces_ahead
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.trackers.icp.refine.stage import Stage, refined
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.segment import WRONG_WAY, Followed, bent, segment_of
+from voodoo_jax.trackers.icp.segment import WRONG_WAY, bent
+from voodoo_jax.trackers.icp.stage import Stage, refined
 from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, RIVAL, StartHypothesis
 from voodoo_jax.trackers.icp.trials import facing
+from voodoo_jax.trackers.shared.segment import Followed, segment_of
 
 ALONE = 2 * float(np.log(FAR_RIVAL))  # logarithm of the odds of a start without a rival: none costs less than that
 WHILE, STRAIGHT = 0.3, 0.95  # seconds in which who goes ahead turns by no more than the angle of that cosine
@@ -49,9 +50,10 @@ class ChooseFacing:
 
     def __call__(self, run: Runner, segment: Followed) -> Followed:
         start = segment.start
-        if start is None or start.rival is None:
-            goes_on = start is None or start.cost == 0  # from a span that was asked
-            return segment if goes_on else _with_odds(segment, ALONE)
+        if not isinstance(start, StartHypothesis):  # it goes on from a span that was asked
+            return segment
+        if start.rival is None:
+            return _with_odds(segment, ALONE)
         if start.close_rival is None and not self._speaks_for(run, start, segment):
             return _with_odds(segment, 2 * float(np.log(start.rival.cost / start.cost)))
         state, step = run.forwards(start.rival.poses, segment.first, segment.end)

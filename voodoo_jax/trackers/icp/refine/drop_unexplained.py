@@ -17,9 +17,9 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation, assigned
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.limb_distance import signed_distance
-from voodoo_jax.trackers.icp.refine.stage import Stage
-from voodoo_jax.trackers.icp.runner import spans
 from voodoo_jax.trackers.icp.sequence import Whole
+from voodoo_jax.trackers.icp.stage import Stage
+from voodoo_jax.trackers.shared.runner import spans
 
 FURNITURE_NOTE = "Something at rest that touches the body was taken for furniture, and all tracked again without it."
 

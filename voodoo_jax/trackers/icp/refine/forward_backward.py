@@ -12,10 +12,11 @@ from jaxtyping import Bool, Float, Float32
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rotations import axis_of, half_turn, limb_ends, rotations
-from voodoo_jax.trackers.icp.refine.stage import is_active
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.segment import Followed, Pass, backwards, pass_of
+from voodoo_jax.trackers.icp.segment import Pass, backwards, pass_of
+from voodoo_jax.trackers.icp.stage import is_active
 from voodoo_jax.trackers.icp.start.fresh_end import FreshEnd
+from voodoo_jax.trackers.shared.segment import Followed
 
 
 class Combined(NamedTuple):

@@ -15,10 +15,10 @@ from voodoo_jax.detect.camera_motion import as_measured
 from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.icp.confidence import averaged
 from voodoo_jax.trackers.icp.misfit import misfit
 from voodoo_jax.trackers.icp.refine.hang_legs import seconds_from, turned, with_limbs
 from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.shared.confidence import averaged
 
 ARM = ("upper_arm", "forearm", "hand")
 # shares by hand: of a forearm's and hand's weight, that of points that no other limb explains; of the body's weight,

@@ -14,8 +14,9 @@ from voodoo_jax.geometry.rotations import limb_ends
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.segment import Followed, backwards, forwards, pass_of
+from voodoo_jax.trackers.icp.segment import backwards, forwards, pass_of
 from voodoo_jax.trackers.icp.trials import facing
+from voodoo_jax.trackers.shared.segment import Followed
 
 
 @dataclass(frozen=True)

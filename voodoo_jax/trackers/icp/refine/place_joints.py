@@ -20,8 +20,9 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.body_file import load_on_host
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
-from voodoo_jax.trackers.icp.joint_spread import BATCH, MOVED, SHAPE
+from voodoo_jax.trackers.icp.joint_spread import MOVED, SHAPE
 from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.shared.confidence import BATCH
 
 # joint centre -> the limb in whose axes it is moved, and the limb whose direction tells how the joint is bent
 LIMBS = {

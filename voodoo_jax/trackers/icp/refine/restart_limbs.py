@@ -18,10 +18,12 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
-from voodoo_jax.trackers.icp.segment import Followed, implausible, pass_of, tracked_anew
+from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.segment import implausible, pass_of, tracked_anew
 from voodoo_jax.trackers.icp.start.hypothesis import USUAL, soon
 from voodoo_jax.trackers.icp.trials import Trial, standing_places
+from voodoo_jax.trackers.shared.runner import FEW_POINTS
+from voodoo_jax.trackers.shared.segment import Followed
 
 # against the rest pose, in which they hang: as there, forwards, to the side and bent, up
 ARMS: tuple[tuple[Turn, ...], ...] = (

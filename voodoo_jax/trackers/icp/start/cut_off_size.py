@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from voodoo_jax.model.body import scaled
-from voodoo_jax.trackers.icp.confidence import STATURE, STATURES
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.start.hypothesis import HIDDEN, TELLS, lowest, trial
 from voodoo_jax.trackers.icp.start.stage import Search
+from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
 
 @dataclass(frozen=True)

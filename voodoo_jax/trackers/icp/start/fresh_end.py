@@ -32,7 +32,7 @@ class FreshEnd:
         count = 3 * run.settings.start.frames
         skip = max(0, len(cost) - count)
         at, end = first + skip, first + len(cost)
-        if run.by_markers or end - at < 2 * run.settings.start.frames or not run.can_start(at):
+        if end - at < 2 * run.settings.start.frames or not run.can_start(at):
             return None
         tried = tried_on(run, at)
         here = float(np.mean(cost[skip : skip + len(tried)]))

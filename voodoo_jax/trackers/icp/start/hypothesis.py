@@ -11,8 +11,9 @@ from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.body_size import sized, unlikely
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.trials import opposite, standing_places
+from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 RIVAL = (
     1.1  # a start that faces the other way is looked at where it costs less than so much more than the best; by hand

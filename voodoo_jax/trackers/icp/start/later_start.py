@@ -5,9 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.trackers.icp.runner import FEW_POINTS, Runner, first_run
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.start.hypothesis import lowest, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
+from voodoo_jax.trackers.shared.runner import FEW_POINTS, first_run
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import CURLED, in_stance
 from voodoo_jax.model.rest_shape import rest_box
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.trackers.icp.confidence import STATURE, STATURES
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import forwards, pass_of
 from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, TELLS, StartHypothesis, best_from, tried_on
 from voodoo_jax.trackers.icp.start.stage import Search
 from voodoo_jax.trackers.icp.trials import place
+from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
 WAYS = 4  # face up, to both sides and down; by hand
 SAME = np.pi / 3  # radians between the trunks of two that lie the same way; by hand

@@ -7,10 +7,10 @@ import numpy as np
 
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
-from voodoo_jax.trackers.icp.confidence import STATURE, STATURES
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.start.hypothesis import TELLS, StartHypothesis, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
+from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
 
 @dataclass(frozen=True)

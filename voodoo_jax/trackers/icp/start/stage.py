@@ -6,8 +6,8 @@ The name of a stage is its file, its switch (`track.skip`), its test file and it
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from voodoo_jax.model.pose_library import Stance
-from voodoo_jax.trackers.icp.refine.stage import Named
 from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.stage import Named
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import ClassVar, Protocol, runtime_checkable
 
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.segment import Followed
+from voodoo_jax.trackers.shared.segment import Followed
 
 
 @runtime_checkable

@@ -1,0 +1,1 @@
+"""The tracker of named points alone, such as optical markers: names, gaps, exchanges, sizes, solve, residuals."""
