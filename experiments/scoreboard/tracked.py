@@ -68,10 +68,9 @@ def read_known(path: Path) -> Known:
 
 
 @lru_cache(maxsize=1)
-def recording_of(path: Path, features: bool = True) -> vj.Recording:
+def recording_of(path: Path, features: bool = True, preset: str = "default") -> vj.Recording:
     """A log in memory; the last one is kept, for several variants of a log may follow each other."""
-    settings = vj.Settings().read
-    return vj.read_log(path, replace(settings, features=features))
+    return vj.read_log(path, replace(vj.preset(preset).read, features=features))
 
 
 def compared(tracks: vj.Tracks, known: Known) -> Outcome:
@@ -118,12 +117,14 @@ class TrackLog:
     online: bool = False  # no look into the future
     step: int = 1  # every so manieth frame only
     truth: Path | None = None  # None: beside the log
+    preset: str = "default"
 
     def run(self) -> Outcome:
-        recording = recording_of(self.log, self.features)
+        recording = recording_of(self.log, self.features, self.preset)
         recording = replace(recording, frames=recording.frames[:: self.step])
-        settings = vj.online(vj.Settings()) if self.online else vj.Settings()
-        tracks = vj.track(vj.human(), recording, settings)
+        settings = vj.preset(self.preset)
+        body = vj.read_body("human10") if self.preset == "knoop2007" else vj.human()
+        tracks = vj.track(body, recording, vj.online(settings) if self.online else settings)
         known = read_known(self.truth or self.log.with_suffix(".truth.npz"))
         if self.step > 1:  # frames that were left out on purpose are not missed
             kept = np.abs(known.stamps[:, None] - tracks.time_ns[None]).min(1) < NEAR_NS

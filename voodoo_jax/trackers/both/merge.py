@@ -35,7 +35,7 @@ PARTS = tuple(
 # on the choosing half of experiments/stereo and four other rendered logs; of how far both are apart where one is wrong,
 # of 0.2 and 0.3 the better there
 ERRS, ELSE = (0.021, 0.027), 0.2
-THEIRS = ERRS[0] ** 2 / (ERRS[0] ** 2 + ERRS[1] ** 2)  # what counts of the flexible tracker's where both are right
+THEIRS = ERRS[0] ** 2 / (ERRS[0] ** 2 + ERRS[1] ** 2)  # of the flexible tracker's where both are right, as measured
 STEADY = 0.45  # seconds over which both are compared; by hand: 0 to 0.9 are alike
 # metres: of a joint by the flexible tracker alone, and what a metre that both are apart counts for, standard deviations
 # along each axis; measured: 95 % of the truth of five rendered stereo logs is inside
