@@ -12,6 +12,7 @@ from scipy.stats import chi2
 import voodoo_jax as vj
 from experiments.common import NEAR_NS, SKIP, errors, grade, nearest, off
 from voodoo_jax.model.body import segment_lengths
+from voodoo_jax.model.body_file import load_body
 
 INSIDE = float(chi2.ppf(0.95, 3))  # squared Mahalanobis distance that holds 95 % of a normal distribution in space
 WRONG = 0.20  # metres of mean joint error: the log is of somebody or something else, or turned round
@@ -123,7 +124,7 @@ class TrackLog:
         recording = recording_of(self.log, self.features, self.preset)
         recording = replace(recording, frames=recording.frames[:: self.step])
         settings = vj.preset(self.preset)
-        body = vj.read_body("human10") if self.preset == "knoop2007" else vj.human()
+        body = load_body("human10" if self.preset == "knoop2007" else "human")
         tracks = vj.track(body, recording, vj.online(settings) if self.online else settings)
         known = read_known(self.truth or self.log.with_suffix(".truth.npz"))
         if self.step > 1:  # frames that were left out on purpose are not missed
