@@ -21,10 +21,11 @@ from experiments.animals.dogs import BOX, EFFORT, SIZES, moved, steps
 from experiments.common import human, load_dims, log_files
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
-from voodoo_jax.fitting.fit import Seen, TruthLike, track_again, tracked
+from voodoo_jax.fitting.fit import Seen, TruthLike, track_again
 from voodoo_jax.fitting.folds import fit_folds
 from voodoo_jax.fitting.frames import Truth, read_truth
 from voodoo_jax.fitting.judge import judged_by
+from voodoo_jax.fitting.seen import tracked
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.model.body import Body, scaled, without_side
 from voodoo_jax.model.body_file import load_body

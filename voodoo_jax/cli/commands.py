@@ -61,6 +61,8 @@ class Running:
 
     again: bool = False
     """Do logs anew that an earlier run has finished with these settings; else they are skipped."""
+    verbose: bool = False
+    """Print notes that ask for nothing, too, such as how many points were thinned out."""
     workers: int = 0
     """Processes that track one log each; 0: as many as there are cores, memory and logs for."""
     shard: str = ""

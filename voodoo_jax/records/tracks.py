@@ -185,7 +185,7 @@ class Given(Protocol):
 def for_users(tracks: Tracks, log: Given) -> Tracks:
     """Tracks with places in the log's fixed frame, and confidence that counts what was assumed of its calibration, for
     all joints alike; joints that can hardly be trusted with that are named in a note."""
-    tracks = scaled_confidence(given_from(tracks, log.origin), log.sure)
+    tracks = scale_confidence(given_from(tracks, log.origin), log.sure)
     return replace(tracks, notes=(*tracks.notes, *_doubtful(tracks)))
 
 
@@ -196,10 +196,11 @@ def _doubtful(tracks: Tracks) -> list[str]:
         return []
     share = tracks.joint_confidence[tracked].mean(0)
     few = [f"{tracks.joint_names[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
-    return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
+    what = "Doubtful joints (share of the tracked frames in which they are expected within 10 cm)"
+    return [f"{what}: {', '.join(few)}."] if few else []
 
 
-def scaled_confidence(tracks: Tracks, sure: float) -> Tracks:
+def scale_confidence(tracks: Tracks, sure: float) -> Tracks:
     """Tracks of a log whose places are right with the probability `sure` only, for all joints alike."""
     if sure >= 1 or tracks.joint_confidence is None:
         return tracks

@@ -20,7 +20,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
-from voodoo_jax.trackers.icp.confidence import doubted
+from voodoo_jax.trackers.icp.confidence import mark_lost
 from voodoo_jax.trackers.icp.misfit import misfit
 from voodoo_jax.trackers.shared.report import derived_from
 
@@ -243,4 +243,4 @@ def _status(
 ) -> np.ndarray:
     """Status of the tracker of which most is taken; LOST where too few joints are expected to be right."""
     status = np.where(np.mean(choice.share, 1) > 0.5, flexible.status, icp.status)
-    return doubted(status.astype(np.int8), sure, least)
+    return mark_lost(status.astype(np.int8), sure, least)

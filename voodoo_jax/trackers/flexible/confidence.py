@@ -48,7 +48,7 @@ def confidence(found: Seen) -> Float[np.ndarray, "frame point"]:
     return expit(CONSTANT + clues(found) @ np.array(SLOPES))
 
 
-def rated(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: float) -> Tracks:
+def rate_joints(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: float) -> Tracks:
     """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
     be right.
 
