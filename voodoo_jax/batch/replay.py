@@ -99,8 +99,9 @@ def replay(
     finished logs anew; `verbose` prints notes that ask for nothing, too; `workers` processes that track, 0: as many as
     are good for this machine, 1: a copy of this process, or this one where it cannot be copied (see worker_start.py);
     `engine` "batch": in this process, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster;
-    `shard` "2/8": the second of eight parts of the logs only; `compile_cache` folder for compiled programs, "": the user's, "off": none; `log_timeout` seconds after
-    which a log is given up, 0: never; `ray` what each log asks of a Ray cluster.
+    `shard` "2/8": the second of eight parts of the logs only; `compile_cache` folder for compiled programs, "": the
+    user's, "off": none; `log_timeout` seconds after which a log is given up, 0: never; `ray` what each log asks of a Ray
+    cluster.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
