@@ -9,7 +9,7 @@ from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.lying import extent, mostly_lie, who_lies
 from voodoo_jax.detect.raise_floor import with_beds
 from voodoo_jax.detect.stillness import breathes
-from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.records.observation import whole
 from voodoo_jax.records.scene import Scene
 
@@ -31,11 +31,11 @@ def arm(angle: float, on: float = 0.0) -> np.ndarray:
     return out + [2.95, 0.2, on + 0.25]
 
 
-def found(clouds, rng) -> tuple[list[int], Chooser]:
+def found(clouds, rng) -> tuple[list[int], Tracklets]:
     """How many points are taken of each frame."""
-    chooser = Chooser(SCENE, build_of(TALL), DetectSettings(), True)
+    tracklets = Tracklets(SCENE, build_of(TALL), DetectSettings(), True)
     noisy = (cloud + rng.normal(0, 0.004, cloud.shape) for cloud in clouds)
-    return [len(f.points) for f in chooser(frame(c, i) for i, c in enumerate(noisy))], chooser
+    return [len(f.points) for f in tracklets(frame(c, i) for i, c in enumerate(noisy))], tracklets
 
 
 def test_how_things_lie():
@@ -73,9 +73,9 @@ def test_who_lies_on_the_floor_or_a_bed_and_moves_an_arm_is_found(rng, on):
     top = grid((2.5, 3.5), (-1.1, 1.1), 0.03)
     bed = np.concatenate([np.column_stack([top, np.full(len(top), on)]), box(2.5, 0.0, 2.2, on)])
     still = [room(rng), lying(on=on), *([bed] if on else [])]
-    count, chooser = found([np.concatenate([*still, arm(np.sin(i / 5), on)]) for i in range(40)], rng)
+    count, tracklets = found([np.concatenate([*still, arm(np.sin(i / 5), on)]) for i in range(40)], rng)
     assert min(count) > 0.8 * len(lying())
-    assert chooser.finder.scene.floor.offset == pytest.approx(on, abs=0.02)
+    assert tracklets.finder.scene.floor.offset == pytest.approx(on, abs=0.02)
     assert not any(found([np.concatenate(still)] * 40, rng)[0])
 
 
@@ -89,8 +89,8 @@ def test_who_stands_is_followed_though_something_lies_and_moves(rng):
         np.concatenate([lying(x=2.2), arm(np.sin(i / 5)) - [0.75, 0, 0], figure(3.4, 0.5 + 0.02 * i)])
         for i in range(40)
     ]
-    chooser = Chooser(SCENE, build_of(TALL), DetectSettings(), True)
-    assert all(FLOOR.top(f.points) > 1.5 for f in chooser(frame(c, i) for i, c in enumerate(clouds)))
+    tracklets = Tracklets(SCENE, build_of(TALL), DetectSettings(), True)
+    assert all(FLOOR.top(f.points) > 1.5 for f in tracklets(frame(c, i) for i, c in enumerate(clouds)))
 
 
 def test_each_top_may_be_a_bed_and_the_back_of_a_sofa_is_a_wall(rng):

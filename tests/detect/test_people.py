@@ -5,9 +5,8 @@ import pytest
 
 from tests.support.rooms import FLOOR, box, build_of, figure, frame
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.people import Observed, People
 from voodoo_jax.detect.segmentation import BodySegmenter
-from voodoo_jax.detect.target_selection import LOOK, Chooser
+from voodoo_jax.detect.tracklets import LOOK, Observed, Tracklets
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.scene import Scene
@@ -20,11 +19,10 @@ SCENE, SETTINGS = Scene(FLOOR, (), True), DetectSettings(points=100_000)
 
 
 def everybody(clouds, ahead=True) -> tuple[list[list[np.ndarray]], list[np.ndarray]]:
-    """Points of each person in each frame, and those that a chooser gives."""
-    chooser = Chooser(SCENE, build_of(1.75), SETTINGS, ahead)
-    people = People(chooser, SETTINGS, ahead)
-    main = list(chooser(people.watched(frame(cloud, i) for i, cloud in enumerate(clouds))))
-    return [_points(one) for one in people.observed(main)], [f.points for f in main]
+    """Points of each person in each frame, and those of the main one."""
+    tracklets = Tracklets(SCENE, build_of(1.75), SETTINGS, ahead, several=True)
+    main = list(tracklets(frame(cloud, i) for i, cloud in enumerate(clouds)))
+    return [_points(one) for one in tracklets.people(main)], [f.points for f in main]
 
 
 def _points(one: Observed) -> list[np.ndarray]:
@@ -82,7 +80,7 @@ def test_what_never_moves_is_nobody_and_changes_nothing():
     walks = [np.concatenate([coats, figure(3.0, 0.6 + 0.03 * i, 1.6)]) for i in range(40)]
     found, main = everybody(walks)
     assert not found
-    alone = [f.points for f in Chooser(SCENE, build_of(1.75), SETTINGS)(frame(c, i) for i, c in enumerate(walks))]
+    alone = [f.points for f in Tracklets(SCENE, build_of(1.75), SETTINGS)(frame(c, i) for i, c in enumerate(walks))]
     for points, as_before in zip(main, alone, strict=True):
         np.testing.assert_array_equal(points, as_before)
 

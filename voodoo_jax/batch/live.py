@@ -148,7 +148,7 @@ def _followed(
     """Tracks all frames and gives them out."""
     pace, said = Pace(), time.monotonic()
     times: dict[int, tuple[float | None, int | None]] = {}  # of frames that are not given out yet
-    chooser, seen = watched(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
+    tracklets, seen = watched(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
 
     def give(found: list[Tracks]) -> None:
         nonlocal said
@@ -165,7 +165,7 @@ def _followed(
     for observation in seen:
         at = observation.time_ns
         times[at] = live.arrived.get(at), live.log_times.get(at)
-        give(tracker.add(observation, chooser.finder.scene))
+        give(tracker.add(observation, tracklets.finder.scene))
     give(tracker.end())
     return pace
 

@@ -1,6 +1,6 @@
 """Who lies on the floor, a bed or a sofa: what is low, long and no larger than a body. Host side, NumPy.
 
-Carpets, mattresses and dogs may be so, too: it is for others to ask whether such a thing moves (target_selection).
+Carpets, mattresses and dogs may be so, too: it is for others to ask whether such a thing moves (tracklets).
 """
 
 from typing import NamedTuple

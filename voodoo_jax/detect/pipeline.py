@@ -19,11 +19,10 @@ from voodoo_jax.detect.drop_planar_furniture import DropPlanarFurniture
 from voodoo_jax.detect.drop_seen_apart import DropSeenApart
 from voodoo_jax.detect.drop_wide_still import DropWideStill
 from voodoo_jax.detect.find_gravity import FindGravity
-from voodoo_jax.detect.people import People
 from voodoo_jax.detect.raise_floor import RaiseFloor
 from voodoo_jax.detect.stage import SCENE_EVERY, SCENE_FRAMES, Named, PointStage, SceneStage, Surroundings, Target
 from voodoo_jax.detect.steady_sensors import SteadySensors
-from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.detect.weigh_by_noise import WeighByNoise
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.rest_shape import rest_box, rest_height
@@ -53,19 +52,19 @@ def find_body(
 
     **Arguments:** `up_is_given` a user has said it: nothing else is looked for.
     """
-    chooser, seen = watched(frames, up, body, settings, up_is_given)
+    tracklets, seen = watched(frames, up, body, settings, up_is_given)
     kept = spilled(seen)
-    return chooser.finder.scene, kept  # the floor may have been found with the body
+    return tracklets.finder.scene, kept  # the floor may have been found with the body
 
 
 def watched(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
-) -> tuple[Chooser, Iterator[BodyObservation]]:
-    """The points of the main person (or body), one frame after the other as they come, and who chooses them, who knows
-    floor and walls; as `find_body`. A few first frames are taken at once."""
+) -> tuple[Tracklets, Iterator[BodyObservation]]:
+    """The points of the main person (or body), frame by frame as they come, and what follows them, which knows floor
+    and walls; as `find_body`. A few first frames are taken at once."""
     found = surroundings(frames, up, body, settings, up_is_given)
-    chooser = Chooser(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
-    return chooser, iter(_corrected(chooser(found.frames), chooser, body, settings))
+    tracklets = Tracklets(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
+    return tracklets, iter(_corrected(tracklets(found.frames), tracklets, body, settings))
 
 
 def find_people(
@@ -76,16 +75,15 @@ def find_people(
     if settings.detect.people == 1:
         return [Subject(1, *find_body(frames, up, body, settings, up_is_given))]
     found = surroundings(frames, up, body, settings, up_is_given)
-    chooser = Chooser(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
-    people = People(chooser, settings.detect, settings.looks_ahead("detect"))
-    seen = spilled(chooser(people.watched(found.frames)))
+    tracklets = Tracklets(found.scene, found.build, settings.detect, settings.looks_ahead("detect"), several=True)
+    seen = spilled(tracklets(found.frames))
 
     def subject(number: int, target: Target, frames: Iterable[BodyObservation]) -> Subject:
         kept = spilled(_corrected(frames, target, body, settings))
         return Subject(number, target.finder.scene, kept)  # the floor may have been found with the body
 
-    everybody = people.observed(seen)[: settings.detect.people or None]
-    return [subject(k, one, one.frames) for k, one in enumerate(everybody, 1)] or [subject(1, chooser, seen)]
+    everybody = tracklets.people(seen)[: settings.detect.people or None]
+    return [subject(k, one, one.frames) for k, one in enumerate(everybody, 1)] or [subject(1, tracklets, seen)]
 
 
 def only_named(

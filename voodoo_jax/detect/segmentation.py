@@ -147,11 +147,11 @@ class BodySegmenter:
     ) -> BodyObservation:
         """What is seen of the body in a frame, but for what is near points that are `taken` by others; `mine`: which
         points may be its own, None: all."""
-        clear = frame if isinstance(frame, Cleared) else self._cleared_near(frame)
+        clear = frame if isinstance(frame, Cleared) else self.cleared_near(frame)
         known, sure, index = self._own(clear, taken, mine)
         if self.last is not None and len(sure) and np.median(KDTree(self.last).query(sure)[0]) > self.settings.move:
             self.last = None  # the body is somewhere else than thought
-            clear = frame if isinstance(frame, Cleared) else self._cleared_near(frame)
+            clear = frame if isinstance(frame, Cleared) else self.cleared_near(frame)
             known, sure, index = self._own(clear, taken, mine)
         index, distant = self._near(clear, index)
         index = index[fair_share(clear.seen.sensor[index], 20_000)] if len(index) > 20_000 else index
@@ -195,7 +195,7 @@ class BodySegmenter:
         before, sensor = in_the_way(whole(clear.frame), clear.index[index], self.scene.floor)
         return replace(seen, before=before, before_sensor=sensor) if len(before) else seen
 
-    def _cleared_near(self, frame: Frame | BodyObservation) -> Cleared:
+    def cleared_near(self, frame: Frame | BodyObservation) -> Cleared:
         """What is looked at of a frame for this body alone."""
         wholly = self.last is None or self.surveys(frame.time_ns)
         return self.cleared(frame, self.share, None if wholly else [self.around(frame.time_ns)])

@@ -13,7 +13,7 @@ from jaxtyping import Float32, Float64, UInt8
 from voodoo_jax.config.options import FlexibleSettings, Settings
 from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.detect.pipeline import watched
-from voodoo_jax.detect.target_selection import Chooser
+from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame, Picture, Rays
@@ -214,19 +214,19 @@ def observe(
     """Reads features and finds the person's points. Raises Unsuitable."""
     watching = Watching(settings, source)
     try:
-        chooser, found = watched(watching(frames), up, body, settings)
-        watching.near = partial(_near, chooser)
+        tracklets, found = watched(watching(frames), up, body, settings)
+        watching.near = partial(_near, tracklets)
         people = spilled(found)
-        return watching.observed(people, chooser.finder.scene)  # now, for the floor may have been found with the body
+        return watching.observed(people, tracklets.finder.scene)  # now, for the floor may have been found with the body
     except BaseException:
         watching.close()
         raise
 
 
-def _near(chooser: Chooser, time_ns: int) -> Near | None:
+def _near(tracklets: Tracklets, time_ns: int) -> Near | None:
     """Where depth is needed in a frame of that time; None: everywhere."""
-    points = chooser.near_only(time_ns)
-    seconds = (time_ns - chooser.finder.last_ns) / 1e9
+    points = tracklets.near_only(time_ns)
+    seconds = (time_ns - tracklets.finder.last_ns) / 1e9
     return None if points is None else Near(points, _BESIDE + _FASTEST * max(seconds, 0.0))
 
 

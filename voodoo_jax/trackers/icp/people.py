@@ -11,7 +11,7 @@ from itertools import permutations
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int8
 
-from voodoo_jax.detect.people import CLOSE
+from voodoo_jax.detect.tracklets import CLOSE
 from voodoo_jax.detect.visibility import has_far_sides
 from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject

@@ -8,8 +8,9 @@ import pytest
 from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import candidate
+from voodoo_jax.detect.motion import ENOUGH, Motion
 from voodoo_jax.detect.segmentation import BodySegmenter
-from voodoo_jax.detect.target_selection import ENOUGH, HELD, PATIENCE, Chooser, Follower
+from voodoo_jax.detect.tracklets import HELD, PATIENCE, Tracklets
 from voodoo_jax.records.observation import whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -20,9 +21,9 @@ COATS = figure(3.2, -0.6, 1.75)  # on a stand: as high and wide as a person
 SETTINGS = DetectSettings()
 
 
-def chosen(clouds, ahead=True) -> tuple[list[np.ndarray], Chooser]:
-    chooser = Chooser(SCENE, build_of(1.75), SETTINGS, ahead)
-    return [f.points for f in chooser(frame(c, i) for i, c in enumerate(clouds))], chooser
+def chosen(clouds, ahead=True) -> tuple[list[np.ndarray], Tracklets]:
+    tracklets = Tracklets(SCENE, build_of(1.75), SETTINGS, ahead)
+    return [f.points for f in tracklets(frame(c, i) for i, c in enumerate(clouds))], tracklets
 
 
 def of_person(points) -> bool:
@@ -41,9 +42,9 @@ def test_without_looking_ahead_the_coats_are_likelier():
 
 @pytest.mark.parametrize("still", [0, 40])
 def test_the_one_that_moves_is_the_body_from_the_first_frame_on(still):
-    got, chooser = chosen(waits_then_walks(still, 30))
+    got, tracklets = chosen(waits_then_walks(still, 30))
     assert len(got) == still + 30 and all(map(of_person, got))
-    assert chooser.finder.last is not None and of_person(chooser.finder.last)
+    assert tracklets.finder.last is not None and of_person(tracklets.finder.last)
 
 
 def test_who_may_not_wait_changes_over_once_it_is_known():
@@ -55,8 +56,8 @@ def test_who_may_not_wait_changes_over_once_it_is_known():
 def test_the_frame_says_so_from_which_on_something_else_is_taken():
     changed = {}
     for ahead in (True, False):
-        chooser = Chooser(SCENE, build_of(1.75), SETTINGS, ahead)
-        got = list(chooser(frame(c, i) for i, c in enumerate(waits_then_walks(40, 60))))
+        tracklets = Tracklets(SCENE, build_of(1.75), SETTINGS, ahead)
+        got = list(tracklets(frame(c, i) for i, c in enumerate(waits_then_walks(40, 60))))
         changed[ahead] = [i for i, f in enumerate(got) if f.other]
         right = [of_person(f.points) for f in got]
     assert changed == {True: [], False: [right.index(True)]}
@@ -76,7 +77,7 @@ def test_a_body_of_many_more_points_than_are_kept_is_thinned_before_all_else():
     # of two sensors one may see little
     double = [replace(f, origins=np.repeat(f.origins, 2, 0)) for f in single]
     every, one, two = (
-        [f.points for f in Chooser(SCENE, build_of(1.75), s)(frames)]
+        [f.points for f in Tracklets(SCENE, build_of(1.75), s)(frames)]
         for s, frames in ((many, single), (some, single), (some, double))
     )
     assert len(every[-1]) > 4 * some.points  # else this tells nothing
@@ -89,7 +90,7 @@ def test_nobody_moves():
     """The likeliest is taken, as if nothing else were there; frames come out before the log ends."""
     clouds = [np.concatenate([COATS, figure(3.0, 0.6, 1.6)])] * (HELD + 5)
     frames = iter([frame(c, i) for i, c in enumerate(clouds)])
-    out = Chooser(SCENE, build_of(1.75), SETTINGS)(frames)
+    out = Tracklets(SCENE, build_of(1.75), SETTINGS)(frames)
     first = next(out)
     assert sum(1 for _ in frames) == 5 and not of_person(first.points)
 
@@ -109,7 +110,7 @@ def test_a_passer_by_is_not_taken_for_somebody_who_moves_too():
 def test_what_is_known_is_no_longer_compared(monkeypatch):
     """Once the body has moved, each frame is looked at once."""
     calls, one = [], BodySegmenter.__call__
-    monkeypatch.setattr(BodySegmenter, "__call__", lambda self, *seen: calls.append(self) or one(self, *seen))
+    monkeypatch.setattr(BodySegmenter, "__call__", lambda self, *a, **b: calls.append(self) or one(self, *a, **b))
     clouds = [np.concatenate([COATS[::3], figure(2.0, 0.4 + 0.03 * i)]) for i in range(100)]
     assert len(chosen(clouds)[0]) == 100
     assert 100 + ENOUGH < len(calls) < 100 + 3 * ENOUGH and len(set(calls[-20:])) == 1
@@ -138,10 +139,10 @@ class Told(BodySegmenter):
 
 def moved(clouds, near: float, far: float) -> int:
     """In how many frames what is so far ahead of the sensor is thought to have moved."""
-    follower = Follower(Told(near, far))
+    finder, motion = Told(near, far), Motion()
     for i, cloud in enumerate(clouds):
-        follower(frame(cloud, i))
-    return follower.moved
+        motion.note(finder(seen := frame(cloud, i)), seen, False, None)
+    return motion.moved
 
 
 @pytest.mark.parametrize("step", [(0.0, 0.03), (0.0, -0.02), (-0.03, 0.0), (0.03, 0.01)])
@@ -186,10 +187,11 @@ class Between(Told):
 def test_for_a_camera_that_goes_round_a_thing_it_has_not_moved(standing):
     """Other sides of it are seen, and those seen before no longer."""
     frames = going_round(standing)
-    cupboard, person = Follower(Between(-1.1, -0.1)), Follower(Between(0.4, 1.2))
+    finders, (cupboard, person) = (Between(-1.1, -0.1), Between(0.4, 1.2)), (Motion(), Motion())
     for seen in frames:
-        cupboard(seen), person(seen)
-    assert cupboard.there == 50 and cupboard.moved == 0
+        for finder, motion in zip(finders, (cupboard, person)):
+            motion.note(finder(seen), seen, False, None)
+    assert cupboard.seen == 50 and cupboard.moved == 0
     assert person.moved == 0 if standing else person.moved > 30
 
 
@@ -197,7 +199,7 @@ def test_who_was_followed_all_the_time_is_taken_from_the_beginning_on():
     """The camera turns away from coats, which were likelier, to somebody who goes away much later."""
     clouds = [np.concatenate([COATS, figure(3.0, 0.6, 1.6)])] * 12
     clouds += [figure(3.0, 0.6 + 0.04 * max(0, i - 60), 1.6) for i in range(100)]
-    got, chooser = chosen(clouds)
+    got, tracklets = chosen(clouds)
     assert len(got) == 112 and all(map(of_person, got))
 
 
@@ -210,14 +212,18 @@ def test_of_what_more_is_seen_from_the_second_frame_on_has_not_moved():
 def test_who_was_mixed_up_with_something_is_found_again():
     """What is followed as another thing ends up at the likeliest one, as somebody may who passes close by it."""
     person = [figure(3.0, 0.6 + 0.03 * max(0, i - 8), 1.6) for i in range(60)]
-    chooser = Chooser(SCENE, build_of(1.75), SETTINGS)
+    tracklets = Tracklets(SCENE, build_of(1.75), SETTINGS)
     clouds = iter([frame(np.concatenate([COATS, p]), i) for i, p in enumerate(person)])
-    for _ in range(6):
-        chooser._follow(next(clouds))
-    (other,) = chooser._others
-    other.finder.last = chooser.finder.last
-    got = [f.points for f in chooser(clouds)]
-    assert len(got) == 60 and not any(map(len, got[:6])) and all(map(of_person, got[11:]))
+    first = [next(clouds) for _ in range(6)]
+
+    def mixed_up():
+        yield from first
+        (other,) = (t for t in tracklets.followed if t is not tracklets.main)
+        other.finder.last = tracklets.finder.last
+        yield from clouds
+
+    got = [f.points for f in tracklets(mixed_up())]
+    assert len(got) == 60 and all(map(of_person, got[11:]))
 
 
 def test_the_fourth_thing_may_be_the_one_that_moves():
@@ -234,7 +240,7 @@ def test_assigned_points_need_no_choice():
     points = np.concatenate([COATS, person]).astype(np.float32)
     part = np.where((np.arange(len(points)) >= len(COATS)) & (points[:, 2] > 1.4), 0, -1).astype(np.int32)
     seen = Frame(0, points, np.zeros(len(points), np.int32), ORIGIN, part=part, parts=("head",))
-    got = next(Chooser(SCENE, build_of(1.75), SETTINGS)(iter([seen] * 3)))
+    got = next(Tracklets(SCENE, build_of(1.75), SETTINGS)(iter([seen] * 3)))
     assert of_person(got.points)
 
 
@@ -269,5 +275,5 @@ def test_who_may_not_wait_gets_frames_one_by_one():
             asked.append(i)
             yield frame(figure(2.5, 0.0), i)
 
-    stream = Chooser(SCENE, build_of(1.75), SETTINGS, False)(source())
+    stream = Tracklets(SCENE, build_of(1.75), SETTINGS, False)(source())
     assert len(next(stream).points) > 100 and asked == [0]

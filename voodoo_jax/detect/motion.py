@@ -1,0 +1,150 @@
+"""Whether a thing moves as no furniture does: how it is seen in a frame beside how it was before. Host side, NumPy.
+
+What comes out from behind something else has not moved; what was seen through before, and is full now, has.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float32, Int
+
+from voodoo_jax.detect.drop_motionless import DropMotionless
+from voodoo_jax.detect.lying import extent
+from voodoo_jax.detect.stillness import NOISE, directions, filled, seen_long
+from voodoo_jax.detect.visibility import Nearest
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.point_cloud import fair_share
+from voodoo_jax.geometry.voxels import Cells, cells_of, touching
+from voodoo_jax.records.observation import BodyObservation, whole
+from voodoo_jax.records.recording import Frame
+
+CELL = 0.05  # metres: what is in the next cell but one has moved
+MOVED = 0.03  # of a thing's points that are where it was not, and of its places where it is no more: it has moved
+SHAKEN = 0.4  # the same where sensors shake: they may turn as floor and walls do not tell
+EVERY = 2  # frames: so often it is asked
+AWAY, EMPTY = 0.4, 0.2  # metres from where it was, its middle, and so much of that empty: it has moved in any case
+SLID = 0.7  # metres from where it was, its middle, though low and long, as dogs and carts go; by hand
+LEFT = 3.0  # times as much of it may be in new places as is no longer in old ones: arms hang before the trunk
+FLICKER = 2.0  # times as much must have moved since the first frame than since the last one: noise comes and goes
+ENOUGH = 15  # frames in which it is elsewhere: a thing that moves by itself
+LITTLE = 4  # frames in which what moves at all is elsewhere, at the end of waiting
+STIRRED = 10  # frames in which an arm or so of them is where nothing was: who moves no more than that; by hand
+BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
+ASKS = DropMotionless()  # of which directions it is asked whether they move, and when
+# of these: of people who stand still 80 % move or more, of a cupboard before which somebody moves a third (measured)
+SWAYING = 0.6
+MOSTLY = 0.5  # of the frames in which they were seen: who moves in so many is a person, however few they are; by hand
+WENT = 0.05  # metres from where it was: a sensor that sees other sides of things
+MANY = 20_000  # points of a frame by which it is asked what hides what
+TELLING = 30  # points of a thing in a frame, at least, as in segmentation
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How a thing was seen in a frame."""
+
+    points: Float32[np.ndarray, "point 3"]
+    sensor: Int[np.ndarray, " point"]
+    cells: Cells
+    place: Float32[np.ndarray, "3"]  # its middle
+    around: Nearest  # what else was seen
+    whole: BodyObservation  # all that was seen, or a fair share
+
+    @classmethod
+    def of(cls, seen: BodyObservation, frame: Frame | BodyObservation) -> "Sight":
+        """Of the thing with the points that were `seen` in a frame."""
+        cells = cells_of(seen.points, CELL)
+        some = whole(frame).only(fair_share(frame.sensor, MANY))
+        others = some.only(~touching(cells_of(some.points, CELL), cells))
+        around = Nearest.of(others.points, others.sensor, others.origins)
+        return cls(seen.points, seen.sensor, cells, np.median(seen.points, 0), around, some)
+
+    @cached_property
+    def everything(self) -> Nearest:
+        """The nearest of all that was seen."""
+        return Nearest.of(self.whole.points, self.whole.sensor, self.whole.origins)
+
+    def gone_from(self, before: "Sight") -> float:
+        """The share of where it was before in which it is no longer; what something else hides now does not count, nor,
+        for a sensor that goes round a thing, what it does not see through."""
+        gone = ~touching(before.cells, self.cells)
+        points, sensor = before.points[gone], before.sensor[gone]
+        here, there = self.whole.origins, before.whole.origins
+        if np.linalg.norm(here - there, axis=1).max() > WENT:
+            gone[gone] = self.everything.empty(points, sensor)
+        else:
+            gone[gone] = ~self.around.hides(points, sensor)
+        return float(np.mean(gone))
+
+    def newly_in(self, before: "Sight") -> float:
+        """The share of it that is where its sensor saw through before."""
+        new = ~touching(self.cells, before.cells)
+        new[new] = before.everything.empty(self.points[new], self.sensor[new])
+        return float(np.mean(new))
+
+    def elsewhere(self, before: "Sight") -> float:
+        """How much of it is where it was not before; nothing unless it is no longer in some place where it was."""
+        return min(before.gone_from(self), LEFT * self.gone_from(before))
+
+
+class Motion:
+    """How a thing has moved since it was found: numbers of frames in which it was seen, and in which it was
+    elsewhere."""
+
+    def __init__(self) -> None:
+        self.seen = 0
+        self.moved = 0  # it was where it was not at first, and no longer where it was
+        self.went = 0  # of these: its middle was far from where it was
+        self.slid = 0  # likewise, low and long: no one lies so
+        self.stirred = 0  # it was where nothing was before, if it left no place for that
+        self.alive = False  # known by what `sways`
+        self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
+
+    def note(self, seen: BodyObservation, frame: Frame | BodyObservation, alone: bool, lying_on: Plane | None) -> None:
+        """Takes account of what was seen of it in a frame.
+
+        **Arguments:** `alone` it is known that no other thing touches it; `lying_on` the floor, if it was found as
+        somebody who lies there.
+        """
+        if len(seen.points) >= TELLING:
+            if self.seen % EVERY == 0:
+                self._compare(Sight.of(seen, frame), alone, lying_on)
+            self.seen += 1
+
+    def _compare(self, now: Sight, alone: bool, lying_on: Plane | None) -> None:
+        """With how it was seen when it was found, and when it was compared before."""
+        first, last = self._sights or (now, now)
+        # of what is known of more and more of it the middle moves, too
+        away = np.linalg.norm(now.place - first.place) > AWAY and now.gone_from(first) > EMPTY
+        least = SHAKEN if now.whole.T_fixed_steady is not None else MOVED
+        changed, new = now.elsewhere(first) - least, now.newly_in(first) if alone else 0.0
+        if new > least and new > FLICKER * now.newly_in(last):
+            self.stirred += EVERY
+        if lying_on is not None and np.linalg.norm(now.place - first.place) > SLID:
+            self.slid += EVERY * extent(now.points, lying_on).lies
+        if changed > 0 and (away or changed > FLICKER * now.elsewhere(last)):
+            self.moved += EVERY
+            self.went += EVERY * bool(away)
+        self._sights = first, now
+
+    @property
+    def enough(self) -> bool:
+        """Whether it has moved as no thing does."""
+        return self.moved >= ENOUGH
+
+    @property
+    def is_persons(self) -> bool:
+        """Whether it is a person by how it has moved."""
+        return (self.alive or self.enough or self.went >= LITTLE or self.stirred >= STIRRED) and self.seen >= BRIEF
+
+    def sways(self, frames: Sequence[BodyObservation]) -> bool:
+        """Whether it moves as who stands still does, by millimetres, or in most of the few frames that there are: then
+        it is a person from now on. `frames`: the last ones."""
+        self.alive |= self.moved >= max(LITTLE, MOSTLY * self.seen)
+        if not self.alive and seen_long(frames, ASKS.frames, ASKS.seconds):
+            found = directions(frames)
+            asked = filled(found) & (found.often >= ASKS.often)
+            self.alive = bool(asked.sum() >= ASKS.fewest and np.mean(found.ratio[asked] < NOISE) > SWAYING)
+        return self.is_persons

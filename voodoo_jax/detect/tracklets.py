@@ -1,0 +1,485 @@
+"""Everything in view that may be a body, each followed from when it comes until it leaves: tracklets. Which of them is
+the main one is decided once one has moved as no thing does; at the end, who is a person. Host side, NumPy.
+
+A wardrobe looks like a body to a sensor, and is there before it. What is near two people goes to the nearer one, by
+where they were in the frame before. Who was hidden or away for a while is known again by height and place.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float32, Int8
+from scipy.spatial import KDTree
+
+from voodoo_jax.config.options import DetectSettings
+from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.disk_buffer import Spill
+from voodoo_jax.detect.motion import ASKS, CELL, LITTLE, Motion
+from voodoo_jax.detect.raise_floor import with_beds
+from voodoo_jax.detect.segmentation import ENOUGH, SPEED, STEP, STILL, TELLING, BodySegmenter, Cleared
+from voodoo_jax.detect.stillness import Stillness, breathes, seen_long
+from voodoo_jax.detect.visibility import Nearest
+from voodoo_jax.geometry.point_cloud import inside, picked, quantile
+from voodoo_jax.geometry.voxels import about_within, cells_of, touching, unique_cells
+from voodoo_jax.records.observation import BodyObservation, assigned, whole
+from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
+
+FAIR = 6  # times as long another thing must have moved than the likeliest one
+LOOK = 10  # frames after which other things are looked for
+MOST = 4  # of them
+HELD = 300  # frames of points that wait until it is known which thing is the body
+PATIENCE = 60  # frames: who may not wait does not take another thing for the body before
+LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
+SOME = 600  # points of somebody by which it is told who is nearer; by hand
+AGAIN = 6  # looks for others, of which one goes through all that is there: about two seconds; by hand
+IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
+PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
+AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
+LIKELY = 0.06  # of what is likeliest to be a body: a child of 1.1 m is so much less so than an adult; by hand
+LIKE = 0.07  # metres of height: who differs by more is somebody else; by hand
+CLOSE = 0.15  # metres, and twice that: whose points are so near to each other may be mixed up; by hand
+WATCHED = 150  # frames, the last ones, by which it is asked whether somebody sways; five seconds, by hand
+HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
+WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
+SLOW = 0.3  # metres per second: who is slower stands; by hand
+BLIND = 1.5  # seconds for which somebody whom nobody sees is thought to walk on; by hand
+ALL = 6  # things that are followed at once, at most; by hand
+NONE = np.zeros(0, int)
+
+
+class Tracklet:
+    """One thing of a body's shape from when it came into view until it left, or was hidden for long.
+
+    **Arguments:** `first` number of the first frame; `before` what the same finder followed until it was lost.
+    """
+
+    def __init__(self, finder: BodySegmenter, first: int, before: "Tracklet | None" = None):
+        self.finder, self.first, self.before = finder, first, before
+        self.motion, self.frames = Motion(), Spill()
+        self.since = self.last = -1  # frames in which it was seen for the first and the last time
+        self.born_ns = 0
+        self.now: BodyObservation | None = None  # what was seen of it in the last frame
+        self._tops: list[float] = []  # heights above the floor, of each frame in which it was seen
+        self.places: list[np.ndarray] = []  # of the first and last of these: where it was
+        self._way: deque[tuple[float, np.ndarray]] = deque()  # time in seconds, and place, while nothing hid it
+
+    @property
+    def seen(self) -> int:
+        """Number of frames in which it was."""
+        return len(self._tops)
+
+    @property
+    def is_person(self) -> bool:
+        return self.motion.is_persons
+
+    @property
+    def height(self) -> float:
+        """Of who stands upright most of the time, metres."""
+        return float(np.percentile(self._tops, 80)) if self._tops else np.nan
+
+    def sways(self) -> bool:
+        """Whether it is a person, as is asked of who stands still."""
+        return self.is_person or self.motion.sways(self.frames.frames()[-WATCHED:])
+
+    def add(self, frame: BodyObservation, number: int) -> None:
+        """What was seen of it in the next frame."""
+        self.frames.append(frame)
+        self.now = frame
+        if len(frame.points) < TELLING:
+            return
+        floor = self.finder.scene.floor
+        if not self._tops:
+            self.since, self.born_ns = number, frame.time_ns
+        self.last = number
+        self._tops.append(floor.top(frame.points))
+        place = quantile(floor.level(frame.points), 0.5)
+        self.places = [*self.places[:1], place]
+        if not self.finder.hidden:
+            self._way.append((frame.time_ns / 1e9, place))
+            while self._way[-1][0] - self._way[0][0] > WAY:
+                self._way.popleft()
+
+    def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
+        """Takes care that what others hide of it now is known for its own when it comes out again: where it was
+        seen `before`, so many seconds ago, counts on where no sensor sees it."""
+        finder = self.finder
+        finder.hidden = False
+        if before is None or finder.last is None:
+            return
+        some = before[:: len(before) // SOME + 1]
+        hidden = np.ones(len(some), bool)
+        for sensor in range(len(others.origins)):
+            hidden &= others.hides(some, np.full(len(some), sensor))
+        finder.hidden = bool(hidden.mean() > HIDDEN)
+        if finder.hidden:
+            # who walks on does so behind somebody, too
+            some = some[hidden] + self._velocity() * np.float32(seconds)
+            if not finder.unseen:
+                some = some[~touching(cells_of(some, STILL), cells_of(finder.last, STILL))]
+                finder.last = np.concatenate([finder.last, some])
+            elif finder.unseen * seconds < BLIND:
+                finder.last = np.concatenate([some, before[:: len(before) // SOME + 1][~hidden]])
+
+    def _velocity(self) -> Float32[np.ndarray, "3"]:
+        """Level, when it was wholly seen for the last time; metres per second."""
+        if not self._way:
+            return np.zeros(3, np.float32)
+        (began, first), (ended, last) = self._way[0], self._way[-1]
+        speed = (last - first) / max(ended - began, 1e-3)
+        walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
+        return (speed if walks else 0 * speed).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Somebody in a recording: what was seen of them in each frame, and the scene they are in."""
+
+    finder: BodySegmenter
+    settings: DetectSettings
+    frames: list[BodyObservation]
+    stillness: Stillness = field(default_factory=Stillness)
+
+
+class Tracklets:
+    """Follows everything that may be a body, and gives the main one's points frame by frame.
+
+    `ahead`: frames wait until it is known which one that is (HELD of them at most); else each is given at once, of what
+    is likeliest then. `several`: others are looked for and followed after that, too.
+    """
+
+    def __init__(self, scene: Scene, body: Build, settings: DetectSettings, ahead: bool = True, several: bool = False):
+        self.settings, self.ahead, self.several, self.stillness = settings, ahead, several, Stillness()
+        self.main = Tracklet(BodySegmenter(scene, body, settings), 0)  # what is taken for the main one by now
+        self.followed, self._ended = [self.main], list[Tracklet]()
+        self.known = False  # which one is the main one
+        self._number = self._last_ns = 0  # of the frame
+        self._waiting: list[BodyObservation] = []  # frames that were not given yet, without points
+        self._given: BodySegmenter | None = None  # of what was last given
+        self._things: list[np.ndarray] = []  # points of what has not moved for long
+        self._passed = np.zeros((0, 3), np.int32)  # where things are among which nobody was found: see BodySegmenter
+        self._recent: deque[tuple[Frame, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
+        self._steps = 0  # by so many the share of a frame's points is less that is looked at
+
+    @property
+    def finder(self) -> BodySegmenter:
+        """That of what is taken for the main one by now."""
+        return self.main.finder
+
+    def near_only(self, time_ns: int) -> Float32[np.ndarray, "point 3"] | None:
+        """As that of the segmenter; None too for as long as other things are compared with the main one."""
+        return self.finder.near_only(time_ns) if self.known else None
+
+    def __call__(self, frames: Iterable[Frame]) -> Iterator[BodyObservation]:
+        for frame in frames:
+            self._see(frame)
+            self._waiting.append(whole(frame).only(NONE))
+            full = len(self._waiting) >= HELD
+            if not self.known:
+                self._decide(bool(assigned(frame).any()), full)
+            self._number += 1
+            if self.known or full or not self.ahead:
+                yield from self._release()
+        if not self.known:
+            self._decide(full=True)
+        yield from self._release()
+
+    # -- frame by frame
+
+    def _see(self, frame: Frame) -> None:
+        main, alone = self.main, len(self.followed) == 1
+        looks = self._number % LOOK == 0 and (self.several or not self.known) and len(self.followed) < ALL
+        if alone and self.known:
+            # of several sensors one may have few points
+            main.finder.thins = len(frame.origins) == 1
+            main.add(main.finder(frame), self._number)
+        if looks or not (alone and self.known):
+            finders = [t.finder for t in self.followed]
+            wholly = looks or any(f.last is None or f.surveys(frame.time_ns) for f in finders)
+            boxes = None if wholly else [f.around(frame.time_ns) for f in finders]
+            share = main.finder.share if alone else STEP**self._steps
+            clear = main.finder.cleared(frame, share, boxes)
+            if not (alone and self.known):
+                self._follow(clear, looks)
+        self._recent.append((frame, [t.finder.last for t in self.followed if t.finder.last is not None]))
+        if looks and (self._recent[-1][1] or not self.known):
+            self._look(frame, clear, list(self._recent[-1][1]))
+        self._renew()
+
+    def _follow(self, clear: Cleared, looks: bool) -> None:
+        """Shares the points out among all that are followed, the nearer ones to the sensors first."""
+        self.followed.sort(key=lambda t: t.finder.unseen)
+        seen, seconds = clear.seen, max(0.0, (clear.time_ns - self._last_ns) / 1e9)
+        self._last_ns = clear.time_ns
+        alone = len(self.followed) == 1
+        before = [t.finder.last for t in self.followed]
+        nobody = np.full(len(seen.points), -1, np.int8)
+        owner = nobody if alone else _owners(seen, [t.finder for t in self.followed], self.settings.move)
+        for k, tracklet in enumerate(self.followed):
+            finder = tracklet.finder
+            tracklet.add(found := finder(clear, mine=None if alone else (owner == k) | (owner < 0)), self._number)
+            owner[finder.taken] = k
+            if not self.known or (tracklet is not self.main and not tracklet.is_person):
+                others = [p for j, p in enumerate(before) if j != k and p is not None]
+                # by an arm alone somebody is known who stands still else, unless it may be another one's
+                near = before[k]
+                apart = not alone and near is not None and not _beside(near, others)
+                tracklet.motion.note(found, clear.frame, apart, finder.scene.floor if finder.lies else None)
+        if not alone:
+            self._hide(seen, owner, before, seconds)
+        self._leave(clear.time_ns, looks)
+        people = all(t.is_person for t in self.followed)
+        # of fewer points it cannot be told who sways
+        self._thin(len(seen.origins) == 1 and people and len(self.followed) > 1)
+
+    def _hide(
+        self, seen: BodyObservation, owner: Int8[np.ndarray, " point"], before: Sequence[np.ndarray | None],
+        seconds: float,
+    ) -> None:  # fmt: skip
+        """Tells all what the others hide of them."""
+        owned = np.flatnonzero(owner >= 0)
+        owned = owned[:: len(owned) // (SOME * len(before)) + 1]
+        whose, points = owner[owned], picked(seen.points, owned)
+        nearest = Nearest.shared(points, seen.sensor[owned], seen.origins)
+        for k, tracklet in enumerate(self.followed):
+            tracklet.keep_hidden(before[k], nearest(whose != k), seconds)
+
+    def _leave(self, time_ns: int, looks: bool) -> None:
+        """Follows no longer what was lost, what another one follows, and what has not moved for long."""
+        for tracklet in list(self.followed):
+            others = [t for t in self.followed if t is not tracklet and t.seen >= tracklet.seen]
+            if tracklet is not self.main and tracklet.finder.last is None:
+                self._end(tracklet)
+            elif looks and any(same(tracklet, t) for t in others):
+                self._end(tracklet)
+            elif tracklet is self.main or tracklet.is_person or time_ns - tracklet.born_ns <= IDLE_NS:
+                continue
+            elif (last := tracklet.finder.last) is not None and not tracklet.sways():
+                self._things.append(last[:: max(1, len(last) // SOME)])
+                self.followed.remove(tracklet)
+
+    def _end(self, tracklet: Tracklet) -> None:
+        self.followed.remove(tracklet)
+        if tracklet.seen and (tracklet.is_person or tracklet.sways()):
+            self._ended.append(tracklet)
+
+    def _renew(self) -> None:
+        """Where the main one is lost somebody else is it, if they have moved as much; or it is looked for anew."""
+        main = self.main
+        if main in self.followed and (main.finder.last is not None or not main.seen):
+            return
+        if main in self.followed:
+            self._end(main)
+        others = [t for t in self.followed if t.finder.last is not None and (t.is_person or not self.known)]
+        best = max(others, key=lambda t: t.motion.moved, default=None)
+        if best is not None and best.motion.moved >= max(main.motion.moved, LITTLE):
+            self.main = best
+        else:
+            self.main = Tracklet(main.finder, self._number + 1, main)
+            self.followed.append(self.main)
+
+    def _thin(self, may: bool) -> None:
+        """Sees to it that whoever has fewest points in the next frame has about as many as are kept, or more."""
+        counts = [len(t.now.points) for t in self.followed if t.now is not None and len(t.now.points) >= TELLING]
+        fewest = min(counts, default=0)
+        if may and fewest >= ENOUGH * self.settings.points:
+            self._steps += 1
+        elif fewest < self.settings.points or not may:
+            self._steps = max(0, self._steps - 1)
+        for tracklet in self.followed:
+            tracklet.finder.thins = False
+
+    # -- what else may be a body
+
+    def _look(self, frame: Frame, clear: Cleared, taken: list[np.ndarray]) -> None:
+        """Begins to follow what else is of a body's shape, if there is anything: a small one only where there is no
+        other."""
+        if self._number % (AGAIN * LOOK) == 0:
+            self._passed = self._passed[:0]
+        s, main = self.settings, self.finder
+        if main.last is None:
+            s = replace(s, min_height=min(s.min_height, LOW))
+        for _ in range(MOST):
+            if len(self.followed) >= ALL:
+                return
+            finder = main.another(s)
+            finder.passed = self._passed
+            seen = finder(clear, taken + self._things)
+            if len(seen.points) < TELLING or finder.likely < LIKELY * main.likely:
+                self._passed = unique_cells(np.concatenate([self._passed, finder.asked]))[0]
+                if self.known or (lying := self._lying(frame, clear, taken)) is None:
+                    return
+                finder, seen = lying
+            self.followed.append(self._found(finder, seen))
+            taken.append(seen.points)
+
+    def _lying(
+        self, frame: Frame, clear: Cleared, taken: list[np.ndarray]
+    ) -> tuple[BodySegmenter, BodyObservation] | None:
+        """Who may lie on the floor or on a bed; None where there is nobody, or one is followed already."""
+        if any(t.finder.lies for t in self.followed):
+            return None
+        for scene in with_beds(frame, self.finder.scene):
+            finder = self.finder.lying(self.settings, scene)
+            seen = finder(clear, taken)
+            if len(seen.points) >= TELLING and finder.likely == 1.0:  # not of somebody upright
+                return finder, seen
+        return None
+
+    def _found(self, finder: BodySegmenter, seen: BodyObservation) -> Tracklet:
+        """Something, followed back to when it came into view, which was after the last look."""
+        earlier: list[tuple[BodyObservation, Frame]] = []
+        if self.ahead and not finder.lies:
+            back = finder.another(self.settings)
+            back.last, back.last_ns = seen.points, seen.time_ns
+            for old, taken in list(self._recent)[-2::-1]:
+                earlier.append((back(old, taken), old))
+                if len(earlier[-1][0].points) < TELLING:
+                    earlier.pop()
+                    break
+        tracklet = Tracklet(finder, self._number - len(earlier))
+        for k, (each, old) in enumerate([*earlier[::-1], (seen, self._recent[-1][0])]):
+            tracklet.motion.note(each, old, False, finder.scene.floor if finder.lies else None)
+            tracklet.add(each, tracklet.first + k)
+        return tracklet
+
+    # -- which one it is
+
+    def _decide(self, assigned: bool = False, full: bool = False) -> None:
+        """Takes the likeliest for the main one if it has moved, or another thing that has, and the likeliest has not.
+
+        `assigned`: somebody has said what is the body; `full`: frames can wait no longer."""
+        main, ahead = self.main, self.ahead
+        others = [t for t in (*self.followed, *self._ended) if t is not main and t.motion.slid < LITTLE]
+        best = max(others, key=lambda t: t.motion.moved, default=None)
+        moved, most = main.motion.moved, best.motion.moved if best is not None else 0
+        if assigned or main.motion.enough and FAIR * moved >= most:
+            self.known = True
+        elif best is not None and most > FAIR * moved:
+            waited = main.motion.seen >= PATIENCE or not main.motion.seen
+            self.known = ahead and full and most >= LITTLE or not ahead and most >= PATIENCE // 2 and waited
+            self.main = best if self.known else main
+        if full and ahead and not self.known and (asleep := self._asleep()) is not None:
+            self.main, self.known = asleep, True
+        if self.known and not self.several:
+            self.followed = [self.main]
+        elif self.main not in self.followed:
+            self.followed.append(self.main)
+
+    def _asleep(self) -> Tracklet | None:
+        """Who lies and moves no more than by breathing, while nothing else does; None if nobody does."""
+        main = self.main
+        if main.motion.moved or (main.seen and not ASKS.is_thing(main.frames.frames(), Stillness())):
+            return None
+        for tracklet in self.followed:
+            if tracklet.finder.lies and tracklet.motion.slid < LITTLE:
+                frames = tracklet.frames.frames()
+                if seen_long(frames, ASKS.frames, ASKS.seconds) and breathes(frames, ASKS.often):
+                    return tracklet
+        return None
+
+    def _release(self) -> Iterator[BodyObservation]:
+        """The frames that waited, of what is the main one as far as one knows."""
+        frames, self._waiting = self._waiting, []
+        begin, tracklet = self._number - len(frames), self.main
+        if len(frames) == 1 and tracklet.now is not None and tracklet.now.time_ns == frames[0].time_ns:
+            frames[0], tracklet = tracklet.now, None
+        done = len(frames)  # from here on they have their points
+        while tracklet is not None and done > 0:
+            first = max(tracklet.first - begin, 0)
+            own = tracklet.frames.frames() if first < done else []
+            for k in range(first, done):
+                if (at := begin + k - tracklet.first) < len(own):
+                    frames[k] = own[at]
+            done, tracklet = min(done, first), tracklet.before
+        if frames and self._given not in (None, self.finder):
+            frames[0] = replace(frames[0], other=True)
+        self._given = self.finder
+        if self.known and not self.several:  # nobody asks for them again
+            self.main.frames, self.main.first = Spill(), self._number
+        yield from frames
+
+    def people(self, main: list[BodyObservation]) -> list[Observed]:
+        """Everybody, who is seen longest first; nobody if there is but one, whose points `main` has.
+
+        **Arguments:** `main` the frames that were given.
+        """
+        found = [t for t in (*self._ended, *self.followed) if t.seen and (t.is_person or t.sways())]
+        groups = linked(found, main)
+        if len(groups) < 2:
+            return []
+        people = []
+        for group in groups:
+            frames = [frame.only(NONE) for frame in main]
+            for tracklet in group:
+                own = tracklet.frames.frames()
+                frames[tracklet.first : tracklet.first + len(own)] = own
+            people.append(Observed(group[-1].finder, self.settings, frames))
+        return sorted(people, key=lambda p: -sum(len(f.points) >= TELLING for f in p.frames))
+
+
+def same(one: Tracklet, other: Tracklet) -> bool:
+    """Whether two are at the same thing by now."""
+    mine, theirs = one.finder.last, other.finder.last
+    if mine is None or theirs is None:
+        return False
+    if (mine.min(0) > theirs.max(0) + 2 * CELL).any() or (theirs.min(0) > mine.max(0) + 2 * CELL).any():
+        return False  # far apart, as most are
+    return bool(touching(cells_of(mine, CELL), cells_of(theirs, CELL)).mean() > 0.5)
+
+
+def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) -> Int8[np.ndarray, " point"]:
+    """Who was nearest to each point in the frame before; -1 where nobody was nearer than about `reach` metres. Who is
+    hidden has what is left."""
+    points = frame.points
+    owner, many = np.full(len(points), -1, np.int8), np.zeros(len(points), np.int8)
+    known = [(k, f, f.last[:: len(f.last) // SOME + 1]) for k, f in enumerate(finders) if f.last is not None]
+    near = []
+    for _, _, some in known:
+        index = inside(points, some.min(0) - reach, some.max(0) + reach)
+        near.append(index[about_within(picked(points, index), some, reach)])
+        many[near[-1]] += 1
+    nearest = np.full(len(points), np.inf) if (many > 1).any() else None
+    for (k, finder, some), index in zip(known, near):
+        together = many[index] > 1
+        owner[index[~together]] = k  # how near does not matter
+        index = index[together]
+        if finder.unseen:
+            index = index[owner[index] < 0]
+        if nearest is None or not len(index):
+            continue
+        distance = KDTree(some).query(picked(points, index), distance_upper_bound=reach)[0]
+        mine = distance < nearest[index]
+        owner[index[mine]], nearest[index[mine]] = k, distance[mine]
+    return owner
+
+
+def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) -> bool:
+    """Whether some points are near those of others."""
+    cells = cells_of(points, CLOSE)
+    return any(touching(cells, cells_of(other, CLOSE)).any() for other in others)
+
+
+def linked(found: list[Tracklet], frames: list[BodyObservation]) -> list[list[Tracklet]]:
+    """Tracklets of the same people, each in order of time: who was away or hidden is known again by height, and by
+    where they can have gone meanwhile."""
+    groups: list[list[Tracklet]] = []
+    for tracklet in sorted(found, key=lambda t: t.since):
+        costs = [_unlike(group[-1], tracklet, frames) for group in groups]
+        best = int(np.argmin(costs)) if costs else -1
+        if best >= 0 and costs[best] < 1:
+            groups[best].append(tracklet)
+        else:
+            groups.append([tracklet])
+    return groups
+
+
+def _unlike(before: Tracklet, after: Tracklet, frames: list[BodyObservation]) -> float:
+    """How unlike each other the last and the first sight of somebody are: below 1 they may be the same."""
+    if before.last >= after.since:
+        return np.inf
+    seconds = (frames[after.since].time_ns - frames[before.last].time_ns) / 1e9
+    away = np.linalg.norm(after.places[0] - before.places[-1]) / (AROUND + PACE * seconds)
+    return float(max(away, abs(after.height - before.height) / LIKE))
