@@ -100,7 +100,7 @@ def replay(
     are good for this machine, 1: a copy of this process, or this one where it cannot be copied (see worker_start.py);
     `engine` "batch": in this process, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster;
     `shard` "2/8": the second of eight parts of the logs only; `compile_cache` folder for compiled programs, "": the
-    user's, "off": none; `log_timeout` seconds after which a log is given up, 0: never; `ray` what each log asks of a Ray
+    user's, "off": none; `log_timeout` seconds after which a log is given up, 0: never; `ray` what a log asks of a Ray
     cluster.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
