@@ -87,10 +87,10 @@ def replay(
     """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, those of
     logs below a given folder into folders as theirs (see output_paths.py).
 
-    A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
+    A log that cannot be read or tracked is reported in its Outcome, and the others are tracked. Files appear
     under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
-    version are skipped. `replay.jsonl` in `out` has a line for each person of each log. Where there are several, who is
-    seen longest has `<stem>.tracks.npz`, the others `<stem>.2.tracks.npz`, ..., and `<stem>.voodoo.mcap` shows all.
+    version are skipped. `replay.jsonl` in `out` has a line for each person of each log. `<stem>.tracks.npz` has the
+    person in view for longest, `<stem>.2.tracks.npz`, ... have the others, and `<stem>.voodoo.mcap` shows all.
 
     **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
     trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
