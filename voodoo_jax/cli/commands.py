@@ -166,8 +166,8 @@ class Convert:
 
     ROS 1 bags (.bag), also RealSense's, SQLite bags of ROS 2 (.db3, or their folder), recordings of Azure Kinect and
     Femto cameras (.mkv), skeletons of a Kinect (.json), C3D and TRC, and folders of 16-bit depth images (PNG), as the
-    TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay converts files in
-    passing.
+    TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay also takes such
+    files.
     """
 
     sources: Positional[tuple[Path, ...]] = ()

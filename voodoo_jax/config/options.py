@@ -174,8 +174,8 @@ class SolveSettings:
     robust_scale: float = 0.15
     """Distance at which a pair counts a quarter (Geman-McClure), metres; inf: all pairs count fully."""
     overlap: Literal["exclusive", "shared", "adjacent", "soft"] = "exclusive"
-    """What becomes of a point in several limbs' boxes; soft: each has a share of it, the nearest most, and gradients
-    know of points that go from limb to limb."""
+    """Rule for a point in several limbs' boxes. soft: each limb gets a share of it, the nearest one most, so that
+    gradients include points that go from limb to limb."""
     softness: float = 0.02
     """Distance over which shares go from one limb to the next (overlap soft), metres."""
     near_side: bool = True
@@ -229,7 +229,7 @@ class TrackSettings:
 
 @dataclass(frozen=True)
 class LimitSettings:
-    """What one log may ask for: what asks for more is refused with a sentence, and costs itself only."""
+    """Limits for one log: anything beyond a limit is refused with a sentence, and the rest is read."""
 
     # the largest message of sensors in use is a raw image of 32 Mpixel (128 MB); recorders close chunks at some MB
     chunk_bytes: int = 256 << 20
