@@ -49,10 +49,10 @@ class Results(Style):
     html: bool = False
     """Also write <log>.html: cloud, bodies, angles and quality over time, for a browser, offline."""
     report: bool = False
-    """Also write report.html: a row for each log in --out, with what was found and is in doubt."""
+    """Also write report.html, with a row for each log."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
     smooth: float = 0.0
-    """Average finished tracks over so many seconds before and after (Gaussian); 0: as tracked."""
+    """Average tracks over so many seconds (Gaussian); 0: as tracked."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class Running:
     """How many logs are done, where, and at once."""
 
     again: bool = False
-    """Do logs anew that an earlier run has finished with these settings; else they are skipped."""
+    """Track finished logs anew."""
     verbose: bool = False
-    """Print notes that ask for nothing, too, such as how many points were thinned out."""
+    """Print all notes, also in brackets."""
     workers: int = 0
     """Processes that track one log each; 0: as many as there are cores, memory and logs for."""
     shard: str = ""
@@ -72,22 +72,21 @@ class Running:
     compile_cache: str = ""
     """Folder of compiled programs, or off; none named: the user's."""
     log_timeout: float = 0.0
-    """Seconds after which a log is given up and the next one begun; 0: never."""
+    """Seconds after which a log is given up; 0: never."""
     ray_cpus: int = 1
     """Cores that a log holds on Ray."""
     ray_gpus: float = 0.0
     """GPUs that it holds there, 0.25: a share."""
     ray_retries: int = 1
-    """How often a log that Ray lost is done anew."""
+    """Restarts of a log that Ray lost."""
 
 
 @dataclass(frozen=True)
 class Replay:
     """Track people (or other bodies) in recorded logs.
 
-    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (for Foxglove) for each log, and
-    <log>.2.tracks.npz, ... for further people in view. It finds start, place and size of each person. Usual
-    options: --help; all settings, such as --start.scale and --detect.people: --help-all.
+    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (for Foxglove), and <log>.2.tracks.npz, ...
+    for further people. Usual options: --help; all settings, such as --start.scale: --help-all.
     """
 
     logs: Positional[tuple[str, ...]] = ()

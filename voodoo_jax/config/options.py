@@ -328,7 +328,7 @@ class Settings:
     and depth images (Hecht et al. 2009); both: each limb by both."""
     changes: tuple[Change, ...] = ()
     online: bool = False
-    """Use no later frames, as on a robot: one pass in time, and no furniture found by later frames."""
+    """Use no later frames, as on a robot."""
 
     def looks_ahead(self, section: Literal["detect", "track"]) -> bool:
         """Whether later frames may be used there."""
