@@ -4,9 +4,7 @@ Nothing here knows what the body looks like but its height and width at rest.
 """
 
 from collections.abc import Callable, Sequence
-from copy import deepcopy
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
@@ -14,22 +12,13 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import FEWEST, LEAST, Build, candidate
+from voodoo_jax.detect.clearing import USUAL_SPACING, Cleared, Clearing, distances
 from voodoo_jax.detect.cut_in_two import joined_labels
 from voodoo_jax.detect.heads import has_shoulders, may_be_several, parted
 from voodoo_jax.detect.in_the_way import in_the_way
 from voodoo_jax.detect.lying import who_lies
-from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.point_cloud import (
-    along,
-    even_share,
-    fair_share,
-    inside,
-    picked,
-    point_gap,
-    point_spacing,
-    without_strays,
-)
+from voodoo_jax.geometry.point_cloud import even_share, fair_share, inside, picked
 from voodoo_jax.geometry.voxels import Counted, Grid, about_within, cells_of, touching, within
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
@@ -39,9 +28,6 @@ STILL = 0.06  # metres from one frame's points to those of the frame before, of 
 APART = 0.6  # of a thing's points: so many where something was apart from the body make it that
 GONE = 0.6  # of its height before: what is lower from one frame to the next is not the body any more
 CELL = 0.08  # metres, of the grid in which the background is kept
-DENSE = 0.008  # radians between the points of a sensor in any direction: whose are closer needs no longer link
-GAPS = 2.1  # times the gap between a scanner's rows: cells of half of that touch each other
-USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that has shown too few to tell
 LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
 WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
@@ -62,19 +48,6 @@ MANY_BESIDE, SOME_BESIDE = 600, 200  # points beside the body that are kept in a
 SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only what is near the body
 
 
-class Cleared(NamedTuple):
-    """A frame without floor, walls and flying pixels: made once where several things are followed in it."""
-
-    seen: BodyObservation  # what is left of it
-    index: Int[np.ndarray, " point"]  # of which of its points
-    scene: Scene  # whose floor and walls are gone
-    frame: Frame | BodyObservation  # all of it
-
-    @property
-    def time_ns(self) -> int:
-        return self.frame.time_ns
-
-
 class BodySegmenter:
     """Follows one thing of a body's height and width through the frames: first the best candidate, then what hangs
     together with where it was. Places where other things were seen several times count as background from then on.
@@ -86,7 +59,7 @@ class BodySegmenter:
 
     def __init__(self, scene: Scene, body: Build, settings: DetectSettings):
         self.settings, self.body, self._given = settings, body, scene
-        self._take(scene)
+        self.clearing = Clearing(scene, settings)
         self.last: np.ndarray | None = None  # the body's points in the last frame that had some
         self.others = np.zeros((0, 3), np.float32)  # what was near it in the last frame, and not taken
         self.unseen = self.last_ns = 0
@@ -100,44 +73,19 @@ class BodySegmenter:
         # where things are among which a body is looked for, and where earlier looks have found none: where hardly
         # anything else is seen there is still none
         self.asked = self.passed = np.zeros((0, 3), np.int32)
-        self._spacing: dict[int, float] = {}  # of each sensor: angle between neighbouring points, radians,
-        self._gap: dict[int, float] = {}  # and across which there is another one in any direction
         self._background = Counted(CELL)
         self._learns = False  # in this frame, from what is beside the body: in every other one
         self._left = Counted(CELL)  # what remained where the body was, since it is gone
         self._beside: list[np.ndarray] = []  # some points of what was first seen beside the body
 
-    def _take(self, scene: Scene) -> None:
-        """Goes by this floor and these walls from now on."""
-        across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
-        self.scene = scene
-        planes = (scene.floor, *scene.walls)
-        self._normals = np.array([plane.normal for plane in planes], np.float32)
-        self._offsets = np.array([plane.offset for plane in planes], np.float32)
-        self._axes = np.array([scene.floor.normal, *across], np.float32)
+    @property
+    def scene(self) -> Scene:
+        """Floor and walls as far as they are known by now."""
+        return self.clearing.scene
 
-    def cleared(
-        self,
-        frame: Frame | BodyObservation,
-        share: float = 1.0,
-        boxes: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
-    ) -> Cleared:
-        """The frame without floor, walls and flying pixels, for all who are followed in it: of a share of its points,
-        those in some boxes (None: anywhere)."""
-        seen = whole(frame)
-        index, known = even_share(share, len(seen.points)), np.flatnonzero(assigned(seen))
-        if boxes is not None:
-            parts = [inside(seen.points, low, high, index) for low, high in boxes]
-            wanted = np.zeros(len(seen.points) if len(parts) > 1 else 0, bool)
-            for part in parts if len(parts) > 1 else ():
-                wanted[part] = True
-            index = parts[0] if len(parts) == 1 else wanted.nonzero()[0]
-        index = index[self.off_planes(picked(seen.points, index))]
-        if seen.part is not None:
-            index = index[seen.part[index] < 0]  # what is known passes all tests
-        index = self._without_strays(seen, index, share)
-        index = np.sort(np.concatenate([index, known])) if len(known) else index
-        return Cleared(seen.only(index), index, self.scene, frame)
+    @scene.setter
+    def scene(self, scene: Scene) -> None:
+        self.clearing.scene = scene
 
     def __call__(
         self,
@@ -188,7 +136,7 @@ class BodySegmenter:
             if self.unseen > self.settings.forget:
                 self.last, self._steps = None, 0  # gone: look everywhere again
                 if self.lies:
-                    self._take(self._given)
+                    self.clearing.take(self._given)
                 self._background.add(self._left.cells(self.unseen / 3), LONG)
                 self._left.clear()
         self.taken = index
@@ -198,7 +146,7 @@ class BodySegmenter:
     def cleared_near(self, frame: Frame | BodyObservation) -> Cleared:
         """What is looked at of a frame for this body alone."""
         wholly = self.last is None or self.surveys(frame.time_ns)
-        return self.cleared(frame, self.share, None if wholly else [self.around(frame.time_ns)])
+        return self.clearing.cleared(frame, self.share, None if wholly else [self.around(frame.time_ns)])
 
     def _own(
         self, clear: Cleared, taken: Sequence[np.ndarray], mine: Bool[np.ndarray, " point"] | None
@@ -210,7 +158,7 @@ class BodySegmenter:
         if len(taken):
             own = own & ~near_taken(seen.points, taken)
         known = own & assigned(seen)
-        own = own & ~known if clear.scene is self.scene else own & ~known & self.off_planes(seen.points)
+        own = own & ~known if clear.scene is self.scene else own & ~known & self.clearing.off_planes(seen.points)
         return known.nonzero()[0], seen.points[known], own.nonzero()[0]
 
     def _near(
@@ -244,14 +192,6 @@ class BodySegmenter:
             return None
         return None if self.surveys(time_ns) else self.last
 
-    def off_planes(self, points: Float32[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
-        """Which points are off floor and walls."""
-        height, *walls = along(self._normals, points, self._offsets)
-        off = height > self.settings.floor_margin
-        for distance, wall in zip(walls, self.scene.walls):
-            off &= (distance > max(0.06, wall.noise)) | (distance < -BEHIND)
-        return off
-
     @property
     def share(self) -> float:
         """The share of a frame's points that is looked at."""
@@ -272,39 +212,15 @@ class BodySegmenter:
     def another(self, settings: DetectSettings) -> "BodySegmenter":
         """One that follows nothing yet, for the same sensors."""
         other = BodySegmenter(self._given, self.body, settings)
-        other._spacing, other._gap = dict(self._spacing), dict(self._gap)
-        return other
-
-    def forked(self) -> "BodySegmenter":
-        """One that goes on from here by itself, in the same scene."""
-        other = deepcopy(self, {id(scene): scene for scene in (self.scene, self._given)})
-        other.thins = False
+        other.clearing = self.clearing.another(self._given, settings)
         return other
 
     def lying(self, settings: DetectSettings, scene: Scene) -> "BodySegmenter":
         """One that looks for who lies on the floor of a scene, or on what stands for it there."""
         other = self.another(settings)
         other.lies = True
-        other._take(scene)
+        other.clearing.take(scene)
         return other
-
-    def _places(self, points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "3 point"]:
-        """Height above the floor and level coordinates, metres."""
-        return along(self._axes, points, np.array([self.scene.floor.offset, 0, 0], np.float32))
-
-    def _without_strays(self, frame: BodyObservation, index: np.ndarray, share: float) -> np.ndarray:
-        """The indices, of a share of the points, without those of flying pixels: each sensor's points are compared
-        among themselves."""
-        kept, wider = [index[:0]], share**-0.5
-        present = np.flatnonzero(np.bincount(frame.sensor[index])).tolist() if len(frame.origins) > 1 else [0]
-        for sensor in present:
-            mine = index[frame.sensor[index] == sensor] if len(present) > 1 else index
-            points, origin = picked(frame.points, mine), frame.origins[sensor]
-            spacing = self._spacing.get(sensor) or (point_spacing(points, origin) if len(points) > 4 else 0.0)
-            if len(points) > 100 and sensor not in self._spacing:
-                self._spacing[sensor], self._gap[sensor] = spacing, point_gap(points, origin)
-            kept.append(mine[without_strays(points, origin, spacing * wider)])
-        return kept[-1] if len(present) == 1 else np.sort(np.concatenate(kept))
 
     def _of_body(self, frame: BodyObservation, known: Int[np.ndarray, " known"]) -> int:
         """How many of the `known` points are assigned to the body as a whole, or to so many limbs that it makes no
@@ -321,7 +237,7 @@ class BodySegmenter:
         points = seen.points
         if len(points) < TELLING:
             return np.zeros(len(points), bool)
-        cell = self._link(seen) / 2
+        cell = self.clearing.link(seen) / 2
         reach = max(1, round(self.settings.move / cell - 1))  # cells, from frame to frame
         grid = Grid(cells_of(points, cell), reach)
         near = None if self.last is None else grid.near(cells_of(self.last, cell), reach)
@@ -355,21 +271,14 @@ class BodySegmenter:
         np.minimum.at(lowest, label, self.scene.floor.height(points))
         for k in np.flatnonzero((lowest > HEADS * self.body.height) & (count >= TELLING)):
             for j in np.flatnonzero(count > count[k]):
-                if lowest[j] < lowest[k] and within(points[label == k], points[label == j], self._link(seen)).any():
+                if (
+                    lowest[j] < lowest[k]
+                    and within(points[label == k], points[label == j], self.clearing.link(seen)).any()
+                ):
                     out[out == out[label == k][0]] = out[label == j][0]
         label = out
-        gap = max((self._gap.get(k, USUAL_SPACING) for k in range(len(seen.origins))), default=USUAL_SPACING)
+        gap = max(self.clearing.of_sensors(self.clearing.gap, seen), default=USUAL_SPACING)
         return joined_labels(seen, label, frame, self.scene.floor, self.body.height, gap)
-
-    def _link(self, seen: BodyObservation) -> float:
-        """Points closer than this belong to the same thing, metres: not less than the gaps between a scanner's rows."""
-        gaps = [gap for sensor, gap in self._gap.items() if gap > 0 and (seen.sensor == sensor).sum() >= 30]
-        if not gaps or min(gaps) < DENSE:
-            return self.settings.link
-        return max(self.settings.link, GAPS * min(gaps) * float(np.median(self._distances(seen))))
-
-    def _distances(self, seen: BodyObservation) -> Float32[np.ndarray, " point"]:
-        return np.linalg.norm(seen.points - seen.origins[seen.sensor], axis=1)
 
     def _gone_by(self, time_ns: int) -> float:
         """How much farther than from frame to frame the body may be by now, metres."""
@@ -441,7 +350,7 @@ class BodySegmenter:
     def _parted(self, points, label) -> Int[np.ndarray, " point"]:
         """The labels of things, where several people hang together one for each of them."""
         out = np.array(label)
-        height, *level = self._places(points)
+        height, *level = self.clearing.places(points)
         level, flat = np.stack(level), self.scene.floor.level
         for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
             mine = np.flatnonzero(label == k)
@@ -458,11 +367,11 @@ class BodySegmenter:
     def _candidate(self, seen: BodyObservation, label) -> int:
         """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""
         points, sensor = seen.points, seen.sensor
-        angle = np.array([self._spacing.get(k, USUAL_SPACING) for k in range(len(seen.origins))])[sensor]
-        distance = self._distances(seen)
+        angle = np.array(self.clearing.of_sensors(self.clearing.spacing, seen))[sensor]
+        distance = distances(seen)
         area = (distance * angle) ** 2
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
-        places = self._places(points)
+        places = self.clearing.places(points)
 
         def likeliest(some, least: float) -> tuple[int, float, float]:
             return candidate(points[some], label[some], area[some], distance[some], places[:, some], self.body, least)
@@ -477,17 +386,15 @@ class BodySegmenter:
             upper = [k for k in range(label.max() + 1) if self._is_upper_body(places[:, label == k])]
             best, top, self.likely = likeliest(np.isin(label, upper), LEAST / self.body.height)
         if self.scene.floor_open and 0 < top < WHOLE * self.body.height:
-            self._lower_floor(self.body.height - top)
+            # the feet of who seems so small are not in the picture
+            floor = self.scene.floor
+            floor = replace(floor, offset=floor.offset - (self.body.height - top))
+            self.clearing.take(replace(self.scene, floor=floor, floor_open=False))
         return best
 
     def _is_upper_body(self, places) -> bool:
         """Whether a thing of which nobody sees where it ends below looks like one."""
         return places.shape[1] >= FEWEST and has_shoulders(places[0], places[1:], self.body)
-
-    def _lower_floor(self, by: float) -> None:
-        """From now on the floor is lower: the feet of who seems so small are not in the picture."""
-        floor = self.scene.floor
-        self._take(replace(self.scene, floor=replace(floor, offset=floor.offset - by), floor_open=False))
 
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
         """Says of points whether they lie where something was seen apart from the body for some time, up to now."""

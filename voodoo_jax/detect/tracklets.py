@@ -15,10 +15,11 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.clearing import Cleared
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.motion import ASKS, CELL, LITTLE, Motion
 from voodoo_jax.detect.raise_floor import with_beds
-from voodoo_jax.detect.segmentation import ENOUGH, SPEED, STEP, STILL, TELLING, BodySegmenter, Cleared
+from voodoo_jax.detect.segmentation import ENOUGH, SPEED, STEP, STILL, TELLING, BodySegmenter
 from voodoo_jax.detect.stillness import Stillness, breathes, seen_long
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import inside, picked, quantile
@@ -200,7 +201,7 @@ class Tracklets:
             wholly = looks or any(f.last is None or f.surveys(frame.time_ns) for f in finders)
             boxes = None if wholly else [f.around(frame.time_ns) for f in finders]
             share = main.finder.share if alone else STEP**self._steps
-            clear = main.finder.cleared(frame, share, boxes)
+            clear = main.finder.clearing.cleared(frame, share, boxes)
             if not (alone and self.known):
                 self._follow(clear, looks)
         self._recent.append((frame, [t.finder.last for t in self.followed if t.finder.last is not None]))
