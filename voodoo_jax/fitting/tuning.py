@@ -25,6 +25,8 @@ Loss = Callable[[Tracked, Problem], Float[Array, ""]]
 # a tenth of the loss counts as a usual deviation of a parameter does: BFGS's first step goes along the slope, so that a
 # loss in metres would hardly move
 SCALE = 10.0
+MOST = 3.0  # usual deviations: so far from the start no parameter goes, or a first step may leave all points behind
+NOTHING = 1e6  # what a recording costs in which no frame is at rest: more than any
 ENOUGH = 0.01  # of a parameter's usual deviation, and a tenth of that of the loss: a step that changes less is the last
 
 
@@ -84,23 +86,25 @@ def tune(
     Raises ValueError for a pattern that names nothing.
     """
     some = (problems,) if isinstance(problems, Problem) else tuple(problems)
-    first, begun = some[0], start or {}
+    first = some[0]
     known = parameters(first.body, tuple(free), first.features, sensors=first.frames.points.origins.shape[-2])
     names, sd = known.names, known.sd.astype(np.float32)
+    begun = jnp.array([(start or {}).get(name, 0.0) for name in names], jnp.float32)
     seen: list[tuple[float, dict[str, float]]] = []
     groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _alike(some)]
 
     def heard(z: Any, value: Any) -> None:
-        found = dict(zip(names, (np.asarray(z) * sd).tolist()))
+        found = dict(zip(names, (np.asarray(begun) + sd * MOST * np.tanh(np.asarray(z) / MOST)).tolist()))
         seen.append((float(value), found))
         if say is not None:
             say(*seen[-1])
 
-    z = jnp.array([begun.get(name, 0.0) for name in names], jnp.float32) / sd
     number = max(_HEARD, default=0) + 1
     _HEARD[number] = heard
     try:
-        found = _search(names, loss, steps)(z, (groups, sd, np.float32(pull), np.int32(number)))
+        found = _search(names, loss, steps)(
+            jnp.zeros_like(begun), (groups, begun, sd, np.float32(pull), np.int32(number))
+        )
         jax.effects_barrier()
     finally:
         del _HEARD[number]
@@ -117,17 +121,21 @@ def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., opt
     """A search, compiled once for all problems of equal number and shapes."""
 
     def function(z: Float[Array, " free"], args: Any) -> Float[Array, ""]:
-        groups, sd, pull, number = args
-        values = dict(zip(names, jnp.asarray(z * sd)))
+        groups, begun, sd, pull, number = args
+        x = begun + sd * MOST * jnp.tanh(z / MOST)
+        values = dict(zip(names, x))
 
         def one(problem: Problem) -> Float[Array, ""]:
             there = problem.having(values)
-            return loss(solved({}, there), there)
+            found, real = solved({}, there), there.frames.weight > 0
+            # losses leave out frames that are not at rest: the fewer there are the dearer are the others
+            rest = jnp.sum(found.converged & real) / jnp.maximum(jnp.sum(real), 1)
+            return jnp.where(rest > 0, loss(found, there) / jnp.maximum(rest, 1e-3), NOTHING)
 
         each = jnp.concatenate([jax.lax.map(one, group) for group in groups])
         value = jnp.mean(each)
         jax.debug.callback(lambda number, *told: _HEARD[int(number)](*told), number, z, value, ordered=True)
-        return SCALE * (jnp.log(value + 1e-12) + 0.5 * pull * jnp.sum(z**2))
+        return SCALE * (jnp.log(value + 1e-12) + 0.5 * pull * jnp.sum((x / sd) ** 2))
 
     def search(z: Float[Array, " free"], args: Any) -> optx.Solution:
         solver = optx.BFGS(rtol=0.0, atol=ENOUGH)
