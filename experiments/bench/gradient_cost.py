@@ -1,9 +1,8 @@
 """What a derivative costs: python -m experiments.bench.gradient_cost
 
 Time of value and gradient, by all sizes and band weights of the body, over the time of the value alone: with the
-implicit solution; with optimistix' ImplicitAdjoint at the fixed point of the step, which solves with the step's whole
-Jacobian; and with unrolled steps that keep for the way back their poses alone, as the library does, or all that
-autodiff asks for. Frames of the demo recording, one after the other, all in turns.
+implicit solution, and with unrolled steps that keep for the way back their poses alone, as the library does, or all
+that autodiff asks for. Frames of the demo recording, one after the other, all in turns.
 """
 
 import os
@@ -15,7 +14,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 import tyro
 
 from experiments.common import DEMO, human, load_log, log_files, table, write
@@ -26,9 +24,7 @@ from voodoo_jax.solve.implicit import solution
 from voodoo_jax.solve.padding import bucket, pad_frames
 from voodoo_jax.solve.scan import options_from
 
-WAYS = IMPLICIT, OPTIMISTIX, CHECKPOINTED, _ = (
-    "implicit", "optimistix, ImplicitAdjoint", "unrolled, checkpointed", "unrolled, all kept",
-)  # fmt: skip
+WAYS = IMPLICIT, CHECKPOINTED, _ = "implicit", "unrolled, checkpointed", "unrolled, all kept"
 STEPS = (5, 15, 45)  # of which the memory is told
 
 
@@ -63,10 +59,6 @@ def main(
                 problem = Problem.build(body, seen, start, options)
                 if way == IMPLICIT:
                     return solution(start, problem).poses
-                if way == OPTIMISTIX:
-                    again = lambda poses, problem: icp_step(poses, problem)[0]  # noqa: E731
-                    solver = optx.FixedPointIteration(rtol=0.0, atol=0.0)
-                    return optx.fixed_point(again, solver, start, problem, max_steps=most, throw=False).value
                 if way == CHECKPOINTED:
                     return solve_frame(start, problem, "checkpointed", most).poses
                 step = lambda poses, _: (icp_step(poses, problem)[0], None)  # noqa: E731
