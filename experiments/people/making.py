@@ -115,7 +115,7 @@ def _staged(
     if take.stage > 0:
         up = np.array([0, 0, take.stage])
         vertices, joints = vertices + up.astype(np.float32), joints + up
-    shift = in_view(vertices, camera)
+    shift = _in_view(vertices, camera)
     vertices, joints = vertices + shift.astype(np.float32), joints + shift
     box = Box(float(rng.uniform(2.6, 3.6)), 1.4, (0.5, 0.45, float(rng.uniform(0.4, 1.0))), 0.3)
     wall = max(4.5, vertices[..., 0].max() + float(rng.uniform(0.35, 1.5)))
@@ -150,12 +150,12 @@ def _stage(vertices: np.ndarray, height: float, rng: np.random.Generator) -> Box
     return Box(x, y, (deep, wide, height))
 
 
-def in_view(vertices: np.ndarray, camera: Camera, nearest: float = NEAREST) -> np.ndarray:
+def _in_view(vertices: np.ndarray, camera: Camera) -> np.ndarray:
     """How to move somebody to be as near as possible and wholly in view all the time."""
     points = vertices[:, ::7].reshape(-1, 3)
     middle = (points.min(0) + points.max(0)) / 2
     shift = np.zeros(3)
-    for distance in np.arange(nearest, FARTHEST, 0.1):
+    for distance in np.arange(NEAREST, FARTHEST, 0.1):
         shift = np.array([distance - middle[0], -middle[1], 0.0])
         there = in_camera(points + shift, camera)
         at = pixels(there, camera)

@@ -19,8 +19,8 @@ from tqdm import tqdm
 
 from experiments.common import human, table, write
 from experiments.judged import HEAD, HONEST_HEAD, Verdict, cells, honest_cells, judge, read, trials
-from experiments.people.figure import Figure, read_meshes
-from experiments.people.making import START_NS, in_view
+from experiments.people.figure import BONES, Figure, read_meshes
+from experiments.people.making import START_NS
 from experiments.people.motions import RATE, turned
 from experiments.people.recorded import Found, write_truth
 from experiments.people.recorded import write as write_log
@@ -32,7 +32,10 @@ from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
 
 STANDS = "bow_normal_001"  # in its first frame somebody stands relaxed
 STILL, EASED, CLIP = 15, 12, 83  # frames: relaxed at first, taking the clip's first pose, of the clip at most
-HEIGHT, AWAY = 1.25, 1.74  # of the camera, metres; how far away somebody is at least, in statures
+FARTHEST = 2.4  # metres from where a clip begins: there it is cut
+HEIGHT, AWAY, MIDDLE = 1.25, 1.705, 0.52  # of the camera, metres; how far away hips are at least and how high it looks,
+# at the middle of where they go, in statures
+BEHIND = 1.2  # metres from the farthest hips to the wall
 ASIDE = np.pi / 4  # from facing the camera, at most
 AXES = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0.0]])  # z forward, x left, y up becomes x, y, z
 # joints of a clip and the bones that turn with them; bones without one turn with their parents
@@ -162,14 +165,17 @@ def make(other: Other) -> Path:
     stands = read_bvh(other.clip.with_name(f"dataset-1_{STANDS}.bvh"))
     vertices, joints = posed(figure, stands, moves.cut(first, first + CLIP), np.pi + other.yaw)
     stature = float(np.ptp(figure.vertices[:, 2]))  # of the mesh at rest, as the recordings' truth has it
-    middle, camera = (vertices.min((0, 1)) + vertices.max((0, 1))) / 2, tof_camera(HEIGHT)
-    for _ in range(3):  # it looks at the middle
-        shift = in_view(vertices, camera, AWAY * stature)
-        camera = replace(camera, pitch=float(np.arctan2(HEIGHT - middle[2], middle[0] + shift[0])))
-    vertices, joints = vertices + shift.astype(np.float32), joints + shift
-    wall = vertices[..., 0].max() + float(rng.uniform(0.6, 1.5))
+    names = list(BONES)
+    hips = (joints[:, names.index("l_hip")] + joints[:, names.index("r_hip")])[:, :2] / 2
+    gone = np.linalg.norm(hips - hips[0], axis=1) > FARTHEST
+    if gone.any():
+        vertices, joints, hips = vertices[: gone.argmax()], joints[: gone.argmax()], hips[: gone.argmax()]
+    shift = np.array([AWAY * stature - hips[:, 0].min(), -(hips[:, 1].min() + hips[:, 1].max()) / 2, 0.0])
+    vertices, joints, hips = vertices + shift.astype(np.float32), joints + shift, hips + shift[:2]
+    near, far = float(hips[:, 0].min()), float(hips[:, 0].max())
+    camera = tof_camera(HEIGHT, float(np.arctan2(HEIGHT - MIDDLE * stature, (near + far) / 2)))
     box = Box(float(rng.uniform(2.6, 3.6)), 1.4, (0.5, 0.45, float(rng.uniform(0.4, 1.0))), 0.3)
-    room = beside(Room(wall=wall, boxes=(box,)), vertices, rng)
+    room = beside(Room(wall=far + BEHIND, boxes=(box,)), vertices, rng)
     colour = replace(camera_of(640, 480, 554.3), position=(0.0, 0.06, HEIGHT), pitch=camera.pitch)
     empty, where, depth = render_room(camera, room), marked(figure), []
     found: list[Found] = []
