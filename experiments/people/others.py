@@ -4,7 +4,7 @@ BODIES.npz as `bodies.py BODIES.npz SEED 24 recorded` writes it; MOTIONS the fol
 Research Motiondataset-1 (CC BY-NC 4.0: for research; arXiv 2306.08861). The recordings' truth tells how they were
 made: turns of the clip's joints are taken on by the bones, arms and legs begin along the clip's in a frame in which
 somebody stands, and nothing puts feet on the floor. Of the recordings' own people and clips this gives their joints to
-the micrometre, but for the 12 frames in which the clip's first pose is taken (1 to 9 mm).
+0.01 mm, but for the 12 frames in which the clip's first pose is taken (1 to 9 mm).
 """
 
 import re
@@ -59,7 +59,8 @@ class Moves(NamedTuple):
     places: dict[str, np.ndarray]  # [frame, 3]
 
     def cut(self, first: int, last: int) -> "Moves":
-        return Moves(*({k: v[first:last] for k, v in part.items()} for part in self))
+        turns, places = ({k: v[first:last] for k, v in part.items()} for part in self)
+        return Moves(turns, places)  # pyright: ignore[reportArgumentType]
 
     def heading(self, left: str, right: str) -> float:
         """Where who has `left` and `right` on these sides faces in the first frame, from x to y."""
