@@ -56,16 +56,16 @@ def case(log: Log, tracks: Tracks, person: str, folder: str) -> Case | None:
     frame, near = nearest(log, tracks)
     use = scored(log) & near & np.isfinite(tracks.joints[frame]).all((1, 2))
     frame, rows = frame[use], {}
-    directions = stage.limb_axes(body, tracks, frame)
+    seen = stage.seen_in(body, tracks, frame, eyes)
     for k, name in enumerate(log.names):
         side, plain = stage.plain(name)
         limb = stage.limb_of(body, side, stage.LIMBS[plain][0])
         away = log.joints[use][:, k] - tracks.joints[frame, body.topology.centres.index(name)]
         shift = stage.to_rest(body, tracks, frame, limb, away) / float(body.scale)
         shift *= [1, -1 if side == "r_" else 1, 1]
-        rows[name] = stage.pose_features(body, name, tracks, frame, eyes[frame], directions), shift
+        rows[name] = stage.pose_features(body, name, tracks, seen), shift
         if not side:  # in the middle: what is so on the left is so on the right
-            features = stage.pose_features(body, name, tracks, frame, eyes[frame], directions, "r_")
+            features = stage.pose_features(body, name, tracks, seen, "r_")
             rows[f"r_{name}"] = features, shift * [1, -1, 1]
     return Case(person, folder, float(body.scale), stage.band_gaps(body, tracks), rows)
 

@@ -113,31 +113,38 @@ def _averaged(found: dict[str, tuple[np.ndarray, int]], joints: tuple[str, ...])
     return Gaps(np.array(gaps), np.array(counts))
 
 
-def limb_axes(body: Body, tracks: Tracks, frames: Int[np.ndarray, " seen"]) -> Float64[np.ndarray, "seen limb 2 3"]:
-    """Where the axes of limbs point that point forward and up at rest."""
+class Seen(NamedTuple):
+    """Frames in which poses are known."""
+
+    frames: Int[np.ndarray, " seen"]
+    eyes: Float[np.ndarray, "seen 3"]  # where the sensor is, metres
+    axes: Float64[np.ndarray, "seen limb 2 3"]  # where the axes of limbs point that point forward and up at rest
+
+
+def seen_in(body: Body, tracks: Tracks, frames: Int[np.ndarray, " seen"], eyes: Float64[np.ndarray, "frame 3"]) -> Seen:
+    """Some frames of tracks; `eyes` of sensor_places."""
     ahead = unrotate(body.rest.rotation[:, None], np.eye(3)[[0, 2]])
-    return rotate(tracks.rotation[frames][:, :, None], ahead).astype(float)
+    return Seen(frames, eyes[frames], rotate(tracks.rotation[frames][:, :, None], ahead).astype(float))
 
 
 def pose_features(
-    body: Body, centre: str, tracks: Tracks, frames: Int[np.ndarray, " seen"], eyes: Float[np.ndarray, "seen 3"],
-    directions: Float64[np.ndarray, "seen limb 2 3"], side: str = "",
-) -> Float64[np.ndarray, "seen feature"]:  # fmt: skip
+    body: Body, centre: str, tracks: Tracks, seen: Seen, side: str = ""
+) -> Float64[np.ndarray, "seen feature"]:
     """What the pose and the side that is seen say of a joint: 1, direction to the sensor, how far the other limb's
     upward axis is turned, both axes of the trunk's limbs, upward axes of arms and legs, products of the first two and
     their squares. All directions are forward, left, up of the limb at rest. Right mirrored.
 
-    **Arguments:** `eyes` where the sensor is, metres; `directions` of limb_axes; `side` of a centre in the middle: "r_"
-    mirrors it.
+    **Arguments:** `side` of a centre in the middle: "r_" mirrors it.
     """
     side, name = plain(centre) if plain(centre)[0] else (side, centre)
     own = side or SIDES[0]
-    toward = eyes - tracks.joints[frames, body.topology.centres.index(centre)]
+    frames, axes = seen.frames, seen.axes
+    toward = seen.eyes - tracks.joints[frames, body.topology.centres.index(centre)]
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    middle = directions[:, [limb_of(body, own, limb) for limb in TRUNK]].reshape(len(frames), -1, 3)
+    middle = axes[:, [limb_of(body, own, limb) for limb in TRUNK]].reshape(len(frames), -1, 3)
     sided = [limb_of(body, s, limb) for s in sorted(SIDES, reverse=own == "r_") for limb in SIDED]
     other = limb_of(body, own, LIMBS[name][1])
-    all_of_it = np.concatenate([toward[:, None], directions[:, [other], 1], middle, directions[:, sided, 1]], 1)
+    all_of_it = np.concatenate([toward[:, None], axes[:, [other], 1], middle, axes[:, sided, 1]], 1)
     limb = limb_of(body, own, LIMBS[name][0])
     v = to_rest(body, tracks, frames[:, None], limb, all_of_it) * [1, -1 if side == "r_" else 1, 1]
     v[:, 1] -= [0.0, 0.0, 1.0]
@@ -238,12 +245,12 @@ class PlaceJoints:
             covariance = covariance.copy()
             for some in np.split(frames, np.arange(BATCH, len(frames), BATCH)):
                 covariance[some] = _smaller(body, tracks, some)
-        directions = limb_axes(body, tracks, frames)
+        now = seen_in(body, tracks, frames, eyes)
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
             told = learned()[name]
             seen = self.gap_features(gaps_for(name, gaps), told)
-            features = pose_features(body, centre, tracks, frames, eyes[frames], directions)
+            features = pose_features(body, centre, tracks, now)
             wide = np.broadcast_to(seen, (len(frames), len(seen)))
             shift = np.concatenate([features, wide], 1) @ told.weights
             length = np.linalg.norm(shift, axis=1, keepdims=True)
