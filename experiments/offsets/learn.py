@@ -1,31 +1,39 @@
-"""Learns where joint centres are: python -m experiments.offsets.learn RECORDINGS LOGS [LOGS ...]
+"""Learns where joint centres are: python -m experiments.offsets.learn LOGS [LOGS ...]
 
-LOGS: folders with logs of simulated people, as experiments/people makes them. They tell of bends, views and bands;
-where centres are on the average say the recordings alone, for the two kinds do not agree on it. People of the
-recordings count alike. Left out are people, never logs: the figures printed are of people nothing was learned from.
-Writes voodoo_jax/trackers/icp/refine/place_joints.toml.
+LOGS: folders with logs of people who are recorded alike: the 18 recordings, and others as experiments/people/others.py
+makes them; each is tracked with and without features. Left out are people, never logs: the figures printed are of
+people nothing was learned from. Writes voodoo_jax/trackers/icp/refine/place_joints.toml.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
-from experiments.common import Log, human, load_dims, load_log, log_files, nearest, score, scored, settings_with
+from experiments.common import (
+    Log,
+    human,
+    load_dims,
+    load_log,
+    log_files,
+    nearest,
+    score,
+    scored,
+    settings_with,
+    without_features,
+)
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.refine import place_joints as stage
 
 OUT = Path(stage.__file__).with_name("place_joints.toml")
 WORST = 6.0  # cm: logs that are worse are lost in part, and tell nothing of centres
 FARTHEST = 0.06  # of the stature: so far off is a limb that is wrong, not a centre
-COUNT = 3.0  # what the recordings count for, over simulated logs: chosen among 1 and 3
-CENTRE, POSE, GAP, FREE = 60.0, 1.0, 30.0, 1e-6  # ridge: means, bends and views, bands, the simulated people's mean
+POSE, GAP = 2.0, 40.0  # ridge, of one log: poses and views, bands; chosen on people left out, of 96 logs
 HEAD = """\
 # Where joint centres are moved to: learned by `python -m experiments.offsets.learn`, see place_joints.py. Rows of
-# weights: 1, direction to the sensor (3), bend (3), squares of the direction (3), then the bands' gaps (x, y, z of
-# each joint).
+# weights: those of pose_features, then the bands' gaps (x, y, z of each joint).
 """
 
 
@@ -34,13 +42,13 @@ class Case:
     """One log: features and shifts of every joint centre."""
 
     person: str
-    simulated: bool
+    folder: str
     scale: float
     gaps: dict[str, stage.Gaps]
     rows: dict[str, tuple[np.ndarray, np.ndarray]]  # centre -> features of the pose, shift over stature
 
 
-def case(log: Log, tracks: Tracks, person: str, simulated: bool) -> Case | None:
+def case(log: Log, tracks: Tracks, person: str, folder: str) -> Case | None:
     """What a tracked log tells; None where the tracks do not allow it."""
     body, eyes = stage.persons_body(tracks.body), stage.sensor_places(log.people)
     if body is None or eyes is None or score(log, tracks).error_cm > WORST:
@@ -48,20 +56,24 @@ def case(log: Log, tracks: Tracks, person: str, simulated: bool) -> Case | None:
     frame, near = nearest(log, tracks)
     use = scored(log) & near & np.isfinite(tracks.joints[frame]).all((1, 2))
     frame, rows = frame[use], {}
+    directions = stage.limb_axes(body, tracks, frame)
     for k, name in enumerate(log.names):
         side, plain = stage.plain(name)
         limb = stage.limb_of(body, side, stage.LIMBS[plain][0])
         away = log.joints[use][:, k] - tracks.joints[frame, body.topology.centres.index(name)]
         shift = stage.to_rest(body, tracks, frame, limb, away) / float(body.scale)
         shift *= [1, -1 if side == "r_" else 1, 1]
-        rows[name] = stage.pose_features(body, name, tracks, frame, eyes[frame]), shift
-    return Case(person, simulated, float(body.scale), stage.band_gaps(body, tracks), rows)
+        rows[name] = stage.pose_features(body, name, tracks, frame, eyes[frame], directions), shift
+        if not side:  # in the middle: what is so on the left is so on the right
+            features = stage.pose_features(body, name, tracks, frame, eyes[frame], directions, "r_")
+            rows[f"r_{name}"] = features, shift * [1, -1, 1]
+    return Case(person, folder, float(body.scale), stage.band_gaps(body, tracks), rows)
 
 
 def usual_gaps(cases: list[Case], plain: str) -> tuple[np.ndarray, np.ndarray]:
-    """Mean over people of the recordings, and deviation over all."""
-    flat = lambda c: stage.gaps_for(plain, c.gaps).gap.ravel()  # noqa: E731
-    return np.nanmean([flat(c) for c in cases if not c.simulated], 0), np.nanstd([flat(c) for c in cases], 0)
+    """Mean and deviation over logs."""
+    gaps = [stage.gaps_for(plain, c.gaps).gap.ravel() for c in cases]
+    return np.nanmean(gaps, 0), np.nanstd(gaps, 0)
 
 
 def rows_of(one: Case, name: str, told: stage.Learned) -> tuple[np.ndarray, np.ndarray]:
@@ -70,37 +82,21 @@ def rows_of(one: Case, name: str, told: stage.Learned) -> tuple[np.ndarray, np.n
     return np.concatenate([features, np.broadcast_to(seen, (len(features), len(seen)))], 1), shift
 
 
-def mirrored(count: int) -> np.ndarray:
-    """Signs of features under mirroring: sideways directions change theirs, gaps are averaged over both sides."""
-    signs = np.ones(count)
-    signs[[2, 5, 9]] = -1
-    return signs
-
-
 def learn(cases: list[Case], plain: str) -> stage.Learned:
-    """Ridge regression of a centre's shift; simulated people have a mean of their own, which is dropped."""
-    names = [n for n in cases[0].rows if stage.plain(n)[1] == plain]
+    """Ridge regression of a centre's shift; logs count alike."""
     told = stage.Learned(np.zeros((0, 3)), *usual_gaps(cases, plain))
-    persons = [c.person for c in cases]
-    A = b = count = 0
+    total: list[np.ndarray] = []
     for one in cases:
-        weight = 1.0 if one.simulated else COUNT * 2 / persons.count(one.person)
-        for name in names:
-            X, y = rows_of(one, name, told)
-            if name == plain:  # in the middle: what is so on the left is so on the right
-                X, y = np.concatenate([X, X * mirrored(X.shape[1])]), np.concatenate([y, y * [1, -1, 1]])
-            ok = np.linalg.norm(y, axis=1) < FARTHEST
-            X, y = np.concatenate([X, np.full((len(X), 1), float(one.simulated))], 1)[ok], y[ok]
-            share = weight / max(len(X), 1)
-            A, b = A + share * X.T @ X, b + share * X.T @ y
-            if not one.simulated:
-                count = count + share * X.sum(0)
-    assert isinstance(A, np.ndarray) and isinstance(b, np.ndarray) and isinstance(count, np.ndarray)
-    centred = np.eye(len(A))  # around the recordings' mean: only there is their mean held
-    centred[1:-1, 0] = -(count / count[0])[1:-1]
-    ridge = np.r_[CENTRE, np.full(9, POSE), np.full(len(A) - 11, GAP), FREE]
-    weights = centred.T @ np.linalg.solve(centred @ A @ centred.T + np.diag(ridge), centred @ b)
-    return told._replace(weights=weights[:-1])
+        for name in one.rows:
+            if stage.plain(name)[1] == plain:
+                X, y = rows_of(one, name, told)
+                ok = np.linalg.norm(y, axis=1) < FARTHEST
+                X, both = X[ok], np.concatenate([X, y], 1)[ok]
+                total.append(X.T @ both / max(len(X), 1))
+    A = sum(total, np.zeros(total[0].shape))
+    gaps = len(told.usual)
+    ridge = np.r_[np.full(len(A) - gaps, POSE), np.full(gaps, GAP)]
+    return told._replace(weights=np.linalg.solve(A[:, :-3] + np.diag(ridge), A[:, -3:]))
 
 
 def errors(cases: list[Case], told: dict[str, stage.Learned] | None) -> list[float]:
@@ -135,32 +131,31 @@ def toml(told: dict[str, stage.Learned]) -> str:
     return "\n".join(lines)
 
 
-def main(recordings: tyro.conf.Positional[Path], logs: tyro.conf.Positional[list[Path]], out: Path = OUT) -> None:
+def main(logs: tyro.conf.Positional[list[Path]], out: Path = OUT) -> None:
     """Learns where joint centres are.
 
     Args:
-        recordings: folder with *.mcap and *.truth.npz.
-        logs: folders with logs of simulated people.
+        logs: folders with *.mcap and *.truth.npz.
         out: file to write.
     """
     body = human()
     settings = settings_with({"track.skip": ("place_joints",), "detect.people": 1})
     cases: list[Case] = []
-    for folder in (recordings, *logs):
+    for folder in logs:
         for path in tqdm(log_files(folder), folder.name, leave=False, disable=None):
-            log, simulated = load_log(path, body, settings), folder != recordings
+            log = load_log(path, body, settings)
             person = f"{folder.name} {load_dims(path)['stature']:.3f}"
-            one = case(log, log.track(body, settings), person, simulated)
-            cases += [] if one is None else [one]
-    for simulated in (False, True):
-        some = [c for c in cases if c.simulated == simulated]
+            for people in (log.people, without_features(log.people)):
+                one = case(replace(log, people=people), log.track(body, settings, people), person, folder.name)
+                cases += [] if one is None else [one]
+    for folder in logs:
+        some = [c for c in cases if c.folder == folder.name]
         people = sorted({c.person for c in some})
-        rows = {"each": {p: k for k, p in enumerate(people)}, "halves": {p: k % 2 for k, p in enumerate(people)}}
-        print(f"{'simulated' if simulated else 'recordings'}: {len(some)} logs of {len(people)} people")
+        print(f"{folder.name}: {len(some)} tracks of {len(people)} people")
         print(f"  as tracked {np.mean(errors(some, None)):.3f} cm")
-        for name, folds in rows.items():
-            if name == "halves" or not simulated:
-                print(f"  people left out, {name}: {np.mean(left_out(cases, folds)):.3f} cm")
+        for name, of in {"each": len(people), "halves": 2}.items():
+            folds = {p: k % of for k, p in enumerate(people)}
+            print(f"  people left out, {name}: {np.mean(left_out(cases, folds)):.3f} cm")
     out.write_text(toml({name: learn(cases, name) for name in stage.LIMBS}))
     print(f"written: {out}")
 

@@ -1,6 +1,7 @@
-"""Body meshes of people: python experiments/people/bodies.py BODIES.npz [SEED [USUAL]] (pip install anny).
+"""Body meshes of people: python experiments/people/bodies.py BODIES.npz [SEED [USUAL [KIND]]] (pip install anny).
 
-USUAL people are drawn at random, 26 if nothing is said, and twelve unusual ones are added.
+USUAL people are drawn at random, 26 if nothing is said, and twelve unusual ones are added. KIND "recorded" draws people
+as the 18 recordings have them instead (men and women, none between), and adds nobody.
 Anny (naver/anny, Apache-2.0, of MakeHuman's CC0 data) needs PyTorch, so this runs in an environment of its own.
 """
 
@@ -24,17 +25,24 @@ UNUSUAL = (
     dict(gender=1.0, height=0.35, weight=0.75, age=0.8),
     dict(gender=0.0, height=0.42, weight=0.8, muscle=0.5),
 )
+# from where to where people are drawn; of the recordings' eight, whose lengths tell it
+RANGES = {
+    "usual": dict(gender=(0, 1), age=(0.6, 0.9), muscle=(0.25, 0.75), weight=(0.25, 0.75), height=(0.25, 0.8),
+                  proportions=(0.3, 0.8)),
+    "recorded": dict(gender=(0, 1), age=(0.45, 0.85), muscle=(0.35, 0.7), weight=(0.35, 0.7), height=(0.35, 0.7),
+                     proportions=(0.33, 0.73)),
+}  # fmt: skip
 TALLEST, SHORTEST = 2.0, 1.5  # metres, of the usual ones
 
 
-def main(path: str, seed: int = TUNED, usual: int = USUAL) -> None:
+def main(path: str, seed: str = str(TUNED), usual: str = str(USUAL), kind: str = "usual") -> None:
     """Writes rest meshes, bones and skinning weights of all people; metres, x forward, y left, z up, soles at 0."""
     import anny  # pyright: ignore[reportMissingImports]
     import torch  # pyright: ignore[reportMissingImports]
 
     model = anny.create_fullbody_model().to(torch.float32)
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])  # Anny looks along -y
-    rng, found = np.random.default_rng(seed), []
+    rng, found = np.random.default_rng(int(seed)), []
 
     def add(traits: dict[str, float]) -> None:
         with torch.no_grad():
@@ -43,13 +51,12 @@ def main(path: str, seed: int = TUNED, usual: int = USUAL) -> None:
         floor = np.array([0, 0, vertices[:, 2].min()])
         found.append((vertices - floor, heads - floor))
 
-    while len(found) < usual:
-        low = dict(gender=0.0, age=0.6, muscle=0.25, weight=0.25, height=0.25, proportions=0.3)
-        high = dict(gender=1.0, age=0.9, muscle=0.75, weight=0.75, height=0.8, proportions=0.8)
-        add({k: rng.uniform(low[k], high[k]) for k in low})
+    while len(found) < int(usual):
+        traits = {name: float(rng.uniform(*range)) for name, range in RANGES[kind].items()}
+        add(traits if kind == "usual" else traits | {"gender": round(traits["gender"])})
         if not SHORTEST < np.ptp(found[-1][0][:, 2]) < TALLEST:
             found.pop()
-    for traits in UNUSUAL:
+    for traits in UNUSUAL if kind == "usual" else ():
         add({k: 0.5 for k in ("gender", "muscle", "weight", "height", "proportions")} | {"age": 0.67} | traits)
     np.savez_compressed(
         path,
@@ -64,4 +71,4 @@ def main(path: str, seed: int = TUNED, usual: int = USUAL) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], *map(int, sys.argv[2:]))
+    main(*sys.argv[1:])

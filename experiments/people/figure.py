@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from experiments.people.motions import PARENT, Clip
@@ -80,26 +81,35 @@ class Figure:
     def posed(self, clip: Clip, on_floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Vertices [frame, vertex, 3] and joints [frame, joint, 3]; `on_floor` [frame]: 1 where the lowest part is on
         the floor, 0 where it is as high as the clip has it, between them in between."""
-        world, meshes = clip.world(), self.meshes
-        turns = np.stack([self._bone(name, world).as_matrix() for name in meshes.bones], 1)  # [frame, bone, 3, 3]
-        place = np.zeros((*turns.shape[:2], 3))
-        for bone, parent in enumerate(meshes.parents):
-            if parent >= 0:
-                place[:, bone] = place[:, parent] + turns[:, parent] @ (self.heads[bone] - self.heads[parent])
-        shift = place - np.einsum("fbij,bj->fbi", turns, self.heads)
-        vertices = np.zeros((len(place), *self.vertices.shape), np.float32)
-        for k in range(meshes.skin.shape[1]):
-            bone, weight = meshes.skin[:, k], meshes.weights[:, k, None].astype(np.float32)
-            for f in range(len(place)):
-                vertices[f] += weight * (np.einsum("vij,vj->vi", turns[f, bone], self.vertices) + shift[f, bone])
+        world = clip.world()
+        vertices, place = self.skinned(np.stack([self._bone(b, world).as_matrix() for b in self.meshes.bones], 1))
         leg = self.dims["thigh"] + self.dims["shank"]
         lowest, gone = vertices[..., 2].min(1), clip.place * leg
         height = gone[:, 2] + lowest
         free = on_floor < 1
         height -= np.percentile(height[free], 3) if free.any() else 0.0  # some part of the clip is on the floor
         gone[:, 2] = (1 - on_floor) * height - lowest
-        joints = np.stack([place[:, meshes.bones.index(bone)] for bone in BONES.values()], 1)
-        return vertices + gone[:, None].astype(np.float32), joints + gone[:, None]
+        return vertices + gone[:, None].astype(np.float32), self.joints_of(place) + gone[:, None]
+
+    def joints_of(self, heads: np.ndarray) -> np.ndarray:
+        """Joints [frame, joint, 3], from the heads of all bones."""
+        return heads[:, [self.meshes.bones.index(bone) for bone in BONES.values()]]
+
+    def skinned(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices [frame, vertex, 3] and heads of bones [frame, bone, 3] under `turns` [frame, bone, 3, 3] from rest;
+        the first bone's head is at the origin."""
+        place, meshes = np.zeros((*turns.shape[:2], 3)), self.meshes
+        for bone, parent in enumerate(meshes.parents):
+            if parent >= 0:
+                place[:, bone] = place[:, parent] + turns[:, parent] @ (self.heads[bone] - self.heads[parent])
+        shift = place - np.einsum("fbij,bj->fbi", turns, self.heads)
+        moves = np.concatenate([turns, shift[..., None]], -1).reshape(*turns.shape[:2], 12)
+        vertex = np.repeat(np.arange(len(self.vertices)), meshes.skin.shape[1])
+        size = len(self.vertices), turns.shape[1]
+        weights = csr_array((meshes.weights.ravel(), (vertex, meshes.skin.ravel())), size)
+        points = np.concatenate([self.vertices, np.ones((size[0], 1))], 1)
+        one = lambda m: np.einsum("vij,vj->vi", (weights @ m).reshape(-1, 3, 4), points)  # noqa: E731
+        return np.stack([one(m) for m in moves]).astype(np.float32), place
 
     def _bone(self, name: str, world: dict[str, Rotation]) -> Rotation:
         stem, _, side = name.partition(".")

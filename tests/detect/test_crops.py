@@ -12,7 +12,7 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.detect.opening import open_checked, read_log
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.recording import Recording
-from voodoo_jax.records.tracks import for_users, scaled_confidence
+from voodoo_jax.records.tracks import for_users, scale_confidence
 
 K = np.array([[140.0, 0, 79.5], [0, 140.0, 61.5], [0, 0, 1]])
 SHAPE, HIGH, WALL = (124, 160), 0.7, 4.5
@@ -106,8 +106,8 @@ def test_colour_images_that_were_cropped_are_named(rng, tmp_path):
 
 def test_joints_are_scaled_confidence():
     tracks = blank_tracks(human(), 2, joint_confidence=np.full((2, 14), 0.9, np.float32))
-    np.testing.assert_allclose(scaled_confidence(tracks, 0.5).joint_confidence, 0.45)
-    assert scaled_confidence(tracks, 1.0) is tracks
+    np.testing.assert_allclose(scale_confidence(tracks, 0.5).joint_confidence, 0.45)
+    assert scale_confidence(tracks, 1.0) is tracks
     log = SimpleNamespace(origin=np.array([1.0, 2.0, 0.0]), sure=0.5)  # as users get them, from Python and the command
     given = for_users(tracks, log)
     np.testing.assert_allclose(given.joint_confidence, 0.45)

@@ -66,7 +66,9 @@ def test_who_is_cut_off_stands_lower_than_the_picture_ends(cut, floor):
     got = finder(frame(np.concatenate([person[person[:, 2] > cut], low]), 1)).points
     assert len(got) > 1000 and got[:, 1].max() < 0.5
     assert finder.scene.floor.offset == pytest.approx(floor, abs=0.03) and finder.scene.floor_open == (floor == cut)
-    np.testing.assert_allclose(finder.clearing.places(np.zeros((1, 3), np.float32))[0], -finder.scene.floor.offset, atol=1e-6)
+    np.testing.assert_allclose(
+        finder.clearing.places(np.zeros((1, 3), np.float32))[0], -finder.scene.floor.offset, atol=1e-6
+    )
 
 
 def test_the_lower_edge_of_what_is_seen_is_no_floor(rng):

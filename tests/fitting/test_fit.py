@@ -18,7 +18,7 @@ from voodoo_jax.fitting.folds import check_common, folds_of, with_bands
 from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
 from voodoo_jax.fitting.front import all_shared, fit
 from voodoo_jax.fitting.gauss_newton import FitError, undetermined
-from voodoo_jax.fitting.judge import ERROR, Judged, untold, verdict_on
+from voodoo_jax.fitting.judge import ERROR, Judged, verdict_on, weakly_determined
 from voodoo_jax.fitting.objective import as_distances
 from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths
 from voodoo_jax.fitting.sizes import sizes_after
@@ -391,7 +391,7 @@ def test_what_recordings_do_not_tell_stays_if_it_is_a_size():
     found, prior = np.full(5, 0.1), np.full(5, 0.1)
     sd = np.array([0.01, 0.099, 0.01, 0.099, 0.099])  # of the second, fourth and fifth hardly anything is told
     apart = np.array([0.04, 0.01, 0.06, 0.06, 0.01])  # the third and fourth differ between parts of the recordings
-    assert untold(names, found, sd, prior, apart).tolist() == [False, True, True, False, False]
+    assert weakly_determined(names, found, sd, prior, apart).tolist() == [False, True, True, False, False]
 
 
 def test_joints_far_off_count_by_their_distance():

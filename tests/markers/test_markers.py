@@ -232,7 +232,7 @@ def test_another_set_has_clusters_and_joints_between_two_markers(everywhere, tmp
     assert tracks.marker_residual.max() < 0.015 and tracks.residual.max() < 0.015
     notes = "\n".join(tracks.notes)
     assert "OpenSim" in notes and "--features.names 'zebra=r_calcaneus_posterior'" in notes
-    assert "1 points that nobody named" in notes
+    assert "1 points without names" in notes
     # the same by the setting that the note gives, and for a marker of which only the limb is known
     named = FeatureSettings(names=("zebra=r_calcaneus_posterior", "R.thigh1=r_thigh"))
     again = track(human(), recorded(tmp_path, frames), Settings(features=named))

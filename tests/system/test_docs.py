@@ -128,6 +128,11 @@ def test_pages_are_in_plain_english(page):
     assert not phrases(page.read_text())
 
 
+def test_settings_are_in_plain_english(capsys):
+    assert main(["config"]) == 0
+    assert not phrases(capsys.readouterr().out)
+
+
 def test_phrases_are_found():
     assert phrases("Who lies on the floor is found.") and phrases("The floor is that of who stands on it.")
     assert not phrases("A person lying on the floor is found.\n```sh\n# who stands\n```\nPeople who sit are tracked.")

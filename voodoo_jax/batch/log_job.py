@@ -157,7 +157,7 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
         outcome = Outcome(job.log, error=plain(f"unexpected {type(problem).__name__}: {problem}", SENTENCE))
     keep_compiled()
     if outcome.error and os.path.exists(output_places(job.log, job.out)[0]):
-        outcome = replace(outcome, error=f"{outcome.error} (What is there of this log is from an earlier run.)")
+        outcome = replace(outcome, error=f"{outcome.error} (The present files of this log are from an earlier run.)")
     return replace(outcome, total_seconds=time.perf_counter() - began)
 
 

@@ -71,9 +71,13 @@ class Outcome:
         return (replace(self, others=()), *self.others)
 
     def __str__(self) -> str:
-        return "\n".join(one._lines(bool(self.others)) for one in self.people)
+        return self.words()
 
-    def _lines(self, numbered: bool) -> str:
+    def words(self, remarks: bool = True) -> str:
+        """The outcome in lines, with or without notes that ask for nothing."""
+        return "\n".join(one._lines(bool(self.others), remarks) for one in self.people)
+
+    def _lines(self, numbered: bool, remarks: bool) -> str:
         name = f"{plain(self.name)}, person {self.person}" if numbered else plain(self.name)
         if not self.npz:
             return f"{name}: FAILED: {self.error}"
@@ -89,7 +93,8 @@ class Outcome:
             line += f", picture {self.picture}"
         if not self.ok:
             line += "; NOTHING TRACKED"
-        return "\n".join([line, *(f"    {note}" for note in (*self.notes, *self.told))])
+        notes = [note for note in (*self.notes, *self.told) if remarks or not note.startswith("(")]
+        return "\n".join([line, *(f"    {note}" for note in notes)])
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for replay.jsonl of each person."""

@@ -61,7 +61,7 @@ class NotSummedUp(NotWritten):
         self.outcomes = outcomes
 
 
-# 18 parameters, the options of the command, each by name; half of the lines say what they are
+# 19 parameters, the options of the command, each by name; half of the lines say what they are
 def replay(
     logs: Iterable[str | os.PathLike[str]],
     out: str | os.PathLike[str],
@@ -76,6 +76,7 @@ def replay(
     export: Iterable[str] = (),
     style: Style | None = None,
     again: bool = False,
+    verbose: bool = False,
     workers: int = 1,
     engine: Literal["local", "batch", "ray"] = "local",
     shard: str = "",
@@ -86,20 +87,21 @@ def replay(
     """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, those of
     logs below a given folder into folders as theirs (see output_paths.py).
 
-    A log that cannot be read or tracked is reported in its Outcome, and the others are done all the same. Files appear
+    A log that cannot be read or tracked is reported in its Outcome, and the others are tracked. Files appear
     under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
-    version are skipped. `replay.jsonl` in `out` has a line for each person of each log. Where there are several, who is
-    seen longest has `<stem>.tracks.npz`, the others `<stem>.2.tracks.npz`, ..., and `<stem>.voodoo.mcap` shows all.
+    version are skipped. `replay.jsonl` in `out` has a line for each person of each log. `<stem>.tracks.npz` has the
+    person in view for longest, `<stem>.2.tracks.npz`, ... have the others, and `<stem>.voodoo.mcap` shows all.
 
     **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
     trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
     `report` writes `report.html`, with a row for each log whose results are in `out`; `export` formats to which tracks
     are exported besides (exporters/formats.py), such as "bvh"; `style` how joints and bones are called; `again` does
-    finished logs anew; `workers` processes that track, 0: as many as are good for this machine, 1: a copy of this
-    process, or this one where it cannot be copied (see worker_start.py); `engine` "batch": in this process, several
-    logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": the second of eight parts of the
-    logs only; `compile_cache` folder for compiled programs, "": the user's, "off": none; `log_timeout` seconds after
-    which a log is given up, 0: never; `ray` what each log asks of a Ray cluster.
+    finished logs anew; `verbose` prints notes that ask for nothing, too; `workers` processes that track, 0: as many as
+    are good for this machine, 1: a copy of this process, or this one where it cannot be copied (see worker_start.py);
+    `engine` "batch": in this process, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster;
+    `shard` "2/8": the second of eight parts of the logs only; `compile_cache` folder for compiled programs, "": the
+    user's, "off": none; `log_timeout` seconds after which a log is given up, 0: never; `ray` what a log asks of a Ray
+    cluster.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
@@ -163,7 +165,7 @@ def replay(
                 jobs[log] = replace(jobs[log], only_picture=True)
             elif found is not None:
                 done[log] = replace(found, folder=within[log])
-                _say(done[log], quiet)
+                _say(done[log], quiet, verbose)
     if len(done) < len(places) and not is_url(out):
         check_writable(joined(out, "replay"))
     left = largest_first([log for log in places if log not in done], {log: jobs[log].size for log in places})
@@ -185,7 +187,7 @@ def replay(
                     done[outcome.path] = outcome = replace(outcome, folder=within[outcome.path])
                     advance(which, 1.0)
                     bar.set_description(f"{len(done)}/{len(places)} logs")
-                    _say(outcome, quiet)
+                    _say(outcome, quiet, verbose)
                     if time.monotonic() - saved > SUMMARY_SECONDS:
                         save()
                         saved = time.monotonic()
@@ -293,6 +295,6 @@ def parameters_of(settings: Settings, smooth_seconds: float = 0.0) -> tuple[tupl
     return tuple((out | {f"change.{n}": str(change) for n, change in enumerate(settings.changes, 1)}).items())
 
 
-def _say(outcome: Outcome, quiet: bool) -> None:
+def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     if not quiet:
-        tqdm.write(shown(str(outcome)))
+        tqdm.write(shown(outcome.words(verbose)))

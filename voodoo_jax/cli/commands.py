@@ -49,10 +49,10 @@ class Results(Style):
     html: bool = False
     """Also write <log>.html: cloud, bodies, angles and quality over time, for a browser, offline."""
     report: bool = False
-    """Also write report.html: a row for each log in --out, with what was found and is in doubt."""
+    """Also write report.html, with a row for each log."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
     smooth: float = 0.0
-    """Average finished tracks over so many seconds before and after (Gaussian); 0: as tracked."""
+    """Average tracks over so many seconds (Gaussian); 0: as tracked."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,9 @@ class Running:
     """How many logs are done, where, and at once."""
 
     again: bool = False
-    """Do logs anew that an earlier run has finished with these settings; else they are skipped."""
+    """Track finished logs anew."""
+    verbose: bool = False
+    """Print all notes, also in brackets."""
     workers: int = 0
     """Processes that track one log each; 0: as many as there are cores, memory and logs for."""
     shard: str = ""
@@ -70,23 +72,21 @@ class Running:
     compile_cache: str = ""
     """Folder of compiled programs, or off; none named: the user's."""
     log_timeout: float = 0.0
-    """Seconds after which a log is given up and the next one begun; 0: never."""
+    """Seconds after which a log is given up; 0: never."""
     ray_cpus: int = 1
     """Cores that a log holds on Ray."""
     ray_gpus: float = 0.0
     """GPUs that it holds there, 0.25: a share."""
     ray_retries: int = 1
-    """How often a log that Ray lost is done anew."""
+    """Restarts of a log that Ray lost."""
 
 
 @dataclass(frozen=True)
 class Replay:
     """Track people (or other bodies) in recorded logs.
 
-    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (to look at in Foxglove) for each
-    log; where several people are in view, <log>.2.tracks.npz, ... for the others. Nothing about them need be
-    given: start, place and size are found. Usual options: --help; all settings,
-    such as --start.scale and --detect.people: --help-all.
+    Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (for Foxglove), and <log>.2.tracks.npz, ...
+    for further people. Usual options: --help; all settings, such as --start.scale: --help-all.
     """
 
     logs: Positional[tuple[str, ...]] = ()
@@ -101,12 +101,12 @@ class Replay:
 
 @dataclass(frozen=True)
 class Live:
-    """Track the main person (or body) while it is recorded, with the settings of --online.
+    """Track the main person (or body) during the recording, with the settings of --online.
 
-    Reads an MCAP file, or the folder of a ROS 2 bag, that a recorder still writes, or a Foxglove WebSocket (ws://...,
-    such as foxglove_bridge). Gives out transforms and the body frame by frame: in a growing <log>.voodoo.mcap, and with
-    --serve as a Foxglove WebSocket. Ends by Ctrl-C or when nothing more comes, and leaves the files that replay does.
-    Usual options: --help; all settings: --help-all.
+    Reads an MCAP file, or the folder of a ROS 2 bag, while a recorder writes it, or a Foxglove WebSocket (ws://...,
+    such as foxglove_bridge). Publishes transforms and the body frame by frame: in a growing <log>.voodoo.mcap, and with
+    --serve as a Foxglove WebSocket. Ends with Ctrl-C or with the recording, and then writes the files of replay. Usual
+    options: --help; all settings: --help-all.
     """
 
     source: Positional[str] = ""
@@ -114,8 +114,8 @@ class Live:
     out: str = "voodoo-out"
     """Folder for the results; made if it is missing."""
     serve: int = -1
-    """Port of a Foxglove WebSocket on this machine's own address, on which transforms and the body are given out; 0:
-    any that is free; -1: none."""
+    """Port of a Foxglove WebSocket on this machine's own address, for transforms and the body; 0: any free port;
+    -1: none."""
     names: Names = ""
     """Names of joints; common: left_wrist."""
     idle: float = 10.0
@@ -165,8 +165,8 @@ class Convert:
 
     ROS 1 bags (.bag), also RealSense's, SQLite bags of ROS 2 (.db3, or their folder), recordings of Azure Kinect and
     Femto cameras (.mkv), skeletons of a Kinect (.json), C3D and TRC, and folders of 16-bit depth images (PNG), as the
-    TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay converts files in
-    passing.
+    TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay also takes such
+    files.
     """
 
     sources: Positional[tuple[Path, ...]] = ()
@@ -185,7 +185,7 @@ class Convert:
 
 @dataclass(frozen=True)
 class Info:
-    """Show what is in logs and what replay would use of it."""
+    """Show the topics of logs, and which of them replay would use."""
 
     logs: Positional[tuple[Path, ...]]
     """MCAP logs, or folders of them."""
@@ -227,12 +227,12 @@ class Demo:
 class FitCommand:
     """Fit a body's sizes (or joints, bands, weights of measurements) to recorded logs.
 
-    Tracks the logs, changes the body until measurements that the poses were not solved on lie on it, and tracks them
-    again. The body file is written only if the fitted body is better, beyond noise, in time held back from the fit; a
-    report (.md, .html, .png) says what changed, how sure that is, and why the body was written or not. What the logs do
-    not tell stays as it was. Weights of measurements and options of the solve, if they were fitted, go into a settings
-    file (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: the size is found anew, the
-    proportions are kept. Ctrl-C stops it; the same command goes on from there.
+    Tracks the logs, changes the body until held-back measurements lie on its surface, and tracks the logs again. The
+    body file is written only if the fitted body is better, beyond noise, in time held back from the fit. A report (.md,
+    .html, .png) lists the changes with their uncertainty, and why the body was written or not. Parameters that the logs
+    do not determine keep their values. Fitted weights of measurements and options of the solve go into a settings file
+    (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: replay finds the size anew and
+    keeps the proportions. Ctrl-C stops the fit; the same command continues it.
     """
 
     logs: Positional[tuple[Path, ...]] = ()
@@ -256,8 +256,8 @@ class FitCommand:
 class BodyCommand:
     """Make a body file of a robot description (URDF) or of a skinned mesh (glTF).
 
-    Links, or the parts of the mesh that follow a joint, become limbs: the nearest tapered elliptic cylinders. What fits
-    badly is said. Track with it by `voodoo-jax replay LOG --body FILE --start.scale N`, N as this command prints it.
+    Links, or the parts of the mesh that follow a joint, become limbs: the nearest tapered elliptic cylinders. Notes
+    name badly fitting parts. Track with `voodoo-jax replay LOG --body FILE --start.scale N`; this command prints N.
     """
 
     source: Positional[Path | None] = None

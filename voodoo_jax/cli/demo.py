@@ -35,7 +35,7 @@ def demo(out: Path) -> int:
 
     with as_file(files("voodoo_jax") / "data") as data:
         log, truth_file = data / "demo.mcap", data / "demo.truth.npz"
-        tell("Tracking a simulated person who waves and bows, seen by one depth camera; nothing about them is given.")
+        tell("Tracking a simulated, waving and bowing person by one depth camera, without any configuration.")
         outcome = replay([log], out, again=True)[0]
         tracks = outcome.tracks
         if tracks is None or not outcome.ok:
@@ -60,7 +60,7 @@ def demo_flexible(out: Path) -> int:
 
     out, settings = Path(out), preset("flexible")
     out.mkdir(parents=True, exist_ok=True)
-    tell("Simulating a stereo camera's images of a person who waves and bows (half a minute).")
+    tell("Simulating a stereo camera's images of a waving and bowing person (half a minute).")
     log = write_colour(stereo_demo(), out / "demo-flexible.mcap")
     tell("Tracking the person in these images with masses, springs and particle filters; nothing about them is given.")
     outcome = replay([log], out, settings=settings, again=True)[0]

@@ -74,7 +74,7 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         raise Stop(f"{problem}; what was fitted is kept in {state}", 1) from problem
     tell(found.verdict.why)
     if not found.better:
-        kept = "The fitted body is written all the same."
+        kept = "The fitted body is written anyway."
         tell(kept if command.keep_anyway else "No body is written; --keep-anyway writes it.")
     tell(f"written: {', '.join(map(str, files))}")
     return 0

@@ -87,6 +87,7 @@ def run_replay(command: Replay) -> int:
         outcomes = replay(
             command.logs, wanted.out, body, command.settings, smooth_seconds=wanted.smooth, picture=wanted.picture,
             html=wanted.html, report=wanted.report, export=[wanted.export], style=style, again=how.again,
+            verbose=how.verbose,
             workers=how.workers, engine=how.engine, shard=how.shard, compile_cache=cache or "off",
             log_timeout=how.log_timeout, ray=RayTasks(how.ray_cpus, how.ray_gpus, how.ray_retries),
         )  # fmt: skip

@@ -53,8 +53,8 @@ class ReadSettings:
     of clouds; of depth images x where they are mirrored left to right, y upside down. none, of named points:
     coordinates are right-handed, and it is names that are on the wrong sides."""
     radial: tuple[str, ...] = ()
-    """Depth image topic = yes where its values are distances along the rays, no where they are depths along the optical
-    axis; without an entry floor and walls tell it."""
+    """Depth image topic = yes if its values are distances along the rays, no if they are depths along the optical axis;
+    without an entry floor and walls decide."""
     delays: tuple[str, ...] = ()
     """Topic = seconds by which its stamps are late (negative: early); without an entry clocks are brought together."""
     camera: tuple[str, ...] = ()
@@ -69,11 +69,11 @@ class ReadSettings:
 
 @dataclass(frozen=True)
 class DetectSettings:
-    """How the person (or any tracked body) is told apart from floor, walls and furniture."""
+    """How the person (or any tracked body) is separated from floor, walls and furniture."""
 
     people: int = 0
-    """How many people (or other bodies) are tracked at most, who is seen longest first; 0: all in view; 1: the main
-    one, and others are not looked for."""
+    """How many people (or other bodies) are tracked at most, those in view for longest first; 0: all in view; 1: the
+    main one only."""
     floor_margin: float = 0.035
     """Points lower than this above the floor are dropped, metres."""
     link: float = 0.12
@@ -83,7 +83,7 @@ class DetectSettings:
     move: float = 0.25
     """How far a part of the body may have moved since the last frame, metres."""
     forget: int = 30
-    """After so many frames without the body it is looked for everywhere again."""
+    """After this number of frames without the body the search covers the whole view again."""
     reach: float = 0.7
     """Things farther than this from the box that the body was in are dropped, metres."""
     points: int = 1024
@@ -112,8 +112,8 @@ class StartSettings:
     size_frames: int = 12
     """Frames over which the size is measured."""
     later: tuple[float, ...] = (0.5, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0)
-    """Where the beginning is in doubt, times after it, in seconds, at which a clearer pose to start from is looked for;
-    from there the body is followed back to the beginning (not online)."""
+    """After a doubtful beginning, times in seconds at which a clearer start is tried; from there the body is tracked
+    backwards to the beginning (not online)."""
     sure: float = 0.00014
     """Mean squared distance beyond what noise makes, square metres, below which a start is in no doubt."""
 
@@ -151,7 +151,7 @@ class SolveSettings:
     max_steps: int = 30
     """Most ICP steps per frame (the papers: 6 online, 3 to 15 in general)."""
     stretch: float = 2.0
-    """Where a limb's steps go the same way it goes up to so many times as far in one (coupled); 1: never farther."""
+    """Largest factor by which successive steps of a limb in the same direction are extrapolated (coupled); 1: none."""
     epsilon: float = 1e-7
     """Stop when the mean squared distance changes by less, square metres (coupled, from where it was expected: by less
     than ten times that, or rises); 0: take all steps."""
@@ -171,25 +171,25 @@ class SolveSettings:
     """Most points that a limb uses."""
     max_distance: float = 0.35
     """Longest distance of a pair, metres."""
-    robust_scale: float = 0.15
+    robust_scale: float = 0.126  # with prior and prior_radius by gradients, see experiments/tuning (prediction)
     """Distance at which a pair counts a quarter (Geman-McClure), metres; inf: all pairs count fully."""
     overlap: Literal["exclusive", "shared", "adjacent", "soft"] = "exclusive"
-    """What becomes of a point in several limbs' boxes; soft: each has a share of it, the nearest most, and gradients
-    know of points that go from limb to limb."""
+    """Rule for a point in several limbs' boxes. soft: each limb gets a share of it, the nearest one most, so that
+    gradients include points that go from limb to limb."""
     softness: float = 0.02
     """Distance over which shares go from one limb to the next (overlap soft), metres."""
     near_side: bool = True
     """Match points to the side of a limb that faces their sensor."""
     refine: int = 0
     """Iterations towards the exact closest point on elliptic limbs; 0: exact for round limbs only."""
-    prior: float = 0.0003
+    prior: float = 0.00034
     """Weight of the pull to the predicted pose, as a share of the frame's weight."""
-    prior_radius: float = 0.4
+    prior_radius: float = 0.48
     """Where the pull's pairs sit: larger holds rotations more, metres."""
     steady: float = 8.0
     """Weight of the pull that holds a limb where it stands still, over the limb's measured weight; 0: none."""
     steady_distance: float = 0.004
-    """Distance from the predicted place at which that pull is down to a quarter: who moves is not held, metres."""
+    """Distance from the predicted place at which that pull is down to a quarter, metres: moving limbs are not held."""
     limits: float = 0.1
     """Weight of pairs that turn joints back into their limits from frame to frame, relative to a joint's bands; 0: only
     reported."""
@@ -210,7 +210,8 @@ class TrackSettings:
     still_speed: float = 0.2
     """Limbs that are slower are held where they are (solve.steady), metres per second."""
     hidden_rest: float = 0.8
-    """Limbs that no point tells of go with their parents, and back to rest in about so many seconds (0: never)."""
+    """Time in which limbs without points return to their rest pose, seconds (0: never); meanwhile they follow their
+    parents."""
     hidden_weight: float = 8.0
     """Weight of the points (1 each if not noisy) at which a limb counts as half hidden."""
     lost_explained: float = 0.8
@@ -218,7 +219,7 @@ class TrackSettings:
     lost_confidence: float = 0.4
     """So small a share of the joints expected within 10 cm: the frame counts as lost."""
     patience: int = 15
-    """After so many lost or empty frames on end the body is looked for anew."""
+    """After this number of successive lost or empty frames the search for the body starts anew."""
     chunk: int = 128
     """Frames per compiled run."""
     skip: tuple[str, ...] = ()
@@ -228,7 +229,7 @@ class TrackSettings:
 
 @dataclass(frozen=True)
 class LimitSettings:
-    """What one log may ask for: what asks for more is refused with a sentence, and costs itself only."""
+    """Limits for one log: anything beyond a limit is refused with a sentence, and the rest is read."""
 
     # the largest message of sensors in use is a raw image of 32 Mpixel (128 MB); recorders close chunks at some MB
     chunk_bytes: int = 256 << 20
@@ -303,7 +304,7 @@ class Change:
     grip: tuple[float, ...] = (0.0, 0.0, 0.0)
     """Where it is held, in the frame of the thing's first limb, metres."""
     axis: tuple[float, ...] = ()
-    """Direction in the carrying limb's frame in which the thing points at first; empty: it is looked for."""
+    """Direction in the carrying limb's frame in which the thing points at first; empty: trials find it."""
     joint_axes: tuple[float, ...] = (0.0, 0.0)
     """Semi-axes of the joint's ellipse, metres: both 0 lets the thing turn freely."""
     weight: float = 1.0
@@ -327,7 +328,7 @@ class Settings:
     and depth images (Hecht et al. 2009); both: each limb by both."""
     changes: tuple[Change, ...] = ()
     online: bool = False
-    """No look into the future, as on a robot: one pass in time, and no furniture told by later frames."""
+    """Use no later frames, as on a robot."""
 
     def looks_ahead(self, section: Literal["detect", "track"]) -> bool:
         """Whether later frames may be used there."""

@@ -16,7 +16,7 @@ from voodoo_jax.detect.crops import RIGHT
 from voodoo_jax.detect.delays import WINDOW
 from voodoo_jax.detect.segmentation import CELL
 from voodoo_jax.geometry.voxels import Counted, cells_of
-from voodoo_jax.io.as_shown import TORN, is_told, off_level
+from voodoo_jax.io.as_shown import TORN, is_decisive, off_level
 from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.records.recording import Frame
 
@@ -63,7 +63,7 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
         lines = "", ""
         if away > (OFF if sure else RIGHT) and reader.frame_name(topic) not in given:
             lines = reader.move(topic, T) if sure else lines
-            _say(reader, (first, topic), away, is_told(off[first], off[topic]), lines)
+            _say(reader, (first, topic), away, is_decisive(off[first], off[topic]), lines)
         T = T if lines[0] else STILL  # as it is read from now on
         known += [Surface(moved(one.points, T), one.normals @ T[:3, :3].T) for one in mine]
     return reader

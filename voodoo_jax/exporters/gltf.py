@@ -86,7 +86,7 @@ def _document(tracks: Tracks, style: Style | None) -> tuple[dict, bytes]:
     }
     primitives, materials = _primitives(tracks, bones, buffer)
     document = {
-        "asset": {"version": "2.0", "generator": "voodoo_jax", "extras": _told(tracks)},
+        "asset": {"version": "2.0", "generator": "voodoo_jax", "extras": _extras(tracks)},
         "scene": 0,
         "scenes": [{"name": Path(tracks.source).stem, "nodes": [0, count]}],
         "nodes": nodes,
@@ -104,7 +104,7 @@ def _document(tracks: Tracks, style: Style | None) -> tuple[dict, bytes]:
     return document, bytes(buffer.data)
 
 
-def _told(tracks: Tracks) -> dict:
+def _extras(tracks: Tracks) -> dict:
     return {"units": "metres", "axes": "y up, z forwards", "source": Path(tracks.source).name}
 
 

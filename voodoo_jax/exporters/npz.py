@@ -156,8 +156,8 @@ def tracks_arrays(stream: Any, path: str | os.PathLike[str]) -> dict[str, np.nda
 def scale_of(data: Mapping[str, np.ndarray]) -> tuple[str, float]:
     """What the scale of a body is called, and its value in metres, of the arrays of a tracks file. Raises NotArrays."""
     try:
-        told = json.loads(str(data["body_json"]))
-        ((name, value),) = [item for item in told.items() if item[0] not in ("name", "segment_lengths")]
+        body = json.loads(str(data["body_json"]))
+        ((name, value),) = [item for item in body.items() if item[0] not in ("name", "segment_lengths")]
         if math.isfinite(value):
             return name, float(value)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):

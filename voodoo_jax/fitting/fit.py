@@ -24,7 +24,7 @@ from voodoo_jax.fitting.gauss_newton import (
     run_search,
     spread,
 )
-from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, untold, verdict_on
+from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, verdict_on, weakly_determined
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
 from voodoo_jax.fitting.seen import Seen
@@ -160,7 +160,7 @@ def searched(
         parts = tuple(old._replace(frames=new.frames) for old, new in zip(search.parts, parts))
         search, progress = replace(search, parts=parts), replace(progress, done=False)
     # what the recordings do not tell stays, and the others are found anew beside it
-    stays = untold(_all_names(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
+    stays = weakly_determined(_all_names(search), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
     if stays.any():
         progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
         progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE, step_done)

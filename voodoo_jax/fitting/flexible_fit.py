@@ -38,7 +38,7 @@ from voodoo_jax.fitting.gauss_newton import (
     spread,
 )
 from voodoo_jax.fitting.gauss_newton import PARTS as LEFT_OUT
-from voodoo_jax.fitting.judge import is_size, judged_by, untold, verdict_on
+from voodoo_jax.fitting.judge import is_size, judged_by, verdict_on, weakly_determined
 from voodoo_jax.fitting.objective import FEW, JOINT_SD, PER_LIMB, POINT_SD, ROBUST, Objective, as_distances
 from voodoo_jax.fitting.parameters import Parameters, changed, parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit
@@ -230,7 +230,7 @@ def fit_flexible(
         search = search_of(body, seen, settings, options, free, known)
         progress, place = _searched(search, options, state, tell)
         cov, apart = covariance(search, progress.x, place), spread(search, progress.x, place)
-        stays = untold(free.names * len(search.rows), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
+        stays = weakly_determined(free.names * len(search.rows), progress.x, np.sqrt(np.diag(cov)), search.sd, apart)
         if stays.any():  # what the recordings do not tell stays, and the others are found anew beside it
             progress = replace(progress, x=np.where(stays, 0.0, progress.x), done=bool(stays.all()))
             progress, _ = run_search(replace(search, held=stays), progress, progress.step + FEW_MORE)
@@ -263,7 +263,9 @@ def watched(
     source, observed = observed_log(body, log, settings, opened, lambda name: tell(f"tracking {name}", None))
     found = followed(body, observed, settings, source.path, source.fixed_frame, source.notes())
     if found.found is None:
-        raise FitError(f"{Path(source.path).name}: nobody was found; look at the log with voodoo-jax replay --picture")
+        raise FitError(
+            f"{Path(source.path).name}: no person was found; look at the log with voodoo-jax replay --picture"
+        )
     return Watched(source.path, source.fixed_frame, observed, found)
 
 

@@ -60,7 +60,7 @@ def is_size(names: tuple[str, ...]) -> Bool[np.ndarray, " all"]:
     return np.array([n.startswith(("shape", "scale", "lengths", "radii", "anchors")) for n in names], bool)
 
 
-def untold(
+def weakly_determined(
     names: tuple[str, ...],
     x: Float64[np.ndarray, " all"],
     sd: Float64[np.ndarray, " all"],

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from voodoo_jax.fitting.objective import JOINT_NEAR, POINT_SD, FitFrames, frame_residuals
+from voodoo_jax.fitting.objective import JOINT_NEAR, POINT_SD, FitFrames, as_distances, frame_residuals
 from voodoo_jax.fitting.problem import Problem
 from voodoo_jax.model.body import Body
 from voodoo_jax.solve import frame as one_frame
@@ -40,19 +40,18 @@ class loss:  # noqa: N801 (a namespace: vj.loss.joints)
             raise ValueError("loss.joints needs known joints: vj.problem(..., truth=FILE)")
         there = frames.known & (solved.converged & (frames.weight > 0))[:, None]
         gap = jnp.where(there[..., None], solved.joints - problem.places - frames.truth, 0.0)
-        # by hand, as fitting.objective.JOINT_NEAR
-        away = jnp.sqrt(jnp.sum(gap * gap, -1) + JOINT_NEAR**2) - JOINT_NEAR
+        away = jnp.sum(as_distances(gap) ** 2, -1) / (2 * JOINT_NEAR)
         return jnp.sum(jnp.where(there, away, 0.0)) / jnp.maximum(jnp.sum(there), 1)
 
     @staticmethod
-    def points(solved: Tracked, problem: Problem, body: Body | None = None) -> Float[Array, ""]:
+    def points(solved: Tracked, problem: Problem) -> Float[Array, ""]:
         """How far measurements that the poses were not solved on lie from the body, square metres: the mean over frames
-        of what `reprojection` gives. `body` the one that was solved with; None: the problem's."""
-        body, frames = body or problem.body, problem.frames
+        of what `reprojection` gives. `problem` as it was solved, with its parameters (`problem.having`)."""
+        frames = problem.frames
 
         def one(inputs):
             frame, poses, good = inputs
-            squares = jnp.sum(frame_residuals(body, problem.options.icp, frame, poses, "held") ** 2)
+            squares = jnp.sum(frame_residuals(problem.body, problem.options.icp, frame, poses, "held") ** 2)
             return jnp.where(good & (frame.weight > 0), POINT_SD**2 * squares, 0.0)
 
         counted = jnp.sum(solved.converged & (frames.weight > 0))

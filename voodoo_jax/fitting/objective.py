@@ -91,7 +91,7 @@ def _robust(gap: Float[Array, "n 3"], scale: float) -> Float[Array, "n 3"]:
     return gap * jnp.sqrt(geman_mcclure_root(jnp.sum(gap * gap, -1, keepdims=True), scale))
 
 
-def as_distances(gap: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+def as_distances(gap: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """Vectors whose squares grow as the lengths of the given ones do beyond JOINT_NEAR (pseudo-Huber).
 
     Tracks are judged by the mean distance of joints; of squares one limb that is lost for some frames would be most.

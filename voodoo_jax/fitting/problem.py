@@ -41,6 +41,16 @@ class Problem(eqx.Module):
         frames = self.frames
         return Measurements(frames.points, self.seconds, frames.weight > 0, frames.features)
 
+    def having(self, parameters: Named | Body) -> "Problem":
+        """The same with parameters as `solved` takes them: `solved({}, problem.having(p))` is `solved(p, problem)`, and
+        a loss that is given `problem.having(p)` judges by what was solved with. Raises ValueError as `solved` does."""
+        if isinstance(parameters, Body):
+            return replace(self, body=parameters)
+        by = named_changes(self.body, parameters, self.features, self.frames.points.origins.shape[-2])
+        seen = [changed_points(points, by) for points in (self.frames.points, self.frames.held)]
+        frames = replace(self.frames, points=seen[0], held=seen[1], features=changed_features(self.frames, by))
+        return replace(self, body=changed(self.body, by), options=changed_tracking(self.options, by), frames=frames)
+
 
 # 8 parameters: what is tracked and how, and which frames count
 def problem(
@@ -93,17 +103,6 @@ def _whole(tracks):
     return replace(tracks, rotation=tracks.rotation[last], translation=tracks.translation[last])
 
 
-def with_parameters(parameters: Named | Body, problem: Problem) -> tuple[Body, TrackOptions, Measurements]:
-    """What a recording is solved with, see solved."""
-    if isinstance(parameters, Body):
-        return parameters, problem.options, problem.measured()
-    sensors, measured = problem.frames.points.origins.shape[-2], problem.measured()
-    by = named_changes(problem.body, parameters, problem.features, sensors)
-    features = changed_features(problem.frames, by)
-    moved = replace(measured, points=changed_points(measured.points, by), features=features)
-    return changed(problem.body, by), changed_tracking(problem.options, by), moved
-
-
 def solved(parameters: Named | Body, problem: Problem) -> Tracked:
     """Poses and joints of all frames, by parameters: one pure function of arrays, from the first frame to the last,
     with derivatives in forward and in reverse mode; it may be mapped over parameters and problems (`jax.vmap`).
@@ -126,9 +125,9 @@ def _solve():
     """Compiled: op by op it would take a minute."""
 
     def solve(parameters: Named | Body, problem: Problem) -> Tracked:
-        body, options, measured = with_parameters(parameters, problem)
-        start = at_rest(Poses(problem.frames.poses.rotation[0], problem.frames.poses.translation[0]))
-        found = track_through(body, options, start, measured)
-        return eqx.tree_at(lambda f: f.joints, found, found.joints + problem.places)
+        one = problem.having(parameters)
+        start = at_rest(Poses(one.frames.poses.rotation[0], one.frames.poses.translation[0]))
+        found = track_through(one.body, one.options, start, one.measured())
+        return replace(found, joints=found.joints + one.places)
 
     return jax.jit(solve)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import equinox as eqx
@@ -21,7 +22,12 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.solve.through_time import Tracked
 
 Loss = Callable[[Tracked, Problem], Float[Array, ""]]
-ENOUGH = 1e-3  # of the loss, and of a parameter's usual deviation: a step that changes less is the last
+# a tenth of the loss counts as a usual deviation of a parameter does: BFGS's first step goes along the slope, so that a
+# loss in metres would hardly move
+SCALE = 10.0
+MOST = 3.0  # usual deviations: so far from the start no parameter goes, or a first step may leave all points behind
+NOTHING = 1e6  # what a recording costs in which no frame is at rest: more than any
+ENOUGH = 0.01  # of a parameter's usual deviation, and a tenth of that of the loss: a step that changes less is the last
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ def tune(
     loss: Loss = losses.joints,
     start: Mapping[str, float] | None = None,
     steps: int = 20,
-    pull: float = 1e-3,
+    pull: float = 0.03,
     say: Callable[[float, dict[str, float]], None] | None = None,
 ) -> Tuned:
     """Makes the mean loss of some recordings small by its gradient (BFGS, optimistix.minimise), each solved from the
@@ -73,41 +79,69 @@ def tune(
 
     **Arguments:** `problems` of `vj.problem`, of one shape (its `frames`, `points` and `room` say it) they are one
     program; `free` words and patterns of parameters as for `fit` (lengths, bands.*.weight, track.damping), left and
-    right alike; `loss` of a recording as solved; `start` parameters to begin at, else 0; `steps` at most; `pull` weight
-    of the parameters' priors (fitting.parameters.PRIORS) beside the loss; `say` hears of each place that is looked at.
+    right alike; `loss` of a recording as solved and its problem with the parameters (`having`), positive; `start`
+    parameters to begin at, else 0; `steps` at most; `pull` of the parameters' priors (fitting.parameters.PRIORS): a
+    usual deviation costs half of this share of the loss; `say` hears of each place that is looked at.
 
     Raises ValueError for a pattern that names nothing.
     """
     some = (problems,) if isinstance(problems, Problem) else tuple(problems)
-    first, begun = some[0], start or {}
+    first = some[0]
     known = parameters(first.body, tuple(free), first.features, sensors=first.frames.points.origins.shape[-2])
     names, sd = known.names, known.sd.astype(np.float32)
+    begun = jnp.array([(start or {}).get(name, 0.0) for name in names], jnp.float32)
     seen: list[tuple[float, dict[str, float]]] = []
     groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _alike(some)]
 
     def heard(z: Any, value: Any) -> None:
-        found = dict(zip(names, (np.asarray(z) * sd).tolist()))
+        found = dict(zip(names, (np.asarray(begun) + sd * MOST * np.tanh(np.asarray(z) / MOST)).tolist()))
         seen.append((float(value), found))
         if say is not None:
             say(*seen[-1])
 
-    def function(z: Float[Array, " free"], groups: list[Problem]) -> Float[Array, ""]:
-        values = dict(zip(names, jnp.asarray(z * sd)))
-        one = lambda problem: loss(solved(values, problem), problem)  # noqa: E731
-        value = sum(jnp.sum(jax.lax.map(one, group)) for group in groups) / len(some)
-        jax.debug.callback(heard, z, value, ordered=True)
-        return value + 0.5 * pull * jnp.sum(z**2)
-
-    def search(z: Float[Array, " free"], groups: list[Problem]) -> optx.Solution:
-        solver = optx.BFGS(rtol=ENOUGH, atol=ENOUGH)
-        return optx.minimise(function, solver, z, groups, max_steps=steps, throw=False)
-
-    z = jnp.array([begun.get(name, 0.0) for name in names], jnp.float32) / sd
-    found = quickly(search)(z, groups)
-    jax.effects_barrier()
+    number = max(_HEARD, default=0) + 1
+    _HEARD[number] = heard
+    try:
+        found = _search(names, loss, steps)(
+            jnp.zeros_like(begun), (groups, begun, sd, np.float32(pull), np.int32(number))
+        )
+        jax.effects_barrier()
+    finally:
+        del _HEARD[number]
     best = min(seen, key=lambda one: one[0] if np.isfinite(one[0]) else np.inf)
     done = found.result == optx.RESULTS.successful
     return Tuned(best[1], some, tuple(value for value, _ in seen), bool(done))
+
+
+_HEARD: dict[int, Callable[[Any, Any], None]] = {}  # who is told of each place that a search looks at
+
+
+@cache
+def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., optx.Solution]:
+    """A search, compiled once for all problems of equal number and shapes."""
+
+    def function(z: Float[Array, " free"], args: Any) -> Float[Array, ""]:
+        groups, begun, sd, pull, number = args
+        x = begun + sd * MOST * jnp.tanh(z / MOST)
+        values = dict(zip(names, x))
+
+        def one(problem: Problem) -> Float[Array, ""]:
+            there = problem.having(values)
+            found, real = solved({}, there), there.frames.weight > 0
+            # losses leave out frames that are not at rest: the fewer there are the dearer are the others
+            rest = jnp.sum(found.converged & real) / jnp.maximum(jnp.sum(real), 1)
+            return jnp.where(rest > 0, loss(found, there) / jnp.maximum(rest, 1e-3), NOTHING)
+
+        each = jnp.concatenate([jax.lax.map(one, group) for group in groups])
+        value = jnp.mean(each)
+        jax.debug.callback(lambda number, *told: _HEARD[int(number)](*told), number, z, value, ordered=True)
+        return SCALE * (jnp.log(value + 1e-12) + 0.5 * pull * jnp.sum((x / sd) ** 2))
+
+    def search(z: Float[Array, " free"], args: Any) -> optx.Solution:
+        solver = optx.BFGS(rtol=0.0, atol=ENOUGH)
+        return optx.minimise(function, solver, z, args, max_steps=steps, throw=False)
+
+    return quickly(search)
 
 
 def _alike(problems: tuple[Problem, ...]) -> list[list[Problem]]:

@@ -27,7 +27,7 @@ def with_settled_frames(reader: LogReader) -> LogReader:
         off, lines = zip(*((off_level(reader), line) for line in (reader.scan.tree.choose(child, k) for k in (0, 1))))
         best = int(np.argmin(off))
         reader.scan.tree.choose(child, best)
-        told = is_told(off[best], off[1 - best])
+        told = is_decisive(off[best], off[1 - best])
         reader.sure *= 1.0 if told else TORN
         why = "the floor is level with the one that is used" if told else "nothing tells which is right"
         reader.say(
@@ -37,7 +37,7 @@ def with_settled_frames(reader: LogReader) -> LogReader:
     return reader
 
 
-def is_told(best: float, other: float) -> bool:
+def is_decisive(best: float, other: float) -> bool:
     """Whether the better of two places of a sensor is right, to judge by `off_level` of both."""
     return best < FITS and other > 2 * max(best, FITS / 4)
 

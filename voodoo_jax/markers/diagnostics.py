@@ -12,6 +12,7 @@ from voodoo_jax.markers.size_fit import Markers
 from voodoo_jax.markers.table import CLOSE, TO_START, MarkerTable, places
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.marker_names import nobodys
+from voodoo_jax.records.notes import remark
 from voodoo_jax.records.stretches import stretches
 
 GAP = 0.2  # seconds: a marker that is away for longer is named
@@ -23,9 +24,9 @@ USUAL = "Plug-in Gait"  # the set that needs no note
 FAR = 0.025  # set by hand: metres: a marker that is on average farther from its fitted place is named
 FEW = f"No frame has {TO_START} markers that features.names knows a point of this body for."
 MIRRORED = (
-    "By the places of the named points left is where right is: either all names are exchanged, as was taken here, or "
-    "coordinates are left-handed (as Unity's are). read.mirror TOPIC=y (or x, z) turns that axis round, TOPIC=none "
-    "says that names are wrong."
+    "The places of the named points exchange left and right: either all names are exchanged, as assumed here, or "
+    "coordinates are left-handed (as Unity's are). read.mirror TOPIC=y (or x, z) inverts that axis; TOPIC=none "
+    "means that the names are wrong."
 )
 
 
@@ -39,7 +40,7 @@ class Spans(NamedTuple):
         """First and last frame of each stretch of True that is worth a note."""
         return [(a, b - 1) for a, b in stretches(mask) if self.seconds[b - 1] - self.seconds[a] + self.step > GAP]
 
-    def told(self, some: list[tuple[int, int]]) -> str:
+    def words(self, some: list[tuple[int, int]]) -> str:
         """Some stretches in words."""
         text = ", ".join(f"{a} to {b}" for a, b in some[:SHOWN])
         return text + (f" and {len(some) - SHOWN} more times" if len(some) > SHOWN else "")
@@ -64,18 +65,20 @@ def marker_notes(
     at = places(body, known.rows, poses)
     notes = []
     if empty := spans.long(~some):
-        notes.append(f"There are no markers in frames {spans.told(empty)}.")
+        notes.append(f"There are no markers in frames {spans.words(empty)}.")
     put_right = []
     for e in exchanges:
-        where = "all frames" if e.frames.all() else f"frames {spans.told([(a, b - 1) for a, b in stretches(e.frames)])}"
-        put_right.append((f"{e.first} and {e.second}", f"were exchanged in {where}: put right"))
-    notes += in_few_lines(put_right, "pairs of markers were exchanged for a time and put right", "Markers ")
+        where = (
+            "all frames" if e.frames.all() else f"frames {spans.words([(a, b - 1) for a, b in stretches(e.frames)])}"
+        )
+        put_right.append((f"{e.first} and {e.second}", f"were exchanged in {where}: corrected"))
+    notes += in_few_lines(put_right, "pairs of markers were exchanged for a time, and corrected", "Markers ")
     missing = []
     for k, name in enumerate(known.names):
         gaps = spans.long(~known.seen[:, k] & some)
         if gaps:
             length = sum(seconds[b] - seconds[a] + step for a, b in gaps)
-            missing.append((length, f"'{name}'", f"is missing for {length:.1f} s (frames {spans.told(gaps)})"))
+            missing.append((length, f"'{name}'", f"is missing for {length:.1f} s (frames {spans.words(gaps)})"))
     missing.sort(key=lambda m: -m[0])
     notes += in_few_lines([m[1:] for m in missing], "markers are missing for a time, the longest", "Marker ")
     notes += _misplaced(known, at, tracked, spans)
@@ -97,13 +100,13 @@ def _misplaced(known: Markers, at: np.ndarray, tracked: np.ndarray, spans: Spans
             swapped = both & (across < 0.5 * np.maximum(off[:, a], off[:, b])) & tracked
             if found := spans.long(swapped):
                 exchanged[:, [a, b]] |= swapped[:, None]
-                seem.append((f"{known.names[a]} and {known.names[b]}", f"seem exchanged (frames {spans.told(found)})"))
+                seem.append((f"{known.names[a]} and {known.names[b]}", f"seem exchanged (frames {spans.words(found)})"))
     notes = in_few_lines(seem, "pairs of markers seem exchanged", "Markers ")
     away = []
     for k in often:
         if found := spans.long(far[:, k] & ~exchanged[:, k]):
             metres = np.median(off[far[:, k], k])
-            text = f"is {100 * metres:.0f} cm from its place (frames {spans.told(found)}); not used there"
+            text = f"is {100 * metres:.0f} cm from its place (frames {spans.words(found)}); not used there"
             away.append((metres, f"'{known.names[k]}'", text))
     away.sort(key=lambda a: -a[0])
     notes += in_few_lines([a[1:] for a in away], "markers are far from their places for a time, farthest", "Marker ")
@@ -152,7 +155,7 @@ def name_notes(named: Named) -> list[str]:
         )
     titles = [title for title in named.known.titles if title != USUAL]
     if titles:
-        notes.append(f"Names of points are known from: {'; '.join(named.known.titles)}.")
+        notes.append(remark(f"Names of points are known from: {'; '.join(named.known.titles)}."))
     return notes
 
 
@@ -176,11 +179,11 @@ def _unknown(body: Body, table: MarkerTable, poses: Poses, tracked) -> list[str]
         notes.append(f"By where they sit: --features.names {line}")
     elif rest and not tracked.any():
         line = " ".join(f"'{other.names[k]}=...'" for k in rest)
-        notes.append(f"Say what they are, points of the body or limbs (docs/logs.md): --features.names {line}")
+        notes.append(f"State which points of the body or limbs they are (docs/logs.md): --features.names {line}")
     if nobody:
         names = [other.names[k] for k in nobody]
         listed = ", ".join(f"'{n}'" for n in names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
-        notes.append(f"{len(nobody)} points that nobody named were not used ({listed}).")
+        notes.append(f"{len(nobody)} points without names were not used ({listed}).")
     return notes
 
 

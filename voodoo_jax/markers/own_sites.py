@@ -62,8 +62,8 @@ def _known(names: Mapping[str, str], topology: Topology, settings: FeatureSettin
             joints[full] = place
     known = places_of(names, points, topology.limbs)
     # a name such as r_knee is the joint's, unless the log speaks of markers: then it is one on the knee
-    told = {*said, *joints} if len(known.places) <= len(joints) + len(said) else {*said}
-    by_set = {n: p for n, p in known.places.items() if n not in told}
+    stated = {*said, *joints} if len(known.places) <= len(joints) + len(said) else {*said}
+    by_set = {n: p for n, p in known.places.items() if n not in stated}
     places = {n: p for n, p in {**joints, **by_set, **said}.items() if "|" not in p}
     return Known(
         places,

@@ -50,8 +50,8 @@ class Priors:
         exact = all(s is not None and sites[s] for s in spines)
         self.hip, self.newington = HIP if exact else NEAR_SPINES, newington
         self.hips = [joints.index(h) for h in ("l_hip", "r_hip") if h in joints] if None not in spines else []
-        told = {joint for _, joint, _ in self.middles}
-        self.hips = [] if told & set(self.hips) else self.hips  # measured: no regression
+        settled = {joint for _, joint, _ in self.middles}
+        self.hips = [] if settled & set(self.hips) else self.hips  # measured: no regression
         for h in self.hips:
             usual[shift(h)] = 0.1
         self.straight = np.diag(1 / usual)

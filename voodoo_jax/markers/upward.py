@@ -28,26 +28,26 @@ LIES = -1.0  # logarithm of the odds that somebody is recorded lying while the l
 PELVIS, SIDES = ("l_hip", "r_hip"), ("l_talocrural", "r_talocrural")
 
 
-def with_upward(people: Sequence[Tracks], told: Float[np.ndarray, "3"]) -> list[Tracks]:
+def with_upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> list[Tracks]:
     """Tracks of everybody in a recording of named points with the way that is up, with a note where it is not that of
-    the log, `told`."""
-    found = upward(people, told)
-    if found @ told > ALONG:
+    the log, `stated`."""
+    found = upward(people, stated)
+    if found @ stated > ALONG:
         return list(people)
     axis = int(np.abs(found).argmax())
     along = abs(found[axis]) > 0.999
     word = ("-" if found[axis] < 0 else "") + "xyz"[axis] if along else ",".join(f"{x:.2f}" for x in found + 0.0)
-    was = ",".join(f"{x:g}" for x in np.round(told, 2) + 0.0)
-    note = f"By who stands on their feet, up is {word}, not ({was}); if somebody lies there, read.up={was} says so."
+    was = ",".join(f"{x:g}" for x in np.round(stated, 2) + 0.0)
+    note = f"Standing people show that up is {word}, not ({was}); for a lying person set read.up={was}."
     return [replace(one, up=found.astype(np.float32), notes=(*one.notes, note)) for one in people]
 
 
-def upward(people: Sequence[Tracks], told: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Upwards in the fixed frame, a unit vector: `told`, unless people stand another way."""
-    told = np.asarray(told, float)
+def upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Upwards in the fixed frame, a unit vector: `stated`, unless people stand another way."""
+    stated = np.asarray(stated, float)
     ways = [way for one in people if len((way := _way(one)).body)]
     if not ways:
-        return told
+        return stated
     body, straight = np.concatenate([way.body for way in ways]), np.concatenate([way.straight for way in ways])
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     travel = np.max([np.ptp(np.percentile(way.hips, (2, 98), axis=0), axis=0) for way in ways], 0)
@@ -56,10 +56,10 @@ def upward(people: Sequence[Tracks], told: Float[np.ndarray, "3"]) -> Float[np.n
     middle = body.mean(0) / max(float(np.linalg.norm(body.mean(0))), 1e-9)
     best = axes[int(share.argmax())] if share.max() > SELDOM else middle
     stand = body @ best > UPRIGHT
-    if (body @ told > UPRIGHT).mean() > SELDOM or stand.mean() <= SELDOM:
-        return told
-    if sum(_lies(one, best, told) for one in people) + LIES > 0:
-        return told
+    if (body @ stated > UPRIGHT).mean() > SELDOM or stand.mean() <= SELDOM:
+        return stated
+    if sum(_lies(one, best, stated) for one in people) + LIES > 0:
+        return stated
     if (stand & straight).mean() > SELDOM:
         mean = body[stand & straight].mean(0)
         mean /= np.linalg.norm(mean)

@@ -156,7 +156,7 @@ def prepared(body: Body, changes: Sequence[Change]) -> Body:
                 "body file for each, with other names"
             )
         if f"{name}_grip" not in body.topology.joints:
-            with _told(change):
+            with _naming(change):
                 axis = change.axis or (0.0, 0.0, 1.0)
                 body = attach(body, thing, change.to, change.at, change.grip, axis, change.joint_axes, change.weight)
                 body = with_limbs(body, thing.topology.limbs, False)
@@ -169,7 +169,7 @@ def prepared(body: Body, changes: Sequence[Change]) -> Body:
 def applied(body: Body, change: Change) -> Body:
     """The body after a change. Raises SettingsError."""
     t = body.topology
-    with _told(change):
+    with _naming(change):
         if change.scale > 0:
             body = scaled(body, jnp.asarray(change.scale, jnp.float32))
         for limb, sizes in change.sizes:
@@ -185,7 +185,7 @@ def applied(body: Body, change: Change) -> Body:
 
 
 @contextmanager
-def _told(change: Change) -> Iterator[None]:
+def _naming(change: Change) -> Iterator[None]:
     try:
         yield
     except ValueError as problem:

@@ -35,6 +35,11 @@ def plain_name(text: str) -> str:
     return f"{shown}~{hashlib.sha1(text.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
 
 
+def remark(sentence: str) -> str:
+    """A note that asks for nothing, in brackets: the command shows it with --verbose only."""
+    return f"({sentence})"
+
+
 def as_few(notes: Iterable[str]) -> tuple[str, ...]:
     """The notes, each once, in their order; those that differ in a name or a number only, if there are many, as the
     first of them with the names of the others."""

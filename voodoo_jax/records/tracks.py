@@ -57,9 +57,9 @@ class Tracks:
     limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None  # turn (rad), shift (m) in the limb's frame
     # of `joints`, square metres; solve/covariance.py
     joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None
-    # see trackers/icp/misfit.py: share of the points nearest to a limb that are not explained, their mean distance from
-    # it beyond noise, metres, the share of its length that is bare though nothing hides it, and of the points that it
-    # explains the share that no other limb would
+    # see trackers/icp/misfit.py: unexplained share of a limb's nearest points; their mean distance from it beyond
+    # noise, metres; share of its length that is bare though nothing hides it; share of its explained points that no
+    # other limb explains
     limb_beside: Float32[np.ndarray, "frame limb"] | None = None
     limb_distance: Float32[np.ndarray, "frame limb"] | None = None
     limb_bare: Float32[np.ndarray, "frame limb"] | None = None
@@ -68,8 +68,8 @@ class Tracks:
     facing_odds: Float32[np.ndarray, " frame"] | None = None
     # of `joints`: within 10 cm? 0..1; see trackers/shared/confidence.py
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
-    # where sensors were in each frame beside where the log has them, as the room tells: what takes points from there to
-    # the fixed frame; None: where the log has them. See detect/camera_motion.py
+    # motion of sensors that the log describes as static, found by floor and walls: from places as if they were static
+    # to the fixed frame; None: they are static. See detect/camera_motion.py
     T_fixed_steady: Float64[np.ndarray, "frame 4 4"] | None = None
     matched: bool = False  # all points were measured by matching images, which errs otherwise than a depth sensor
     up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
@@ -79,7 +79,7 @@ class Tracks:
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())
-    person: int = 1  # number among the people of the recording: 1 who is seen longest
+    person: int = 1  # number among the people of the recording: 1 is in view for longest
     people: int = 1  # how many of them are tracked
     names: tuple[str, ...] = ()  # of the joint centres where a convention gives them others than the body: with_names
 
@@ -98,7 +98,7 @@ class Tracks:
 
     @property
     def tracked(self) -> Bool[np.ndarray, " frame"]:
-        """The tracker's own word that it has the person."""
+        """In which frames the tracker has the person."""
         return self.status == Status.TRACKED
 
     @property
@@ -186,7 +186,7 @@ class Given(Protocol):
 def for_users(tracks: Tracks, log: Given) -> Tracks:
     """Tracks with places in the log's fixed frame, and confidence that counts what was assumed of its calibration, for
     all joints alike; joints that can hardly be trusted with that are named in a note."""
-    tracks = scaled_confidence(given_from(tracks, log.origin), log.sure)
+    tracks = scale_confidence(given_from(tracks, log.origin), log.sure)
     return replace(tracks, notes=(*tracks.notes, *_doubtful(tracks)))
 
 
@@ -197,10 +197,11 @@ def _doubtful(tracks: Tracks) -> list[str]:
         return []
     share = tracks.joint_confidence[tracked].mean(0)
     few = [f"{tracks.joint_names[k]} ({100 * share[k]:.0f} %)" for k in np.argsort(share) if share[k] < SURE]
-    return [f"Doubtful, to be within 10 cm in so many of the tracked frames: {', '.join(few)}."] if few else []
+    what = "Doubtful joints (share of the tracked frames in which they are expected within 10 cm)"
+    return [f"{what}: {', '.join(few)}."] if few else []
 
 
-def scaled_confidence(tracks: Tracks, sure: float) -> Tracks:
+def scale_confidence(tracks: Tracks, sure: float) -> Tracks:
     """Tracks of a log whose places are right with the probability `sure` only, for all joints alike."""
     if sure >= 1 or tracks.joint_confidence is None:
         return tracks

@@ -125,9 +125,9 @@ def pose_files(place: str) -> tuple[bytes, bytes]:
         here = [Path(folder) / "modules" / name for name in FILES]
         if all(file.is_file() for file in here):
             return _read(here[0]), _read(here[1])
-    told = "is not installed" if found is None else "is installed, but its networks are not in it"
+    state = "is not installed" if found is None else "is installed, but its networks are not in it"
     raise SettingsError(
-        f"read.pose_net: MediaPipe {told}. The extra [pose] installs a release that has them; or give a wheel of "
+        f"read.pose_net: MediaPipe {state}. The extra [pose] installs a release that has them; or give a wheel of "
         "MediaPipe 0.10.21 (pip download --no-deps mediapipe==0.10.21) or a folder with pose_detection.tflite and "
         "pose_landmark_full.tflite."
     )

@@ -38,7 +38,9 @@ MOST_TURN, MOST_SHIFT = 0.2, 0.05  # radians, metres: a Newton step is cut to th
 RIDGE = 1e-12  # of the mean diagonal: keeps the linear system solvable where the prior is switched off
 # measured: three do in most frames, 100 in all of 50 of a log in which limbs are held where they stand
 NEWTON = 100  # Newton steps after the ICP steps at most
-AT_REST = 1e-5  # metres, by hand, see Solution.off; a last Newton step ends far below: its error is squared by the next
+# metres, see Solution.off: ten times what float32 tells apart 10 m away; a last Newton step ends far below: its error
+# is squared by the next
+AT_REST = 1e-5
 
 
 class Solution(NamedTuple):

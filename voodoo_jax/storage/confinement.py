@@ -97,8 +97,8 @@ def _landlock(libc: ctypes.CDLL, readable: Iterable[str], writable: Iterable[str
         return False
     handled = (1 << max(count for since, count in RIGHTS.items() if since <= version)) - 1
     last = [bits if version >= since else 0 for since, bits in (CONNECT, SCOPES)]
-    told = struct.pack("<QQQ", handled, *last)[: 8 if version < 4 else 16 if version < 6 else 24]
-    rules = libc.syscall(CREATE_RULESET, told, len(told), 0)
+    attributes = struct.pack("<QQQ", handled, *last)[: 8 if version < 4 else 16 if version < 6 else 24]
+    rules = libc.syscall(CREATE_RULESET, attributes, len(attributes), 0)
     if rules < 0:
         return False
     kinds = {path: READ_FILE | READ_FOLDER for path in (*own_libraries(), *readable)}

@@ -21,11 +21,11 @@ def track(
     *,
     tracker: Literal["", "icp", "flexible", "both"] = "",
 ) -> Tracks:
-    """Tracks a body through a recording; nothing about the person need be known.
+    """Tracks a body through a recording; it finds the person's start, place and size.
 
-    **Arguments:** `body` any body, scaled to what is seen unless `settings.start.scale` says otherwise; `progress` is
+    **Arguments:** `body` any body, scaled to the person unless `settings.start.scale` is set; `progress` is
     called with the number of frames done since the last call, for each pass (see README); `tracker` instead of the one
-    that `settings` name.
+    in `settings`.
 
     **Returns:** Tracks in the recording's fixed frame, one row per frame of the recording.
 
@@ -42,12 +42,12 @@ def track_people(
     settings: Settings | None = None,
     progress: Progress | None = None,
 ) -> list[Tracks]:
-    """Tracks everybody in a recording, or `settings.detect.people` of them; nothing about them need be known.
+    """Tracks all people in a recording, or `settings.detect.people` of them; it finds their start, place and size.
 
-    **Arguments:** `body` of each of them, scaled to what is seen of them; the others as for `track`.
+    **Arguments:** `body` for each of them, scaled to each person; the others as for `track`.
 
-    **Returns:** Tracks for each person, who is seen longest first; of each one row per frame of the recording, not
-    `tracked` where they cannot be seen. One at least: nothing is tracked where there is nobody.
+    **Returns:** Tracks for each person, those in view for longest first, with one row per frame of the recording;
+    frames without the person are not `tracked`. The list has one entry at least, also for a recording without people.
     """
     return [for_users(tracks, recording) for tracks in _tracked(body, recording, settings or Settings(), progress)]
 

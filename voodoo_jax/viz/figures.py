@@ -163,8 +163,8 @@ def _legend(figure: "Figure", people: list[Tracks], frames: list[Frame], truth: 
         handles.append(Line2D([], [], color=RAY_COLOUR, label="lines of sight of 2D features"))
     if handles:
         figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False)
-    told = "" if people[0].joint_confidence is None else ", the redder the more doubtful"
-    figure.supxlabel(f"circles: joint centres{told}" + ("; crosses: truth" if truth else ""), fontsize=8)
+    legend = "" if people[0].joint_confidence is None else ", the redder the more doubtful"
+    figure.supxlabel(f"circles: joint centres{legend}" + ("; crosses: truth" if truth else ""), fontsize=8)
 
 
 def _draw_measured(ax: "Axes", frame: Frame, drawing: Drawing, window, marks: bool) -> None:

@@ -71,8 +71,8 @@ def write_html(people: Sequence[Tracks], frames: Iterable[Frame], path: str | os
     for name, parts in (("starts", seen.points), ("mark_starts", seen.marks), ("ray_starts", seen.rays)):
         tables[name] = np.cumsum([0, *map(len, parts)]).astype(np.uint32)
     head |= {name: blob.add(values) for name, values in tables.items()}
-    told, data = for_script(head), base64.b64encode(bytes(blob.data)).decode()
-    text = filled(template("view.html"), HEAD=told, BLOB=data)
+    header, data = for_script(head), base64.b64encode(bytes(blob.data)).decode()
+    text = filled(template("view.html"), HEAD=header, BLOB=data)
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return Path(path)
@@ -189,7 +189,7 @@ def _angles(tracks: Tracks, at: np.ndarray, there: np.ndarray) -> dict[str, Floa
 
 
 def limb_confidence(tracks: Tracks) -> Float[np.ndarray, "frame limb"]:
-    """Mean confidence of the joint centres on a limb and at the ends of those that hang on it, 0..1; NaN: not told."""
+    """Mean confidence of the joint centres on a limb and at the ends of those that hang on it, 0..1; NaN: not known."""
     t, count = tracks.body.topology, tracks.body.limb_count
     found, sure = np.full((len(tracks.time_ns), count), np.nan), tracks.joint_confidence
     for limb in range(0 if sure is None else count):

@@ -58,14 +58,14 @@ def write_report_page(rows: Iterable[Row], path: str | os.PathLike[str], title: 
 
 def _row(row: Row) -> Html:
     links = [filled('<a href="@TO@">@WORD@</a>', TO=address, WORD=word) for word, address in row.links]
-    told = filled('<p class="error">@TEXT@</p>', TEXT=row.error) if row.error else ""
+    error = filled('<p class="error">@TEXT@</p>', TEXT=row.error) if row.error else ""
     state = row.status.split()[0]
     first, *others = row.people or (Html('<td colspan="3" class="none">no tracks</td>'),)
     return filled(
         '<tbody class="@STATE@"><tr><td class="log" rowspan="@COUNT@"><b>@NAME@</b><span class="state @STATE@">@STATUS@'
         "</span><p>@LINKS@</p>@TOLD@</td>@FIRST@</tr>@OTHERS@</tbody>\n",
         STATE=state, COUNT=max(1, len(row.people)), NAME=row.name, STATUS=row.status, LINKS=Html(" ".join(links)),
-        TOLD=told, FIRST=first, OTHERS=all_of(filled("<tr>@CELLS@</tr>", CELLS=cells) for cells in others),
+        TOLD=error, FIRST=first, OTHERS=all_of(filled("<tr>@CELLS@</tr>", CELLS=cells) for cells in others),
     )  # fmt: skip
 
 

@@ -119,7 +119,7 @@ def test_nobody_and_nothing(recording, nobody):
     done = []
     tracks = track(human(), joined(recording, nobody * 3), progress=done.append)
     assert not tracks.tracked.any() and np.isnan(tracks.joints).all() and sum(done) == 12
-    assert any("not one frame is tracked" in note for note in tracks.notes)
+    assert any("no frame is tracked" in note for note in tracks.notes)
     tracks = track(human(), joined(recording))
     assert len(tracks.time_ns) == 0 and tracks.joints.shape == (0, 14, 3)
 

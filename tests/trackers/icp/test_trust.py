@@ -10,7 +10,7 @@ from tests.support.segments import blank_tracks
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
-from voodoo_jax.trackers.icp.confidence import confirmed, doubted, rated
+from voodoo_jax.trackers.icp.confidence import confirmed, mark_lost, rate_joints
 from voodoo_jax.trackers.markers.tracker import marker_confidence
 from voodoo_jax.trackers.shared.confidence import (
     BATCH,
@@ -225,8 +225,8 @@ def test_where_hardly_a_joint_is_right_the_body_is_lost():
     status = np.array([Status.TRACKED, Status.TRACKED, Status.LOST, Status.NO_DATA], np.int8)
     confidence = np.array([[0.9, 0.8], [0.3, 0.2], [0.9, 0.9], [np.nan, np.nan]], np.float32)
     expected = [Status.TRACKED, Status.LOST, Status.LOST, Status.NO_DATA]
-    assert doubted(status, confidence, 0.4).tolist() == expected
-    assert doubted(status, confidence, 0.0).tolist() == status.tolist()
+    assert mark_lost(status, confidence, 0.4).tolist() == expected
+    assert mark_lost(status, confidence, 0.0).tolist() == status.tolist()
 
 
 def test_who_was_never_surely_there_is_nobody():
@@ -245,9 +245,9 @@ def test_where_nobody_was_sure_nothing_is_tracked():
     unsure = good_tracks(60, 5.0, 0.0)
     share = expected_share(joint_confidence(unsure))
     assert 0.4 < share.min() and share.max() < 0.8
-    assert (rated(unsure, 0.4).status == Status.LOST).all()
-    assert rated(unsure, 0.4, ahead=False).tracked.all() and rated(unsure, 0.0).tracked.all()
-    assert rated(good_tracks(60), 0.4).tracked.all()
+    assert (rate_joints(unsure, 0.4).status == Status.LOST).all()
+    assert rate_joints(unsure, 0.4, ahead=False).tracked.all() and rate_joints(unsure, 0.0).tracked.all()
+    assert rate_joints(good_tracks(60), 0.4).tracked.all()
 
 
 @pytest.mark.parametrize("what, doubted_joints", [("both", 4), ("one", 0), ("knees too", 0), ("upside down", 0)])
@@ -263,7 +263,7 @@ def test_legs_that_fold_up_behind_are_doubted(what, doubted_joints):
         joints[:, names.index(name), 2] = z
     up = np.array([0.0, 0.0, 1.0], np.float32)
     tracks = replace(good_tracks(40), joints=joints, up=up)
-    said = rated(tracks, 0.5).joint_confidence
+    said = rate_joints(tracks, 0.5).joint_confidence
     assert said is not None
     low = {names[k] for k in np.flatnonzero((said <= UNMARKED).all(0))}
     assert len(low) == doubted_joints and low <= {f"{s}_{j}" for s in "lr" for j in ("knee", "talocrural")}

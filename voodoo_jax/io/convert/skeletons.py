@@ -65,14 +65,14 @@ def convert(source: Path, target: Answer) -> list[str]:
     return [f"{len(bodies)} bodies: their joints begin with body<id>:"] if len(bodies) > 1 else []
 
 
-def _json(told: Any) -> Told:
+def _json(content: Any) -> Told:
     """Raises one of WRONG where it is of no format that is known."""
-    if isinstance(told, list):
-        return [_nuitrack(frame) for frame in told], OPTICAL, "-y"
-    if "frames" not in told and any("body_list" in frame for frame in told.values()):
-        return [_zed(frame) for frame in told.values()], CAMERA, ""
-    names = [str(name) for name in told["joint_names"]]
-    return [_kinect(frame, names) for frame in told["frames"]], OPTICAL, "-y"
+    if isinstance(content, list):
+        return [_nuitrack(frame) for frame in content], OPTICAL, "-y"
+    if "frames" not in content and any("body_list" in frame for frame in content.values()):
+        return [_zed(frame) for frame in content.values()], CAMERA, ""
+    names = [str(name) for name in content["joint_names"]]
+    return [_kinect(frame, names) for frame in content["frames"]], OPTICAL, "-y"
 
 
 def _kinect(frame: dict[str, Any], names: list[str]) -> tuple[int, Bodies]:

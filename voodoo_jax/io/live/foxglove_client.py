@@ -42,7 +42,7 @@ class FoxgloveClient:
         except ImportError as problem:
             raise LogError(f"'{url}' needs the package websockets: pip install \"voodoo_jax[live]\"") from problem
         self.path, self.ended, self.notes = url, False, list[str]()
-        self._told = dict[str, str]()  # notes, by what they are on
+        self._said = dict[str, str]()  # notes, by what they are on
         self._waiting, self._bytes, self._there = deque[Item](), 0, threading.Condition()
         self._lost, self._of = 0, dict[int, tuple[Schema | None, Channel]]()
         self._room, self._most, self._unknown = limits().schemas_bytes, limits().memory // 2, 0
@@ -89,11 +89,11 @@ class FoxgloveClient:
                     except Exception as problem:  # whatever a server sends costs itself only
                         self._unknown += 1
                         text = f"{type(problem).__name__}: {problem}"
-                        self._told["unknown"] = f"{self._unknown} messages cannot be understood (the last: {text})."
-                        self.notes[:] = self._told.values()
+                        self._said["unknown"] = f"{self._unknown} messages cannot be understood (the last: {text})."
+                        self.notes[:] = self._said.values()
         except self._errors as problem:
-            self._told["end"] = f"The connection ended: {problem}."
-            self.notes[:] = self._told.values()
+            self._said["end"] = f"The connection ended: {problem}."
+            self.notes[:] = self._said.values()
         finally:
             with self._there:
                 self._over = True
@@ -135,8 +135,8 @@ class FoxgloveClient:
             while self._bytes > self._most:
                 self._bytes -= len(self._waiting.popleft()[2].data) + ITEM
                 self._lost += 1
-                self._told["lost"] = f"{self._lost} messages came faster than they were used, and were left out."
-                self.notes[:] = self._told.values()
+                self._said["lost"] = f"{self._lost} messages came faster than they were used, and were left out."
+                self.notes[:] = self._said.values()
             self._there.notify()
 
 

@@ -9,7 +9,7 @@ from voodoo_jax.detect.pipeline import find_people
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.subject import Subject
-from voodoo_jax.records.tracks import Tracks, scaled_confidence
+from voodoo_jax.records.tracks import Tracks, scale_confidence
 from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.entry import FlexibleTracker
@@ -21,7 +21,7 @@ from voodoo_jax.trackers.of_points import PointTracker
 from voodoo_jax.trackers.shared.notes import looked_at_again
 
 NOBODY = "The flexible tracker found nobody: these are the ICP tracker's tracks."
-MOVING = "The camera moves, unknown to the log: these are the ICP tracker's tracks."
+MOVING = "The camera moves, and the log does not say so: these are the ICP tracker's tracks."
 
 
 class BothTrackers(Tracker):
@@ -66,5 +66,5 @@ class BothTrackers(Tracker):
             icp, flexible, person.frames, track.lost_confidence, track.chunk, settings.looks_ahead("track")
         )  # fmt: skip
         doubts = log_doubts(icp.body, person.scene, person.frames, settings)
-        found = scaled_confidence(looked_at_again(found), doubts.right)
+        found = scale_confidence(looked_at_again(found), doubts.right)
         return replace(found, notes=as_few((*found.notes, *flexible.notes)))

@@ -20,7 +20,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
-from voodoo_jax.trackers.icp.confidence import doubted
+from voodoo_jax.trackers.icp.confidence import mark_lost
 from voodoo_jax.trackers.icp.misfit import misfit
 from voodoo_jax.trackers.shared.report import derived_from
 
@@ -79,7 +79,7 @@ def merged(
         out, joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
         joint_covariance=joint_covariance, joint_confidence=choice.right, limb_beside=fit.beside,
         limb_distance=fit.distance, limb_bare=fit.bare, limb_own=fit.own, beyond_limits=beyond, depth_inside=depth,
-        status=doubted(status.astype(np.int8), choice.right, least),
+        status=mark_lost(status.astype(np.int8), choice.right, least),
     )  # fmt: skip
 
 

@@ -49,7 +49,7 @@ def _parts() -> Int[np.ndarray, " point"]:
     return out
 
 
-def rated(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: float, ahead: bool = True) -> Tracks:
+def rate_joints(tracks: Tracks, found: Seen, rows: Int[np.ndarray, " row"], least: float, ahead: bool = True) -> Tracks:
     """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
     be right.
 

@@ -20,7 +20,7 @@ from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.base import LogInfo, Progress, Unsuitable
-from voodoo_jax.trackers.flexible.confidence import rated
+from voodoo_jax.trackers.flexible.confidence import rate_joints
 from voodoo_jax.trackers.flexible.filters import start, track_chunk
 from voodoo_jax.trackers.flexible.flexible_body import (
     LIMBS,
@@ -151,7 +151,7 @@ def followed(
         tracks = replace(
             tracks, notes=(*tracks.notes, "No face was seen at the start: it was taken to be turned here.")
         )
-    tracks = rated(tracks, found, seen.row[first:], s.lost_confidence, not settings.online)
+    tracks = rate_joints(tracks, found, seen.row[first:], s.lost_confidence, not settings.online)
     tracks = replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
     return Followed(tracks, found, first, skin, seen)
 

@@ -40,7 +40,7 @@ def legs_folded_up(tracks: Tracks, ahead: bool = True) -> Bool[np.ndarray, "fram
     return out
 
 
-def rated(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
+def rate_joints(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
     """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
     be right, and everywhere where it was never sure that this is somebody (see confirmed; only if `ahead`).
 
@@ -49,7 +49,7 @@ def rated(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
     confidence = joint_confidence(tracks, ahead)
     confidence = np.where(legs_folded_up(tracks, ahead), np.minimum(confidence, np.float32(UNMARKED)), confidence)
     never = ahead and least > 0 and not confirmed(tracks.time_ns, confidence)
-    status = doubted(tracks.status, confidence, np.inf if never else least)
+    status = mark_lost(tracks.status, confidence, np.inf if never else least)
     return replace(tracks, joint_confidence=confidence, status=status)
 
 
@@ -66,7 +66,7 @@ def confirmed(time_ns: Int64[np.ndarray, " frame"], confidence: Float32[np.ndarr
     return bool(np.max(total[frames:] - total[:-frames]) >= CONFIRMED * frames)
 
 
-def doubted(
+def mark_lost(
     status: Int8[np.ndarray, " frame"], confidence: Float32[np.ndarray, "frame joint"], least: float
 ) -> Int8[np.ndarray, " frame"]:
     """Status, LOST where fewer than the share `least` of the joints are expected to be right."""

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.markers.diagnostics import FEW, LISTED, SHOWN, name_notes
 from voodoo_jax.markers.own_sites import Named
+from voodoo_jax.records.notes import remark
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.right_level import Level
@@ -25,7 +26,7 @@ def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
     shift = float(np.linalg.norm(T[:, :3, 3], axis=1).max())
     out = f"this was taken out while tracking in {len(T)} frames (stage steady_sensors)."
     if turn < TURNED and shift < SHIFTED:
-        return f"Floor and walls seem to be up to {100 * shift:.0f} cm off, no more than noise may do: {out}"
+        return remark(f"Floor and walls seem to be up to {100 * shift:.0f} cm off, no more than noise may do: {out}")
     return f"The sensors move, by up to {turn:.0f} degrees, and no transform says so: {out}"
 
 
@@ -56,7 +57,9 @@ def notes_on(run: Runner, tracks: Tracks, named: Named) -> tuple[str, ...]:
         return (*notes, FEW)
     notes += run.scene.notes
     if not run.scene.floor_seen:
-        notes.append("No floor was seen: the fixed frame, the lowest points or the body's usual size say where it is.")
+        notes.append(
+            remark("No floor is in view: the fixed frame, the lowest points or the body's usual size give its height.")
+        )
     doubts = log_doubts(run.body, run.scene, run.people, run.settings)
     if doubts.scale.right < 1 and tracks.tracked.any():
         notes.append(_of_scale(run, doubts.scale))
@@ -71,13 +74,13 @@ def notes_on(run: Runner, tracks: Tracks, named: Named) -> tuple[str, ...]:
             f"Distances are noisy: {100 * np.median(noise):.0f} cm (median, where the body is). Joints are less exact."
         )
     if len(tracks.status) and np.all(tracks.status == Status.NOT_STARTED):
-        notes.append("Nothing of the body's height was found: not one frame is tracked.")
+        notes.append("Nothing of the body's height was found: no frame is tracked.")
     if np.any(tracks.status == Status.LOST) and not tracks.tracked.any() and tracks.joint_confidence is not None:
-        notes.append("This was never surely a person: not one frame of it is tracked.")
+        notes.append("The tracker was never certain of a person: no frame is tracked.")
     total = int(tracks.points.sum())
     if run.left_out:
         share, most = 100 * run.left_out / (run.left_out + total), run.settings.detect.points
-        notes.append(f"{share:.0f} % of the body's points were thinned out (detect.points = {most} per frame).")
+        notes.append(remark(f"{share:.0f} % of the body's points were thinned out, detect.points = {most} per frame."))
     unused = [(f"'{n}'", f"({c} times): features.names gives it no point of this body") for n, c in run.unknown.items()]
     if len(unused) > SHOWN:
         listed = ", ".join(name for name, _ in unused[:LISTED]) + (", ..." if len(unused) > LISTED else "")

@@ -21,11 +21,11 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.tracks import Status, Tracks, scaled_confidence
+from voodoo_jax.records.tracks import Status, Tracks, scale_confidence
 from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket
 from voodoo_jax.solve.scan import State, at_rest, options_from
 from voodoo_jax.trackers.base import LogInfo
-from voodoo_jax.trackers.icp.confidence import rated
+from voodoo_jax.trackers.icp.confidence import rate_joints
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.joint_spread import with_passes
@@ -281,8 +281,8 @@ class _Shown:
             tracks = self._placed(tracks, frame, at - self._first)
         self._recent = [*self._recent[-AROUND:], tracks]
         window = joined_tracks([replace(t, body=tracks.body) for t in self._recent])
-        found = rated(window, run.settings.track.lost_confidence, False).only(slice(-1, None))
-        return scaled_confidence(found, log_doubts(run.body, run.scene, alone.people, run.settings).right)
+        found = rate_joints(window, run.settings.track.lost_confidence, False).only(slice(-1, None))
+        return scale_confidence(found, log_doubts(run.body, run.scene, alone.people, run.settings).right)
 
     def _placed(self, tracks: Tracks, frame: BodyObservation, number: int) -> Tracks:
         """With joints moved by the bands of the frames until one not long ago, as PlaceJoints does online."""

@@ -18,10 +18,10 @@ from voodoo_jax.records.recording import Rays
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.subject import Subject
-from voodoo_jax.records.tracks import Tracks, scaled_confidence
+from voodoo_jax.records.tracks import Tracks, scale_confidence
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.base import LogInfo, Task
-from voodoo_jax.trackers.icp.confidence import rated
+from voodoo_jax.trackers.icp.confidence import rate_joints
 from voodoo_jax.trackers.icp.diagnostics import notes_on
 from voodoo_jax.trackers.icp.joint_spread import with_passes
 from voodoo_jax.trackers.icp.log_doubts import log_doubts
@@ -94,7 +94,7 @@ def track_poses(task: Task, subject: Subject, begin: int = 0) -> Unplaced:
 
 
 def placed(person: Unplaced) -> Tracks:
-    """Tracks with joints in their places, rated, and what is to be said of them."""
+    """Tracks with joints in their places, rate_joints, and what is to be said of them."""
     began, run = time.perf_counter(), person.run
     tracks = in_places(run, person.tracks)
     notes = as_few((*person.notes, *notes_on(run, tracks, person.named)))
@@ -102,12 +102,12 @@ def placed(person: Unplaced) -> Tracks:
 
 
 def finished(run: Runner, segment: Segment, source: LogInfo) -> Tracks:
-    """Tracks of a whole recording, see tracks_of, with joints in their places and rated."""
+    """Tracks of a whole recording, see tracks_of, with joints in their places and rate_joints."""
     return in_places(run, with_passes(tracks_of(run, segment, source)))
 
 
 def in_places(run: Runner, tracks: Tracks) -> Tracks:
-    """Tracks with joints in their places (the stages of PLACE), rated by those."""
+    """Tracks with joints in their places (the stages of PLACE), rate_joints by those."""
     for stage in PLACE:
         if is_active(run, stage):
             tracks = stage(run, tracks)
@@ -118,8 +118,8 @@ def with_rating(run: Runner, tracks: Tracks) -> Tracks:
     """Tracks with the confidence of their joints, and LOST where it is low; a log in doubt makes all joints less
     sure, but nobody LOST."""
     settings = run.settings
-    found = rated(tracks, settings.track.lost_confidence, settings.looks_ahead("track"))
-    return scaled_confidence(found, log_doubts(run.body, run.scene, run.people, settings).right)
+    found = rate_joints(tracks, settings.track.lost_confidence, settings.looks_ahead("track"))
+    return scale_confidence(found, log_doubts(run.body, run.scene, run.people, settings).right)
 
 
 def tracks_of(run: Runner, segment: Segment, source: LogInfo) -> Tracks:

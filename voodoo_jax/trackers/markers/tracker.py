@@ -25,7 +25,7 @@ from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.subject import Subject
-from voodoo_jax.records.tracks import Tracks, scaled_confidence
+from voodoo_jax.records.tracks import Tracks, scale_confidence
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.base import Task
@@ -116,7 +116,7 @@ def track_named(task: Task, subject: Subject) -> Tracks:
     residual = np.array(list(found.values()), np.float32)
     tracks = replace(tracks, body=without_own_sites(tracks.body), marker_names=tuple(found), marker_residual=residual)
     tracks = replace(tracks, joint_confidence=marker_confidence(tracks, settings.looks_ahead("track")))
-    tracks = scaled_confidence(tracks, MISNAMED if mirrored and not settings.read.mirror else 1.0)
+    tracks = scale_confidence(tracks, MISNAMED if mirrored and not settings.read.mirror else 1.0)
     notes = [*task.source.notes(), *implausible(tracks), *name_notes(named)]
     notes += [] if enough.any() else [FEW]
     notes += [MIRRORED] if mirrored else []

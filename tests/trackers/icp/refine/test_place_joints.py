@@ -56,7 +56,7 @@ def turned(tracks: Tracks, turn: Rotation) -> Tracks:
 def test_what_is_learned_fits_the_features():
     for name in LIMBS:
         told, gaps = learned()[name], 3 * len(LEGS if looked_at(name) is LEGS else UPPER)
-        assert told.weights.shape == (10 + gaps, 3) and told.usual.shape == told.spread.shape == (gaps,)
+        assert told.weights.shape == (70 + gaps, 3) and told.usual.shape == told.spread.shape == (gaps,)
         assert np.isfinite(told.weights).all() and (told.spread >= 0).all()
 
 

@@ -17,13 +17,14 @@ from scipy.spatial import KDTree
 from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.detect.lying import mostly_lie
 from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.records.notes import remark
 from voodoo_jax.records.observation import BodyObservation, assigned
 from voodoo_jax.trackers.icp.sequence import Whole
 from voodoo_jax.trackers.icp.stage import Stage
 from voodoo_jax.trackers.icp.start.hypothesis import USUAL
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
-CARRIED_NOTE = "Something that is carried or pushed was told from the person, and all tracked again without it."
+CARRIED_NOTE = remark("The person carries or pushes something: its points were removed, and the log tracked again.")
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from voodoo_jax.detect.stage import WINDOW
 from voodoo_jax.detect.static_points import resting
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
+from voodoo_jax.records.notes import remark
 from voodoo_jax.records.observation import BodyObservation, assigned
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.limb_distance import signed_distance
@@ -21,7 +22,7 @@ from voodoo_jax.trackers.icp.sequence import Whole
 from voodoo_jax.trackers.icp.stage import Stage
 from voodoo_jax.trackers.shared.runner import spans
 
-FURNITURE_NOTE = "Something at rest that touches the body was taken for furniture, and all tracked again without it."
+FURNITURE_NOTE = remark("Things at rest that touch the body are furniture: the log was tracked without them.")
 
 
 @dataclass(frozen=True)

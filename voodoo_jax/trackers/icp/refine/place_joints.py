@@ -1,9 +1,10 @@
-"""Joint centres where people have them: by the bend of joints, the side that is seen, the recording's bands.
+"""Joint centres where people have them: by the pose, the side that is seen, the recording's bands.
 
 A joint centre does not stay in its place on a cylinder: shoulders rise and come forward with the arm, the side of a
-limb that the sensor sees is nearer or farther than a cylinder's, and thighs that are longer than the stature tells
-stretch the bands of knee and hip. What these three say of a centre's place was learned by ridge regression on people
-whose joints are known (experiments/offsets, `learn.py`). Where a recording tells little, the bands count for little.
+limb that the sensor sees is nearer or farther than a cylinder's, points are drawn to a limb beside the right one, and
+thighs that are longer than the stature tells stretch the bands of knee and hip. What these say of a centre's place was
+learned by ridge regression on people whose joints are known (experiments/offsets, `learn.py`). Where a recording tells
+little, the bands count for little.
 """
 
 import tomllib
@@ -30,12 +31,11 @@ LIMBS = {
     "elbow": ("forearm", "upper_arm"), "radiocarpal": ("forearm", "hand"), "hip": ("pelvis", "thigh"),
     "knee": ("shank", "thigh"), "talocrural": ("shank", "foot"),
 }  # fmt: skip
+# limbs whose upward axes tell of the pose; of those with sides first the centre's own side
+TRUNK, SIDED = ("chest", "pelvis", "head"), ("upper_arm", "forearm", "thigh", "shank")
 UPPER, LEGS = ("waist", "neck", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")  # whose bands are looked at
 SIDES = ("l_", "r_")
 EVERY = slice(None)
-# square of the mean error after moving over that before, people left out by halves: 1.88, 2.04 cm (experiments/
-# offsets); of joints that were tracked in one direction of time
-REMAINS = 0.85
 UNLIKE = 0.4  # logarithm of a size over the usual one: girths of people differ by 13 % (ANSUR II), three deviations
 
 
@@ -113,26 +113,37 @@ def _averaged(found: dict[str, tuple[np.ndarray, int]], joints: tuple[str, ...])
     return Gaps(np.array(gaps), np.array(counts))
 
 
-def pose_features(
-    body: Body, centre: str, tracks: Tracks, frames: Int[np.ndarray, " seen"], eyes: Float[np.ndarray, "seen 3"]
-) -> Float64[np.ndarray, "seen 10"]:
-    """What a joint's bend and the side that is seen say of it: 1, direction to the sensor (forward, left, up of the
-    limb at rest), how far the other limb's upward axis is turned from there, and squares of the direction.
-    Right mirrored.
+def limb_axes(body: Body, tracks: Tracks, frames: Int[np.ndarray, " seen"]) -> Float64[np.ndarray, "seen limb 2 3"]:
+    """Where the axes of limbs point that point forward and up at rest."""
+    ahead = unrotate(body.rest.rotation[:, None], np.eye(3)[[0, 2]])
+    return rotate(tracks.rotation[frames][:, :, None], ahead).astype(float)
 
-    **Arguments:** `eyes` where the sensor is, metres.
+
+def pose_features(
+    body: Body, centre: str, tracks: Tracks, frames: Int[np.ndarray, " seen"], eyes: Float[np.ndarray, "seen 3"],
+    directions: Float64[np.ndarray, "seen limb 2 3"], side: str = "",
+) -> Float64[np.ndarray, "seen feature"]:  # fmt: skip
+    """What the pose and the side that is seen say of a joint: 1, direction to the sensor, how far the other limb's
+    upward axis is turned, both axes of the trunk's limbs, upward axes of arms and legs, products of the first two and
+    their squares. All directions are forward, left, up of the limb at rest. Right mirrored.
+
+    **Arguments:** `eyes` where the sensor is, metres; `directions` of limb_axes; `side` of a centre in the middle: "r_"
+    mirrors it.
     """
-    side, name = plain(centre)
-    axes = lambda v: to_rest(body, tracks, frames, limb_of(body, side, LIMBS[name][0]), v)  # noqa: E731
+    side, name = plain(centre) if plain(centre)[0] else (side, centre)
+    own = side or SIDES[0]
     toward = eyes - tracks.joints[frames, body.topology.centres.index(centre)]
-    v = axes(toward / np.linalg.norm(toward, axis=1, keepdims=True))
-    other = limb_of(body, side, LIMBS[name][1])
-    up = unrotate(body.rest.rotation[other], np.array([0.0, 0.0, 1.0]))
-    bend = axes(rotate(tracks.rotation[frames, other], up)) - np.array([0.0, 0.0, 1.0])
-    if side == "r_":
-        v, bend = v * [1, -1, 1], bend * [1, -1, 1]
-    squares = np.stack([v[:, 0] ** 2, v[:, 1] ** 2, v[:, 0] * v[:, 1]], 1)
-    return np.concatenate([np.ones((len(v), 1)), v, bend, squares], 1)
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    middle = directions[:, [limb_of(body, own, limb) for limb in TRUNK]].reshape(len(frames), -1, 3)
+    sided = [limb_of(body, s, limb) for s in sorted(SIDES, reverse=own == "r_") for limb in SIDED]
+    other = limb_of(body, own, LIMBS[name][1])
+    all_of_it = np.concatenate([toward[:, None], directions[:, [other], 1], middle, directions[:, sided, 1]], 1)
+    limb = limb_of(body, own, LIMBS[name][0])
+    v = to_rest(body, tracks, frames[:, None], limb, all_of_it) * [1, -1 if side == "r_" else 1, 1]
+    v[:, 1] -= [0.0, 0.0, 1.0]
+    both = v[:, :2].reshape(len(v), 6)
+    products = (both[:, :, None] * both[:, None])[:, *np.triu_indices(6)]
+    return np.concatenate([np.ones((len(v), 1)), v.reshape(len(v), -1), products], 1)
 
 
 def limb_of(body: Body, side: str, limb: str) -> int:
@@ -227,11 +238,12 @@ class PlaceJoints:
             covariance = covariance.copy()
             for some in np.split(frames, np.arange(BATCH, len(frames), BATCH)):
                 covariance[some] = _smaller(body, tracks, some)
+        directions = limb_axes(body, tracks, frames)
         for k, centre in enumerate(body.topology.centres):
             side, name = plain(centre)
             told = learned()[name]
             seen = self.gap_features(gaps_for(name, gaps), told)
-            features = pose_features(body, centre, tracks, frames, eyes[frames])
+            features = pose_features(body, centre, tracks, frames, eyes[frames], directions)
             wide = np.broadcast_to(seen, (len(frames), len(seen)))
             shift = np.concatenate([features, wide], 1) @ told.weights
             length = np.linalg.norm(shift, axis=1, keepdims=True)
@@ -250,12 +262,10 @@ class PlaceJoints:
 
 
 def _smaller(body: Body, tracks: Tracks, frames: np.ndarray) -> np.ndarray:
-    """Covariances of some frames' joints once they are moved."""
+    """Covariances of some frames' joints once they are moved: smaller where there were two passes."""
     assert tracks.joint_covariance is not None and tracks.passes_apart is not None
-    before = tracks.joint_covariance[frames]
     both = np.isfinite(tracks.passes_apart[frames][:, np.array(body.topology.centre_limbs, int)])[..., None, None]
-    moved = before + np.float32(MOVED**2 - SHAPE**2) * np.eye(3, dtype=np.float32)
-    return np.where(both, moved, np.float32(REMAINS) * before)
+    return tracks.joint_covariance[frames] + both * np.float32(MOVED**2 - SHAPE**2) * np.eye(3, dtype=np.float32)
 
 
 def persons_body(body: Body) -> Body | None:
