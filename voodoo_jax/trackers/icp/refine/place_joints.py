@@ -141,16 +141,16 @@ def pose_features(
     frames, axes = seen.frames, seen.axes
     toward = seen.eyes - tracks.joints[frames, body.topology.centres.index(centre)]
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    middle = axes[:, [limb_of(body, own, limb) for limb in TRUNK]].reshape(len(frames), -1, 3)
+    middle = axes[:, [limb_of(body, own, limb) for limb in TRUNK]].reshape(-1, 2 * len(TRUNK), 3)
     sided = [limb_of(body, s, limb) for s in sorted(SIDES, reverse=own == "r_") for limb in SIDED]
     other = limb_of(body, own, LIMBS[name][1])
     all_of_it = np.concatenate([toward[:, None], axes[:, [other], 1], middle, axes[:, sided, 1]], 1)
     limb = limb_of(body, own, LIMBS[name][0])
     v = to_rest(body, tracks, frames[:, None], limb, all_of_it) * [1, -1 if side == "r_" else 1, 1]
     v[:, 1] -= [0.0, 0.0, 1.0]
-    both = v[:, :2].reshape(len(v), 6)
+    both = v[:, :2].reshape(-1, 6)
     products = (both[:, :, None] * both[:, None])[:, *np.triu_indices(6)]
-    return np.concatenate([np.ones((len(v), 1)), v.reshape(len(v), -1), products], 1)
+    return np.concatenate([np.ones((len(v), 1)), v.reshape(-1, 3 * v.shape[1]), products], 1)
 
 
 def limb_of(body: Body, side: str, limb: str) -> int:
