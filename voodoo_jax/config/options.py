@@ -171,7 +171,7 @@ class SolveSettings:
     """Most points that a limb uses."""
     max_distance: float = 0.35
     """Longest distance of a pair, metres."""
-    robust_scale: float = 0.126  # with prior and prior_radius by gradients, see experiments/tuning (prediction)
+    robust_scale: float = 0.15
     """Distance at which a pair counts a quarter (Geman-McClure), metres; inf: all pairs count fully."""
     overlap: Literal["exclusive", "shared", "adjacent", "soft"] = "exclusive"
     """Rule for a point in several limbs' boxes. soft: each limb gets a share of it, the nearest one most, so that
@@ -182,9 +182,9 @@ class SolveSettings:
     """Match points to the side of a limb that faces their sensor."""
     refine: int = 0
     """Iterations towards the exact closest point on elliptic limbs; 0: exact for round limbs only."""
-    prior: float = 0.00034
+    prior: float = 0.0003
     """Weight of the pull to the predicted pose, as a share of the frame's weight."""
-    prior_radius: float = 0.48
+    prior_radius: float = 0.4
     """Where the pull's pairs sit: larger holds rotations more, metres."""
     steady: float = 8.0
     """Weight of the pull that holds a limb where it stands still, over the limb's measured weight; 0: none."""

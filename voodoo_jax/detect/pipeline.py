@@ -63,7 +63,9 @@ def watched(
     """The points of the main person (or body), frame by frame as they come, and what follows them, which knows floor
     and walls; as `find_body`. A few first frames are taken at once."""
     found = surroundings(frames, up, body, settings, up_is_given)
-    tracklets = Tracklets(found.scene, found.build, settings.detect, settings.looks_ahead("detect"))
+    several = settings.detect.people != 1  # what others have is not the main one's, as in `find_people`
+    ahead = settings.looks_ahead("detect")
+    tracklets = Tracklets(found.scene, found.build, settings.detect, ahead, several, keeps=False)
     return tracklets, iter(_corrected(tracklets(found.frames), tracklets, body, settings))
 
 

@@ -59,7 +59,7 @@ class Tracklet:
 
     def __init__(self, finder: BodySegmenter, first: int, before: "Tracklet | None" = None):
         self.finder, self.first, self.before = finder, first, before
-        self.motion, self.frames = Motion(), Spill()
+        self.motion, self.frames, self._kept = Motion(), Spill(), 0
         self.since = self.last = -1  # frames in which it was seen for the first and the last time
         self.born_ns = 0
         self.now: BodyObservation | None = None  # what was seen of it in the last frame
@@ -88,7 +88,7 @@ class Tracklet:
     def add(self, frame: BodyObservation, number: int) -> None:
         """What was seen of it in the next frame."""
         self.frames.append(frame)
-        self.now = frame
+        self.now, self._kept = frame, self._kept + 1
         if len(frame.points) < TELLING:
             return
         floor = self.finder.scene.floor
@@ -102,6 +102,14 @@ class Tracklet:
             self._way.append((frame.time_ns / 1e9, place))
             while self._way[-1][0] - self._way[0][0] > WAY:
                 self._way.popleft()
+
+    def forget(self) -> None:
+        """Lets go of frames that nobody asks for again, once there are many."""
+        if self._kept > 2 * WATCHED:
+            frames, self.frames, self.before = self.frames.frames()[-WATCHED:], Spill(), None
+            self.first, self._kept = self.first + self._kept - WATCHED, WATCHED
+            for frame in frames:
+                self.frames.append(frame)
 
     def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
         """Takes care that what others hide of it now is known for its own when it comes out again: where it was
@@ -148,11 +156,17 @@ class Tracklets:
     """Follows everything that may be a body, and gives the main one's points frame by frame.
 
     `ahead`: frames wait until it is known which one that is (HELD of them at most); else each is given at once, of what
-    is likeliest then. `several`: others are looked for and followed after that, too.
+    is likeliest then. `several`: others are looked for and followed after that, too. `keeps`: `people` will be asked
+    for.
     """
 
-    def __init__(self, scene: Scene, body: Build, settings: DetectSettings, ahead: bool = True, several: bool = False):
-        self.settings, self.ahead, self.several, self.stillness = settings, ahead, several, Stillness()
+    # 6 parameters: what is looked for, and how
+    def __init__(
+        self, scene: Scene, body: Build, settings: DetectSettings, ahead: bool = True, several: bool = False,
+        keeps: bool = True,
+    ):  # fmt: skip
+        self.settings, self.ahead, self.several, self.keeps = settings, ahead, several, keeps
+        self.stillness = Stillness()
         self.main = Tracklet(BodySegmenter(scene, body, settings), 0)  # what is taken for the main one by now
         self.followed, self._ended = [self.main], list[Tracklet]()
         self.known = False  # which one is the main one
@@ -398,8 +412,10 @@ class Tracklets:
         if frames and self._given not in (None, self.finder):
             frames[0] = replace(frames[0], other=True)
         self._given = self.finder
-        if self.known and not self.several:  # nobody asks for them again
-            self.main.frames, self.main.first = Spill(), self._number
+        if self.known and not self.keeps:
+            self._ended.clear()
+            for tracklet in self.followed:
+                tracklet.forget()
         yield from frames
 
     def people(self, main: list[BodyObservation]) -> list[Observed]:
