@@ -2,7 +2,6 @@
 
 import signal
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 
 from voodoo_jax.cli import printing
@@ -36,7 +35,6 @@ def run_live(command: Live) -> int:
         with limited(command.settings.limits):
             body = load_on_host(command.body or PRESET_BODIES[command.preset])
         settings = online(command.settings)
-        settings = replace(settings, detect=replace(settings.detect, people=1))
         check_stages(settings)
         from voodoo_jax.batch.live import LiveJob, track_live
         from voodoo_jax.trackers.base import Unsuitable

@@ -1,8 +1,8 @@
 """Several people in one recording, each tracked by itself, and which of them owns a point decided by all. Host side.
 
-People are told apart first by where they were in the frame before (detect/people.py), which is wrong where they touch.
-Once each is tracked, a point that is near several goes to whom its nearest limb belongs to, as within one body, and who
-has gained or lost some is tracked anew.
+People are told apart first by where they were in the frame before (detect/tracklets.py), which is wrong where they
+touch. Once each is tracked, a point that is near several goes to whom its nearest limb belongs to, as within one body,
+and who has gained or lost some is tracked anew.
 """
 
 from dataclasses import replace

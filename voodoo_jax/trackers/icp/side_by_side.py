@@ -1,8 +1,8 @@
 """Who owns which points while people are close to each other: all are tracked frame by frame together. Host side.
 
-By where points were in the frame before (detect/people.py) an arm that swings in front of somebody becomes theirs, and
-they explain it well enough to keep it. Bodies know better: in each frame every point goes to whose predicted limb is
-nearest, and once these are solved, to whose solved limb is.
+By where points were in the frame before (detect/tracklets.py) an arm that swings in front of somebody becomes theirs,
+and they explain it well enough to keep it. Bodies know better: in each frame every point goes to whose predicted limb
+is nearest, and once these are solved, to whose solved limb is.
 """
 
 from dataclasses import dataclass, replace
