@@ -18,7 +18,7 @@ from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.storage import scratch
 from voodoo_jax.trackers.front import track
-from voodoo_jax.trackers.icp import sequence
+from voodoo_jax.trackers.shared import sequence
 
 
 def cloud(i: int, count: int, parts: bool = True) -> BodyObservation:
