@@ -277,3 +277,13 @@ def test_who_may_not_wait_gets_frames_one_by_one():
 
     stream = Tracklets(SCENE, build_of(1.75), SETTINGS, False)(source())
     assert len(next(stream).points) > 100 and asked == [0]
+
+
+def test_who_has_left_before_it_is_decided_is_where_they_were_and_where_they_come_back():
+    """Coats that never move are likelier; somebody passes by and comes back after that is decided."""
+    passes = {i: figure(3.0, 2.0 - 0.05 * (i % 400 - 10), 1.6) for i in (*range(10, 40), *range(410, 440))}
+    clouds = [np.concatenate([COATS, passes[i]]) if i in passes else COATS for i in range(450)]
+    got, _ = chosen(clouds)
+    there = np.array([of_person(points) for points in got])
+    seen = np.array([i in passes for i in range(450)])
+    assert len(got) == 450 and not there[~seen].any() and there[seen].mean() > 0.9

@@ -12,6 +12,7 @@ from jaxtyping import Float32, Int
 
 from voodoo_jax.detect.drop_motionless import DropMotionless
 from voodoo_jax.detect.lying import extent
+from voodoo_jax.detect.segmentation import TELLING
 from voodoo_jax.detect.stillness import NOISE, directions, filled, seen_long
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.plane import Plane
@@ -38,7 +39,6 @@ SWAYING = 0.6
 MOSTLY = 0.5  # of the frames in which they were seen: who moves in so many is a person, however few they are; by hand
 WENT = 0.05  # metres from where it was: a sensor that sees other sides of things
 MANY = 20_000  # points of a frame by which it is asked what hides what
-TELLING = 30  # points of a thing in a frame, at least, as in segmentation
 
 
 @dataclass(frozen=True)

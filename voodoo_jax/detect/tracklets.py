@@ -205,18 +205,19 @@ class Tracklets:
 
     def _see(self, frame: Frame) -> None:
         main, alone = self.main, len(self.followed) == 1
+        settled = alone and self.known
         looks = self._number % LOOK == 0 and (self.several or not self.known) and len(self.followed) < ALL
-        if alone and self.known:
+        if settled:
             # of several sensors one may have few points
             main.finder.thins = len(frame.origins) == 1
-            main.add(main.finder(frame), self._number)
-        if looks or not (alone and self.known):
+            main.add(main.finder(frame, self._things if main.finder.last is None else ()), self._number)
+        if looks or not settled:
             finders = [t.finder for t in self.followed]
             wholly = looks or any(f.last is None or f.surveys(frame.time_ns) for f in finders)
             boxes = None if wholly else [f.around(frame.time_ns) for f in finders]
             share = main.finder.share if alone else STEP**self._steps
             clear = main.finder.clearing.cleared(frame, share, boxes)
-            if not (alone and self.known):
+            if not settled:
                 self._follow(clear, looks)
         self._recent.append((frame, [t.finder.last for t in self.followed if t.finder.last is not None]))
         if looks and (self._recent[-1][1] or not self.known):
@@ -272,7 +273,7 @@ class Tracklets:
             elif tracklet is self.main or tracklet.is_person or time_ns - tracklet.born_ns <= IDLE_NS:
                 continue
             elif (last := tracklet.finder.last) is not None and not tracklet.sways():
-                self._things.append(last[:: max(1, len(last) // SOME)])
+                self._things.append(_some(last))
                 self.followed.remove(tracklet)
 
     def _end(self, tracklet: Tracklet) -> None:
@@ -375,10 +376,15 @@ class Tracklets:
         elif best is not None and most > FAIR * moved:
             waited = main.motion.seen >= PATIENCE or not main.motion.seen
             self.known = ahead and full and most >= LITTLE or not ahead and most >= PATIENCE // 2 and waited
-            self.main = best if self.known else main
+            # who has left is looked for from the next frame on
+            here = best if best in self.followed else Tracklet(best.finder, self._number + 1, best)
+            self.main = here if self.known else main
         if full and ahead and not self.known and (asleep := self._asleep()) is not None:
             self.main, self.known = asleep, True
         if self.known and not self.several:
+            for other in self.followed:
+                if other is not self.main and (last := other.finder.last) is not None:
+                    self._things.append(_some(last))
             self.followed = [self.main]
         elif self.main not in self.followed:
             self.followed.append(self.main)
@@ -445,6 +451,11 @@ def same(one: Tracklet, other: Tracklet) -> bool:
     if (mine.min(0) > theirs.max(0) + 2 * CELL).any() or (theirs.min(0) > mine.max(0) + 2 * CELL).any():
         return False  # far apart, as most are
     return bool(touching(cells_of(mine, CELL), cells_of(theirs, CELL)).mean() > 0.5)
+
+
+def _some(points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "some 3"]:
+    """About SOME of the points, evenly spread."""
+    return points[:: max(1, len(points) // SOME)]
 
 
 def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) -> Int8[np.ndarray, " point"]:
