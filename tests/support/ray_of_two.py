@@ -38,29 +38,25 @@ def main(out: str, logs: list[str], gate: Path) -> None:
         return on_ray(jobs, listen, tasks)
 
     ray_cluster.on_ray = spied
-    ray_cluster.follow_log = held_until(gate, ray_cluster.follow_log)
+    ray_cluster.follow_log = held_until(gate)
     done = replay(logs, out, small_body(), SETTINGS, quiet=True, engine="ray", ray=RayTasks(retries=1))
     print(json.dumps({"heard": heard, "errors": [outcome.error for outcome in done]}))
     cluster.shutdown()
 
 
-def held_until(gate: Path, task):
-    """The task; its log says how far it is and waits for `gate`, or else it may be done before the machine is lost."""
+def held_until(gate: Path):
+    """The task of a log that says how far it is and waits for `gate`: else it may be done before the machine is lost.
+
+    It takes the task anew where it runs: what is replaced in a module here is not replaced on the cluster's machines.
+    """
 
     def held(job, number, board):
-        do_job = ray_cluster.do_job
+        from voodoo_jax.batch.ray_cluster import follow_log
 
-        def wait(job, progress):
-            progress(0.5)
-            while not gate.exists():
-                time.sleep(0.1)
-            return do_job(job, progress)
-
-        ray_cluster.do_job = wait
-        try:
-            return task(job, number, board)
-        finally:
-            ray_cluster.do_job = do_job
+        while not gate.exists():
+            board.say.remote(number, 0.5)
+            time.sleep(0.1)
+        return follow_log(job, number, board)
 
     return held
 
