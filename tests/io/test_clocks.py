@@ -93,6 +93,27 @@ def test_a_clock_that_is_set_while_it_is_recorded(tmp_path):
     assert times(recording) == list(range(COUNT)) and "clock" not in " ".join(recording.notes)
 
 
+@pytest.mark.parametrize("chunk", [1, 4000, 1 << 20])  # bytes: the step is between two chunks, or in the only one
+def test_the_recorders_clock_is_set_back(tmp_path, chunk):
+    """What comes later in the file comes later, with the stamps of the same computer; of another one they stay."""
+    set_back = 128_000_000 - PERIOD // 4
+    step = lambda i: START + i * PERIOD - set_back * (i >= 5)  # noqa: E731
+    log, plain = (clouds(Log(), "/lidar", at, at) for at in (step, lambda i: START + i * PERIOD))
+    recording = read_log(log.write(tmp_path / "a.mcap", chunk_size=chunk))
+    assert times(recording) == list(range(COUNT)) and "clock was set back" in " ".join(recording.notes)
+    for frame, expected in zip(recording, read_log(plain.write(tmp_path / "b.mcap"))):
+        np.testing.assert_array_equal(frame.points, expected.points)
+    other = clouds(Log(), "/lidar", lambda i: START + i * PERIOD, step)
+    assert times(read_log(other.write(tmp_path / "c.mcap", chunk_size=chunk))) == list(range(COUNT))
+
+
+def test_parts_that_were_joined_in_another_order_are_of_one_clock(tmp_path):
+    log = clouds(Log(), "/lidar", lambda i: START + i * PERIOD)
+    log.items[:] = log.items[5:] + log.items[:5]
+    recording = read_log(log.write(tmp_path / "a.mcap", chunk_size=1))
+    assert times(recording) == list(range(COUNT)) and "clock" not in " ".join(recording.notes)
+
+
 def test_never_two_epochs_in_one_result(tmp_path):
     both = lambda i: START + i * PERIOD if i >= 4 else BOOT + i * PERIOD  # noqa: E731  # a robot without a battery clock
     recording = read_log(clouds(Log(), "/lidar", both, both).write(tmp_path / "a.mcap"))

@@ -5,7 +5,7 @@ recording. What a user says of a topic's clock (`read.delays`) is taken as said.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Int64
@@ -16,6 +16,7 @@ EARLY = SECOND // 10  # a stamp so long after the recorder got the message is of
 LATENCY = 2 * SECOND  # within which messages are delivered, usually: such a clock is the recorder's, too
 STEP = SECOND // 2  # between two successive messages of a topic: more is a step of the clock, if it stays
 FEWEST = 3  # messages between two steps: fewer are stamps gone wrong
+AROUND = 15  # messages on each side of a step by which it is told whose clock it was: their medians
 MOST_STEPS = 4  # more is no clock that was set
 EPOCH = 86400 * SECOND  # one day: a log with a longer pause holds two settings of a clock, not two recordings
 
@@ -41,7 +42,10 @@ class Stamps:
 
 
 def shifts(
-    topics: Sequence[Stamps], delays: dict[str, float], notes: list[str]
+    topics: Sequence[Stamps],
+    delays: dict[str, float],
+    notes: list[str],
+    set_backs: Sequence[tuple[int, int]] = (),
 ) -> tuple[dict[str, Int64[np.ndarray, " message"]], dict[str, str]]:
     """What is to be added to the stamps of each topic, nanoseconds, so that all are of one clock, and why some topics
     cannot be brought to it; says in `notes` what was done.
@@ -49,7 +53,8 @@ def shifts(
     The clock of all is the one that most measurements agree with the recorder on; where none does (a log of a
     simulation, or of a recording that was played), the one of most topics.
 
-    **Arguments:** `delays` seconds by which the stamps of a topic are late: nothing else is done to these.
+    **Arguments:** `delays` seconds by which the stamps of a topic are late: nothing else is done to these; `set_backs`
+    when the recorder's clock was set back and by how much, nanoseconds, where log times are without that.
     """
     moved = {t.topic: np.zeros(len(t.own), np.int64) for t in topics}
     for t in topics:
@@ -58,7 +63,8 @@ def shifts(
     timed = [t for t in topics if t.topic not in delays and t.told.any() and len(np.unique(t.logged)) > 1]
     late = {}
     for t in timed:
-        moved[t.topic] += _without_steps(t, notes)
+        same = sum((_set_back_with_it(t, at, by) for at, by in set_backs), np.zeros(len(t.own), np.int64))
+        moved[t.topic] += same + _without_steps(replace(t, own=t.own + same * t.told), notes)
         late[t.topic] = int(np.median((t.late - moved[t.topic])[t.told]))
     if late:
         usual = _usual(timed, late)
@@ -93,6 +99,15 @@ def _usual(timed: list[Stamps], late: dict[str, int]) -> int:
         return int(np.median([late[t.topic] for t in near]))
     alike = {t.topic: [late[o.topic] for o in timed if abs(late[o.topic] - late[t.topic]) <= LATE] for t in timed}
     return int(np.median(max(alike.values(), key=len)))
+
+
+def _set_back_with_it(t: Stamps, at: int, by: int) -> np.ndarray:
+    """What is to be added to the stamps of a topic if they are of the recorder's clock, which was set back then."""
+    sides = [t.late[t.told & side] for side in (t.logged < at, t.logged >= at)]
+    if not all(len(side) for side in sides):
+        return np.zeros(len(t.own), np.int64)
+    later = np.median(sides[1][:AROUND]) - np.median(sides[0][-AROUND:])
+    return by * (t.logged >= at) * (2 * later > by)
 
 
 def _without_steps(t: Stamps, notes: list[str]) -> np.ndarray:

@@ -34,6 +34,7 @@ from voodoo_jax.io.chunks import (
     words,
 )
 from voodoo_jax.io.limits import TIME, limits
+from voodoo_jax.io.recorder_clock import SetBack, put_after, set_backs
 from voodoo_jax.records.notes import INCOMPLETE
 from voodoo_jax.storage.scratch import named_file
 
@@ -54,8 +55,11 @@ class LogFile:
 
     After `messages` has run through: `channels` and `schemas` by id, `counts` messages met per channel id, `declared`
     the number per channel id that the file itself states (None if it does not), `damage` one sentence for each
-    damaged part. Raises `LogError` if the file is missing, empty, or not MCAP.
+    damaged part; `set_backs` where the recorder's clock was set back, which log times are without then. Raises
+    `LogError` if the file is missing, empty, or not MCAP.
     """
+
+    set_backs: tuple[SetBack, ...] = ()
 
     def __init__(self, path: str | os.PathLike[str]):
         self.path = os.fspath(path)
@@ -177,6 +181,7 @@ class LogFile:
                 known = known and all(i in summary.channels for i in index.message_index_offsets)
             if not known or not summary.channels or not summary.chunk_indexes:
                 return None  # legal: channels not repeated at the end, or a file without chunks
+            self.set_backs = set_backs(stream, summary.chunk_indexes)
         except READ_ERRORS as error:
             self._trouble = words(error)
             return None
@@ -196,7 +201,8 @@ class LogFile:
         ids = {i for i, c in self.channels.items() if wanted(self.schemas.get(c.schema_id), c)}
         bad: list[str] = []
         keep, room = not self._kept, KEPT  # what one pass keeps the next one takes
-        chunks = sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time, c.chunk_start_offset))
+        in_order = not self.set_backs
+        chunks = sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time * in_order, c.chunk_start_offset))
         used = [c for c in chunks if not c.message_index_offsets or not ids.isdisjoint(c.message_index_offsets)]
         for index, found in self._unpacked_ahead(stream, used):
             try:
@@ -238,7 +244,10 @@ class LogFile:
         with budget.lock:  # there is one place in the file at a time
             stream.seek(index.chunk_start_offset + 9)
             body = stream.read(max(min(index.chunk_length - 9, self.size), 0))
-        return chunk_records(body, budget)
+        records, trouble = chunk_records(body, budget)
+        if self.set_backs:
+            put_after(self.set_backs, index.chunk_start_offset, records)
+        return records, trouble
 
     def _linear(self, stream: BinaryIO) -> Iterator[list]:
         """All records from the start. Each is bounded by its own length, so that one bad chunk costs only itself."""

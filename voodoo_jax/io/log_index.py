@@ -28,6 +28,7 @@ from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.limits import TIME, limits
 from voodoo_jax.io.pictures import camera_topics
+from voodoo_jax.io.recorder_clock import note_of
 from voodoo_jax.io.several_files import open_files
 from voodoo_jax.io.skin_rays import UNSEARCHED
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
@@ -98,6 +99,8 @@ class Scan:
         self._foreign: dict[str, str] = {}  # topics whose clock is not the others', and why they cannot be used
         self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
         self._pass()
+        if self.log.set_backs:
+            self.notes.append(note_of(self.log.set_backs))
         self.units: dict[str, float] = {}  # metres, of topics of named points
         self.shifts: dict[str, int] = known.shifts if known else {}  # nanoseconds, by topic, or by topic and child
         self._bring_clocks_together(settings, bool(known))
@@ -274,7 +277,8 @@ class Scan:
         if known:
             by = {one.topic: np.full(len(one.own), self.shifts.get(one.topic, 0), np.int64) for one in given}
         else:
-            by, self._foreign = shifts(given, delays, self.notes)
+            steps = [(step.at, step.by) for step in self.log.set_backs]
+            by, self._foreign = shifts(given, delays, self.notes, steps)
             self.shifts = {name: int(np.median(shift)) if len(shift) else 0 for name, shift in by.items()}
         for name, topic in self.topics.items():
             if topic.stamps and by[name].any():

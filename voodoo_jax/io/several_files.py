@@ -34,6 +34,7 @@ class LogFiles(LogFile):
         for part in self._parts:
             part.clock = self.clock
         self.channels, self.schemas, self.counts, self.damage = {}, {}, Counter(), []
+        self.set_backs = sum((part.set_backs for part in self._parts), ())
         self.time_range = (known[0][0], max(last for _, last in known)) if known else None
         self.declared = {}
         self._gather()
