@@ -59,7 +59,7 @@ def set_backs(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> tuple[SetBack, 
 
 
 def put_after(steps: Sequence[SetBack], chunk: int, records: Sequence[object]) -> None:
-    """Adds to the log times of a chunk's messages, in place and in the order of writing, what the clock was set back."""
+    """Adds to the log times of a chunk's messages, in place, what the clock was set back by."""
     added, within = (
         sum(step.by for step in steps if step.chunk < chunk),
         [step for step in steps if step.chunk == chunk],
