@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.support.logs import START, Log, ros_cloud, ros_tf
 from tests.support.rooms import figure, room
@@ -54,3 +55,26 @@ def test_a_log_of_two_hosts(rng, tmp_path, early):
     assert len(recording) == 20 and all(len(np.unique(frame.sensor)) == 2 for frame in recording)
     as_stamped = read_log(tmp_path / "a.mcap", ReadSettings(delays=("/two=0",)))
     assert len(as_stamped) == 20 + early and as_stamped.notes == ()
+
+
+@pytest.mark.parametrize("late, pan", [(0, 0.3), (2, 0.3), (-1, 0.3), (2, 0.002)])
+def test_transforms_of_a_head_that_pans(rng, tmp_path, late, pan):
+    """Late or early, the room tells; not where the head hardly moves. `read.delays` says it as well."""
+    around, log = room(rng), Log()
+    turns = [Rotation.from_rotvec([0, 0, pan * np.sin(0.5 * i)]) for i in range(-4, 34)]
+    for i, turn in enumerate(turns, -4):
+        at = START + i * TENTH
+        pose = (at + late * TENTH, "base", "head", (0, 0, 1.2), tuple(turn.as_quat()))
+        log.add("/tf", at, ros_tf(pose))
+        if 0 <= i < 30:
+            cloud = np.concatenate([around, figure(2.5, -1.0 + 0.05 * i)])[::2] - [0, 0, 1.2]
+            log.add("/lidar", at, ros_cloud(at, "head", turn.inv().apply(cloud).astype(np.float32)))
+    recording = read_log(log.write(tmp_path / "a.mcap"))
+    said = [note for note in recording.notes if note.startswith("'/tf'")]
+    if not late or pan < 0.1:
+        assert not said
+        return
+    assert f"{abs(late) / 10:.2f} s {'late' if late > 0 else 'early'}" in said[0]
+    given = read_log(tmp_path / "a.mcap", ReadSettings(delays=(f"/tf={late / 10}",)))
+    for one, other in zip(recording, given, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)

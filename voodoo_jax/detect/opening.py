@@ -7,6 +7,7 @@ from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.crops import with_crops
 from voodoo_jax.detect.delays import offsets
+from voodoo_jax.detect.late_transforms import late_transforms
 from voodoo_jax.detect.misplaced import with_sensors_in_place
 from voodoo_jax.detect.smeared_edges import without_smeared_edges
 from voodoo_jax.detect.units import with_units
@@ -31,17 +32,23 @@ def open_checked(
     in doubt.
     """
     settings, detect = settings or ReadSettings(), detect or DetectSettings()
-    reader = _checked(path, settings, build, detect)
-    if settings.delays or not (found := offsets(reader, build, detect)):
-        return with_sensors_in_place(reader)  # not before: who moves is elsewhere at another time
-    late = tuple(f"{topic}={by:g}" for topic, by in found.items())
-    reader = _checked(path, replace(settings, delays=late), build, detect)
-    for topic, by in found.items():
-        reader.say(
-            f"'{topic}': its stamps are {abs(by):.2f} s {'late' if by > 0 else 'early'}, to judge by what it and "
-            "another sensor see move: taken out. read.delays settles it."
-        )
-    return with_sensors_in_place(reader)
+    reader, late = _checked(path, settings, build, detect), {}
+    looks = {
+        "the room, which is at rest": lambda: late_transforms(reader),
+        "what it and another sensor see move": lambda: offsets(reader, build, detect),
+    }
+    for how, look in looks.items() if not settings.delays else ():
+        if not (found := look()):
+            continue
+        late |= {topic: (by, how) for topic, by in found.items()}
+        delays = tuple(f"{topic}={by:g}" for topic, (by, _) in late.items())
+        reader = _checked(path, replace(settings, delays=delays), build, detect)
+        for topic, (by, how) in late.items():
+            reader.say(
+                f"'{topic}': its stamps are {abs(by):.2f} s {'late' if by > 0 else 'early'}, to judge by {how}: taken "
+                "out. read.delays settles it."
+            )
+    return with_sensors_in_place(reader)  # not before: who moves is elsewhere at another time
 
 
 def _checked(path: Place | LogFile, settings: ReadSettings, build: Build, detect: DetectSettings) -> LogReader:

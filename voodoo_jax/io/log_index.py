@@ -95,6 +95,7 @@ class Scan:
         self._decoder, self._too_many = known.decoder if known else Decoder(), False
         self._names: set[str] = set()  # of features
         self._moving: dict[tuple[str, str], Moving] = {}  # by topic and child
+        self.moves: dict[str, str] = {}  # the topic that says where a frame moves, by frame
         self._transforms = self._features = 0  # how many there are
         self._foreign: dict[str, str] = {}  # topics whose clock is not the others', and why they cannot be used
         self._off = (() if settings.features else FEATURE_KINDS) + (() if settings.laser else ("laser scan",))
@@ -274,6 +275,8 @@ class Scan:
                 given.append(Stamps(name, as_array([f.stamp_ns for f in topic.features]), as_array(topic.log_times)))
         for (topic, child), samples in self._moving.items():
             given.append(Stamps(f"{topic} {child}", samples.stamps_ns, samples.log_times_ns, measured=False))
+            self.moves[child] = topic
+            delays |= {f"{topic} {child}": delays[topic]} if topic in delays else {}
         if known:
             by = {one.topic: np.full(len(one.own), self.shifts.get(one.topic, 0), np.int64) for one in given}
         else:

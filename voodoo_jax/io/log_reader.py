@@ -148,6 +148,11 @@ class LogReader:
         self.placed += (tree.said(name),)
         return self.placed[-1], before
 
+    def moved_by(self, topic: str) -> set[str]:
+        """Topics of the transforms by which a sensor moves."""
+        frames = self.scan.tree.moving_between(self.frame_name(topic), self.fixed_frame)
+        return {self.scan.moves[frame] for frame in frames if frame in self.scan.moves}
+
     @property
     def given_frames(self) -> set[str]:
         """Frames that read.transform places."""

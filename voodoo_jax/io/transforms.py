@@ -214,6 +214,11 @@ class TransformTree:
         self._near = frame, origin
         self._cache.clear()
 
+    def moving_between(self, a: str, b: str) -> set[str]:
+        """Frames on the way between two that move in their parents."""
+        way = set(self._up(a)) ^ set(self._up(b))
+        return {frame for frame in way if frame in self._edges and len(self._edges[frame].stamps)}
+
     @property
     def known_until(self) -> dict[str, int]:
         """Stamp of the last sample of each frame that moves, nanoseconds."""
