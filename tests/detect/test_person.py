@@ -52,6 +52,8 @@ def test_no_floor_in_view(rng):
     assert not unsure.floor_seen and unsure.floor.offset == pytest.approx(
         0.9, abs=0.03
     )  # the figure's rows are 2.5 cm apart
+    below = find_scene([frame(figure(1.5, 0.0) - [0, 0, 0.08])], up, up_is_sure=True)  # feet that stand lower
+    assert not below.floor_seen and not below.floor_open and below.floor.offset == pytest.approx(-0.08, abs=0.03)
     nothing = find_scene([], up)
     assert not nothing.floor_seen and nothing.walls == ()
 

@@ -125,4 +125,5 @@ def _lowest(points, up, up_is_sure) -> tuple[Plane, bool]:
     """What stands for a floor that nobody sees, and whether it may be lower."""
     lowest = float(np.percentile(points @ up, 0.5)) if len(points) else 0.0
     known = up_is_sure and -0.2 < lowest < 1.3
-    return Plane(up, 0.0 if known else lowest), not known
+    # what is seen farther below z = 0 than a floor is thick (see _find_floor) stands on something lower
+    return Plane(up, 0.0 if known and lowest > -0.03 else lowest), not known
