@@ -17,13 +17,13 @@ import pytest
 
 from tests.support.helpers import wait_for
 from tests.support.small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
-from voodoo_jax.batch.cores import own_cores
 from voodoo_jax.batch.log_job import Job
 from voodoo_jax.batch.process_pool import default_workers, in_workers, usable_cores
 from voodoo_jax.batch.replay import Outcome, replay
 from voodoo_jax.batch.worker_start import can_copy, environment
 from voodoo_jax.cli.main import main
 from voodoo_jax.config.output_style import Style
+from voodoo_jax.storage.cores import own_cores
 
 FRAMES = {"a": 12, "b": 5, "c": 33, "d": 20}
 

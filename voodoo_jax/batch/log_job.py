@@ -10,7 +10,6 @@ from glob import escape
 from pathlib import Path
 from typing import Any
 
-from voodoo_jax.batch.cores import own_cores
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.compile.cache_dir import keep_compiled, process_runs, use_compile_cache
 from voodoo_jax.config.options import Settings, SettingsError
@@ -21,6 +20,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.storage.atomic import check_writable
+from voodoo_jax.storage.cores import own_cores
 from voodoo_jax.storage.troubles import NotWritten
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, is_url, joined, log_name, opened, person_place, removed
 

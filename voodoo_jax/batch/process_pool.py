@@ -17,10 +17,10 @@ from typing import Any
 
 import jax
 
-from voodoo_jax.batch.cores import text_of, usable_cores
 from voodoo_jax.batch.log_job import Job, do_job, out_of_time, output_places, remove_partials
 from voodoo_jax.batch.outcome import Outcome
 from voodoo_jax.batch.worker_start import Process, all_started, started
+from voodoo_jax.storage.cores import text_of, usable_cores
 
 Report = Callable[[int, float], None]  # number of the job, share that is done
 Results = Generator[tuple[int, Outcome], None, None]  # number of the job and what became of it

@@ -16,6 +16,7 @@ from voodoo_jax.detect.visibility import has_far_sides
 from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.storage.cores import at_once
 from voodoo_jax.trackers.base import Task
 from voodoo_jax.trackers.icp.limb_distance import body_distance
 from voodoo_jax.trackers.icp.own_features import with_own_features
@@ -55,10 +56,12 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
     if shares:
         subjects = with_own_features(subjects)
     begins = [in_view_from(s) if several else 0 for s in subjects]
-    people = [track_poses(task, s, begin) for s, begin in zip(subjects, begins)]
+    # recordings that are one batch wait for each other
+    each = at_once if visit is None else lambda work, some: [work(one) for one in some]
+    people = each(_tracked, [(task, s, begin) for s, begin in zip(subjects, begins)])
     silent = replace(task, progress=None)
     for turn in range(ROUNDS if shares else 0):
-        seen = [with_rating(one.run, one.tracks) for one in people]
+        seen = each(_rated, people)
         close = close_in(seen)
         if turn == 0 and not settings.changes:
             frames = owned_in_turn(subjects, seen, touching_in(subjects, seen, close), settings, NEAR, visit)
@@ -68,15 +71,23 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
         subjects = [replace(s, frames=own) for s, own in zip(subjects, frames)]
         if not concerned.any():
             break
-        people = [
-            _again(track_poses(silent, s, in_view_from(s)), one) if c else one
-            for s, one, c in zip(subjects, people, concerned)
-        ]
-    found = [placed(one) for one in people]
+        anew = [k for k in range(len(people)) if concerned[k]]
+        now = each(_tracked, [(silent, subjects[k], in_view_from(subjects[k])) for k in anew])
+        for k, one in zip(anew, now):
+            people[k] = _again(one, people[k])
+    found = each(placed, people)
     if several:
         found = [replace(t, status=_doubted(s, t.status)) for s, t in zip(subjects, found)]
     found = [t.since(added) for t in found]
     return [replace(t, person=s.number, people=len(subjects)) for s, t in zip(subjects, found)]
+
+
+def _tracked(work: tuple[Task, Subject, int]) -> Unplaced:
+    return track_poses(*work)
+
+
+def _rated(one: Unplaced) -> Tracks:
+    return with_rating(one.run, one.tracks)
 
 
 def main_first(found: list[Tracks]) -> list[int]:

@@ -1,0 +1,39 @@
+"""Work on several cores: the same results in the same order as one after the other."""
+
+import threading
+
+import pytest
+
+from voodoo_jax.config.options import LimitSettings
+from voodoo_jax.io.limits import limited, limits
+from voodoo_jax.storage import cores
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_work_on_several_cores_comes_in_its_order(monkeypatch, count):
+    monkeypatch.setattr(cores, "own_cores", lambda: count)
+    both = threading.Barrier(min(count, 2))
+
+    def work(number: int) -> tuple[int, int]:
+        if number < 2:
+            both.wait(10)  # two are done at the same time, where there are two cores
+        return number, limits().topics
+
+    with limited(LimitSettings(topics=7)):
+        assert cores.at_once(work, range(5)) == [(k, 7) for k in range(5)]
+    assert cores.at_once(work, []) == []
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_what_work_raises_is_raised(monkeypatch, count):
+    monkeypatch.setattr(cores, "own_cores", lambda: count)
+    done = []
+
+    def work(number: int) -> None:
+        if number == 1:
+            raise KeyboardInterrupt
+        done.append(number)
+
+    with pytest.raises(KeyboardInterrupt):
+        cores.at_once(work, range(100))
+    assert len(done) < 99

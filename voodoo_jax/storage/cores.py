@@ -1,0 +1,62 @@
+"""How many cores there are to be used, by all that runs here and by this process alone; work on several of them."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextvars import copy_context
+from pathlib import Path
+from threading import Thread
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def at_once(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """What `work` makes of each item, in their order, by as many threads as this process has cores. Raises what it
+    raises for the first item for which it does. The limits that hold here hold there, too."""
+    count = min(own_cores(), len(items))
+    if count < 2:
+        return [work(item) for item in items]
+    waiting, made, errors = deque(range(len(items))), dict[int, R](), dict[int, BaseException]()
+
+    def go() -> None:
+        while waiting and not errors:
+            k = waiting.popleft()
+            try:
+                made[k] = work(items[k])
+            except BaseException as error:  # for who asks
+                errors[k] = error
+
+    # daemons: an interrupted process does not wait for them
+    threads = [Thread(target=copy_context().run, args=(go,), daemon=True) for _ in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    if errors:
+        raise errors[min(errors)]
+    return [made[k] for k in range(len(items))]
+
+
+def usable_cores() -> int:
+    """Physical cores that this process may use: affinity and the container's quota are heeded."""
+    cpus = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
+    siblings = {text_of(f"/sys/devices/system/cpu/cpu{n}/topology/thread_siblings_list") or str(n) for n in cpus}
+    quota = (text_of("/sys/fs/cgroup/cpu.max") or "max 1").split()
+    most = int(quota[0]) // int(quota[1]) if quota[0].isdigit() else len(siblings)
+    return max(1, min(len(siblings), most))
+
+
+def own_cores() -> int:
+    """Cores that this process may keep busy: a share of them where it is one of several workers."""
+    told = os.environ.get("OMP_NUM_THREADS", "")
+    return min(usable_cores(), int(told)) if told.isdigit() and int(told) > 0 else usable_cores()
+
+
+def text_of(path: str) -> str:
+    """What is in a small file of the system's; nothing where it cannot be read."""
+    try:
+        return Path(path).read_text().strip()
+    except OSError:
+        return ""
