@@ -1,10 +1,11 @@
 """Learns where joint centres are: python -m experiments.offsets.learn LOGS [LOGS ...]
 
-LOGS: folders with logs of people who are recorded alike: the 18 recordings, and others as experiments/people/others.py
-makes them; each is tracked with and without features. Left out are people, never logs: the figures printed are of
+LOGS: folders with logs of people who are recorded alike, as experiments/people/others.py makes them; each is tracked
+with and without features. Left out are people, never logs: the figures printed are of
 people nothing was learned from. Writes voodoo_jax/trackers/icp/refine/place_joints.toml.
 """
 
+import textwrap
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -126,8 +127,8 @@ def toml(told: dict[str, stage.Learned]) -> str:
     lines = [HEAD]
     row = lambda v: "[" + ", ".join(f"{x:.5g}" for x in np.where(np.isfinite(v), v, 0)) + "]"  # noqa: E731
     for name, its in told.items():
-        weights = "".join(f"  {row(line)},\n" for line in its.weights)
-        lines.append(f"[{name}]\nusual = {row(its.usual)}\nspread = {row(its.spread)}\nweights = [\n{weights}]\n")
+        weights = textwrap.fill(", ".join(map(row, its.weights)), 120)
+        lines.append(f"[{name}]\nusual = {row(its.usual)}\nspread = {row(its.spread)}\nweights = [\n{weights}\n]\n")
     return "\n".join(lines)
 
 

@@ -37,6 +37,8 @@ HEIGHT, AWAY, MIDDLE = 1.25, 1.705, 0.52  # of the camera, metres; how far away 
 # at the middle of where they go, in statures
 BEHIND = 1.2  # metres from the farthest hips to the wall
 ASIDE = np.pi / 4  # from facing the camera, at most
+EDGE, MIXED = 0.05, 0.5  # step between neighbours that makes a depth edge, metres; share of all pixels there that mix
+NOISE = replace(TOF_NOISE, flying=0.0, dropout=0.01, grazing=0.0)
 AXES = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0.0]])  # z forward, x left, y up becomes x, y, z
 # joints of a clip and the bones that turn with them; bones without one turn with their parents
 JOINTS = {"root": "Hips", "spine04": "Spine", "spine01": "Chest", "neck01": "Neck", "head": "Head"} | {
@@ -124,6 +126,17 @@ def posed(figure: Figure, stands: Moves, moves: Moves, yaw: float) -> tuple[np.n
     return vertices + shift.astype(np.float32), figure.joints_of(place) + shift
 
 
+def flying(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Depth [row, column] whose pixels at edges lie between the nearest and the farthest of them and their neighbours,
+    above, below and to both sides; as in the recordings, half of all such pixels, anywhere between."""
+    around = np.pad(depth, 1, mode="edge")
+    cross = np.stack([depth, around[:-2, 1:-1], around[2:, 1:-1], around[1:-1, :-2], around[1:-1, 2:]])
+    near, far = cross.min(0), cross.max(0)
+    mixed = np.isfinite(far) & (rng.random(depth.shape) < MIXED)
+    mixed &= np.where(np.isfinite(far), far, near) - near > EDGE
+    return np.where(mixed, near + rng.random(depth.shape) * np.where(mixed, far - near, 0.0), depth)
+
+
 @dataclass(frozen=True)
 class Other:
     """One log."""
@@ -181,7 +194,8 @@ def make(other: Other) -> Path:
     empty, where, depth = render_room(camera, room), marked(figure), []
     found: list[Found] = []
     for frame in vertices:
-        depth.append(add_noise(*before(empty, frame, figure.meshes.faces, camera), camera, TOF_NOISE, rng))
+        exact, cosine = before(empty, frame, figure.meshes.faces, camera)
+        depth.append(add_noise(flying(exact, rng), cosine, camera, NOISE, rng))
         found.append(detections(figure, frame, colour, where, rng))
     time_ns = START_NS + np.round(np.arange(len(depth)) / RATE * 1e9).astype(np.int64)
     write_truth(path.with_suffix(".truth.npz"), time_ns, joints, figure.dims | {"stature": stature})

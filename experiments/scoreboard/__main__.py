@@ -22,6 +22,8 @@ def main(
     quick: bool = False,
     gate: bool = False,
     dry: bool = False,
+    others: Path | None = None,
+    draw: int = 1,
     processes: int = 2,
 ) -> None:
     """Measures what the project promises.
@@ -33,6 +35,9 @@ def main(
         gate: compare with the committed figures, write nothing, and end with 1 if a promise has fallen. Promises of
             which no figure can fall, those of time and memory, are left out.
         dry: write nothing.
+        others: folder with dataset-1_*.bvh, and bodies-<draw>.npz as `experiments/people/bodies.py bodies-<draw>.npz
+            <draw> 24 recorded` writes it where anny is installed: of these the promise "others" is measured.
+        draw: seed of who moves how in those, and from where they are seen: another one draws others.
         processes: how many work at once.
     """
     began = time.perf_counter()
@@ -45,7 +50,7 @@ def main(
     if gate and (told := [p.name for p in chosen if not p.gates]):
         print(f"Left out, for no figure of theirs can fall: {', '.join(told)}.")
         chosen = [p for p in chosen if p.gates]
-    found = measure(chosen, Data(recordings and recordings.resolve(), quick), processes)
+    found = measure(chosen, Data(recordings and recordings.resolve(), quick, others, draw), processes)
     old = kept.load()
     before = kept.figures(old, quick)
     print(kept.shown(found, before))

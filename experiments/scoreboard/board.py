@@ -21,6 +21,8 @@ class Data:
 
     recordings: Path | None  # a folder as the README of the recordings describes it; None: only what can be simulated
     quick: bool = False  # a part of each promise, for the gate of CI
+    others: Path | None = None  # a folder with people and clips of which logs are made, see promises/others.py
+    draw: int = 1  # of these
 
     def logs(self, folder: str = "") -> list[Path]:
         """The recordings with a truth in a folder below, by name; none where there is no such folder."""

@@ -285,12 +285,10 @@ def _absolute(place: str | os.PathLike[str]) -> str:
 
 def parameters_of(settings: Settings, smooth_seconds: float = 0.0) -> tuple[tuple[str, str], ...]:
     """All settings as text."""
-    stages = {
-        stage: values for stage, values in asdict(settings).items() if stage not in ("changes", "online", "tracker")
-    }
+    every = asdict(settings)
+    stages = {stage: values for stage, values in every.items() if isinstance(values, dict)}
     out = {f"{stage}.{k}": str(v) for stage, values in stages.items() for k, v in values.items()}
-    out["online"] = str(settings.online)
-    out["tracker"] = settings.tracker
+    out |= {name: str(every[name]) for name in every if name not in (*stages, "changes")}
     out["smooth_seconds"] = str(smooth_seconds)
     return tuple((out | {f"change.{n}": str(change) for n, change in enumerate(settings.changes, 1)}).items())
 

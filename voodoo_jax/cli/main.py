@@ -3,6 +3,7 @@
 import atexit
 import gc
 import os
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -61,6 +62,8 @@ def run_replay(command: Replay) -> int:
         raise Stop("name at least one log")
     if command.settings.online and command.results.smooth:
         raise Stop("--smooth averages over later frames too; leave it out with --online")
+    if command.settings.online_lag and (not command.settings.online or command.settings.tracker == "flexible"):
+        raise Stop("--online-lag goes with --online, and with trackers of points; leave it out")
     gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.batch.replay import NotSummedUp, replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
@@ -211,7 +214,8 @@ def main(argv: list[str] | None = None) -> int:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
         name, kind = argv[0], Replay if argv[0] == "replay" else Live
-        command = _quietly(lambda: _parsed(kind, name, argv[1:], base))
+        words = [re.sub("^--online[.]lag", "--online-lag", word) for word in argv[1:]]
+        command = _quietly(lambda: _parsed(kind, name, words, base))
         try:
             check_settings(command.settings)
         except SettingsError as problem:

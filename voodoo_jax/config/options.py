@@ -329,6 +329,8 @@ class Settings:
     changes: tuple[Change, ...] = ()
     online: bool = False
     """Use no later frames, as on a robot."""
+    online_lag: float = 0.0
+    """With online: seconds by which results may be late; frames are tracked back in time from there."""
 
     def looks_ahead(self, section: Literal["detect", "track"]) -> bool:
         """Whether later frames may be used there."""

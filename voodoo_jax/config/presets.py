@@ -81,7 +81,10 @@ PRESETS = ("default", "knoop2007", "flexible", "both", "hecht2009")
 _IMAGES = ReadSettings(images=True, matching="none")  # what the flexible tracker reads
 
 
-def online(settings: Settings) -> Settings:
+def online(settings: Settings, lag: float = 0.0) -> Settings:
     """The settings without a look into the future: every frame is tracked by what came before it, but for the half
-    second after each start, over which starts and the person's size are compared."""
-    return replace(settings, online=True)
+    second after each start, over which starts and the person's size are compared.
+
+    **Arguments:** `lag` seconds by which results may be late: so much of what comes after a frame tells of it, too.
+    """
+    return replace(settings, online=True, online_lag=lag or settings.online_lag)

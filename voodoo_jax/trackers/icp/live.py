@@ -92,6 +92,8 @@ class LiveTracker:
     ):
         if settings.changes:
             raise SettingsError("[[change]] in the settings: live tracking knows no changes of the body")
+        if settings.online_lag:
+            raise SettingsError("live tracking gives results at once; leave out online_lag (replay can wait)")
         if settings.looks_ahead("track") or settings.looks_ahead("detect"):
             raise SettingsError("live tracking needs settings.online")
         self.seconds = 0.0  # of tracking so far, without compiling

@@ -10,6 +10,7 @@ from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
 from voodoo_jax.trackers.icp.refine.drop_carried import DropCarried
 from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained
 from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms
+from voodoo_jax.trackers.icp.refine.fixed_lag import FixedLag
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.refine.hang_arms import HangArms
 from voodoo_jax.trackers.icp.refine.hang_legs import HangLegs
@@ -25,7 +26,9 @@ END = FreshEnd()
 # of every segment, and of each that competes with it
 SETTLE: tuple[Stage, ...] = (ForwardBackward(end=END),)
 # of every segment
-REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities())
+REFINE: tuple[Stage, ...] = (
+    *SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities(), FixedLag(),
+)  # fmt: skip
 # of the recording
 FINISH: tuple[RecordingStage, ...] = (DropCarried(among=REFINE), DropUnexplained(among=REFINE), FitForearms())
 # of the tracks, once their poses stand

@@ -41,9 +41,11 @@ class Runner(FrameRunner):
 
     @property
     def offers(self) -> frozenset[str]:
-        """What stages may need: "points", "one body" (that does not change on the way), and the body's joints."""
+        """What stages may need: "points", "one body" (that does not change on the way), "lag" (that results may
+        wait), and the body's joints."""
         one_body = {"one body"} if not self.settings.changes else set()
-        return frozenset({"points", *one_body, *self.body.topology.joints})
+        lag = {"lag"} if self.settings.online and self.settings.online_lag > 0 else set()
+        return frozenset({"points", *one_body, *lag, *self.body.topology.joints})
 
     def look_for(self, thing: str, limbs: list[int], at: int, state: State) -> None:
         """Lets a held thing point where the first frames from `at` on say it does: trials as at the start."""

@@ -17,18 +17,21 @@ from voodoo_jax.trackers.icp.refine.place_joints import (
     LEGS,
     LIMBS,
     UPPER,
+    WAVES,
     PlaceJoints,
     band_gaps,
     learned,
     looked_at,
     persons_body,
     sensor_places,
+    waves,
 )
 
 BODY = on_host(scaled(human(), 1.8))
 COUNT = 60
 EYES = np.tile([3.0, 0.0, 1.0], (COUNT, 1))
 STAGE = PlaceJoints()
+FIRST_AND_LAST = [0.5292157038, 0.06719926044, 3.728282766, 5.530199098]
 
 
 def standing(lower_shanks: float = 0.0, body=BODY) -> Tracks:
@@ -56,8 +59,14 @@ def turned(tracks: Tracks, turn: Rotation) -> Tracks:
 def test_what_is_learned_fits_the_features():
     for name in LIMBS:
         told, gaps = learned()[name], 3 * len(LEGS if looked_at(name) is LEGS else UPPER)
-        assert told.weights.shape == (70 + gaps, 3) and told.usual.shape == told.spread.shape == (gaps,)
+        assert told.weights.shape == (70 + WAVES + gaps, 3) and told.usual.shape == told.spread.shape == (gaps,)
         assert np.isfinite(told.weights).all() and (told.spread >= 0).all()
+
+
+def test_waves_are_the_same_everywhere():
+    """What was learned is for these frequencies and phases: other ones would move joints anywhere."""
+    frequencies, phases = waves(48)
+    np.testing.assert_allclose([frequencies[0, 0], frequencies[47, 199], phases[0], phases[199]], FIRST_AND_LAST)
 
 
 def test_left_and_right_are_mirror_images():

@@ -3,7 +3,8 @@
 A joint centre does not stay in its place on a cylinder: shoulders rise and come forward with the arm, the side of a
 limb that the sensor sees is nearer or farther than a cylinder's, points are drawn to a limb beside the right one, and
 thighs that are longer than the stature tells stretch the bands of knee and hip. What these say of a centre's place was
-learned by ridge regression on people whose joints are known (experiments/offsets, `learn.py`). Where a recording tells
+learned by ridge regression on people whose joints are known (experiments/offsets, `learn.py`), of directions, their
+products, and waves over all of them (random Fourier features: Rahimi and Recht 2007). Where a recording tells
 little, the bands count for little.
 """
 
@@ -39,6 +40,11 @@ EVERY = slice(None)
 UNLIKE = 0.4  # logarithm of a size over the usual one: girths of people differ by 13 % (ANSUR II), three deviations
 
 
+# of the waves over all directions: how many, the standard deviation of their frequencies, how high; chosen on people
+# left out (experiments/offsets)
+WAVES, FREQUENCY, HEIGHT = 200, 0.3, 0.3
+
+
 class Gaps(NamedTuple):
     """How far the bands of joints are stretched over a recording; left and right averaged, right mirrored."""
 
@@ -60,6 +66,13 @@ def learned() -> dict[str, Learned]:
     text = files("voodoo_jax.trackers.icp.refine").joinpath("place_joints.toml").read_text()
     found = tomllib.loads(text)
     return {name: Learned(*(np.array(found[name][key]) for key in Learned._fields)) for name in LIMBS}
+
+
+@cache
+def waves(directions: int) -> tuple[Float64[np.ndarray, "direction wave"], Float64[np.ndarray, " wave"]]:
+    """Frequencies and phases of the waves over so many numbers; of a generator whose numbers NumPy keeps for ever."""
+    random = np.random.RandomState(0)  # noqa: NPY002
+    return FREQUENCY * random.standard_normal((directions, WAVES)), random.uniform(0, 2 * np.pi, WAVES)
 
 
 def plain(name: str) -> tuple[str, str]:
@@ -132,7 +145,7 @@ def pose_features(
 ) -> Float64[np.ndarray, "seen feature"]:
     """What the pose and the side that is seen say of a joint: 1, direction to the sensor, how far the other limb's
     upward axis is turned, both axes of the trunk's limbs, upward axes of arms and legs, products of the first two and
-    their squares. All directions are forward, left, up of the limb at rest. Right mirrored.
+    their squares, waves over all directions. These are forward, left, up of the limb at rest. Right mirrored.
 
     **Arguments:** `side` of a centre in the middle: "r_" mirrors it.
     """
@@ -150,7 +163,9 @@ def pose_features(
     v[:, 1] -= [0.0, 0.0, 1.0]
     both = v[:, :2].reshape(-1, 6)
     products = (both[:, :, None] * both[:, None])[:, *np.triu_indices(6)]
-    return np.concatenate([np.ones((len(v), 1)), v.reshape(-1, 3 * v.shape[1]), products], 1)
+    flat = v.reshape(-1, 3 * v.shape[1])
+    frequencies, phases = waves(flat.shape[1])
+    return np.concatenate([np.ones((len(v), 1)), flat, products, HEIGHT * np.cos(flat @ frequencies + phases)], 1)
 
 
 def limb_of(body: Body, side: str, limb: str) -> int:
