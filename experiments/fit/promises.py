@@ -29,7 +29,8 @@ from voodoo_jax.simulate.sensor import NO_NOISE, TOF_NOISE
 
 WRONG: dict[str, float] = dict.fromkeys(LIMBS, 1.08)  # upper arms, forearms, thighs and shanks are each 8 % too long
 MIXED = {"upper_arm": 0.92, "forearm": 1.08, "thigh": 1.08, "shank": 0.92}
-CASES: tuple[tuple[str, dict[str, float]], ...] = (("usual", {}), ("8 % long", WRONG), ("8 % mixed", MIXED))
+SHORT: dict[str, float] = dict.fromkeys(LIMBS, 0.92)
+CASES: dict[str, dict[str, float]] = {"usual": {}, "8 % long": WRONG, "8 % short": SHORT, "8 % mixed": MIXED}
 FAR = {"thigh": 1.15, "shank": 0.85, "upper_arm": 0.85, "forearm": 1.15}
 
 
@@ -136,7 +137,7 @@ def main(
                 file.write(line + "\n")
 
     for path in tqdm(_paths(recordings, logs), "fit", unit="log", disable=None):
-        for word, factors in CASES:
+        for word, factors in CASES.items():
             for outcome in fitted_to([path], wrong(human(), factors)):
                 say(word, asdict(outcome))
         _log.cache_clear()

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from experiments.common import DEMO, human, log_files, table, write
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.objective import FitFrames, changed_features
-from voodoo_jax.fitting.parameters import Parameters, changed, changed_options, changed_points, parameters
+from voodoo_jax.fitting.parameters import Parameters, changed, changed_options, changed_points, middles, parameters
 from voodoo_jax.fitting.problem import Problem, problem
 from voodoo_jax.model.body import joint_centres
 from voodoo_jax.solve import frame as one_frame
@@ -56,7 +56,7 @@ def solver(known: Parameters, one: Problem):
     def joints(value, which, frame: FitFrames):
         by = known.changes(jnp.zeros(len(known.names)).at[which].set(value))
         new = changed(body, by)
-        points, features = changed_points(frame.points, by), changed_features(frame, by)
+        points, features = changed_points(frame.points, by, middles(frame.points)), changed_features(frame, by)
         asked = one_frame.Problem.build(new, points, frame.poses, changed_options(options, by), features)
         found = solution(frame.poses, asked, tolerance=AT_REST)
         return joint_centres(new, found.poses), (found.chosen, found.changing, found.converged)

@@ -51,7 +51,8 @@ WORDS = {  # what people say -> patterns of names; "segments": see segment_limbs
 # of SolveSettings and of TrackSettings
 SETTINGS = ("ratio", "floor", "prior", "robust_scale", "prior_radius", "steady", "steady_distance", "limits")
 TRACK = ("damping", "still_speed", "hidden_weight")
-# of each sensor: its measurements' weight, and its place in its own axes, about itself
+# of each sensor: its measurements' weight, and its place, in axes of the fixed frame. It turns about the middle of what
+# it sees: about itself 2 degrees would move that by 10 cm, and searches hardly find a turn and a shift that undo it
 SENSOR = ("weight", "x", "y", "z", "turn_x", "turn_y", "turn_z")
 
 
@@ -295,15 +296,23 @@ def changed_tracking(options: TrackOptions, by: Changes) -> TrackOptions:
     return eqx.tree_at(lambda o: o.icp, options, changed_options(options.icp, by))
 
 
-def changed_points(points: Points, by: Changes) -> Points:
-    """Points after changes of their sensors, which see them from elsewhere; any leading axes."""
+def middles(points: Points) -> Float[Array, "sensor 3"]:
+    """Of what each sensor sees; any leading axes."""
+    mine = (jnp.arange(points.origins.shape[-2]) == points.sensor[..., None]) & (points.weight > 0)[..., None]
+    total = jnp.einsum("...ps,...pk->sk", mine.astype(points.xyz.dtype), points.xyz, precision="highest")
+    count = jnp.sum(mine, tuple(range(mine.ndim - 1)))
+    return total / jnp.maximum(count, 1)[:, None]
+
+
+def changed_points(points: Points, by: Changes, about: Float[Array, "sensor 3"]) -> Points:
+    """Points after changes of their sensors, which see them from elsewhere, each turned about one of the places
+    `about`, metres; any leading axes."""
     if not by.sensors.shape[0]:
         return points
-    one = jnp.arange(by.sensors.shape[0]) == points.sensor[..., None]  # [..., point, sensor]
-    mine = jnp.sum(jnp.where(one[..., None], by.sensors, 0.0), -2)
-    origin = jnp.sum(jnp.where(one[..., None], points.origins[..., None, :, :], 0.0), -2)
-    xyz = origin + mine[..., 1:4] + rotate(quat_exp(mine[..., 4:7]), points.xyz - origin)
-    parts = xyz, points.weight * jnp.exp(mine[..., 0]), points.origins + by.sensors[:, 1:4]
+    moved = lambda xyz, here, by: here + by[..., 1:4] + rotate(quat_exp(by[..., 4:7]), xyz - here)  # noqa: E731
+    mine = by.sensors[points.sensor]
+    xyz = moved(points.xyz, about[points.sensor], mine)
+    parts = xyz, points.weight * jnp.exp(mine[..., 0]), moved(points.origins, about, by.sensors)
     return eqx.tree_at(lambda p: (p.xyz, p.weight, p.origins), points, parts)
 
 

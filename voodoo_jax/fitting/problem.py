@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.frames import Truth, feature_names, fit_frames, placed_by, read_truth
 from voodoo_jax.fitting.objective import FitFrames, changed_features
-from voodoo_jax.fitting.parameters import changed, changed_points, changed_tracking, named_changes
+from voodoo_jax.fitting.parameters import changed, changed_points, changed_tracking, middles, named_changes
 from voodoo_jax.fitting.seen import Log, Seen, tracked
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
@@ -47,7 +47,8 @@ class Problem(eqx.Module):
         if isinstance(parameters, Body):
             return replace(self, body=parameters)
         by = named_changes(self.body, parameters, self.features, self.frames.points.origins.shape[-2])
-        seen = [changed_points(points, by) for points in (self.frames.points, self.frames.held)]
+        about = middles(self.frames.points)
+        seen = [changed_points(points, by, about) for points in (self.frames.points, self.frames.held)]
         frames = replace(self.frames, points=seen[0], held=seen[1], features=changed_features(self.frames, by))
         return replace(self, body=changed(self.body, by), options=changed_tracking(self.options, by), frames=frames)
 
@@ -110,7 +111,8 @@ def solved(parameters: Named | Body, problem: Problem) -> Tracked:
     **Arguments:** `parameters` a body, or numbers by name, all 0 for the body as it is: logarithms of factors of
     `lengths.thigh`, `radii.chest.top`, `bands.knee.weight`, `solve.ratio`, `track.damping`, `features.face.weight`,
     `sensors.0.weight` and so on, shares of the body's scale for `anchors.hip.y`, metres and radians for `sensors.0.x`
-    and `sensors.0.turn_z`. A name without a side is of both sides.
+    and `sensors.0.turn_z` (about the middle of what it sees; the place itself: `problem.having(parameters).frames.
+    points.origins`). A name without a side is of both sides.
 
     **Returns:** see Tracked: `joints` [frame, centre, 3], metres; `converged`: derivatives of other frames are wrong;
     `changing`: how many points lie between two limbs or two sides, where derivatives hold to one side only. Never NaN.

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jax.experimental import io_callback
 from jaxtyping import Array, Float
 
 from voodoo_jax.compile.xla_options import quickly
@@ -22,8 +23,8 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.solve.through_time import Tracked
 
 Loss = Callable[[Tracked, Problem], Float[Array, ""]]
-# a tenth of the loss counts as a usual deviation of a parameter does: BFGS's first step goes along the slope, so that a
-# loss in metres would hardly move
+# a tenth of the loss at the start counts as a usual deviation of a parameter does: BFGS's first step goes along the
+# slope, so that a loss in metres would hardly move; the logarithm of one that falls to a hundredth is no bowl
 SCALE = 10.0
 MOST = 3.0  # usual deviations: so far from the start no parameter goes, or a first step may leave all points behind
 NOTHING = 1e6  # what a recording costs in which no frame is at rest: more than any
@@ -81,7 +82,7 @@ def tune(
     program; `free` words and patterns of parameters as for `fit` (lengths, bands.*.weight, track.damping), left and
     right alike; `loss` of a recording as solved and its problem with the parameters (`having`), positive; `start`
     parameters to begin at, else 0; `steps` at most; `pull` of the parameters' priors (fitting.parameters.PRIORS): a
-    usual deviation costs half of this share of the loss; `say` hears of each place that is looked at.
+    usual deviation costs half of this share of the start's loss; `say` hears of each place that is looked at.
 
     Raises ValueError for a pattern that names nothing.
     """
@@ -93,11 +94,12 @@ def tune(
     seen: list[tuple[float, dict[str, float]]] = []
     groups = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in _alike(some)]
 
-    def heard(z: Any, value: Any) -> None:
+    def heard(z: Any, value: Any) -> np.float32:
         found = dict(zip(names, (np.asarray(begun) + sd * MOST * np.tanh(np.asarray(z) / MOST)).tolist()))
         seen.append((float(value), found))
         if say is not None:
             say(*seen[-1])
+        return np.float32(seen[0][0])
 
     number = max(_HEARD, default=0) + 1
     _HEARD[number] = heard
@@ -113,7 +115,8 @@ def tune(
     return Tuned(best[1], some, tuple(value for value, _ in seen), bool(done))
 
 
-_HEARD: dict[int, Callable[[Any, Any], None]] = {}  # who is told of each place that a search looks at
+# who is told of each place that a search looks at, and says the loss at the first one
+_HEARD: dict[int, Callable[[Any, Any], np.float32]] = {}
 
 
 @cache
@@ -134,8 +137,11 @@ def _search(names: tuple[str, ...], loss: Loss, steps: int) -> Callable[..., opt
 
         each = jnp.concatenate([jax.lax.map(one, group) for group in groups])
         value = jnp.mean(each)
-        jax.debug.callback(lambda number, *told: _HEARD[int(number)](*told), number, z, value, ordered=True)
-        return SCALE * (jnp.log(value + 1e-12) + 0.5 * pull * jnp.sum((x / sd) ** 2))
+        told = jax.lax.stop_gradient((number, z, value))
+        first = io_callback(
+            lambda number, *told: _HEARD[int(number)](*told), jnp.zeros((), value.dtype), *told, ordered=True
+        )
+        return SCALE * (value / jnp.maximum(first, 1e-12) + 0.5 * pull * jnp.sum((x / sd) ** 2))
 
     def search(z: Float[Array, " free"], args: Any) -> optx.Solution:
         solver = optx.BFGS(rtol=0.0, atol=ENOUGH)
