@@ -32,8 +32,8 @@ def with_crops(reader: LogReader) -> LogReader:
         reader = reader.with_crop(topic, (0.0, place or 0.0), sure)
         if far > RIGHT:
             reader.say(
-                f"Nothing tells where '{topic}' was cropped: joints may be up to {100 * far:.0f} cm aside, and their "
-                "confidence says so. read.camera settles it."
+                f"It is unknown where '{topic}' was cropped: joints may be up to {100 * far:.0f} cm off, and their "
+                "confidence is lower. Set read.camera."
             )
     for topic in reader.cameras:
         if any(reader.leeway(topic)[0]):

@@ -11,8 +11,8 @@ from voodoo_jax.detect.stillness import Stillness, breathes, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
 NOTE = (
-    "Something of a person's height never moves at all, not even as somebody who stands still does: it is taken for a"
-    " thing and not tracked (stage drop_motionless)."
+    "An object of a person's height never moves, not even as a person who stands still: it is not tracked (stage "
+    "drop_motionless)."
 )
 
 

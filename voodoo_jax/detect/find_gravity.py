@@ -23,8 +23,8 @@ BELOW = -0.1  # metres under the floor: no sensor is there; by hand
 SAME = 0.87  # cosine, 30 degrees: floors are found within 40 of where up is thought to be; by hand
 
 SAID = (
-    "Up is ({}) in the fixed frame, not as the log's frames say: a floor is seen there, with somebody on it. "
-    "read.up settles it."
+    "Up is ({}) in the fixed frame, unlike the log's frames: a floor with a person on it is visible. To "
+    "override, set read.up."
 )
 
 

@@ -76,7 +76,7 @@ def _say(reader: LogReader, topics: tuple[str, str], away: float, told: bool, li
         reader.sure *= TORN
     found = f"'{topic}' sees what '{first}' sees, too, up to {100 * away:.0f} cm off: one of their transforms is wrong"
     if not line:
-        reader.say(f"{found}. By how much is not certain; read.transform settles it.")
+        reader.say(f"{found}. The error is uncertain; set read.transform.")
         return
     why = "the floor is level with that of the others" if told else "nothing tells which"
     reader.say(

@@ -14,8 +14,8 @@ def without_smeared_edges(reader: LogReader) -> LogReader:
     found = frozenset(topic for topic in reader.sensors if _smeared(reader, topic))
     for topic in sorted(found):
         reader.say(
-            f"The edges of things are smeared in '{topic}', as by a filter of its camera: what lies between near and "
-            "far things there is left out."
+            f"Depth edges in '{topic}' are smeared, as by a filter of its camera: points between near and far "
+            "objects are left out."
         )
     return reader.without_sheets(found) if found else reader
 

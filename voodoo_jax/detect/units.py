@@ -39,7 +39,7 @@ def with_units(reader: LogReader, build: Build, settings: DetectSettings) -> Log
             scales[topic] = reader.unit(topic) * factor
             reader.say(
                 f"'{topic}': a unit of its distances is {scales[topic]:g} m, not {reader.unit(topic):g} m as usual: "
-                "with that the floor, a body and the range fit. read.scale settles it."
+                "then floor, body and range fit. To override, set read.scale."
             )
     return reader.with_scales(scales) if scales else reader
 
@@ -95,7 +95,7 @@ def _factor(reader: LogReader, topic: str, samples: Sequence[Sample], build: Bui
     near = ", ".join(f"'{topic}={reader.unit(topic) * f:g}'" for f in possible[:2]) or f"'{topic}=0.001'"
     raise LogError(
         f"'{reader.path}': the distances of '{topic}' are {distance:.3g} m (median) if its unit is "
-        f"{reader.unit(topic):g} m, and nothing tells which it is. read.scale says it: metres per unit, such as {near}."
+        f"{reader.unit(topic):g} m, and the unit is ambiguous. Set read.scale: metres per unit, such as {near}."
     )
 
 

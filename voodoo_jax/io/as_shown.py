@@ -29,9 +29,9 @@ def with_settled_frames(reader: LogReader) -> LogReader:
         reader.scan.tree.choose(child, best)
         told = is_decisive(off[best], off[1 - best])
         reader.sure *= 1.0 if told else TORN
-        why = "the floor is level with the one that is used" if told else "nothing tells which is right"
+        why = "the floor is level with the one that is used" if told else "it is unknown which one is right"
         reader.say(
-            f"Frame '{child}' jumps between two places, {count} times: two publishers say where it is; {why}. "
+            f"Frame '{child}' jumps between two poses, {count} times: two publishers disagree about it; {why}. "
             f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
         )
     return reader
@@ -52,15 +52,15 @@ def with_images_as_shown(reader: LogReader) -> LogReader:
         if topic not in reader.measuring.radial and flat_share(xy, values)[1]:
             reader.measuring.radial[topic] = True
             reader.say(
-                f"'{topic}' has distances along the rays, not along the optical axis, to judge by the planes in it "
+                f"'{topic}' has distances along the rays, not along the optical axis, as its planes show "
                 f"(read.radial={topic}=yes; =no says that they are depths)."
             )
         if in_body_frame(reader, topic, xy, values):
             reader.measuring.of_body |= {topic}
             reader.say(
-                f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor stands upright: that is the "
-                "frame of a camera's body, and its images are taken for optical ones (z ahead, x to the right) at that "
-                "place. A transform of an optical frame, or read.up, settles it."
+                f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor would be upright: that is "
+                "the frame of a camera's body. Its images are treated as optical (z forwards, x to the right) there. "
+                "To override, give the transform of an optical frame, or set read.up."
             )
     return reader
 

@@ -63,8 +63,8 @@ class Clock:
         # the processor's time is asked for where all time could be enough only: that takes ten times as long
         if 0 < self.most < time.monotonic() - self._wall and self.most < time.thread_time() - self._began:
             raise LogError(
-                f"The log took {self.most:g} s of the processor without yielding a frame: it is damaged, or made to "
-                "take long. If it is as it should be, allow more (--limits.seconds)."
+                f"The log took {self.most:g} s of processor time without yielding a frame: it is damaged, or made "
+                "to take long. If it is intact, allow more (--limits.seconds)."
             )
 
 
@@ -82,7 +82,7 @@ class Budget:
         if self.left < 0:
             raise LogError(
                 f"The log unpacks to more than {self.most} bytes, over {limits().log_times} times its size: it is "
-                "damaged, or made to take long. Nothing of it is used (--limits.log_bytes, --limits.log_times)."
+                "damaged, or made to take long. It is not used (--limits.log_bytes, --limits.log_times)."
             )
 
 
@@ -92,7 +92,7 @@ def chunk_records(body: bytes, budget: Budget) -> tuple[list, str]:
     chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     if chunk.compression not in COMPRESSIONS:
         # mcap 1.6 would take the bytes for uncompressed ones and lose them without a word.
-        raise McapError(f"compression '{chunk.compression}' is not known")
+        raise McapError(f"compression '{chunk.compression}' is unknown")
     if not chunk.uncompressed_crc and not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
         raise McapError("its length is not the one stated")
     data = _unpacked(chunk)
@@ -143,9 +143,9 @@ def _records(data: bytes) -> tuple[list, str]:
         elif opcode == Opcode.SCHEMA:
             records.append(Schema.read(ReadDataStream(BytesIO(data[at:stop]))))
         elif opcode == 0:  # MCAP has no such record: a chunk of zeros would be millions of them
-            raise McapError("it holds bytes that are no records")
+            raise McapError("it has bytes that are no records")
         if len(records) > most:
-            raise McapError(f"it holds more than {most} messages (--limits.chunk_messages)")
+            raise McapError(f"it has more than {most} messages (--limits.chunk_messages)")
         at = stop
     return records, ""
 
@@ -180,5 +180,5 @@ def unpacked_message(channel: Channel, message: Message) -> Message:
 
 def words(error: BaseException) -> str:
     if isinstance(error, CRCValidationError):
-        return "checksum does not match, bytes were changed"
+        return "checksum mismatch, bytes were changed"
     return str(error).strip().rstrip(".") or f"broken off ({type(error).__name__})"

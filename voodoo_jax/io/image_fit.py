@@ -8,7 +8,7 @@ from voodoo_jax.records.messages import Calibration
 
 ALIKE = 0.02  # of each other: rounding to whole pixels, as 424 x 240 from 1280 x 720, changes factors by no more
 PARTS = (2, 3, 4)  # every second, third or fourth row is kept: as likely as a crop to so little
-CROPPED = "taken for cropped about its middle (if it is not, give its calibration by read.camera)"
+CROPPED = "assumed to be cropped about its centre (if not, give its calibration by read.camera)"
 LEAST = 0.4  # of the picture: who crops to less has chosen a place, not the middle
 
 
@@ -23,19 +23,19 @@ def fitted(c: Calibration, shape: tuple[int, int]) -> tuple[Calibration, str]:
         return replace(c, width=columns, height=rows), ""
     for other in c.others:  # a region or binning that was stated, and not done
         if (other.height, other.width) == shape:
-            return other, "its region of interest or binning is not that of the image, and left out"
+            return other, "its region of interest or binning does not fit the image, and is ignored"
     across, down = columns / c.width, rows / c.height
     if abs(across / down - 1) <= ALIKE:
         return scaled(c, shape), "scaled to fit"
     sizes = f"it is {columns} x {rows} pixels, its calibration is of {c.width} x {c.height}"
     ask = "give the right calibration by read.camera"
     if abs(columns / c.height / (rows / c.width) - 1) <= ALIKE:
-        raise ValueError(f"{sizes}: the image was turned by a quarter turn; {ask}")
+        raise ValueError(f"{sizes}: the image was rotated by 90 degrees; {ask}")
     less = min(across, down) / max(across, down)
     if any(abs(less * part - 1) < 1e-6 for part in PARTS):
         raise ValueError(f"{sizes}: it was cropped, or rows or columns were left out; {ask}")
     if less < LEAST:
-        raise ValueError(f"{sizes}: it was cropped, and nothing says where; {ask}")
+        raise ValueError(f"{sizes}: it was cropped, at an unknown place; {ask}")
     size = _uncropped(c, shape)
     whole = moved(scaled(c, size), ((columns - size[1]) / 2, (rows - size[0]) / 2))
     return replace(whole, width=columns, height=rows), CROPPED

@@ -145,7 +145,7 @@ def _place(
         return f"no transform between {', '.join(repr(f) for f in known)} and '{fixed}'"
     nearest, joins = join(times, period_of(times), found.stamps)
     if not joins.all():
-        counted["left out, near no frame in time"] += int((~joins).sum())
+        counted["left out, with no frame near in time"] += int((~joins).sum())
     kept = np.flatnonzero(joins & np.isfinite(values).all(axis=1) & (times[nearest] > after_ns))
     number = {n: i for i, n in enumerate(dict.fromkeys(found.names))}
     key = nearest[kept] * len(number) + np.array([number[found.names[k]] for k in kept], np.int64)

@@ -47,8 +47,8 @@ Progress = Callable[[int, int], None]
 AHEAD = 2 * UNPACKERS  # frames: so that no thread waits for the next pair of images
 Part = tuple[int, int, Measured | Future[Cloud]]  # number of a sensor, and of its message; a pair's is being matched
 UNREADABLE = "cannot be decoded, left out"
-STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
-BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
+STUCK = "left out, which repeat the previous image: the sensor, its driver or a relay was frozen"
+BEGAN = "which repeat the first image, at the beginning: the sensor or its driver was frozen"
 FEW_POINTS = 5000  # of a message that are looked at to see whether it shows something
 
 
@@ -427,7 +427,7 @@ class LogReader:
                 yield self._frame(i, found, origins)
                 made += 1
         if not made:
-            why = [f"'{self.path}': not one depth message can be used.", *self._losses(), self._error]
+            why = [f"'{self.path}': no depth message can be used.", *self._losses(), self._error]
             text = " ".join(why).strip()
             if any(what == UNREADABLE for _, what in self._counted):
                 text = f"{text}. It is damaged, or was written by another version: copy it again."

@@ -64,7 +64,7 @@ def damaged(scan: Scan, problem: LogError) -> str:
     problem = LogError(f"{problem} {limits}".strip())
     if not damage or "is damaged" in str(problem):
         return str(problem)
-    return f"'{scan.log.path}' is damaged, copy it again. {' '.join(damage)} What is left of it: {problem}"
+    return f"'{scan.log.path}' is damaged, copy it again. {' '.join(damage)} The rest: {problem}"
 
 
 def _named(scan: Scan, topics: Iterable[str]) -> list[str]:

@@ -98,7 +98,7 @@ class Measuring:
                 if field in content.fields:
                     labels = content.field(field, s.max_points)
                 else:
-                    losses[topic, f"without the field '{field}', so that all points are free"] += 1
+                    losses[topic, f"without the field '{field}': all their points are free"] += 1
             with np.errstate(invalid="ignore", over="ignore"):
                 keep = self._in_range(np.einsum("ni,ni->n", points, points))
             if content.pose is not None:
@@ -148,8 +148,8 @@ class Measuring:
             if topic in self.moved and any(self.moved[topic]):
                 c = moved(c, self.moved[topic])
                 assumed = (
-                    f"taken for cropped {abs(self.moved[topic][1]):.0f} pixels beside its middle: with that the floor "
-                    "is level (if it is not, give its calibration by read.camera)"
+                    f"assumed to be cropped {abs(self.moved[topic][1]):.0f} pixels off its centre: then the floor is "
+                    "level (if not, give its calibration by read.camera)"
                 )
             if assumed:
                 own = f"{image.shape[1]} x {image.shape[0]}"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from voodoo_jax.sensors.stereo_rig import Rig
 
 _GREY = ("mono8", "8uc1")
-UNSEEN = "The images of '{}' are not looked at: {}."
+UNSEEN = "The images of '{}' are not used: {}."
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ class Parts:
                 wanted = DEPTH_USES if option == "parts" else (*DEPTH_USES, RAYS, PAIRS, SKIN_USE, POSE_USE)
                 if uses.get(name) not in wanted:
                     why = f"'{name}' is {uses[name]}" if name in uses else f"the log has no topic '{name}'"
-                    self.notes.append(f"read.{option} does not count here: {why}.")
+                    self.notes.append(f"read.{option} has no effect: {why}.")
         clouds = {n: topics[n].sample for n in topics if uses[n] == "point cloud" and n not in self._of_topic}
         without = [n for n in sorted(clouds) if n not in self._fields]
         if without and (settings.label_field or self._labels):
@@ -119,7 +119,7 @@ class Parts:
             some = sorted(self._examples[topic])
             values = ", ".join([f"{value:g}" for value in some[:5]] + ["..."] * (len(some) > 5))
             notes.append(
-                f"'{topic}': {count} points are free because read.labels says nothing of their value of "
+                f"'{topic}': {count} points are free because read.labels has no entry for their value of "
                 f"'{self._fields[topic]}' ({values})."
             )
         return notes

@@ -40,13 +40,13 @@ class PoseRays:
         try:
             image = picture.unpack()[0]
         except DECODE_ERRORS:
-            self._counted[picture.topic, "cannot be decoded, no key points are looked for in them"] += 1
+            self._counted[picture.topic, "cannot be decoded, and give no key points"] += 1
             return None
         if picture.topic not in self._nets:
             self._nets[picture.topic] = PoseNet(self._files)
         found = self._nets[picture.topic].find(image)
         if found is None:
-            self._counted[picture.topic, "in which read.pose_net finds nobody"] += 1
+            self._counted[picture.topic, "in which read.pose_net finds no person"] += 1
             return None
         rows = _ROWS[found.scores[_ROWS] >= _SEEN]
         K, pose = picture.K, picture.T_fixed_camera

@@ -138,7 +138,7 @@ def make_plan(
     pictures = plan_pictures(scan, fixed, at) if settings.images or settings.pose_net else None
     notes += pictures.notes if pictures else ()
     if settings.pose_net and pictures is not None and not pictures.cameras and not scan.stereo:
-        notes.append("No key points are looked for (read.pose_net): the log has no calibrated colour images.")
+        notes.append("read.pose_net has no effect: the log has no calibrated colour images.")
     given = np.array(direction(settings.up), np.float32) if settings.up else None
     up = _upward(scan, fixed, leaders[0], frames[0][0]) if given is None else given
     return Plan(
@@ -196,7 +196,7 @@ def _no_depth(scan: Scan, features: bool) -> str:
     topics = sorted(scan.topics.items())
     held = "; ".join(f"{name} ({t.type}, {t.count} messages) {scan.uses[name]}" for name, t in topics)
     nor, needed = (" and no named features", NEEDED + NEEDED_FEATURES) if features else ("", NEEDED)
-    return f"'{scan.log.path}' holds no depth data{nor}. It holds: {held}. {needed}.{damage}"
+    return f"'{scan.log.path}' has no depth data{nor}. It has: {held}. {needed}.{damage}"
 
 
 def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[str]) -> tuple[str, list[str]]:
@@ -213,13 +213,13 @@ def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[
     if tree.frames and not asked and frame[best] not in tree.frames:
         lone = ", ".join(f"'{f}'" for f in sorted(set(frame.values())))
         raise LogError(
-            f"'{path}': no {what} is in the transform tree, nothing links {lone} to any of "
+            f"'{path}': no {what} is in the transform tree, no transform links {lone} to any of "
             f"{', '.join(tree.frames)}. Record the missing transform, give it by read.transform, or set fixed_frame to "
             f"'{frame[best]}' to track in the sensor's own frame."
         )
     fixed = asked or roots[best]
     if not tree.frames:
-        notes.append(f"The log has no transforms: everything is given in the frame '{fixed}' of the sensor.")
+        notes.append(f"The log has no transforms: results are in the frame '{fixed}' of the sensor.")
     kept = [name for name in sensors if tree.connected(frame[name], fixed)]
     for name in sensors:
         if name not in kept:

@@ -90,7 +90,7 @@ def make_rig(topics: dict[str, Topic], tree: TransformTree, pair: Pair, shape: t
     a, b = topics[pair.left].sample.frame, topics[pair.right].sample.frame
     pose = tree.lookup(a, b, 0, hold_ns=None) if a != b else None
     if pose is None:
-        raise ValueError(f"the distance of its cameras is not known: P[0, 3] of the right calibration is "
+        raise ValueError(f"the distance of its cameras is unknown: P[0, 3] of the right calibration is "
                          f"{right.P[0, 3]:g}, and there is no transform between '{a}' and '{b}'")  # fmt: skip
     return posed_rig(left, right, *pose, rectified(pair.left))
 

@@ -164,7 +164,7 @@ class TransformTree:
             self._odd["transforms without a child frame were left out"] += count
             return
         if zeros := int((samples.numbers[:, 3:] == 0).all(1).sum()):
-            self._odd["transforms have a rotation of all zeros, taken as no rotation"] += zeros
+            self._odd["transforms have a rotation of all zeros, treated as no rotation"] += zeros
         key = (child, parent)
         if key not in self._samples and len(self._samples) >= limits().names:
             self._odd[f"transforms beyond those of {limits().names} frames were left out (--limits.names)"] += count
@@ -205,7 +205,7 @@ class TransformTree:
                 )
                 self._edges[child] = self.torn[child][0]
         for child, parent in self._unused.items():
-            self.notes.append(f"Frame '{child}' is where read.transform puts it in '{parent}', not where the log does.")
+            self.notes.append(f"Frame '{child}' has the pose in '{parent}' of read.transform, not of the log.")
         self.notes += [f"{n} {what}." for what, n in self._odd.items()]
         self._samples.clear()
 

@@ -72,7 +72,7 @@ def compared(topics: dict[str, Topic], names: list[str]) -> tuple[dict[str, str]
             if best == name or share[best] < FLAT or share[name] > FEWER * share[best]:
                 continue
             if same or word(name) < 0 or _falls(shown[name], shown[best]):
-                text = "no depth, to judge by what it shows: planes such as floor and walls are in"
+                text = "no depth, judged by its content: planes such as floor and walls are in"
                 none[name] = f"{text} '{best}' ({100 * share[best]:.0f} % of the pixels), and not in it"
                 break
     return none, {name: place for place, name in enumerate(order)}

@@ -36,7 +36,7 @@ def _of_files(given: Sequence[str], missing: set[str]) -> dict[str, Any]:
             for path in [*sorted(place.parent.glob("*.msg")), place]:
                 found |= get_types_from_msg(small_text(path), f"{package}/msg/{path.stem}")
         except (OSError, ValueError, KeyError, TypesysError) as problem:
-            raise ConvertError(f"read.types: '{place}' is no definition of a message (.msg): {problem}") from problem
+            raise ConvertError(f"read.types: '{place}' is not a message definition (.msg): {problem}") from problem
     return found
 
 

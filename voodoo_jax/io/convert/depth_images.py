@@ -61,7 +61,7 @@ def convert(source: Path, target: Answer, given: Path | None = None, rate: float
                 continue
             depth = image
             if depth.dtype != np.uint16 or depth.ndim != 2:
-                notes.append(f"'{path.name}' was left out: it is no 16-bit image of one channel")
+                notes.append(f"'{path.name}' was left out: it is not a 16-bit image of one channel")
                 bad += 1
                 continue
             if depth.shape != (camera["height"], camera["width"]):
@@ -112,7 +112,7 @@ def camera_file(path: Path, usual: dict | None = None, asked: bool = True) -> di
     try:
         found = (usual or {}) | tomllib.loads(small_text(path))
     except (ValueError, RecursionError, OSError) as problem:
-        raise ConvertError(f"'{path}' is no TOML file: {problem}") from problem
+        raise ConvertError(f"'{path}' is not a TOML file: {problem}") from problem
     for key in KEYS:
         if not isinstance(found.get(key), int | float) or not 0 < found[key] <= LARGEST:
             raise ConvertError(f"'{path}': '{key}' must be a number above 0, and at most {LARGEST:g}")

@@ -36,12 +36,12 @@ def convert_c3d(source: Path, target: Answer) -> list[str]:
     names, points, notes = [names[k] for k in kept], points[:, kept], []
     if left_out:
         notes.append(
-            f"{left_out} outputs of a model were left out (angles, forces, axes of bones): they are no markers"
+            f"{left_out} computed channels were left out (angles, forces, axes of bones): they are not markers"
         )
     told = next(iter(listed(point, "UNITS")), "")
     if (unit := unit_name(told)) is None:
         unit = unit_by_size(points, source, told)
-        notes.append(f"'{source}' names {_no_unit(told)}: by the size of what was recorded it is {unit}")
+        notes.append(f"'{source}' names {_no_unit(told)}: judged by size, it is {unit}")
     write_markers(
         target,
         source,

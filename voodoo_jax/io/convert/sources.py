@@ -108,7 +108,7 @@ def _check_ours(target: Path) -> None:
     except NotReadable as problem:
         raise ConvertError(f"'{target}' cannot be replaced: {problem}") from problem
     if head and LIBRARY.encode() not in head:
-        raise ConvertError(f"'{target}' is there, and no log that was converted: name another --out")
+        raise ConvertError(f"'{target}' exists, and was not made by convert: name another --out")
 
 
 def _reader(source: Path) -> tuple[str, ...]:
@@ -120,7 +120,7 @@ def _reader(source: Path) -> tuple[str, ...]:
         if ".db3" in endings:
             return "ros_bags", "convert", "types"
         if ".mcap" in endings:
-            raise ConvertError(f"'{source}' holds MCAP logs already: give it to replay as it is")
+            raise ConvertError(f"'{source}' has MCAP logs: give it to replay directly")
         if endings & {".pcd", ".ply"}:
             return "clouds", "convert", "rate"
         return "depth_images", "convert", "camera", "rate"
@@ -132,5 +132,5 @@ def _reader(source: Path) -> tuple[str, ...]:
     if kind not in READERS:
         known = ", ".join(f"{name} ({end})" for end, name in FILES.items())
         known += ", folders of a ROS 2 bag, of depth images (PNG) or of point clouds (PCD, PLY)"
-        raise ConvertError(f"'{source}': such files are not converted; what is: {known}")
+        raise ConvertError(f"'{source}': unsupported file; supported are {known}")
     return READERS[kind]

@@ -69,14 +69,14 @@ def _table(source: Path, target: Answer, rows: list[list[str]], rate: float) -> 
     points = _points(table, list(groups.values()))
     unit = unit_by_size(points, source, "")
     if unit != "m":
-        notes.append(f"'{source}' names no unit: by the size of what was recorded it is {unit}")
+        notes.append(f"'{source}' names no unit: judged by size, it is {unit}")
     time = next((k for k, name in enumerate(rows[0]) if TIMES.fullmatch(name.strip())), None)
     if time is not None and not rate and np.isfinite(table[:, time]).all():
         seconds = table[:, time]
     else:
         seconds = np.arange(len(table)) / (rate or USUAL_HZ)
         if not rate:
-            notes.append(f"'{source}' has no times: {USUAL_HZ:g} frames a second are assumed (--rate says others)")
+            notes.append(f"'{source}' has no times: {USUAL_HZ:g} frames a second are assumed (to override: --rate)")
     write_markers(target, source, list(groups), points * METRES[unit], seconds, "")
     return notes
 

@@ -16,7 +16,7 @@ def _kind(name: str) -> type[Message]:
     try:
         return getattr(import_module(f"foxglove_schemas_protobuf.{short}_pb2"), short)
     except ImportError as problem:
-        raise ValueError(f"{name} is no message of Foxglove") from problem
+        raise ValueError(f"{name} is not a Foxglove message") from problem
 
 
 def message_of(name: str, data: bytes) -> Message:

@@ -86,7 +86,7 @@ def places(attributes: list[dict[str, Any]], names: tuple[str, ...]) -> Float32[
         ordered = sorted(attributes, key=lambda a: a["unique_id"])
         found = [ordered[names.index(axis)]["data"] for axis in _AXES]
     if len(found) < 3 or any(data.shape[1] != 1 for data in found[:3]):
-        raise ValueError("the cloud that Draco has packed has no places of points")
+        raise ValueError("the cloud that Draco has packed has no positions")
     return np.concatenate(found[:3], 1).astype(np.float32)
 
 

@@ -96,7 +96,7 @@ def reason_unused(schema: Schema | None, channel: Channel) -> str:
         return "it has no schema"
     name = schema.name.rsplit("/", 1)[-1].rsplit(".", 1)[-1]
     if (channel.message_encoding, schema.encoding) not in _ENCODINGS:
-        return f"encoding {channel.message_encoding or '?'}/{schema.encoding or '?'} is not read"
+        return f"encoding {channel.message_encoding or '?'}/{schema.encoding or '?'} is not supported"
     if name == "CompressedImage":
         return "a colour image"
     if "Compressed" in name:
@@ -226,7 +226,7 @@ def _ros(schema_name: str, encoding: str, definition: bytes, within: LimitSettin
     store, name = _types(schema_name, encoding, definition, within)
     convert = _CONVERTERS.get(name) or structure_converter(store, name)
     if convert is None:
-        raise ValueError(f"{name} holds nothing that can be used")
+        raise ValueError(f"{name} has no usable field")
     read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
     return lambda data: convert(read(data, name))
 

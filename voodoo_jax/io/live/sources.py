@@ -130,7 +130,7 @@ class GrowingFile:
             left = [name for name in names if os.path.join(path, name) not in self._done]
             if not left:
                 if not self._done:
-                    raise LogError(f"The folder '{path}' holds no .mcap file. Was the recording started?")
+                    raise LogError(f"The folder '{path}' has no .mcap file. Was the recording started?")
                 return False
             path = os.path.join(path, left[0] if self._done else left[-1])
             self._done |= {os.path.join(self.path, name) for name in names if not self._done and name != left[-1]}

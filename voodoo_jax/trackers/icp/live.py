@@ -91,7 +91,7 @@ class LiveTracker:
         self, body: Body, settings: Settings, first: list[BodyObservation], scene: Scene, features: bool = False
     ):
         if settings.changes:
-            raise SettingsError("[[change]] in the settings: live tracking knows no changes of the body")
+            raise SettingsError("[[change]] in the settings: live tracking does not support changes of the body")
         if settings.looks_ahead("track") or settings.looks_ahead("detect"):
             raise SettingsError("live tracking needs settings.online")
         self.seconds = 0.0  # of tracking so far, without compiling

@@ -28,8 +28,8 @@ ASKED_FRAMES = 10  # of a recording: by so many, evenly spread, it is told wheth
 # measured: somebody with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
 LONG = 4
 FUSED = (
-    "Points are on all sides of the body: clouds of several sensors were joined, and where these stood is not known. "
-    "Which side of a limb a sensor sees is not asked."
+    "Points are on all sides of the body: clouds of several sensors were merged, and their positions are unknown. "
+    "Points are matched to all sides of a limb."
 )
 ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; by hand
 NEAR = 0.25  # metres from somebody's surface: what is farther off is none of their points; by hand
