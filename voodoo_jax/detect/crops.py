@@ -1,4 +1,4 @@
-"""Where images were cropped whose calibration is of the whole image: by the floor, as far as it tells. Host side."""
+"""Crop offsets of images whose calibration is for the whole image, estimated from the floor. Host side."""
 
 import numpy as np
 
@@ -16,8 +16,8 @@ MIDDLE = 0.5  # odds of a crop about the middle where nothing tells; by hand
 
 
 def with_crops(reader: LogReader) -> LogReader:
-    """The reader, with the principal point of cropped images where the floor that they show is level; where nothing
-    tells it, this is said, and how sure places are."""
+    """The reader, with the principal point of cropped images such that their floor is level. If no floor is visible, it
+    adds a note and the probability that positions are right."""
     for topic in reader.sensors:
         (across, down), focal = reader.leeway(topic)
         if not (across or down):

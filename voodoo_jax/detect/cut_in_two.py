@@ -1,9 +1,9 @@
-"""What something nearer cuts in two in the image is one thing: somebody who carries a carton, or stands behind a board
+"""Joins an object that a nearer one cuts in two in the image: a person who carries a carton, or stands behind a board
 or a rail. Host side, NumPy.
 
-Two pieces belong together if one is under the other, they go on at one depth, and all between them is hidden. Asked
-where the body is looked for, not while it is followed: then each piece is followed by where it was, and furniture that
-somebody passes would be joined to them (experiments/stress).
+Two pieces are joined if one is below the other, their depths are continuous, and everything between them is hidden.
+This is used only in the search for the body, not while it is followed: then it would join furniture that a person
+passes (experiments/stress).
 """
 
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ def joined_labels(
     height: float,
     gap: float,
 ) -> Int[np.ndarray, " point"]:
-    """The labels of things, the same for the pieces of one thing that is cut in two.
+    """Labels of objects; the pieces of an object that is cut in two have the same label.
 
     **Arguments:** `seen` the points off floor and walls, and `label` the piece that each belongs to; `whole` all of the
     frame; `height` of the body, metres; `gap` between neighbouring points, radians.

@@ -1,4 +1,5 @@
-"""Points of long recordings wait in a temporary file: memory hardly grows with the length of a log. Host side."""
+"""Buffers the points of long recordings in a temporary file, so that memory hardly grows with a log's length. Host
+side."""
 
 import mmap
 import weakref
@@ -21,7 +22,7 @@ WITHOUT: dict[str, Any] = {
 
 
 class Kind(NamedTuple):
-    """How an array lies in the file."""
+    """Layout of an array in the file."""
 
     name: str
     dtype: np.dtype
@@ -30,7 +31,7 @@ class Kind(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a frame's arrays are in the file, one behind the other."""
+    """Position of a frame's arrays in the file, one after another."""
 
     at: int  # bytes
     counts: tuple[int, ...]  # points, or rows, of each array
@@ -38,8 +39,8 @@ class Place(NamedTuple):
 
 
 class Spill:
-    """Frames that come one by one; once they are many, their points are in a nameless file (in the user's cache), which
-    goes when the frames do. Where it cannot be written the points stay in memory.
+    """A sequence of frames. Once there are many, their points go to an unnamed file in the user's cache, which is
+    deleted with the frames. If it cannot be written, the points stay in memory.
     """
 
     def __init__(self, block: int = BLOCK):
@@ -58,7 +59,7 @@ class Spill:
             self._write()
 
     def frames(self) -> list[BodyObservation]:
-        """All that there are."""
+        """All frames."""
         if self._file is None or not self._end:
             return list(self._frames)
         if not self._full:

@@ -1,5 +1,5 @@
-"""Flat faces of furniture that the body touches all the time: seats, backs, fronts of sofas, tables. No person is flat
-to some millimetres. Host side, NumPy; looks ahead."""
+"""Removes flat faces of furniture that the body touches all the time: seats, backs, fronts of sofas, tables. People are
+not flat to some millimetres. Host side, NumPy; looks ahead."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class Face:
 
 @dataclass(frozen=True)
 class DropPlanarFurniture:
-    """Flat faces that the body touches all the time. A machine may have flat faces, too: of people alone."""
+    """Removes flat faces that the body touches all the time; for people only, since a machine may have flat faces."""
 
     name: ClassVar = "drop_planar_furniture"
     looks_ahead: ClassVar = True
@@ -66,7 +66,7 @@ class DropPlanarFurniture:
 
 
 def without_faces(frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
-    """The frames without the points on flat faces of what is at rest; the same frames if there are none."""
+    """The frames without points on flat faces at rest; the same frames if there are none."""
     faces = flat_faces(resting(frames), floor)
     if not faces:
         return frames

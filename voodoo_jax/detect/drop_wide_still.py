@@ -1,8 +1,8 @@
-"""Tables, desks and counters that somebody stands or sits behind all the time: what never moves and is wider than a
-person. Host side, NumPy; looks ahead.
+"""Removes tables, desks and counters in front of a person: objects that never move and are wider than a person. Host
+side, NumPy; looks ahead.
 
-Their tops are seen at a flat angle, in rows too far apart for a face to be told from them (drop_planar_furniture), and
-the body would be fitted to them, so that nothing is left unexplained (drop_unexplained).
+Their tops are seen at a flat angle, in rows too far apart to detect a face (drop_planar_furniture). The body would be
+fitted to them, so that no point would stay unexplained (drop_unexplained).
 """
 
 from collections.abc import Iterable, Iterator
@@ -36,8 +36,9 @@ class Top(NamedTuple):
 
 @dataclass(frozen=True)
 class DropWideStill:
-    """What never moves while somebody does, and has a straight front or a level top that is wider than a person. Legs
-    of who sits are at rest and hang together with the seat: they stand out before it. Numbers were chosen by hand."""
+    """Removes objects that never move while a person does, with a straight front or a level top wider than a person.
+    Legs of a person who sits are at rest and connected with the seat; they are kept, since they are in front of it.
+    Numbers were chosen by hand."""
 
     name: ClassVar = "drop_wide_still"
     looks_ahead: ClassVar = True
@@ -76,10 +77,10 @@ class DropWideStill:
         stillness: Stillness,
         beside: Float32[np.ndarray, "beside 3"] | None = None,
     ) -> list[BodyObservation]:
-        """The frames without such things; the same frames if there are none.
+        """The frames without such objects; the same frames if there are none.
 
-        **Arguments:** `beside` points that were seen beside the body: of a table behind which somebody stands only the
-        middle is among the body's points.
+        **Arguments:** `beside` points that were seen beside the body: of a table in front of a person only the middle
+        is among the body's points.
         """
         if not seen_long(frames, self.frames, self.seconds):
             return frames
@@ -139,7 +140,7 @@ class DropWideStill:
         one, along = one[far > self.wide / 2], (along / np.maximum(far, 1e-9)[:, None])[far > self.wide / 2]
 
         def off_line(k: int | slice) -> tuple[np.ndarray, np.ndarray]:
-            """How far along a line, or some, each place is, and how it is off it."""
+            """Positions of points along a line, or several, and their offsets from it."""
             out = level - level[one[k]][..., None, :]
             at = np.sum(out * along[k][..., None, :], -1)
             return at, out - at[..., None] * along[k][..., None, :]

@@ -1,4 +1,5 @@
-"""Which way is up where a log does not say so, or says it as if the camera stood level. Host side, NumPy."""
+"""Estimates the upward direction if a log does not state it, or states it as if the camera stood level. Host side,
+NumPy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ SAID = (
 
 @dataclass(frozen=True)
 class FindGravity:
-    """Which way is up, where what the log says of it shows nobody; floor and walls are found anew then."""
+    """Estimates the upward direction if no body is found with that of the log; then floor and walls are found again."""
 
     name: ClassVar = "find_gravity"
     looks_ahead: ClassVar = False
@@ -53,10 +54,10 @@ def upright(
     body: Build,
     settings: DetectSettings,
 ) -> Float32[np.ndarray, "3"]:
-    """`up`, or another direction if with that there is a floor on which something is like a body, as with `up` there is
-    not: the camera may be on its side, on its head, or look down. All are right to some 40 degrees only.
+    """`up`, or another direction if only that gives a floor with a body-like object on it: the camera may be on its
+    side, upside down, or look down. All are accurate only to some 40 degrees.
 
-    **Arguments:** `scene` what is found with `up`.
+    **Arguments:** `scene` found with `up`.
     """
     if up_is_sure and scene.floor_seen:
         return up
@@ -96,7 +97,7 @@ def _others(up: Float32[np.ndarray, "3"], seen: Frame, down: bool) -> list[Float
 def likely_body(
     scene: Scene, frames: Sequence[Frame], body: Build, settings: DetectSettings, enough: float = np.inf
 ) -> float:
-    """How like a body something in the frames is, 0..1, or more than `enough`."""
+    """Largest body likelihood of an object in the frames, 0..1, or the first above `enough`."""
     likely, finder = 0.0, BodySegmenter(scene, body, settings)
     for frame in frames:
         finder = finder.another(settings)

@@ -1,4 +1,4 @@
-"""What is between a sensor and the body, and may hide its limbs: furniture, and other people. Host side, NumPy."""
+"""Finds points between a sensor and the body, which may hide limbs: furniture, and other people. Host side, NumPy."""
 
 import numpy as np
 from jaxtyping import Float32, Int
