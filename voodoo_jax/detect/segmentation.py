@@ -1,6 +1,6 @@
-"""Tells the body's points apart from floor, walls and furniture. Host side, NumPy; one frame at a time, no look ahead.
+"""Separates the body's points from floor, walls and furniture. Host side, NumPy; one frame at a time, no look ahead.
 
-Nothing here knows what the body looks like but its height and width at rest.
+It uses only the height and width of the body at rest.
 """
 
 from collections.abc import Callable, Sequence
@@ -49,12 +49,12 @@ SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only wha
 
 
 class BodySegmenter:
-    """Follows one thing of a body's height and width through the frames: first the best candidate, then what hangs
-    together with where it was. Places where other things were seen several times count as background from then on.
+    """Follows one object of a body's height and width: first the best candidate, then the component connected with its
+    last place. Places where other objects were seen several times become background.
 
-    Where nobody knows the floor, it is as far under the body as this is high: `scene` is what is known by now.
+    If the floor is unknown, it is assumed the body's height below its top; `scene` is the present state.
 
-    Points that are assigned already pass all tests; what they touch is the body, of whatever height.
+    Points with an assigned part pass all tests; whatever they touch is the body, of any height.
     """
 
     def __init__(self, scene: Scene, body: Build, settings: DetectSettings):
@@ -144,7 +144,7 @@ class BodySegmenter:
         return replace(seen, before=before, before_sensor=sensor) if len(before) else seen
 
     def cleared_near(self, frame: Frame | BodyObservation) -> Cleared:
-        """What is looked at of a frame for this body alone."""
+        """The cleared points of a frame near this body."""
         wholly = self.last is None or self.surveys(frame.time_ns)
         return self.clearing.cleared(frame, self.share, None if wholly else [self.around(frame.time_ns)])
 
@@ -174,27 +174,27 @@ class BodySegmenter:
         return near, picked(points, np.setdiff1d(index, near, True)) if survey else points[:0]
 
     def around(self, time_ns: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
-        """The box in which the body is at that time, and what is looked at beside it; lowest and highest corner."""
+        """The box of the body at that time, with a margin; lowest and highest corner."""
         assert self.last is not None
         reach = np.float32(self.settings.reach + self._gone_by(time_ns))
         return self.last.min(0) - reach, self.last.max(0) + reach
 
     def surveys(self, time_ns: int) -> bool:
-        """Whether it is time to look at the whole room, not only near the body."""
+        """Whether it is time to search the whole room, not only near the body."""
         if self.last is None or self._surveyed_ns is None:
             return False
         return time_ns - self._surveyed_ns >= SURVEY_NS
 
     def near_only(self, time_ns: int) -> Float32[np.ndarray, "point 3"] | None:
-        """The body's points when it was last seen, where in a frame of that time nothing else is looked at than what is
-        near them; None: the whole room is."""
+        """The body's last points, if a frame of that time is searched only near them; None: the whole room is
+        searched."""
         if self.last is None or self.unseen or self._surveyed_ns is None:
             return None
         return None if self.surveys(time_ns) else self.last
 
     @property
     def share(self) -> float:
-        """The share of a frame's points that is looked at."""
+        """The share of a frame's points that is used."""
         return STEP**self._steps if self.thins and self.last is not None else 1.0
 
     def _thin(self) -> None:
@@ -210,13 +210,13 @@ class BodySegmenter:
             self._steps = max(0, self._steps - 1)
 
     def another(self, settings: DetectSettings) -> "BodySegmenter":
-        """One that follows nothing yet, for the same sensors."""
+        """A segmenter without a body, for the same sensors."""
         other = BodySegmenter(self._given, self.body, settings)
         other.clearing = self.clearing.another(self._given, settings)
         return other
 
     def lying(self, settings: DetectSettings, scene: Scene) -> "BodySegmenter":
-        """One that looks for who lies on the floor of a scene, or on what stands for it there."""
+        """A segmenter that searches for a person lying on the floor of a scene, or on a surface in its place."""
         other = self.another(settings)
         other.lies = True
         other.clearing.take(scene)
@@ -397,7 +397,8 @@ class BodySegmenter:
         return places.shape[1] >= FEWEST and has_shoulders(places[0], places[1:], self.body)
 
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
-        """Says of points whether they lie where something was seen apart from the body for some time, up to now."""
+        """A function of points: whether they are at places where an object was seen apart from the body for some
+        time."""
         cells = self._background.cells(LONG)
         if not len(cells):
             return lambda points: np.zeros(len(points), bool)
@@ -433,7 +434,7 @@ class BodySegmenter:
             self._beside.append(apart[:: len(apart) // SOME_BESIDE + 1])
 
     def beside(self) -> Float32[np.ndarray, "point 3"]:
-        """Some points of what was seen beside the body at first: it is not looked at any more once that is known."""
+        """Some points of objects that were seen beside the body at first; later frames are not searched there."""
         return np.concatenate([np.zeros((0, 3), np.float32), *self._beside])
 
 
@@ -443,5 +444,5 @@ def near_taken(points: Float32[np.ndarray, "point 3"], taken: Sequence[np.ndarra
 
 
 def stands_aside(thing: Float32[np.ndarray, "thing 3"], body: Float32[np.ndarray, "body 3"], floor: Plane) -> bool:
-    """Whether a thing is beside the body, not under it as legs are."""
+    """Whether an object is beside the body, not below it as legs are."""
     return bool(within(floor.level(thing), floor.level(body), ASIDE).mean() < 0.05)

@@ -1,8 +1,8 @@
-"""Everything in view that may be a body, each followed from when it comes until it leaves: tracklets. Which of them is
-the main one is decided once one has moved as no thing does; at the end, who is a person. Host side, NumPy.
+"""Tracklets: all objects that may be a body, each followed from its appearance until it leaves. The main one is chosen
+once one has moved unlike furniture; at the end it is decided which ones are people. Host side, NumPy.
 
-A wardrobe looks like a body to a sensor, and is there before it. What is near two people goes to the nearer one, by
-where they were in the frame before. Who was hidden or away for a while is known again by height and place.
+A wardrobe looks like a body, and may be seen before it. Points near two people are assigned to the nearer one, by their
+places in the previous frame. People who were hidden or away for a while are re-identified by height and place.
 """
 
 from collections import deque
@@ -52,9 +52,10 @@ NONE = np.zeros(0, int)
 
 
 class Tracklet:
-    """One thing of a body's shape from when it came into view until it left, or was hidden for long.
+    """An object of a body's shape, from its appearance until it left or was hidden for long.
 
-    **Arguments:** `first` number of the first frame; `before` what the same finder followed until it was lost.
+    **Arguments:** `first` number of the first frame; `before` the tracklet that the same finder followed until it was
+    lost.
     """
 
     def __init__(self, finder: BodySegmenter, first: int, before: "Tracklet | None" = None):
@@ -78,15 +79,15 @@ class Tracklet:
 
     @property
     def height(self) -> float:
-        """Of who stands upright most of the time, metres."""
+        """Height of a person who is upright most of the time, metres."""
         return float(np.percentile(self._tops, 80)) if self._tops else np.nan
 
     def sways(self) -> bool:
-        """Whether it is a person, as is asked of who stands still."""
+        """Whether it sways as a person who stands still."""
         return self.is_person or self.motion.sways(self.frames.frames()[-WATCHED:])
 
     def add(self, frame: BodyObservation, number: int) -> None:
-        """What was seen of it in the next frame."""
+        """Adds its points in the next frame."""
         self.frames.append(frame)
         self.now, self._kept = frame, self._kept + 1
         if len(frame.points) < TELLING:
@@ -104,7 +105,7 @@ class Tracklet:
                 self._way.popleft()
 
     def forget(self) -> None:
-        """Lets go of frames that nobody asks for again, once there are many."""
+        """Deletes frames that are no longer needed, once there are many."""
         if self._kept > 2 * WATCHED:
             frames, self.frames, self.before = self.frames.frames()[-WATCHED:], Spill(), None
             self.first, self._kept = self.first + self._kept - WATCHED, WATCHED
@@ -112,8 +113,8 @@ class Tracklet:
                 self.frames.append(frame)
 
     def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
-        """Takes care that what others hide of it now is known for its own when it comes out again: where it was
-        seen `before`, so many seconds ago, counts on where no sensor sees it."""
+        """Keeps its hidden places, so that they are assigned to it when they reappear: places where it was seen
+        `before`, that many seconds ago, remain its own where no sensor sees them."""
         finder = self.finder
         finder.hidden = False
         if before is None or finder.last is None:
@@ -144,7 +145,7 @@ class Tracklet:
 
 @dataclass(frozen=True)
 class Observed:
-    """Somebody in a recording: what was seen of them in each frame, and the scene they are in."""
+    """A person in a recording: the points in each frame, and the scene."""
 
     finder: BodySegmenter
     settings: DetectSettings
@@ -153,11 +154,11 @@ class Observed:
 
 
 class Tracklets:
-    """Follows everything that may be a body, and gives the main one's points frame by frame.
+    """Follows all objects that may be a body, and yields the main one's points frame by frame.
 
-    `ahead`: frames wait until it is known which one that is (HELD of them at most); else each is given at once, of what
-    is likeliest then. `several`: others are looked for and followed after that, too. `keeps`: `people` will be asked
-    for.
+    `ahead`: frames wait (at most HELD of them) until the main one is known; otherwise each is yielded at once, with the
+    points of the likeliest. `several`: others are searched for and followed after that, too. `keeps`: `people` will be
+    called.
     """
 
     # 6 parameters: what is looked for, and how
@@ -180,11 +181,11 @@ class Tracklets:
 
     @property
     def finder(self) -> BodySegmenter:
-        """That of what is taken for the main one by now."""
+        """The segmenter of the present main one."""
         return self.main.finder
 
     def near_only(self, time_ns: int) -> Float32[np.ndarray, "point 3"] | None:
-        """As that of the segmenter; None too for as long as other things are compared with the main one."""
+        """As that of the segmenter; also None while other objects are compared with the main one."""
         return self.finder.near_only(time_ns) if self.known else None
 
     def __call__(self, frames: Iterable[Frame]) -> Iterator[BodyObservation]:
@@ -425,9 +426,9 @@ class Tracklets:
         yield from frames
 
     def people(self, main: list[BodyObservation]) -> list[Observed]:
-        """Everybody, who is seen longest first; nobody if there is but one, whose points `main` has.
+        """All people, those seen longest first; empty if there is only one, whose points are in `main`.
 
-        **Arguments:** `main` the frames that were given.
+        **Arguments:** `main` the frames that were yielded.
         """
         found = [t for t in (*self._ended, *self.followed) if t.seen and (t.is_person or t.sways())]
         groups = linked(found, main)
@@ -444,7 +445,7 @@ class Tracklets:
 
 
 def same(one: Tracklet, other: Tracklet) -> bool:
-    """Whether two are at the same thing by now."""
+    """Whether two follow the same object now."""
     mine, theirs = one.finder.last, other.finder.last
     if mine is None or theirs is None:
         return False
@@ -491,8 +492,8 @@ def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) ->
 
 
 def linked(found: list[Tracklet], frames: list[BodyObservation]) -> list[list[Tracklet]]:
-    """Tracklets of the same people, each in order of time: who was away or hidden is known again by height, and by
-    where they can have gone meanwhile."""
+    """Tracklets grouped by person, each group in order of time: people who were away or hidden are re-identified by
+    height, and by the places that they can have reached meanwhile."""
     groups: list[list[Tracklet]] = []
     for tracklet in sorted(found, key=lambda t: t.since):
         costs = [_unlike(group[-1], tracklet, frames) for group in groups]

@@ -1,7 +1,7 @@
-"""Units of distances that are not what their encoding says: found out by floor, body and range. Host side, NumPy.
+"""Detects units of distances that differ from those of the encoding, by floor, body and range. Host side, NumPy.
 
-Depth of 16 bits may be in steps of 0.25 mm or 0.1 mm, 32-bit depth and clouds in millimetres. What fits is left as it
-is; one sure answer is taken and said; else the user is asked.
+Depth of 16 bits may be in steps of 0.25 mm or 0.1 mm, 32-bit depth and clouds in millimetres. Plausible units are kept;
+a single certain one is applied, with a note; otherwise an error names the option.
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,8 @@ AT_ZERO, NOT_ZERO = 0.1, 0.4  # metres: a floor is, or is not, at the height 0 o
 
 
 def with_units(reader: LogReader, build: Build, settings: DetectSettings) -> LogReader:
-    """The reader, with another scale for topics whose distances are of another unit. Raises LogError where they are
-    of no usual one, and nothing tells of which."""
+    """The reader, with another scale for topics in another unit. Raises LogError if the unit is unusual and
+    ambiguous."""
     scales: dict[str, float] = {}
     for topic in reader.sensors:
         if topic in reader.scales or not _doubted(reader, topic, reader.sampled(topic, FIRST)):
