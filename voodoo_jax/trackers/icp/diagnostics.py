@@ -1,4 +1,4 @@
-"""What a user should know about a tracked recording: what was left out, not known or not plausible; in sentences."""
+"""Notes for the user on a tracked recording: data left out, unknown or implausible."""
 
 import numpy as np
 from jaxtyping import Float

@@ -1,7 +1,7 @@
-"""A body followed frame by frame as they come, as with `online` through a whole recording. Host side.
+"""Tracks a body frame by frame as frames arrive, like `online` tracking of a whole recording. Host side.
 
-The steps are those of sequence.follow, in the same order and by the same programs: what is given out for a frame is
-what a replay of the finished recording says of it. Only a start waits for the frames that its trials take.
+The steps are those of sequence.follow, in the same order and by the same programs: the result of a frame equals that of
+a replay of the finished recording. Only a start waits for the frames of its trials.
 """
 
 import time
@@ -46,7 +46,7 @@ KEPT = 64  # frames whose points stay in memory: more than a start looks back or
 
 
 class LiveRunner(Runner):
-    """One recording whose frames are not all there yet, tracked one at a time."""
+    """Tracks an unfinished recording one frame at a time."""
 
     def __init__(self, body: Body, settings: Settings, scene: Scene, first: list[BodyObservation], features: bool):
         """`first` frames like those that will come; `features`: whether there may be named ones that none of them
@@ -83,8 +83,8 @@ class LiveRunner(Runner):
 class LiveTracker:
     """Follows the main person (or body) through frames as they come.
 
-    **Arguments:** `first` some frames of the recording, whose sensors and names stand for those to come; `features`
-    whether named features may come that none of these has. Raises SettingsError for settings that need later frames.
+    **Arguments:** `first` some frames of the recording, with the sensors and names of later ones; `features` whether
+    other named features may come. Raises SettingsError for settings that need later frames.
     """
 
     def __init__(
@@ -105,14 +105,14 @@ class LiveTracker:
         self._shown = _Shown(self.run)
 
     def prepare(self) -> None:
-        """Compiles, or loads, what frames are tracked with."""
+        """Compiles or loads the programs."""
         self.run.prepare()
         blank = Followed.blank(0, self.run.body.limb_count)
         looked_at.prepare(self.run.body, *padded(blank, 1))
 
     def add(self, frame: BodyObservation, scene: Scene) -> list[Tracks]:
-        """Takes one frame; tracks of one frame each, of those that are settled by now, in their order. `scene` as it
-        is known now, for a start."""
+        """Adds one frame; returns tracks of one frame each, for the frames that are final now, in order. `scene`: the
+        present one, for a start."""
         self.run.scene = scene
         self.run.append(frame)
         self._kept.append(frame)
@@ -120,12 +120,12 @@ class LiveTracker:
         return self._settled()
 
     def end(self) -> list[Tracks]:
-        """No more frames come: those that have waited for more."""
+        """Ends the input; returns the frames that waited for more."""
         self._ended = True
         return self._settled()
 
     def whole(self, source: LogInfo) -> Tracks:
-        """All frames as one, as replay writes them."""
+        """Tracks of all frames, as replay writes them."""
         run, people = self.run, self._kept.frames()
         every = Runner(self._body, run.options, people, run.scene, self.settings)
         every.body, every.bodies, every.sized, every.left_out = run.body, run.bodies, run.sized, run.left_out
@@ -240,7 +240,7 @@ class _Chunk:
 
     @property
     def broken(self) -> bool:
-        """Whether it ends early, for the body is gone or lost."""
+        """Whether the segment ends, because the body is gone or lost."""
         return self.gone or (not self.full and self._may_be_lost and self._run_of(Status.LOST))
 
     @property
@@ -307,7 +307,7 @@ def _for_bands(tracks: Tracks) -> Tracks:
 
 
 def joined_tracks(parts: list[Tracks]) -> Tracks:
-    """Successive frames of one body as one."""
+    """Joins tracks of successive frames of one body."""
     if len(parts) == 1:
         return parts[0]
     rows = [part.rows() for part in parts]

@@ -1,1 +1,2 @@
-"""What trackers of 3D points share: frames through the compiled programs, segment after segment, and their tracks."""
+"""Common parts of the trackers of 3D points: they pass frames through the compiled programs, segment by segment, and
+make tracks."""

@@ -1,4 +1,4 @@
-"""Tracks of a whole recording from its segment: joints, covariances, and what is not plausible. Host side."""
+"""Tracks of a whole recording from its segment: joints, covariances, and measures of implausibility. Host side."""
 
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from voodoo_jax.trackers.shared.runner import FrameRunner, spans
 
 
 class Derived(NamedTuple):
-    """What follows from the poses of some frames. Leading axis: frame."""
+    """Values derived from the poses of some frames. Leading axis: frame."""
 
     joints: Float[Any, "frame joint 3"]  # joint centres `body.topology.centres`, metres
     beyond_limits: Float[Any, "frame bodyjoint"]  # of `body.topology.joints`, radians
@@ -31,16 +31,16 @@ class Derived(NamedTuple):
 
 @program
 def looked_at(body: Body, poses: Poses, twist: Float[Array, "frame limb 6 6"]) -> Derived:
-    """Joint centres of a chunk of frames, how sure they are, and what is not plausible."""
+    """Joint centres of a chunk of frames, their covariances, and measures of implausibility."""
     centres, odd = jax.vmap(lambda some: (joint_centres(body, some), check(body, some)))(poses)
     return Derived(centres, odd.beyond, odd.depth, *covariances(body, poses, twist))
 
 
 def tracks_of(run: FrameRunner, segment: Segment, source: LogInfo) -> Tracks:
-    """Tracks of a whole recording, with all that follows from its poses; these are moved to the fixed frame in place,
-    and covariances take the place of the segment's.
+    """Tracks of a whole recording, with all values derived from its poses. Moves the poses to the fixed frame in place;
+    covariances replace those of the segment.
 
-    **Arguments:** `segment` all frames of the recording; `source` what the log says of itself.
+    **Arguments:** `segment` all frames of the recording; `source` metadata of the log.
     """
     to_fixed(run.people, segment.rotation, segment.translation)
     segment.residual[segment.status == Status.NO_DATA] = np.nan
@@ -89,7 +89,7 @@ def _room(body: Body, segment: Segment) -> Derived:
 
 
 def derived_from(body: Body, segment: Segment, chunk: int) -> Derived:
-    """What follows from the poses of up to `chunk` frames with one body; on the host, NaN where there is no pose."""
+    """Values derived from the poses of up to `chunk` frames with one body; on the host, NaN where there is no pose."""
     found = looked_at(body, *padded(segment, chunk))
     there = np.any(np.isfinite(segment.translation), (1, 2))
     each = (np.asarray(array, np.float32)[: len(segment)] for array in found)
