@@ -1,8 +1,8 @@
-"""How badly tracked limbs fit what was seen: points beside them that no limb explains, and limbs where nothing is seen
-though nothing hides them. Host side, NumPy.
+"""Misfit of tracked limbs: points beside them that no limb explains, and visible limbs without points. Host side,
+NumPy.
 
-Covariances and residuals are of points that are near a limb already, and do not see that it is on something else.
-Nor do they see that an arm lies on the chest while the true one is hidden: its points are the chest's.
+Covariances and residuals use points near a limb, and do not show that the limb is on another object, or that an arm was
+fitted to points of the chest while the true one is hidden.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ def misfit(
     translation: Float[np.ndarray, "frame limb 3"],
     people: Sequence[BodyObservation],
 ) -> Misfit:
-    """How badly limbs fit the points of each frame.
+    """Misfits of limbs and the points of each frame.
 
     **Arguments:** poses T_fixed_limb of its limbs in the frame of the points, unit quaternions wxyz and metres.
     """

@@ -1,4 +1,4 @@
-"""Where the pass back in time begins: a start of its own near a segment's end, if that explains more. Host side."""
+"""Start of the backward pass: a new one near a segment's end, if that explains more. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar

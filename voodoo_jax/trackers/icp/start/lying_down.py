@@ -1,4 +1,4 @@
-"""What is low and long is compared with starts in which the body lies. Host side."""
+"""Adds starts with a lying body for low, long objects. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -27,9 +27,9 @@ DEEP = 0.8  # of half a trunk's depth: so far behind what is seen of it its midd
 
 @dataclass(frozen=True)
 class LyingDown:
-    """The best of starts along the longest level extent of what is seen, head at either end, facing up, to both sides
-    and down. Only of what is low and long. Arms or feet may be what is at its ends, and legs may be hidden, or too near
-    to what they lie on: several sizes, of which unusual ones must explain more. Numbers were chosen by hand."""
+    """The best of starts along the longest level extent of the points, head at either end, facing up, to both sides and
+    down; only for low, long objects. Arms or feet may be at its ends, and legs may be hidden, or too near to the
+    surface below. So several sizes are tried, of which unusual ones must explain more. Numbers were chosen by hand."""
 
     name: ClassVar = "lying_down"
     looks_ahead: ClassVar = False
@@ -106,8 +106,8 @@ def _alike(one: StartHypothesis, other: StartHypothesis) -> bool:
 
 
 def lying_places(body: Body, frame: BodyObservation, floor: Plane) -> list[list[Poses]]:
-    """Rest poses that lie where the points are, with the feet and with the head at either end: two lists of the same
-    ways to lie, with the head at either end and in WAYS turns about their length."""
+    """Lying rest poses at the points, aligned at the feet and at the head: two lists with the same orientations, the
+    head at either end and WAYS rotations about the long axis."""
     seen, height = extent(frame.points, floor), float(rest_box(body)[1][2])
     sight = seen.middle - frame.origins[int(np.bincount(frame.sensor).argmax())]
     middle = seen.middle + DEEP * float(np.max(np.asarray(body.sizes)[:, 0])) * sight / np.linalg.norm(sight)
