@@ -1,4 +1,4 @@
-"""What is in the chunks of an MCAP file, each unpacked within limits; texts in it that harm no terminal."""
+"""Reads the chunks of an MCAP file, each unpacked within limits, and escapes texts in it."""
 
 import struct
 import time
@@ -41,21 +41,21 @@ _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")  # heads: of a 
 
 
 class LogError(Exception):
-    """A log cannot be used. The text says what is wrong, where, and what to try; names in it are spelt out."""
+    """A log cannot be used. The text states the fault, its place and a remedy; names in it are escaped."""
 
     def __init__(self, text: str):
         super().__init__(plain(text, 2 * SENTENCE))
 
 
 class Clock:
-    """How long a log has taken since it yielded something, in seconds of the processor for this thread."""
+    """Processor time of this thread since a log last yielded something, seconds."""
 
     def __init__(self, size: int):
         self.most = limits().seconds * (1 + (size >> 30))
         self.restart()
 
     def restart(self) -> None:
-        """Something came of it."""
+        """Restarts the clock, after a result."""
         self._wall, self._began = time.monotonic(), time.thread_time()
 
     def check(self) -> None:
@@ -69,14 +69,14 @@ class Clock:
 
 
 class Budget:
-    """How much a log may still unpack to."""
+    """Bytes to which a log may still unpack."""
 
     def __init__(self, size: int):
         self.most = self.left = limits().log_bytes + limits().log_times * size
         self.lock = Lock()
 
     def take(self, count: int) -> None:
-        """Takes note of so many bytes. Raises LogError if they are too many: other than a bad chunk this ends all."""
+        """Subtracts bytes. Raises LogError if they are too many: unlike a bad chunk, this ends reading."""
         with self.lock:
             self.left -= count
         if self.left < 0:
@@ -87,8 +87,8 @@ class Budget:
 
 
 def chunk_records(body: bytes, budget: Budget) -> tuple[list, str]:
-    """Schemas, channels and messages of one chunk record, and why some are missing; raises one of READ_ERRORS if its
-    bytes are not as written."""
+    """Schemas, channels and messages of one chunk record, and the reason for missing ones; raises one of READ_ERRORS if
+    it is damaged."""
     chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     if chunk.compression not in COMPRESSIONS:
         # mcap 1.6 would take the bytes for uncompressed ones and lose them without a word.
@@ -151,7 +151,7 @@ def _records(data: bytes) -> tuple[list, str]:
 
 
 def clean_channel(channel: Channel) -> Channel:
-    """A channel by whose names no terminal is harmed."""
+    """A channel with escaped names."""
     topic, encoding = plain_name(channel.topic), plain(channel.message_encoding)
     if (topic, encoding) == (channel.topic, channel.message_encoding) and not channel.metadata:
         return channel

@@ -1,4 +1,4 @@
-"""What a log lacks and a user gives: calibrations from files, transforms as texts."""
+"""Data from the user that a log lacks: calibrations from files, transforms as texts."""
 
 import json
 import os

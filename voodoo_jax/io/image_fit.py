@@ -1,4 +1,4 @@
-"""A calibration for images of another size than its own: scaled, cropped, a region of interest, binning."""
+"""Adapts a calibration to images of another size: scaled, cropped, a region of interest, binning."""
 
 from dataclasses import replace
 
@@ -13,10 +13,10 @@ LEAST = 0.4  # of the picture: who crops to less has chosen a place, not the mid
 
 
 def fitted(c: Calibration, shape: tuple[int, int]) -> tuple[Calibration, str]:
-    """The calibration for images of so many rows and columns, and what was assumed, as half a sentence; "" if nothing.
+    """The calibration for images of this size, and the assumption as half a sentence; "" if none.
 
-    Pixels stay square: where both directions do not shrink alike the picture was cropped, about its middle. Raises
-    ValueError where several things may have been done to the image that the calibration does not know of.
+    Pixels stay square: if the two directions do not shrink alike, the image was cropped, about its centre. Raises
+    ValueError if the change is ambiguous.
     """
     rows, columns = shape
     if not (c.width and c.height) or (c.height, c.width) == shape:
@@ -48,8 +48,8 @@ def _uncropped(c: Calibration, shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def leeway(c: Calibration, shape: tuple[int, int]) -> tuple[float, float]:
-    """Pixels across and down by which the middle of an image that `fitted` takes for cropped may lie beside that of the
-    whole one; 0, 0 for images that it takes for something else."""
+    """Largest offset (pixels across and down) of the centre of an image that `fitted` assumes to be cropped from that
+    of the whole image; 0, 0 for others."""
     if fitted(c, shape)[1] != CROPPED:
         return 0.0, 0.0
     rows, columns = _uncropped(c, shape)
@@ -57,7 +57,7 @@ def leeway(c: Calibration, shape: tuple[int, int]) -> tuple[float, float]:
 
 
 def moved(c: Calibration, by: tuple[float, float]) -> Calibration:
-    """The calibration with its principal point so many pixels to the right and down."""
+    """The calibration with its principal point moved by pixels to the right and down."""
     K, P = c.K.copy(), c.P.copy()
     for matrix in (K, P):
         matrix[:2, 2] += np.array(by) * matrix[2, 2]

@@ -19,7 +19,7 @@ _ROWS = np.array([KEY_POINTS.index(n) for n in NAMES])
 
 
 class PoseRays:
-    """Makes rays of the images of a log's frames, which come in the order of time.
+    """Makes rays from the images of a log's frames, in order of time.
 
     A network for each camera follows the person from image to image; the same images give the same rays.
     """
@@ -31,7 +31,7 @@ class PoseRays:
         self._nets: dict[str, PoseNet] = {}
 
     def rays(self, pictures: tuple[Picture, ...]) -> Rays:
-        """Of one frame; names as in NAMES, weights are the network's scores times those of read.weights."""
+        """Rays of one frame; names as in NAMES, weights are the network's scores times those of read.weights."""
         found = [rays for picture in pictures if (rays := self._of_one(picture)) is not None]
         return joined_rays(found)
 

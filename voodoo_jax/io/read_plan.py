@@ -1,4 +1,4 @@
-"""The plan for reading a log: the fixed frame, the sensors that are connected to it, and what makes up which frame."""
+"""The plan for reading a log: the fixed frame, the sensors connected to it, and the messages of each frame."""
 
 import re
 from collections import Counter
@@ -40,7 +40,7 @@ NEEDED_FEATURES = (
 
 @dataclass(frozen=True)
 class Plan:
-    """How a log becomes frames. `notes`: what is left out or assumed, one sentence each."""
+    """The plan of a log's frames. `notes`: data left out or assumed, one sentence each."""
 
     fixed_frame: str
     origin: Float64[np.ndarray, "3"]  # in it; all places are given from there
@@ -68,12 +68,11 @@ def make_plan(
     scan: Scan, settings: ReadSettings, origin: Float64[np.ndarray, "3"] | None = None, after_ns: int = -1
 ) -> Plan:
     """Plans the second pass; `origin` as in Plan, if it is settled already; frames up to `after_ns` need no features.
-    Raises LogError if there is nothing to track in it, or no way to the fixed frame.
+    Raises LogError without usable measurements, or without transforms to the fixed frame.
 
-    Depth leads: its fastest sensor gives the frames their stamps, the next one those in its pauses. Sensors that are
-    much thinner than the densest (scanners with few lines) do so in long pauses only, and clouds of one limb only where
-    nothing else is. Without depth the fastest topic of pairs leads, else a laser scanner, else rays. All others join
-    the frames that are there.
+    The fastest depth sensor gives the stamps of frames, the next one those in its pauses. Sensors much sparser than the
+    densest (scanners with few lines) do so in long pauses only, and clouds of one limb only without other data. Without
+    depth the fastest topic of pairs gives the stamps, else a laser scanner, else rays. Other data joins these frames.
     """
     of = {use: sorted(n for n in scan.uses if scan.uses[n] == use) for use in (*DEPTH_USES, RAYS, PAIRS)}
     lasers, depth = of["laser scan"], sorted(of["depth image"] + of["point cloud"] + of[STEREO_USE])

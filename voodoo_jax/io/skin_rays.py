@@ -1,4 +1,4 @@
-"""Skin regions of a log's colour images as rays, by frame. A pass of its own over these images."""
+"""Skin regions of a log's colour images as rays, by frame, in a separate pass over these images."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -37,7 +37,7 @@ class SkinPlan:
 
 
 def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weights: Parts) -> SkinPlan:
-    """Gives the skin regions of each camera's images to the frames (`times`, increasing, nanoseconds), the image
+    """Assigns the skin regions of each camera's images to the frames (`times`, increasing, nanoseconds), the image
     nearest in time to each.
 
     Regions that keep their place in nearly all of a log, while others move, are furniture and left out.

@@ -1,4 +1,4 @@
-"""What replay can use each topic of a log for."""
+"""Decides the use of each topic of a log."""
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
@@ -17,7 +17,7 @@ from voodoo_jax.records.messages import DEPTH_ENCODINGS, RAYS, Colour, Image
 def decide_uses(
     path: str, topics: dict[str, Topic], settings: ReadSettings, notes: list[str], pairs: list[Pair]
 ) -> dict[str, str]:
-    """What each topic is used as, or "not used: <reason>"; a camera that gives an image and a cloud is used once.
+    """The use of each topic, or "not used: <reason>"; a camera with both image and cloud is used once.
 
     Raises LogError if a topic that `settings` name is not in the log.
     """
