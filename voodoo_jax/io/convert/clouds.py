@@ -19,7 +19,7 @@ MOST = 88  # bytes that a byte of LZF can become: 264 for a repetition of 3
 
 
 def convert(source: Path, target: Answer, rate: float) -> list[str]:
-    """Writes x, y, z of all points, 32 bits; points that are no number are left out. Raises ConvertError, OSError."""
+    """Writes x, y, z of all points, 32 bits; non-finite points are left out. Raises ConvertError, OSError."""
     clouds = named_times(source, ENDINGS, rate)
     notes, written = [], 0
     with new_log(target) as writer:

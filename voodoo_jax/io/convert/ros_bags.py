@@ -1,4 +1,5 @@
-"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message as it is, in ROS 2's encoding."""
+"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): converts every message unchanged to ROS 2's
+encoding."""
 
 from bz2 import BZ2Decompressor
 from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +30,7 @@ BROKEN = (AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError, Assert
 
 
 def convert(source: Path, target: Answer, types: Sequence[str] = ()) -> list[str]:
-    """Copies all topics; notes on those that could not be. `types` files that define messages which the bag does not.
+    """Copies all topics; returns notes on topics left out. `types` files with message definitions that the bag lacks.
     Raises ConvertError, OSError."""
     notes: list[str] = []
     for path in source.iterdir() if source.is_dir() else ():

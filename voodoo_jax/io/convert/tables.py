@@ -1,8 +1,8 @@
 """Named points over time in tables (CSV): exports of Motive, and any with columns NAME_x, NAME_y, NAME_z.
 
 Motive (OptiTrack): a first line of `Format Version` and so on, then lines of types, names and axes, then a line for
-each frame; its labelled markers are taken, of a file without any the origins of its bones. Y is up there. Tables of
-others (FreeMoCap, pandas): a line of names, then one for each frame; with a column of times in seconds, or at a rate.
+each frame; its labelled markers are used, or without any the origins of its bones. Y is up. Other tables (FreeMoCap,
+pandas): a line of names, then one for each frame, with a column of times in seconds or at a given rate.
 """
 
 import csv

@@ -30,8 +30,8 @@ OPEN_SECONDS = 10.0  # by hand
 
 
 class FoxgloveClient:
-    """Subscribes to all topics of a server that can be of use. Raises LogError where there is no such server, or the
-    package `websockets` is missing."""
+    """Subscribes to all usable topics of a server. Raises LogError without a server, or if the package `websockets` is
+    missing."""
 
     def __init__(self, url: str, socket: Any = None):
         """`socket` an open connection, another one than to `url`."""
