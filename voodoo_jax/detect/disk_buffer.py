@@ -1,5 +1,4 @@
-"""Buffers the points of long recordings in a temporary file, so that memory hardly grows with a log's length. Host
-side."""
+"""Buffers the points of long recordings in a temporary file, to save memory. Host side."""
 
 import mmap
 import weakref
@@ -39,8 +38,8 @@ class Place(NamedTuple):
 
 
 class Spill:
-    """A sequence of frames. Once there are many, their points go to an unnamed file in the user's cache, which is
-    deleted with the frames. If it cannot be written, the points stay in memory.
+    """A sequence of frames. Points of many go to an unnamed file in the user's cache, which is deleted with the frames,
+    or stay in memory if it cannot be written.
     """
 
     def __init__(self, block: int = BLOCK):

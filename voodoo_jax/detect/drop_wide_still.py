@@ -36,9 +36,8 @@ class Top(NamedTuple):
 
 @dataclass(frozen=True)
 class DropWideStill:
-    """Removes objects that never move while a person does, with a straight front or a level top wider than a person.
-    Legs of a person who sits are at rest and connected with the seat; they are kept, since they are in front of it.
-    Numbers were chosen by hand."""
+    """Removes objects that never move while a person does, with a straight front or a level top wider than a person. It
+    keeps the legs of a sitting person, which are in front of the seat. Numbers were chosen by hand."""
 
     name: ClassVar = "drop_wide_still"
     looks_ahead: ClassVar = True

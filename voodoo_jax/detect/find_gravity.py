@@ -1,5 +1,4 @@
-"""Estimates the upward direction if a log does not state it, or states it as if the camera stood level. Host side,
-NumPy."""
+"""Estimates the upward direction if a log lacks it, or assumes a level camera. Host side, NumPy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +30,7 @@ SAID = (
 
 @dataclass(frozen=True)
 class FindGravity:
-    """Estimates the upward direction if no body is found with that of the log; then floor and walls are found again."""
+    """Estimates the upward direction if that of the log shows no body; then finds floor and walls again."""
 
     name: ClassVar = "find_gravity"
     looks_ahead: ClassVar = False

@@ -1,5 +1,4 @@
-"""Decides whether an object moves unlike furniture, by comparing its points with those of earlier frames. Host side,
-NumPy.
+"""Decides whether an object moves unlike furniture, by its points in earlier frames. Host side, NumPy.
 
 An object that comes out from behind another has not moved; one that fills space that was seen as empty has.
 """

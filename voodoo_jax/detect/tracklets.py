@@ -113,8 +113,8 @@ class Tracklet:
                 self.frames.append(frame)
 
     def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
-        """Keeps its hidden places, so that they are assigned to it when they reappear: places where it was seen
-        `before`, that many seconds ago, remain its own where no sensor sees them."""
+        """Keeps its hidden places, to assign them when they reappear: places where it was seen `before`, that many
+        seconds ago, which no sensor sees now."""
         finder = self.finder
         finder.hidden = False
         if before is None or finder.last is None:

@@ -40,8 +40,8 @@ class WeighByNoise:
 def range_noise(
     points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"], joined: bool = False
 ) -> float:
-    """Standard deviation of the points' distances from their sensor, metres: median residual of a plane fit to each
-    point's nearest neighbours in the sensor's image.
+    """Standard deviation of the points' distances from their sensor, metres: median residual of planes fitted to each
+    point's neighbours in the image.
 
     **Arguments:** points of one sensor on a body or another surface, `origin` of the sensor; `joined`: the points are
     on all sides of it, so that neighbours in its image need not be neighbours on the surface.

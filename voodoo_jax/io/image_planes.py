@@ -73,8 +73,7 @@ def seen_pixels(
 
 def flat_share(xy: Float[np.ndarray, "row column 2"], image: Float[np.ndarray, "row column"]) -> tuple[float, bool]:
     """Share of an image's pixels that lie on its larger planes, and whether its values are distances along the rays:
-    with the right interpretation there are planes, otherwise hardly any. Brightness and confidence have none with
-    either."""
+    only the right interpretation has planes. Brightness and confidence have none."""
     ways, value = seen_pixels(xy, image)
     if len(value) < TELLING:
         return 0.0, False

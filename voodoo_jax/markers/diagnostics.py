@@ -106,9 +106,7 @@ def _misplaced(known: Markers, at: np.ndarray, tracked: np.ndarray, spans: Spans
     for k in often:
         if found := spans.long(far[:, k] & ~exchanged[:, k]):
             metres = np.median(off[far[:, k], k])
-            text = (
-                f"is {100 * metres:.0f} cm from its position on the body (frames {spans.words(found)}); not used there"
-            )
+            text = f"is {100 * metres:.0f} cm from its fitted position (frames {spans.words(found)}); not used there"
             away.append((metres, f"'{known.names[k]}'", text))
     away.sort(key=lambda a: -a[0])
     notes += in_few_lines([a[1:] for a in away], "markers are far from their positions for a time, farthest", "Marker ")

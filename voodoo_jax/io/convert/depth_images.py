@@ -1,5 +1,4 @@
-"""Converts folders of depth images (16-bit PNG), with a camera file or in the form of the TUM RGB-D benchmark; with
-colour images.
+"""Converts folders of depth (16-bit PNG) and colour images, with a camera file or of the TUM RGB-D benchmark.
 
 Camera file (TOML): width, height, fx, fy, cx, cy (pixels), unit (metres of one count, such as 0.001), and rate (images
 per second) if the names of the images are not times in seconds. TUM: `depth.txt` and `rgb.txt` name the images and

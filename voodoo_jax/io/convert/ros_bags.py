@@ -1,5 +1,4 @@
-"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): converts every message unchanged to ROS 2's
-encoding."""
+"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message, in ROS 2's encoding."""
 
 from bz2 import BZ2Decompressor
 from collections.abc import Callable, Iterator, Sequence

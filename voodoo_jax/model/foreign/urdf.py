@@ -235,9 +235,7 @@ class _Tree:
         for joint in self.joints:
             if joint.parent == link:
                 if joint.kind == SLIDING:
-                    self.notes.append(
-                        f"'{joint.name}' is prismatic, which limbs cannot be: it keeps its value of the rest pose"
-                    )
+                    self.notes.append(f"'{joint.name}' is prismatic: it keeps its rest pose, as limbs cannot slide")
                 turns = [joint] if joint.kind not in (RIGID, SLIDING) else []
                 self.add(joint.child, above, [*between, *turns], make)
 

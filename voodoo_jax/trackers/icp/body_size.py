@@ -18,8 +18,8 @@ def measured_height(
 ) -> float:
     """Height of a standing body from its points, metres: median over frames of the third highest point.
 
-    `reach` level distance in metres from the middle of the upper half within which the top is searched, since a hand
-    may be higher.
+    `reach` level distance in metres from the middle of the upper half within which the top is searched: a hand may be
+    higher.
 
     `pixel` is the angle between neighbouring points, radians, of all sensors or of each: the top lies between the
     highest point and the next.

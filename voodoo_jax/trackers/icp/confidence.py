@@ -24,7 +24,7 @@ def legs_folded_up(tracks: Tracks, ahead: bool = True) -> Bool[np.ndarray, "fram
     """Knees and ankles of legs in an impossible pose: upright, with both ankles above the hips (HEELS_UP) and the knees
     below.
 
-    Such legs are fitted to furniture that hides the true ones; no other clue in a frame shows this.
+    They are fitted to furniture that hides the true ones.
 
     **Arguments:** `ahead` as for `clues`.
     """
@@ -42,9 +42,8 @@ def legs_folded_up(tracks: Tracks, ahead: bool = True) -> Bool[np.ndarray, "fram
 
 
 def rate_joints(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
-    """The tracks with the confidence of their joints; LOST in frames in which less than the share `least` of them is
-    expected to be right, and in all frames if it was never certain that this is a person (see confirmed; only if
-    `ahead`).
+    """The tracks with the confidence of their joints; LOST in frames with less than the share `least` of right joints,
+    and in all frames without certainty of a person (see confirmed; only if `ahead`).
 
     **Arguments:** `ahead` as for `clues`.
     """

@@ -80,14 +80,8 @@ def notes_on(run: Runner, tracks: Tracks, named: Named) -> tuple[str, ...]:
     total = int(tracks.points.sum())
     if run.left_out:
         share, most = 100 * run.left_out / (run.left_out + total), run.settings.detect.points
-        notes.append(
-            remark(
-                f"{share:.0f} % of the body's points were left out by subsampling, detect.points = {most} per frame."
-            )
-        )
-    unused = [
-        (f"'{n}'", f"({c} times): it has no point on this body in features.names") for n, c in run.unknown.items()
-    ]
+        notes.append(remark(f"{share:.0f} % of the body's points were left out (detect.points = {most} per frame)."))
+    unused = [(f"'{n}'", f"({c} times): no point on this body in features.names") for n, c in run.unknown.items()]
     if len(unused) > SHOWN:
         listed = ", ".join(name for name, _ in unused[:LISTED]) + (", ..." if len(unused) > LISTED else "")
         notes.append(f"{len(unused)} features were not used, without points on this body in features.names: {listed}")

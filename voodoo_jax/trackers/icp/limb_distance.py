@@ -7,8 +7,7 @@ from jaxtyping import Float, Float32
 def signed_distance(
     size: Float[np.ndarray, "*limb 5"], points: Float[np.ndarray, "*point 3"]
 ) -> Float[np.ndarray, "*point"]:
-    """Distances of points, in limb frames, from the surface of limbs with flat caps, metres; negative inside, where it
-    is the distance to the side.
+    """Distances of points, in limb frames, from limbs with flat caps, metres; inside negative and to the side.
 
     Across the limb by the ratio of its ellipse: exact on its surface and for round limbs.
 

@@ -33,8 +33,8 @@ NO_DOUBT = Level()
 
 
 def level_of(scene: Scene, people: list[BodyObservation], settings: Settings) -> Level:
-    """Estimates about the fixed frame, whose z-axis points up: none if the user stated the upward direction, if no
-    transform places the sensor, or if sensors were found to move."""
+    """Estimates about the fixed frame, whose z-axis points up: none if the user stated it, if no transform places the
+    sensor, or if sensors were found to move."""
     origins = [frame.origins for frame in people[:1]]
     mounted = bool(origins) and bool(np.any(np.linalg.norm(origins[0], axis=1) > MOUNTED))
     moved = any(frame.T_fixed_steady is not None for frame in people)

@@ -87,8 +87,7 @@ class FrameRunner:
         return True
 
     def look_for(self, thing: str, limbs: list[int], at: int, state: State) -> None:
-        """Finds the direction of a held object from frame `at` on; it is unchanged if the frames do not determine
-        it."""
+        """Finds the direction of a held object from frame `at` on; unchanged if it is undetermined."""
 
     def change(self, at: int, state: State | None) -> State | None:
         """Applies the changes of the body that are due before frame `at`; poses of other limbs are unchanged."""
