@@ -94,7 +94,7 @@ def _some(frame: Frame) -> Float64[np.ndarray, "point 3"]:
 
 
 def _off(points, normals, offsets) -> tuple[Float64[np.ndarray, " point"], Int[np.ndarray, " point"]]:
-    """How far points are from the nearest plane, and which one it is."""
+    """Distances of points from the nearest plane, and its index."""
     off = points @ normals.T - offsets
     which = np.argmin(np.abs(off), 1)
     return off[np.arange(len(off)), which], which
@@ -121,7 +121,7 @@ def _found(
     planes: Planes,
     start: Float64[np.ndarray, "4 4"],
 ) -> Float64[np.ndarray, "4 4"]:
-    """What moves the points onto the planes, beginning with `start`: the identity where nothing has moved."""
+    """The transform that moves the points onto the planes, beginning with `start`: the identity without motion."""
     still = start is STILL
     if still and not _moving(points[::2], origin, planes):
         return start
@@ -150,7 +150,7 @@ def _found(
 
 
 def _moving(points: Float64[np.ndarray, "point 3"], origin: Float64[np.ndarray, "3"], planes: Planes) -> bool:
-    """Whether a first step says that sensors which stood where they were thought to be may have moved."""
+    """Whether, by a first step, static sensors may have moved."""
     off, which = _off(points, planes.normals, planes.offsets)
     limit = np.maximum(FAR, WIDE * planes.noise)[which]
     near = np.flatnonzero(np.abs(off) < limit)
@@ -195,7 +195,7 @@ def moved(points: Float[np.ndarray, "point 3"], T: Float64[np.ndarray, "4 4"]) -
 
 
 def _placed(frame: Seen, T: Float64[np.ndarray, "4 4"]) -> Seen:
-    """The frame with all that is in it elsewhere."""
+    """The frame with all its measurements transformed."""
     return with_places(frame, lambda p: moved(p, T).astype(np.float32), lambda v: (v @ T[:3, :3].T).astype(np.float32))
 
 

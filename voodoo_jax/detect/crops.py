@@ -42,8 +42,7 @@ def with_crops(reader: LogReader) -> LogReader:
 
 
 def _level(reader: LogReader, topic: str, samples: list, down: float) -> float | None:
-    """Pixels by which the principal point is lower than in the middle, so that the floor is level; None if no floor
-    tells it."""
+    """Pixels by which the principal point must be below the centre for a level floor; None without a floor."""
     if reader.up[2] <= 0.99:  # nothing says how the camera is held
         return None
     places = np.array([-down, 0.0, down])
@@ -67,7 +66,7 @@ def _level(reader: LogReader, topic: str, samples: list, down: float) -> float |
 
 
 def _floor(reader: LogReader, topic: str, samples: list) -> tuple[np.ndarray, float] | None:
-    """Normal of the floor and its height in the fixed frame, metres; None if none is seen."""
+    """Normal of the floor and its height in the fixed frame, metres; None if it is not visible."""
     frames: list[Frame] = [f for sample in samples if (f := reader.frame_of(topic, sample)) is not None]
     scene = find_scene(frames, reader.up, True) if frames else None
     return (scene.floor.normal, float(scene.floor.offset)) if scene is not None and scene.floor_seen else None

@@ -48,7 +48,7 @@ def offsets(reader: LogReader, build: Build, settings: DetectSettings) -> dict[s
 
 
 def _motion(reader: LogReader, topic: str, start_ns: int, build: Build, settings: DetectSettings) -> Motion | None:
-    """How the body moves that one sensor sees; None if it sees none."""
+    """Motion of the body in one sensor's view; None without a body."""
     stamps = reader.stamps(topic)
     count = int(np.sum(stamps < start_ns + WINDOW * 1e9))
     samples = reader.sampled(topic, MOST, step=max(1, count // MOST))
@@ -84,7 +84,7 @@ def offset(one: Motion, other: Motion) -> float:
 
 
 def _apart(one: Motion, other: Motion, by: float, alike: bool) -> float:
-    """Median distance between both if the other's clock is so many seconds late; NaN where they hardly overlap.
+    """Median distance between both for a delay of the other's clock in seconds; NaN if they hardly overlap.
 
     Sensors that look from different sides see different sides of what moves: how far these are apart does not count.
     """

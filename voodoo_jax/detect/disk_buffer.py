@@ -105,7 +105,7 @@ def _arrays(frame: BodyObservation) -> dict[str, np.ndarray]:
 
 
 def _shared(frame: BodyObservation, before: BodyObservation | None) -> BodyObservation:
-    """The frame with one object for what is alike in all frames, or in it and the one before."""
+    """The frame with shared objects for values equal in all frames, or in the previous one."""
     same: dict[str, Any] = {} if frame.rays.names or frame.rays is NO_RAYS else {"rays": NO_RAYS}
     same |= {} if frame.pairs.names or frame.pairs is NO_PAIRS else {"pairs": NO_PAIRS}
     if before is not None and frame.origins is not before.origins and _alike(frame.origins, before.origins):
@@ -118,12 +118,12 @@ def _alike(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _order(array: np.ndarray) -> Literal["C", "F"]:
-    """How it lies in memory, on which the last bits of sums may depend."""
+    """Its memory order, on which the last bits of sums may depend."""
     return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
 
 
 def _mapped(frame: BodyObservation, place: Place, held: mmap.mmap) -> BodyObservation:
-    """A frame with its arrays in the file: read when they are asked for, dropped by the system as it likes."""
+    """A frame with its arrays in the file: read on access, and evicted by the system."""
     arrays, at = {}, place.at
     for kind, count in zip(place.kinds, place.counts):
         array = np.ndarray((count, *kind.row), kind.dtype, held, at, order=kind.order)

@@ -117,5 +117,5 @@ class DropGarment:
 
 
 def _origin(frame: BodyObservation) -> Float32[np.ndarray, "3"]:
-    """Of the sensor that sees most points."""
+    """Position of the sensor that sees most points."""
     return frame.origins[int(np.bincount(frame.sensor).argmax())]

@@ -59,8 +59,7 @@ def without_things(
 def _remains(
     points: Float32[np.ndarray, "point 3"], gone: Float32[np.ndarray, "gone 3"], floor: Plane, link: float
 ) -> Bool[np.ndarray, " point"]:
-    """Which points are what is left of a thing of which the others are `gone`: they touch it, and are low and beside
-    the body."""
+    """Which points remain of an object whose others are `gone`: they touch it, and are low and beside the body."""
     label = components(points, link)
     things = [points[label == k] for k in range(label.max() + 1)]
     tops = np.array([floor.top(thing) for thing in things])

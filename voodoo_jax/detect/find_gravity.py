@@ -79,8 +79,9 @@ def upright(
 
 
 def _others(up: Float32[np.ndarray, "3"], seen: Frame, down: bool) -> list[Float32[np.ndarray, "3"]]:
-    """Directions that may be up instead: by quarter turns about where the sensor looks, the axes of the frame, and, if
-    the sensor may look `down`, against where it looks; each more than 30 degrees from those before."""
+    """Other candidates for the upward direction: rotations by 90 degrees about the viewing direction, the axes of the
+    frame, and, if the sensor may look `down`, the reverse viewing direction; each more than 30 degrees from those
+    before."""
     away = np.mean(seen.points - seen.origins[seen.sensor], 0)
     ahead = away / max(float(np.linalg.norm(away)), 1e-6)
     turned = [Rotation.from_rotvec(k * np.pi / 2 * ahead).apply(up) for k in (1, 2, 3)]

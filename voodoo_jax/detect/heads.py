@@ -72,7 +72,7 @@ def has_shoulders(height: Float32[np.ndarray, " point"], level: Float32[np.ndarr
 
 
 def _width(level: np.ndarray) -> float:
-    """From end to end, metres; what is at the edge of all is not counted."""
+    """Width from end to end, metres, without points at the edge of the grid."""
     return float(np.hypot(*np.ptp(np.percentile(level, [2, 98], axis=1), axis=0))) if level.shape[1] else 0.0
 
 
@@ -98,7 +98,7 @@ def summits(
 
 
 def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
-    """The cells that hang together with one over ground that is not lower than `least`."""
+    """The cells connected with one over cells not lower than `least`."""
     ground, reached = (top >= least).ravel(), np.zeros(top.shape, bool)
     reached[start] = True
     while True:
@@ -109,7 +109,7 @@ def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
 
 
 def _has_body(height: np.ndarray, level: np.ndarray, spot: np.ndarray, body: Build, least: float) -> bool:
-    """Whether a head is as high as a person's may be, and there is a body under it."""
+    """Whether a head is as high as a person's may be, with a body below it."""
     top = float(spot[2])
     if not least * body.height <= top <= TALLEST * body.height:
         return False

@@ -70,7 +70,7 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
 
 
 def _say(reader: LogReader, topics: tuple[str, str], away: float, told: bool, lines: tuple[str, str]) -> None:
-    """Says that two sensors contradict each other, and what was done; and how far the places are to be believed."""
+    """Adds a note on the contradiction of two sensors and its correction, and sets the reliability of positions."""
     (first, topic), (line, before) = topics, lines
     if away > RIGHT and not (line and told):
         reader.sure *= TORN
@@ -86,7 +86,7 @@ def _say(reader: LogReader, topics: tuple[str, str], away: float, told: bool, li
 
 
 class _Views(NamedTuple):
-    """What others see, and what one sensor sees in several frames."""
+    """Surfaces of the other sensors, and of one sensor, in several frames."""
 
     there: Surface
     tree: KDTree
@@ -165,12 +165,12 @@ def correction(
 
 
 def _apart(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
-    """Root mean square distance between where two transforms take points, metres."""
+    """Root mean square distance between points under two transforms, metres."""
     return float(np.sqrt(np.mean(np.sum((moved(points, one) - moved(points, other)) ** 2, 1))))
 
 
 def _surfaces(reader: LogReader, topic: str, at: Int64[np.ndarray, " time"]) -> list[Surface]:
-    """What a sensor sees at rest around some times; nothing of one that moves itself."""
+    """Static surfaces of a sensor around some times; none for a moving one."""
     samples = reader.sampled(topic, FRAMES, at=at)
     frames = [frame for sample in samples if (frame := reader.frame_of(topic, sample)) is not None]
     if not frames or np.ptp([frame.origins[0] for frame in frames], axis=0).max() > 0.01:
@@ -182,7 +182,7 @@ def _surfaces(reader: LogReader, topic: str, at: Int64[np.ndarray, " time"]) -> 
 
 
 def _surface(frame: Frame, still: Bool[np.ndarray, " point"]) -> Surface:
-    """The points of a frame that are at rest and lie on something smooth, with its normals."""
+    """The static points of a frame on smooth surfaces, with normals."""
     points = frame.points.astype(float)
     if len(points) < PATCH:
         return Surface(points[:0], points[:0])

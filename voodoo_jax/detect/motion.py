@@ -112,7 +112,7 @@ class Motion:
             self.seen += 1
 
     def _compare(self, now: Sight, alone: bool, lying_on: Plane | None) -> None:
-        """With how it was seen when it was found, and when it was compared before."""
+        """Compares with the sights at its first and its last comparison."""
         first, last = self._sights or (now, now)
         # of what is known of more and more of it the middle moves, too
         away = np.linalg.norm(now.place - first.place) > AWAY and now.gone_from(first) > EMPTY

@@ -58,7 +58,7 @@ def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: D
 
 
 def _raised(scene: Scene, top: float) -> Scene:
-    """The scene with its floor so many metres higher."""
+    """The scene with its floor raised by metres."""
     floor = replace(scene.floor, offset=scene.floor.offset + top)
     return replace(scene, floor=floor, floor_seen=True, floor_open=False)
 
@@ -76,7 +76,7 @@ def with_beds(frame: Frame, scene: Scene) -> list[Scene]:
 
 
 def _backs(frame: BodyObservation, raised: Scene) -> list[Plane]:
-    """An upright face right above a level top that is longer than a body is wide and higher than one that lies."""
+    """An upright face above a level top, longer than a body's width and higher than a lying body."""
     height = raised.floor.height(frame.points)
     some = (height > LOWEST) & (height < BACK)
     for wall in raised.walls:
@@ -110,7 +110,7 @@ def level_tops(frame: Frame, scene: Scene, highest: float = HIGHEST) -> list[flo
 
 
 def _stands(frame: Frame, raised: Scene, finder: BodySegmenter) -> bool | None:
-    """Whether somebody stands on the raised floor; None: there is nobody."""
+    """Whether a person stands on the raised floor; None: no person is visible."""
     seen = finder(frame).points
     if len(seen) < 30:
         return None
@@ -124,7 +124,7 @@ def _stands(frame: Frame, raised: Scene, finder: BodySegmenter) -> bool | None:
 
 
 def _around(points: Float32[np.ndarray, "point 3"], place: Float32[np.ndarray, "3"], normal) -> int:
-    """In how many directions from a place there are points near it, not just a few."""
+    """Number of directions from a place in which there are enough points near it."""
     first, second = np.linalg.svd(normal[None])[2][1:]
     away = points - place
     distance = np.linalg.norm(away, axis=1)

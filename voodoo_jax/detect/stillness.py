@@ -116,8 +116,8 @@ def breathes(frames: Sequence[BodyObservation], often: float) -> bool:
 
 
 def _as_usual(count: Int[np.ndarray, "direction frame"]) -> Bool[np.ndarray, "direction frame"]:
-    """In which frames about as many points are seen in a direction as usually: else something that goes by hides some
-    of them, and their mean is another one's."""
+    """Frames with about the usual number of points in a direction: otherwise a passing object hides some of them, and
+    changes their mean."""
     usual = np.median(count, axis=1, keepdims=True)
     return (count >= ALIKE * usual) & (ALIKE * count <= usual)
 

@@ -134,7 +134,7 @@ class Tracklet:
                 finder.last = np.concatenate([some, before[:: len(before) // SOME + 1][~hidden]])
 
     def _velocity(self) -> Float32[np.ndarray, "3"]:
-        """Level, when it was wholly seen for the last time; metres per second."""
+        """Horizontal velocity when it was last wholly visible, metres per second."""
         if not self._way:
             return np.zeros(3, np.float32)
         (began, first), (ended, last) = self._way[0], self._way[-1]
@@ -226,7 +226,7 @@ class Tracklets:
         self._renew()
 
     def _follow(self, clear: Cleared, looks: bool) -> None:
-        """Shares the points out among all that are followed, the nearer ones to the sensors first."""
+        """Assigns the points to the tracklets, those nearer to the sensors first."""
         self.followed.sort(key=lambda t: t.finder.unseen)
         seen, seconds = clear.seen, max(0.0, (clear.time_ns - self._last_ns) / 1e9)
         self._last_ns = clear.time_ns
@@ -255,7 +255,7 @@ class Tracklets:
         self, seen: BodyObservation, owner: Int8[np.ndarray, " point"], before: Sequence[np.ndarray | None],
         seconds: float,
     ) -> None:  # fmt: skip
-        """Tells all what the others hide of them."""
+        """Updates the hidden places of all tracklets."""
         owned = np.flatnonzero(owner >= 0)
         owned = owned[:: len(owned) // (SOME * len(before)) + 1]
         whose, points = owner[owned], picked(seen.points, owned)
@@ -264,7 +264,7 @@ class Tracklets:
             tracklet.keep_hidden(before[k], nearest(whose != k), seconds)
 
     def _leave(self, time_ns: int, looks: bool) -> None:
-        """Follows no longer what was lost, what another one follows, and what has not moved for long."""
+        """Ends tracklets that are lost, duplicate another one, or have not moved for long."""
         for tracklet in list(self.followed):
             others = [t for t in self.followed if t is not tracklet and t.seen >= tracklet.seen]
             if tracklet is not self.main and tracklet.finder.last is None:
@@ -283,7 +283,7 @@ class Tracklets:
             self._ended.append(tracklet)
 
     def _renew(self) -> None:
-        """Where the main one is lost somebody else is it, if they have moved as much; or it is looked for anew."""
+        """If the main one is lost, replaces it by another that has moved as much, or searches again."""
         main = self.main
         if main in self.followed and (main.finder.last is not None or not main.seen):
             return
@@ -298,7 +298,7 @@ class Tracklets:
             self.followed.append(self.main)
 
     def _thin(self, may: bool) -> None:
-        """Sees to it that whoever has fewest points in the next frame has about as many as are kept, or more."""
+        """Sets the share of points such that the person with the fewest has at least about as many as are kept."""
         counts = [len(t.now.points) for t in self.followed if t.now is not None and len(t.now.points) >= TELLING]
         fewest = min(counts, default=0)
         if may and fewest >= ENOUGH * self.settings.points:
@@ -311,8 +311,7 @@ class Tracklets:
     # -- what else may be a body
 
     def _look(self, frame: Frame, clear: Cleared, taken: list[np.ndarray]) -> None:
-        """Begins to follow what else is of a body's shape, if there is anything: a small one only where there is no
-        other."""
+        """Begins to follow another object of a body's shape, if there is one; a small one only if there is no other."""
         if self._number % (AGAIN * LOOK) == 0:
             self._passed = self._passed[:0]
         s, main = self.settings, self.finder
@@ -335,7 +334,7 @@ class Tracklets:
     def _lying(
         self, frame: Frame, clear: Cleared, taken: list[np.ndarray]
     ) -> tuple[BodySegmenter, BodyObservation] | None:
-        """Who may lie on the floor or on a bed; None where there is nobody, or one is followed already."""
+        """A candidate lying on the floor or on a bed; None without one, or if one is followed already."""
         if any(t.finder.lies for t in self.followed):
             return None
         for scene in with_beds(frame, self.finder.scene):
@@ -346,7 +345,7 @@ class Tracklets:
         return None
 
     def _found(self, finder: BodySegmenter, seen: BodyObservation) -> Tracklet:
-        """Something, followed back to when it came into view, which was after the last look."""
+        """A new tracklet, followed back to its appearance after the last search."""
         earlier: list[tuple[BodyObservation, Frame]] = []
         if self.ahead and not finder.lies:
             back = finder.another(self.settings)
@@ -365,9 +364,9 @@ class Tracklets:
     # -- which one it is
 
     def _decide(self, assigned: bool = False, full: bool = False) -> None:
-        """Takes the likeliest for the main one if it has moved, or another thing that has, and the likeliest has not.
+        """Selects the likeliest as the main one if it has moved, else another one that has.
 
-        `assigned`: somebody has said what is the body; `full`: frames can wait no longer."""
+        `assigned`: parts are assigned by the user; `full`: frames can wait no longer."""
         main, ahead = self.main, self.ahead
         others = [t for t in (*self.followed, *self._ended) if t is not main and t.motion.slid < LITTLE]
         best = max(others, key=lambda t: t.motion.moved, default=None)
@@ -391,7 +390,7 @@ class Tracklets:
             self.followed.append(self.main)
 
     def _asleep(self) -> Tracklet | None:
-        """Who lies and moves no more than by breathing, while nothing else does; None if nobody does."""
+        """A lying person who moves only by breathing, while nothing else moves; None without one."""
         main = self.main
         if main.motion.moved or (main.seen and not ASKS.is_thing(main.frames.frames(), Stillness())):
             return None
@@ -403,7 +402,7 @@ class Tracklets:
         return None
 
     def _release(self) -> Iterator[BodyObservation]:
-        """The frames that waited, of what is the main one as far as one knows."""
+        """The frames that waited, of the present main one."""
         frames, self._waiting = self._waiting, []
         begin, tracklet = self._number - len(frames), self.main
         if len(frames) == 1 and tracklet.now is not None and tracklet.now.time_ns == frames[0].time_ns:
@@ -460,8 +459,8 @@ def _some(points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "some 3
 
 
 def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) -> Int8[np.ndarray, " point"]:
-    """Who was nearest to each point in the frame before; -1 where nobody was nearer than about `reach` metres. Who is
-    hidden has what is left."""
+    """The nearest tracklet to each point in the previous frame; -1 if none was nearer than about `reach` metres. A
+    hidden one gets the rest."""
     points = frame.points
     owner, many = np.full(len(points), -1, np.int8), np.zeros(len(points), np.int8)
     known = [(k, f, f.last[:: len(f.last) // SOME + 1]) for k, f in enumerate(finders) if f.last is not None]
@@ -506,7 +505,7 @@ def linked(found: list[Tracklet], frames: list[BodyObservation]) -> list[list[Tr
 
 
 def _unlike(before: Tracklet, after: Tracklet, frames: list[BodyObservation]) -> float:
-    """How unlike each other the last and the first sight of somebody are: below 1 they may be the same."""
+    """Dissimilarity of the last and the first sight of two tracklets: below 1 they may be the same person."""
     if before.last >= after.since:
         return np.inf
     seconds = (frames[after.since].time_ns - frames[before.last].time_ns) / 1e9

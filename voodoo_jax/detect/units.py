@@ -45,13 +45,13 @@ def with_units(reader: LogReader, build: Build, settings: DetectSettings) -> Log
 
 
 def _distance(samples: Sequence[Sample]) -> float:
-    """Median distance in the unit that is usual, metres; NaN where nothing is measured."""
+    """Median distance in the usual unit, metres; NaN without measurements."""
     every = np.concatenate([np.zeros(0), *(sample.distances for sample in samples)])
     return float(np.median(every)) if len(every) else float("nan")
 
 
 def _doubted(reader: LogReader, topic: str, samples: Sequence[Sample]) -> bool:
-    """Whether the first messages show distances that are not usual, or a floor that is not where it should be."""
+    """Whether the first messages show unusual distances, or a floor at a wrong height."""
     if not samples:
         return False
     if not USUAL[0] <= _distance(samples) <= USUAL[1]:
@@ -66,7 +66,7 @@ def _doubted(reader: LogReader, topic: str, samples: Sequence[Sample]) -> bool:
 
 
 def _factor(reader: LogReader, topic: str, samples: Sequence[Sample], build: Build, settings: DetectSettings) -> float:
-    """By how much the unit that is usual is to be multiplied."""
+    """Factor on the usual unit."""
     distance = _distance(samples)
     low, high = POSSIBLE if reader.is_image(topic) else (POSSIBLE[0], OPEN_AIR)
     possible = [f for f in (1.0, *FACTORS) if low <= f * distance <= high]
@@ -100,7 +100,7 @@ def _factor(reader: LogReader, topic: str, samples: Sequence[Sample], build: Bui
 
 
 def _fits(frames: list[Frame], reader: LogReader, build: Build, settings: DetectSettings) -> tuple[float, float]:
-    """How like a body something on the floor is, and how high above 0 of the fixed frame a floor is seen (else NaN)."""
+    """Body likelihood of an object on the floor, and the height of the floor in the fixed frame (NaN without one)."""
     if not frames:
         return 0.0, float("nan")
     sure = bool(reader.up[2] > 0.99)

@@ -41,8 +41,8 @@ def measured_height(
 
 
 def _spacings(frames: list[BodyObservation]) -> list[float]:
-    """Angle between neighbouring points of each sensor, radians, where it first sees the body; 0 if it never does. Of a
-    scanner whose rows are far apart, half of that: on average the top is so far above its highest row."""
+    """Angle between neighbouring points of each sensor, radians, in its first view of the body; 0 without one. For a
+    scanner with sparse rows, half of it: the mean distance of the top above its highest row."""
     found = [0.0] * len(frames[0].origins)
     for sensor in range(len(found)):
         for frame in frames:

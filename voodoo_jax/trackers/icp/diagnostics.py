@@ -21,7 +21,7 @@ TURNED, SHIFTED = 1.0, 0.12
 
 
 def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
-    """A sentence on sensors that seem to move: so little may as well be their distances, or what they see."""
+    """A note on sensors that seem to move; small motion may be caused by errors of distances, or by the scene."""
     turn = float(np.degrees(Rotation.from_matrix(T[:, :3, :3]).magnitude().max()))
     shift = float(np.linalg.norm(T[:, :3, 3], axis=1).max())
     out = f"this was compensated in {len(T)} frames (stage steady_sensors)."
@@ -31,7 +31,7 @@ def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
 
 
 def _of_scale(run: Runner, scale: Scale) -> str:
-    """A sentence on distances that seem to be of a wrong scale."""
+    """A note on distances that seem to have a wrong scale."""
     rare = f"A stature of {float(run.body.scale):.2f} m is rare"
     floor = 100 * float(run.scene.floor.offset)
     where = f", and the floor {abs(floor):.0f} cm {'above' if floor > 0 else 'below'} the fixed frame's zero"
@@ -42,7 +42,7 @@ def _of_scale(run: Runner, scale: Scale) -> str:
 
 
 def _of_level(run: Runner, level: Level) -> str:
-    """A sentence on a fixed frame that seems not to stand level."""
+    """A note on a fixed frame that seems not to be level."""
     up = ",".join(f"{x:.2f}" for x in run.scene.floor.normal + 0.0)
     return (
         f"The floor slopes by {level.degrees:.0f} degrees in the fixed frame: either a transform has a wrong "

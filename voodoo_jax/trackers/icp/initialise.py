@@ -49,5 +49,5 @@ def clearer(run: Runner, at: int) -> StartHypothesis | None:
 
 
 def _followed(run: Runner, start: StartHypothesis, at: int) -> Poses:
-    """The poses in an earlier frame `at`."""
+    """The poses tracked backwards to an earlier frame `at`."""
     return run.backwards(start.poses, at, start.frame + 1).poses[0]

@@ -49,8 +49,8 @@ class LiveRunner(Runner):
     """Tracks an unfinished recording one frame at a time."""
 
     def __init__(self, body: Body, settings: Settings, scene: Scene, first: list[BodyObservation], features: bool):
-        """`first` frames like those that will come; `features`: whether there may be named ones that none of them
-        has."""
+        """`first` frames with the sensors and names of later ones; `features`: whether other named features may
+        come."""
         super().__init__(body, options_from(settings.solve, settings.track, settings.features), first, scene, settings)
         self.length = THING_FRAMES * settings.start.frames  # of one program for trials and single frames
         if features and self.names.rows:
@@ -160,7 +160,7 @@ class LiveTracker:
         return replace(row, first=at)
 
     def _start_frames(self, at: int) -> Iterator[None]:
-        """Waits for the frames that a start looks at."""
+        """Waits for the frames that a start needs."""
         s = self.settings.start
         good = lambda: sum(len(f.points) >= FEW_POINTS for f in self.run.people[at : at + 3 * s.frames])  # noqa: E731
         yield from self._until(at + s.size_frames - 1)
@@ -168,7 +168,7 @@ class LiveTracker:
             yield None
 
     def _followed(self) -> Iterator[Followed | None]:
-        """What each frame comes to; None where another frame must come first."""
+        """The result of each frame; None if another frame is needed first."""
         run, state, before, at = self.run, None, None, 0
         tried, doubt = -1, False  # until that frame nothing is given up as lost
         yield from self._until(0)
@@ -215,7 +215,7 @@ def _doubtful(start: StartHypothesis, settings: Settings) -> bool:
 
 
 class _Chunk:
-    """Frames that replay tracks at once: within them it is seen that the body is gone or lost."""
+    """Frames that replay tracks at once; at their end it detects that the body is gone or lost."""
 
     def __init__(self, first: int, most: int, may_be_lost: bool, settings: Settings):
         self.first, self._most, self._may_be_lost = first, most, may_be_lost
@@ -254,7 +254,7 @@ class _Chunk:
 
 
 class _Shown:
-    """What is given out of each frame: with joints in their places and rated, by what came before it."""
+    """The published tracks of each frame, with placed joint centres and confidence, from earlier frames only."""
 
     def __init__(self, run: LiveRunner):
         self._run = run
@@ -285,7 +285,7 @@ class _Shown:
         return scale_confidence(found, log_doubts(run.body, run.scene, alone.people, run.settings).right)
 
     def _placed(self, tracks: Tracks, frame: BodyObservation, number: int) -> Tracks:
-        """With joints moved by the bands of the frames until one not long ago, as PlaceJoints does online."""
+        """Places joint centres by the bands of earlier frames up to a recent one, as PlaceJoints does online."""
         self._rows.append(_for_bands(tracks))
         if tracks.body is not self._body:
             self._body, self._usual = tracks.body, persons_body(tracks.body)
@@ -301,7 +301,7 @@ class _Shown:
 
 
 def _for_bands(tracks: Tracks) -> Tracks:
-    """What bands are told by, without what takes memory."""
+    """The data for the stretch of bands, without large arrays."""
     none = {"limb_covariance": None, "joint_covariance": None, "beyond_limits": None, "depth_inside": None}
     return replace(tracks, **none)
 

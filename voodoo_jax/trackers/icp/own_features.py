@@ -40,8 +40,8 @@ def owners_of_rays(rays: Rays, seen: tuple[BodyObservation, ...]) -> Int[np.ndar
 
 
 def _in_the_way(rays: Rays, seen: BodyObservation) -> Float[np.ndarray, " ray"]:
-    """How far along each line somebody stands, metres; where they are not in its way, by how far it misses them, after
-    all who are."""
+    """Distance of a person along each line, metres; for people beside the line, its distance from them, ranked after
+    all others."""
     out = []
     for origin, direction in zip(np.asarray(rays.origins, float), np.asarray(rays.directions, float)):
         to = seen.points - origin

@@ -96,12 +96,13 @@ def held(frames: list[BodyObservation], count: int, interval: float) -> list[Bod
 
 
 def _again(now: Unplaced, before: Unplaced) -> Unplaced:
-    """Who was tracked anew, with the time that both took."""
+    """A person tracked again, with the time of both passes."""
     return now._replace(tracks=replace(now.tracks, seconds=now.tracks.seconds + before.tracks.seconds))
 
 
 def _doubted(subject: Subject, status: Int8[np.ndarray, " frame"]) -> Int8[np.ndarray, " frame"]:
-    """Status, LOST where only a sliver of somebody is seen, at the edge of the picture or beside who hides them."""
+    """Status, LOST where only a small part of a person is visible, at the edge of the image or beside an occluding
+    person."""
     area = np.array([_area(frame) for frame in subject.frames])
     usual = np.percentile(area[area > 0], 80) if (area > 0).any() else 0.0
     return np.where((status == Status.TRACKED) & (area < SLIVER * usual), Status.LOST, status).astype(np.int8)
@@ -121,7 +122,7 @@ def in_view_from(subject: Subject) -> int:
 
 
 def _area(frame: BodyObservation) -> float:
-    """As large as what is seen of somebody, in square metres times points per steradian."""
+    """Visible area of a person, in square metres times points per steradian."""
     if len(frame.points) < 3 * FEW_POINTS:
         return 0.0
     return float(np.sum((frame.points - frame.origins[frame.sensor]) ** 2))
@@ -166,7 +167,7 @@ def shared_out(
 
 
 def _given(seen: list[BodyObservation], tracks: list[Tracks], at: int) -> list[BodyObservation]:
-    """What is seen of some people in a frame after they have given points away."""
+    """People's points in a frame, after points were reassigned to others."""
     owner = []
     for k, own in enumerate(seen):
         distance = np.stack([surface_distance(other, at, own.points, NEAR) for other in tracks])
@@ -180,7 +181,7 @@ def _given(seen: list[BodyObservation], tracks: list[Tracks], at: int) -> list[B
 
 
 def _exchanged(subjects: list[Subject], frames: list[list[BodyObservation]]) -> Bool[np.ndarray, " person"]:
-    """Who has gained or lost enough to be tracked anew. Where nothing changes hands the old frame stays."""
+    """People whose points changed enough to be tracked again. Frames without changes stay."""
     concerned = np.zeros(len(subjects), bool)
     for k, (subject, own) in enumerate(zip(subjects, frames)):
         count = 0  # of frames in which enough points change hands
@@ -208,7 +209,7 @@ def surface_distance(
 
 
 def _box(tracks: Tracks, at: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
-    """Lower and upper corner of a box around somebody, metres."""
+    """Lower and upper corner of a box around a person, metres."""
     places = np.concatenate([tracks.translation[at], tracks.joints[at]])
     wide = float(np.max(np.asarray(tracks.body.sizes)[:, :4]))
     return np.nanmin(places, 0) - wide, np.nanmax(places, 0) + wide

@@ -71,7 +71,7 @@ def scale_odds(stature: float, sensor: float = 0.0, floor: float = 0.0) -> Scale
 def _likelihood(
     factor: Float[np.ndarray, " factor"], stature: float, sensor: float, floor: float
 ) -> Float[np.ndarray, " factor"]:
-    """Density of a stature and of the floor's height if distances are so many times too large."""
+    """Density of a stature and of the floor's height for a factor on distances."""
     true = stature / factor
     grown = _normal(true - STATURE, float(np.hypot(STATURES, FOUND)))
     small = ((true > SMALLEST) & (true < GROWN)) / (GROWN - SMALLEST)

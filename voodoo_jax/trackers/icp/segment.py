@@ -72,7 +72,7 @@ def implausible(
 
 
 def _depths(body: Body, rotation: np.ndarray, translation: np.ndarray, chunk: int) -> list[np.ndarray]:
-    """How deep limbs are in others, of `chunk` frames after the other."""
+    """Depths of limbs inside others, `chunk` frames at a time."""
     found = []
     for at in range(0, len(rotation), chunk):
         some = rotation[at : at + chunk], translation[at : at + chunk]

@@ -76,7 +76,7 @@ def owned_in_turn(
 def _walker(
     subject: Subject, frames: list[BodyObservation], tracks: Tracks, settings: Settings, at: int, visit: Visit | None
 ) -> Walker:
-    """Somebody at rest where they were tracked in a frame."""
+    """A person at rest in the tracked poses of a frame."""
     options = options_from(settings.solve, settings.track, settings.features)
     # by points alone, which are what changes hands; nor does the body become another one on the way
     plain = [replace(f, rays=NO_RAYS, pairs=NO_PAIRS, other=False) for f in frames]
@@ -86,7 +86,7 @@ def _walker(
 
 
 def _walk(walkers: dict[int, Walker], frames: list[list[BodyObservation]], at: int, near: float | None) -> None:
-    """One frame further; points change hands where `near` is given. `frames` of everybody, changed in place."""
+    """Tracks the next frame; reassigns points if `near` is given. `frames` of all people, changed in place."""
     who = list(walkers)
     own = [frames[k][at] for k in who]
     everything = joined(own)
@@ -112,6 +112,6 @@ def _nearest(
     walkers: dict[int, Walker], poses: dict[int, Poses], seen: BodyObservation, owner: Int[np.ndarray, " point"],
     near: float,
 ) -> Int[np.ndarray, " point"]:  # fmt: skip
-    """Whose surface is nearest to each point; whose it was where none is near."""
+    """The person with the nearest surface, for each point; the previous owner if none is near."""
     distance = np.stack([w.distance(poses[k], seen.points, near) for k, w in walkers.items()])
     return np.where(np.min(distance, 0) < near, np.argmin(distance, 0), owner)

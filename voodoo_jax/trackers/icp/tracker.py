@@ -133,7 +133,7 @@ def tracks_of(run: Runner, segment: Segment, source: LogInfo) -> Tracks:
 
 
 def _misfit(run: Runner, segment: Segment) -> Misfit | None:
-    """How badly limbs fit the points, which are where the poses are."""
+    """Misfits of limbs and points, which are in the frame of the poses."""
     if not len(segment):
         return None
     found = [

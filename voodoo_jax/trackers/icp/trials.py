@@ -34,7 +34,7 @@ def place(
 
 
 def _level_direction(foot: np.ndarray, origin: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Level unit vector from a place to a sensor; any one where the sensor is right above."""
+    """Horizontal unit vector from a place to a sensor; arbitrary if the sensor is right above."""
     towards = origin - foot
     towards = towards - (towards @ up) * up
     distance = np.linalg.norm(towards)
@@ -118,7 +118,8 @@ def _with(whole: np.ndarray, at: Int[np.ndarray, " some"], some: np.ndarray) -> 
 def _promising(
     body: Body, rotation: Float[np.ndarray, "trial limb 4"], cost: Float[np.ndarray, " trial"], kept: int
 ) -> Int[np.ndarray, " kept"]:
-    """So many trials to go on with: those that cost least, the first half of them evenly from both ways to face."""
+    """Indices of the trials to continue: those with the lowest cost, the first half of them evenly from both
+    facings."""
     front = facing(on_host(body), rotation)
     turned = front @ front[np.argmin(cost)] < 0
     better = (cost[None] < cost[:, None]) & (turned[None] == turned[:, None])

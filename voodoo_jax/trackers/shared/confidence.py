@@ -100,8 +100,8 @@ def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint 
 
 
 def _spread(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
-    """How far off joint centres may be by what was measured of their limbs, metres: without what place_joints and the
-    other pass say of them, for that is a clue of its own."""
+    """Standard deviation of joint centres from the measurements of their limbs, metres, without the contributions of
+    place_joints and the other pass, which are separate clues."""
     t = tracks.body.topology
     assert tracks.limb_covariance is not None
     twist = tracks.limb_covariance[:, np.array(t.centre_limbs, int)].astype(float)
@@ -144,7 +144,7 @@ class Averages(NamedTuple):
 
 
 def _averages(tracks: Tracks, ahead: bool) -> Averages | None:
-    """None where it is not known how limbs fit."""
+    """None if misfits are unknown."""
     beside, distance, bare, own = tracks.limb_beside, tracks.limb_distance, tracks.limb_bare, tracks.limb_own
     if beside is None or distance is None or bare is None or own is None:
         return None
@@ -219,7 +219,7 @@ def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float32[np.
 
 
 def _unusual(tracks: Tracks) -> float:
-    """How unusual the body's size is: the square of standard deviations beyond USUAL of them."""
+    """Unusualness of the body's size: the squared number of standard deviations beyond USUAL."""
     if tracks.body.scale_name != "stature":
         return 0.0
     off = (float(tracks.body.scale) - STATURE) / STATURES

@@ -68,20 +68,20 @@ def tracks_of(run: FrameRunner, segment: Segment, source: LogInfo) -> Tracks:
 
 
 def _sensor_motion(people: list[BodyObservation]) -> Float64[np.ndarray, "frame 4 4"] | None:
-    """How sensors moved that the log has at rest, see Tracks; None if they did not."""
+    """Motion of sensors that are static in the log, see Tracks; None without motion."""
     motion = [np.eye(4) if frame.T_fixed_steady is None else frame.T_fixed_steady for frame in people]
     return np.stack(motion) if any(frame.T_fixed_steady is not None for frame in people) else None
 
 
 def _up(run: FrameRunner) -> Float32[np.ndarray, "3"]:
-    """Upwards in the fixed frame; of a camera that moves unknown to the log, in its first frame."""
+    """Upward direction in the fixed frame; for a camera with motion that the log lacks, in its first frame."""
     normal = np.asarray(run.scene.floor.normal, np.float32)
     T = run.people[0].T_fixed_steady if run.people else None
     return normal if T is None else (T[:3, :3] @ normal).astype(np.float32)
 
 
 def _room(body: Body, segment: Segment) -> Derived:
-    """Arrays for what follows from the poses of a segment, without their numbers; its own for covariances of limbs."""
+    """Empty arrays for the values derived from a segment's poses; those of the segment for covariances of limbs."""
     t = body.topology
     rows = (len(t.centres), 3), (len(t.joints),), (len(t.limbs),), (len(t.limbs), 6, 6), (len(t.centres), 3, 3)
     found = Derived(*(np.empty((len(segment), *row), np.float32) for row in rows))

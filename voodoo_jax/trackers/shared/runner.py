@@ -148,7 +148,7 @@ class FrameRunner:
         states: State,
         sure: bool = True,
     ) -> tuple:
-        """What track_visits takes, always of the same shapes."""
+        """Arguments of track_visits, always of the same shapes."""
         count = len(states.seen)
         frame, track = np.zeros(self.length, np.int32), np.full(self.length, NOBODY, np.int32)
         used = slice(count * len(chosen))
@@ -205,13 +205,13 @@ class FrameRunner:
         return *jax.tree.map(lambda x: x[0], found), chunk.left_out
 
     def _padded(self, frames: list[BodyObservation], previous_ns: int | None) -> tuple[Chunk, Features | None]:
-        """The frames as the one program takes them."""
+        """The frames padded for the compiled program."""
         most = self.settings.detect.points
         chunk = pad_frames(frames, self.capacity, self.length, previous_ns, self.sensors, most, self.parts)
         return chunk, pad_features(frames, self.length, self.feature_capacity, self.names, self.choices)
 
     def _with_named(self, step: Step, at: int, count: int) -> Step:
-        """The step with what named points say in frames that have no others."""
+        """The step with results of named points in frames that have no others."""
         frames = at + np.flatnonzero(self.named[at : at + count])
         if not len(frames):
             return step

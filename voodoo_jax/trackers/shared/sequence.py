@@ -119,8 +119,8 @@ def follow(
 
 
 def _refined(run: FrameRunner, start: Start, until: int, at: int, out: Followed, method: Method) -> State | None:
-    """Fills in a span, tracked forwards to before frame `at`, with what refinements make of it up to `until`; the state
-    to go on with, where that is another one."""
+    """Fills in a span, tracked forwards to before frame `at`, with its refinement up to `until`; returns the state to
+    continue with, if it changed."""
     first = start.frame
     found = method.refine(run, replace(out[first:at], start=start))
     last = until if found.state is None else at  # another start's frames take the place of all

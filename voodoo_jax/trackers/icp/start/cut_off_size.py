@@ -47,5 +47,5 @@ class CutOffSize:
         return search._replace(best=best, found=(best,))
 
     def _unlikely(self, size: float) -> float:
-        """What a start's cost is multiplied by for its size."""
+        """Factor on a start's cost for its size."""
         return float(np.exp(((size - self.usual) / self.spread) ** 2 / (2 * self.counts)))

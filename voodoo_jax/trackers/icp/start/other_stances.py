@@ -50,7 +50,7 @@ class OtherStances:
         return search._replace(best=best, stance=stance)
 
     def _tall(self, body: Body) -> float:
-        """What speaks against a body that is taller than usual, as a logarithm of costs."""
+        """Penalty for a body taller than usual, as a logarithm of costs."""
         beyond = max(float(body.scale) - self.usual, 0.0) / self.spread if body.scale_name == "stature" else 0.0
         return beyond**2 / (2 * self.counts)
 
