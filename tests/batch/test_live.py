@@ -99,10 +99,10 @@ def test_ctrl_c_ends_it_with_results(recorded, tmp_path, capsys):
         (("none.mcap",), 1, "no file"),
         (("none.mcap", "--serve", 70000), 2, "must be a port"),
         (("none.mcap", "--idle", 0), 2, "above 0"),
-        (("none.mcap", "--tracker", "flexible"), 2, "icp only"),
+        (("none.mcap", "--tracker", "flexible"), 2, "only the tracker icp"),
         (("none.mcap", "--read.skin"), 2, "read.skin"),
         (("none.mcap", "--read.pose-net", "mediapipe"), 2, "read.pose_net"),
-        (("ws://127.0.0.1:9",), 1, "cannot be connected to"),
+        (("ws://127.0.0.1:9",), 1, "no connection"),
     ],
 )
 def test_what_cannot_be_done_is_said(words, status, said, tmp_path, monkeypatch, capsys):

@@ -205,7 +205,7 @@ def test_same_files_are_refused_before_any_work(tmp_path):
         shutil.copy(DEMO, path)
     refused = run(tmp_path / "out", first, second)
     assert refused.status == 2 and "demo.tracks.npz" in refused.errors and not (tmp_path / "out").exists()
-    with pytest.raises(ValueError, match="different folders"):
+    with pytest.raises(ValueError, match="different --out folders"):
         replay([first, second], tmp_path / "out", quiet=True)
 
 
@@ -274,7 +274,7 @@ def test_an_empty_room(tmp_path):
     log = write_simulation(replace(one, depth=images, time_ns=stamps, **truth), tmp_path / "empty.mcap")
     nobody = run(tmp_path / "out", log)
     assert nobody.status == 1
-    assert "NOTHING TRACKED" in nobody.printed and "Nothing of the body's height was found" in nobody.printed
+    assert "NOTHING TRACKED" in nobody.printed and "No object of the body's height was found" in nobody.printed
     assert "not tracked: empty.mcap" in nobody.errors
     got = nobody.arrays("empty")
     assert not got["tracked"].any() and np.isnan(got["joints"]).all()
@@ -284,7 +284,7 @@ def test_an_empty_room(tmp_path):
 def test_a_log_that_takes_too_long_is_given_up(wave_log, tmp_path):
     done = run(tmp_path / "out", wave_log, "--log-timeout", "0.01")
     assert done.status == 1
-    assert "not done after 0.01 s" in done.printed and "--log-timeout" in done.printed
+    assert "stopped after 0.01 s" in done.printed and "--log-timeout" in done.printed
     assert not list((tmp_path / "out").rglob("*.npz"))
 
 

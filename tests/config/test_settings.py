@@ -69,8 +69,8 @@ def test_a_file_changes_only_what_it_names(tmp_path):
     [
         ("[solv]\nmax_steps = 3", ["[solv]", "did you mean 'solve'?"]),
         ("[xyz]\n", ["[xyz]", "there are read", ", track,"]),
-        ("max_steps = 3", ["max_steps", "no stage"]),
-        ("solve = 3", ["[solve]", "no stage"]),
+        ("max_steps = 3", ["max_steps", "not a section"]),
+        ("solve = 3", ["[solve]", "not a section"]),
         ("[solve]\nmax_step = 3", ["[solve]", "'max_step'", "did you mean 'max_steps'?"]),
         ("[start]\nqqq = 3", ["'qqq'", "scale, headings, frames, seconds, directions"]),
         ("[solve]\nmax_steps = 2.5", ["solve.max_steps = 2.5", "whole number"]),

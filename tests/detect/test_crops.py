@@ -54,12 +54,12 @@ def test_a_floor_tells_how_far_from_the_top_rows_were_cut(rng, tmp_path, rows):
 def test_where_no_floor_tells_it_places_are_less_sure(rng, tmp_path, cut, transforms):
     read = read_log(cropped(tmp_path, rng, cut, transforms))
     assert 0.5 < read.sure < 0.8
-    assert any("Nothing tells where" in note and "read.camera" in note for note in read.notes)
+    assert any("It is unknown where" in note and "read.camera" in note for note in read.notes)
 
 
 def test_a_little_less_is_no_doubt(rng, tmp_path):
     read = read_log(cropped(tmp_path, rng, np.s_[:, 4:]))
-    assert read.sure > 0.95 and not any("Nothing tells" in note for note in read.notes)
+    assert read.sure > 0.95 and not any("It is unknown where" in note for note in read.notes)
 
 
 def test_a_cloud_of_a_calibrated_camera_was_not_cropped(rng, tmp_path):
@@ -84,7 +84,7 @@ def pair(tmp_path, size, **settings):
 def test_places_by_a_pair_whose_images_were_cropped_are_less_sure(tmp_path):
     log = pair(tmp_path, (124, 200))
     assert log.sensors == ("/left/image_rect",) and 0.5 < log.sure < 0.8
-    assert any("Nothing tells where '/left/image_rect'" in note for note in log.notes)
+    assert any("It is unknown where '/left/image_rect'" in note for note in log.notes)
     whole = pair(tmp_path, SHAPE)
     assert whole.sure == 1 and not any("cropped" in note for note in whole.notes)
 

@@ -112,7 +112,7 @@ def test_bags_without_definitions(tmp_path, capsys):
     known = vj.read_log(lidar_bag(tmp_path / "livox", "livox_ros_driver2"))
     assert len(known) == 4 and float(known.frames[2].points[:, 0].mean()) == 4.0
     other = lidar_bag(tmp_path / "other", "acme_msgs")
-    with pytest.raises(ConvertError, match="nothing left to track by.*--read.types"):
+    with pytest.raises(ConvertError, match="no usable topic left.*--read.types"):
         convert(other, tmp_path / "a.mcap")
     assert main(["info", str(other)]) == 1 and "--read.types" in capsys.readouterr().err
     for name, text in (("CustomMsg", CLOUD.format("acme_msgs")), ("CustomPoint", POINT)):
@@ -120,7 +120,7 @@ def test_bags_without_definitions(tmp_path, capsys):
     file = str(tmp_path / "CustomMsg.msg")
     assert_same_frames(vj.read_log(other, ReadSettings(types=(file,))), known)
     assert main(["info", str(other), "--read.types", file]) == 0 and "point cloud" in capsys.readouterr().out
-    with pytest.raises(LogError, match="no definition"):
+    with pytest.raises(LogError, match="not a message definition"):
         vj.read_log(other, ReadSettings(types=(str(tmp_path / "none.msg"),)))
 
 
@@ -225,7 +225,7 @@ def test_points_without_a_unit_are_as_large_as_a_body(scale, unit, tmp_path):
     points = np.random.default_rng(0).uniform([0, 0, 0.05], [0.5, 0.4, 1.7], (20, 30, 3))
     source = c3d_of(tmp_path / "a.c3d", [f"m{k}" for k in range(30)], points * scale, UNITS=[])
     (note,) = convert(source, tmp_path / "a.mcap")
-    assert f"names no unit: by the size of what was recorded it is {unit}" in note
+    assert f"names no unit: judged by size, it is {unit}" in note
     np.testing.assert_allclose(vj.read_log(tmp_path / "a.mcap").frames[3].pairs.points, points[3], atol=1e-4)
     with pytest.raises(ConvertError, match="names no unit"):
         convert(c3d_of(tmp_path / "b.c3d", ["a", "b", "c"], points[:, :3] * 1e6, UNITS=[]), tmp_path / "b.mcap")
@@ -237,7 +237,7 @@ def test_what_a_model_computed_is_no_marker(tmp_path):
     groups = {"TYPE_GROUPS": ["ANGLES", "ANGLE", "MODELED_MARKERS", "MODELED_MARKER"]}
     listed = {"ANGLES": ["LKneeAngles"], "MODELED_MARKERS": ["CentreOfMass"]}
     notes = convert(c3d_of(tmp_path / "a.c3d", names, points, **groups, **listed), tmp_path / "a.mcap")
-    assert notes == ["5 outputs of a model were left out (angles, forces, axes of bones): they are no markers"]
+    assert notes == ["5 computed channels were left out (angles, forces, axes of bones): they are not markers"]
     assert set(vj.read_log(tmp_path / "a.mcap").frames[0].pairs.names) == {"LASI", "CentreOfMass", "RFEO"}
 
 
@@ -592,7 +592,7 @@ def test_what_cannot_be_converted_is_said(tmp_path, capsys):
         "a.trc": "TRC",
         "a.c3d": "C3D",
         "a.mkv": "as a video",
-        "a.mov": "not converted",
+        "a.mov": "unsupported file",
         "images": "camera file",
     }
     for name, said in (cases | {"none.bag": "no file"}).items():

@@ -35,8 +35,8 @@ def info(**changed):
     "rows, columns, said",
     [
         (slice(0, 48), slice(0, 64), ""),
-        (slice(6, 42), slice(0, 64), "cropped about its middle"),  # a band
-        (slice(0, 48), slice(10, 54), "cropped about its middle"),
+        (slice(6, 42), slice(0, 64), "cropped about its centre"),  # a band
+        (slice(0, 48), slice(10, 54), "cropped about its centre"),
     ],
 )
 def test_a_crop_leaves_pixels_square(tmp_path, rows, columns, said):
@@ -77,8 +77,8 @@ def test_region_that_was_stated_and_done_or_not(tmp_path):
     "cut, said",
     [
         (np.s_[::2], "rows or columns were left out"),
-        (np.s_[:, 20:40], "nothing says where"),
-        (None, "quarter turn"),
+        (np.s_[:, 20:40], "at an unknown place"),
+        (None, "rotated by 90 degrees"),
     ],
 )
 def test_what_nobody_can_know_is_asked(tmp_path, cut, said):

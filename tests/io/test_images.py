@@ -108,5 +108,5 @@ def test_colour_images_do_not_disturb_depth(tmp_path):
 def test_one_colour_camera_is_not_enough(tmp_path):
     log = Log().add("/rgb/camera_info", START, ros_info("cam", K, (24, 32)))
     log.add("/rgb/image/compressed", START, ros_compressed(START, "cam", IMAGE))
-    with pytest.raises(LogError, match="holds no depth data.*skin colour"):
+    with pytest.raises(LogError, match="has no depth data.*skin colour"):
         read_log(log.write(tmp_path / "a.mcap"), ReadSettings(skin=True))

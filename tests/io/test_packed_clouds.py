@@ -143,5 +143,5 @@ def test_each_axis_may_be_an_attribute_of_its_own():
     attributes = [column(1, 0), column(0, 4), column(3, 0), column(2, 0)]
     names = ("ring", "z", "y", "x")
     np.testing.assert_array_equal(places(attributes, names), np.tile([3, 2, 1], (4, 1)))
-    with pytest.raises(ValueError, match="no places"):
+    with pytest.raises(ValueError, match="no positions"):
         places(attributes[1:2], ("ring",))

@@ -64,7 +64,7 @@ def test_topic_of_a_part(tmp_path):
     both = read_log(path, ReadSettings(parts=("/hand=body", "/all=head"))).frames[0]
     assert parts_of(both) == ["head"] * 60 + ["body"] * 7
     other = read_log(path, ReadSettings(topics=("/all",), parts=("/hand=body",)))
-    assert other.frames[0].part is None and "not among the topics asked for" in other.notes[-1]
+    assert other.frames[0].part is None and "not in read.topics" in other.notes[-1]
 
 
 def test_a_cloud_cut_out_of_a_camera_is_read_beside_its_image(tmp_path):
@@ -145,7 +145,7 @@ def test_values_without_entry_are_counted(tmp_path):
         frames = list(reader.frames())
         assert parts_of(frames[1]) == ["head" if v in (1, 2) else "" for v in values]
         (note,) = [n for n in reader.notes if "read.labels" in n]
-        assert note.startswith(f"'/seg': {2 * (24 + 3)} points are free because read.labels says nothing")
+        assert note.startswith(f"'/seg': {2 * (24 + 3)} points are free because read.labels has no entry")
         assert "'segment_id'" in note and "0.5" in note
 
 

@@ -74,7 +74,7 @@ def test_key_points_are_rays_through_them(tmp_path, net):
         assert d.dtype == np.float32 and frame.pictures == ()  # images were not asked for
     said = " ".join(recording.notes)
     assert (
-        "1 message in which read.pose_net finds nobody" in said
+        "1 message in which read.pose_net finds no person" in said
         and "an image that cannot be decoded" in said
         and "does not count" not in said
     )
@@ -88,7 +88,7 @@ def test_key_points_are_rays_through_them(tmp_path, net):
 
 def test_a_log_without_colour_images(tmp_path, net):
     recording = read_log(depth_log(2).write(tmp_path / "a.mcap"), ReadSettings(pose_net="mediapipe"))
-    assert any("No key points are looked for" in note for note in recording.notes) and len(recording) == 2
+    assert any("read.pose_net has no effect" in note for note in recording.notes) and len(recording) == 2
 
 
 def test_a_network_that_is_not_there_is_said_before_anything_is_read(tmp_path):

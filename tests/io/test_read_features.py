@@ -205,7 +205,7 @@ def test_markers_of_one_namespace_are_told_apart_throughout(tmp_path):
         START,
         ros_markers(ros_marker(START, "lab", "a", (1, 1, 1)), ros_marker(START, "lab", "", (0, 0, 0), action=3)),
     )
-    with pytest.raises(LogError, match="nothing is named"):
+    with pytest.raises(LogError, match="have no names"):
         read_log(log.write(tmp_path / "b.mcap"))
 
 
@@ -249,7 +249,7 @@ def test_nearest_in_time_and_one_per_name(tmp_path):
     # Frames at 0, 33, 66, 99 ms: -3 beats 8 and 14, 116 comes more than half a period after the last.
     got = [pairs(f).get("p", [None])[0] for f in recording]
     assert got == [0, 3, 4, 5] and pairs(recording.frames[0])["q"] == [9, 0, 0]
-    assert recording.notes == ("'/p': 1 feature left out, near no frame in time.",)
+    assert recording.notes == ("'/p': 1 feature left out, with no frame near in time.",)
 
 
 def test_the_surer_of_two_with_one_name(tmp_path):
@@ -276,7 +276,7 @@ def test_features_lead_without_depth(tmp_path):
         assert frame.time_ns == START + i * 8_333_333
         assert frame.points.shape == (0, 3) and frame.sensor.shape == (0,) and frame.origins.tolist() == [[0, 0, 0]]
         assert pairs(frame) == {"C7": [i, 0, 1]} | ({"slow": [0, i, 0]} if i % 4 == 0 else {})
-    with pytest.raises(LogError, match="holds no depth data. It holds.*Needed is a depth image"):
+    with pytest.raises(LogError, match="has no depth data. It has.*Needed is a depth image"):
         read_log(tmp_path / "a.mcap", ReadSettings(features=False))
 
 

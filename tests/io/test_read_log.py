@@ -319,7 +319,7 @@ def test_no_depth(tmp_path):
     log = Log().add("/rgb", START, rgb).add("/tf_static", START, base_tf())
     point = STORE.types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0)
     log.add("/point", START, point)
-    with pytest.raises(LogError, match="holds no depth data.*encoding rgb8.*Needed is a depth image"):
+    with pytest.raises(LogError, match="has no depth data.*encoding rgb8.*Needed is a depth image"):
         read_log(log.write(tmp_path / "a.mcap"))
     found = {t.topic: t.use for t in survey(tmp_path / "a.mcap").topics}
     assert found["/rgb"] == "not used: encoding rgb8 is not a depth image"

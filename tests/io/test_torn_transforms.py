@@ -24,7 +24,7 @@ def log(path, other, count=12):
 
 def test_the_one_with_which_the_floor_is_level_is_taken(tmp_path):
     found = open_log(log(tmp_path / "a.mcap", Rotation.from_euler("y", 6, degrees=True)))
-    assert found.sure == 1.0 and any("jumps between two places, 12 times" in note for note in found.notes)
+    assert found.sure == 1.0 and any("jumps between two poses, 12 times" in note for note in found.notes)
     points = next(found.frames()).points
     low = points[points[:, 2] < 0.2]
     assert len(low) > 500 and abs(float(np.median(low[:, 2]))) < 0.01

@@ -74,7 +74,7 @@ def test_places_that_are_held_until_a_marker_is_seen_again_or_the_log_ends():
     places[11:30, 2], places[41:, 5] = places[10, 2], places[40, 5]
     found = without_held("/m", gathered(places), notes)
     assert left(found) == {name: {"m2": COUNT - 19, "m5": 41}.get(name, COUNT) for name in NAMES}
-    assert len(notes) == 1 and "hold the last place" in notes[0]
+    assert len(notes) == 1 and "repeat their last visible position" in notes[0]
 
 
 @pytest.mark.parametrize("until", [35, COUNT])

@@ -232,7 +232,7 @@ def test_another_set_has_clusters_and_joints_between_two_markers(everywhere, tmp
     assert tracks.marker_residual.max() < 0.015 and tracks.residual.max() < 0.015
     notes = "\n".join(tracks.notes)
     assert "OpenSim" in notes and "--features.names 'zebra=r_calcaneus_posterior'" in notes
-    assert "1 points without names" in notes
+    assert "1 unnamed points" in notes
     # the same by the setting that the note gives, and for a marker of which only the limb is known
     named = FeatureSettings(names=("zebra=r_calcaneus_posterior", "R.thigh1=r_thigh"))
     again = track(human(), recorded(tmp_path, frames), Settings(features=named))
@@ -263,7 +263,7 @@ def test_key_points_of_two_subjects(everywhere, tmp_path):
     np.testing.assert_array_equal(anna.joints, tracks.joints)
     off = np.linalg.norm(ben.joints - joints - [0.3, 0.8, 0.0], axis=-1)[1::2, chosen]
     assert (ben.person, ben.people) == (2, 2) and off.mean() < 0.03, off.mean()
-    assert any("these are the tracks of 'Ben'" in note for note in ben.notes)
+    assert any("these tracks are of 'Ben'" in note for note in ben.notes)
 
 
 def test_names_of_the_body_and_of_the_settings_come_before_sets():

@@ -128,9 +128,9 @@ CASES = [  # text, put in its place, line of the fault, part of the reason
     ("scale = 2.0", "scale = 1e-300", "scale = 2.0", "at least 1e-06"),
     ("scale = 2.0", "scale = 2000.0", "scale = 2.0", "a body of 2000 m"),
     ("scale = 2.0", f"scale = {'9' * 400}", "scale = 2.0", "at most 1e+06"),
-    ("scale = 2.0", 'scale = 2.0\nscale_name = "segment_lengths"', 3, "results use that name otherwise"),
-    ("scale = 2.0", 'scale = 2.0\nscale_name = "name"', 3, "results use that name otherwise"),
-    ("scale = 2.0", 'scale = 2.0\nscale_name = "\\u001b[31m"', 3, "all to be seen"),
+    ("scale = 2.0", 'scale = 2.0\nscale_name = "segment_lengths"', 3, "results use it for something else"),
+    ("scale = 2.0", 'scale = 2.0\nscale_name = "name"', 3, "results use it for something else"),
+    ("scale = 2.0", 'scale = 2.0\nscale_name = "\\u001b[31m"', 3, "all printable"),
     ("bottom = [0, 0, 0]", "bottom = [0, 1e38, 0]", 6, "at most 1e+06"),
     ("top_axes = [0.1, 0.05]", "top_axes = [0.1, 1e-38]", 9, "at least 1e-06"),
     ("scale = 2.0", "scael = 2.0", "scale = 2.0", "unknown key 'scael' in the top of the file; did you mean 'scale'?"),
@@ -148,7 +148,7 @@ CASES = [  # text, put in its place, line of the fault, part of the reason
     ('child = "b"', 'child = "bb"', 'child = "b"', "there is no limb 'bb'; did you mean 'b'?"),
     ('child = "b"', "child = 3", 'child = "b"', "must be a text"),
     ('parent = "a"\nchild = "b"', 'parent = "b"\nchild = "a"', 'child = "b"', "is the root"),
-    ('parent = "a"', 'parent = "b"', 11, "in a circle: b on b"),
+    ('parent = "a"', 'parent = "b"', 11, "in a loop: b on b"),
     ('name = "b"', 'name = "a"', 'name = "b"', "two of [[limb]] 'a'"),
     ('limb = "b"', 'limb = "z"', 'limb = "b"', "there is no limb 'z'"),
     ("[[joint]]", "[joint]", "[[joint]]", "must be written as [[joint]]"),
@@ -185,10 +185,10 @@ def test_what_no_parser_takes(value):
 
 def test_faults_of_the_tree():
     joint = '\n[[joint]]\nname = "k"\nparent = "a"\nchild = "b"\nat = [0, 0, 0.5]\naxes = [0, 0]\n'
-    with pytest.raises(BodyFileError, match="already hangs on 'a'") as error:
+    with pytest.raises(BodyFileError, match="already has the parent 'a'") as error:
         parse_body(GOOD + joint)
     assert error.value.line == len(GOOD.splitlines()) + 5
-    with pytest.raises(BodyFileError, match="limb 'b' hangs on nothing"):
+    with pytest.raises(BodyFileError, match="limb 'b' has no parent"):
         parse_body(re.sub(r"\[\[joint\]\][^[]*\[0, 0, 0\.5\]\naxes = \[0, 0\.1\]\n", "", GOOD))
 
 

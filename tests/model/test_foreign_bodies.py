@@ -200,7 +200,7 @@ def test_what_is_no_body_is_said(arm, tmp_path, capsys):
     (tmp_path / "d.glb").write_bytes(b"glTF\2\0\0\0\x14\0\0\0\4\0\0\0JSON{bad")
     (tmp_path / "e.gltf").write_text('{"nodes": []}')
     (tmp_path / "f.obj").write_text("v 0 0 0")
-    for name, said in zip("abcdef", ("XML", "hangs on nothing", "no surface", "glTF", "skin", "are made of")):
+    for name, said in zip("abcdef", ("XML", "without a parent", "no surface", "glTF", "skin", "supported files are")):
         (path,) = tmp_path.glob(f"{name}.*")
         with pytest.raises(BodyFileError, match=said):
             body_from(path)

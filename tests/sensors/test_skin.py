@@ -163,16 +163,16 @@ def test_somebody_who_stands_still_is_kept(tmp_path):
 def test_what_cannot_be_used_is_said(tmp_path):
     log = depth_log(2)
     assert read_log(log.write(tmp_path / "a.mcap"), SEARCH).notes == (
-        "No skin is looked for: the log has no calibrated colour images.",
+        "read.skin has no effect: the log has no calibrated colour images.",
     )
     log.add("/bare/image", START, ros_compressed(START, "nowhere", draw([])))
     log.add("/grey/image", START, ros_raw(START, "grey", "mono8", draw([])[..., :1]))
     notes = read_log(log.write(tmp_path / "b.mcap"), SEARCH).notes
-    assert notes[0] == "No skin is looked for in '/bare/image': it has no calibration." and len(notes) == 2
+    assert notes[0] == "Skin detection leaves out '/bare/image': it has no calibration." and len(notes) == 2
     colour(log)
     for i in range(2):
         log.add("/colour/image", START, ros_compressed(START + i * PERIOD, "colour", draw(spots_of([FACE]))))
     log.items[-1][2].data = log.items[-1][2].data[:300]
     recording = read_log(log.write(tmp_path / "c.mcap"), SEARCH)
-    assert "'/colour/image': 1 message cannot be decoded, no skin is looked for in them." in recording.notes
+    assert "'/colour/image': 1 message cannot be decoded, left out of skin detection." in recording.notes
     assert [len(f.rays.names) for f in recording] == [1, 0]

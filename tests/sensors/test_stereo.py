@@ -177,7 +177,7 @@ def test_broken_and_missing_images_are_said(tmp_path):
     assert sorted(recording.notes) == [
         f"'{NAMES[0]}': 1 message cannot be decoded, left out.",
         f"'{NAMES[0]}': 1 message left out, without an image of the other camera at the same time.",
-        "The log has no transforms: everything is given in the frame 'left_optical' of the sensor.",
+        "The log has no transforms: results are in the frame 'left_optical' of the sensor.",
         "The log is damaged: 1 message that frames were to be made of is lost.",
     ]
 
@@ -192,7 +192,7 @@ def test_foxglove_images(tmp_path):
 @pytest.mark.parametrize(
     "p03, right, why",
     [
-        (0.0, "right_optical", "the distance of its cameras is not known"),
+        (0.0, "right_optical", "the distance of its cameras is unknown"),
         (K[0, 0] * BASE, "right_optical", "the right camera must be 0.005 to 2 m to the right"),
         (-K[0, 0] * 5, "right_optical", "the right camera must be 0.005 to 2 m to the right"),
     ],

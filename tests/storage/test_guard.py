@@ -23,7 +23,7 @@ def ran(name: str, *arguments: str, readable: tuple[str, ...] = ()) -> tuple[lis
     [
         ("crashes", r"its reader crashed \(SIGSEGV\)"),
         ("takes_memory", "more memory than is allowed .--limits.memory"),
-        ("spins", "after 1 s of a processor nothing came of it .--limits.seconds"),
+        ("spins", "after 1 s of processor time it gave no result .--limits.seconds"),
         ("floods", "more than 10485760 bytes .--limits.log_bytes"),
         ("lies", "cannot be understood"),
         ("none", "no attribute 'none'"),
@@ -37,7 +37,7 @@ def test_what_a_parser_does_is_a_sentence(name, said):
 
 def test_one_that_waits_is_given_up(monkeypatch):
     monkeypatch.setattr("voodoo_jax.storage.guard.PATIENCE", -9.5)
-    with pytest.raises(Refused, match="given up"):
+    with pytest.raises(Refused, match="was stopped"):
         ran("waits")
 
 

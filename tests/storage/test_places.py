@@ -94,7 +94,7 @@ def test_folders_in_the_way(tmp_path):
     for place, why in (("file", "a file"), ("file/below", "no folder")):
         with pytest.raises(NotWritten, match=f"{place}' cannot be written: .*{why}"):
             made_folder(tmp_path / place)
-    for place, why in (("x.npz", "folder of this name"), ("gone/y", "is not there"), ("z" * 300, "too long")):
+    for place, why in (("x.npz", "folder of this name"), ("gone/y", "does not exist"), ("z" * 300, "too long")):
         with pytest.raises(NotWritten, match=why):
             check_writable(tmp_path / place)
     with pytest.raises(NotWritten, match="folder of this name"), replacing(tmp_path / "x.npz") as partial:

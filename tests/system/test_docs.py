@@ -113,7 +113,8 @@ PHRASES = [
     r"\btells? (?:of|nothing|it)\b", r"\btold (?:by|apart|from|to be)\b", r"\b(?:is|are|was|were) (?:told|asked)\b",
     r"\bsays? nothing\b", r"\bnobody has\b", r"\bwhat is (?:low|far|carried|said|missing|left|in doubt)\b",
     r"\bhow sure\b", r"\bbecomes of\b", r"\bas far as it goes\b", r"\bcosts? (?:itself|themselves)\b",
-    r"\bput right\b", r"\bso many of (?:these|them)\b", r"\bno look into\b", r"\bin passing\b",
+    r"\bput right\b", r"\bno look into\b", r"\bin passing\b", r"\bso many (?!steps)", r"\bgoes on\b", r"\banew\b",
+    r"\b(?:some|no)body\b", r"\basked for\b", r"\bthe redder\b", r"\bwhat is (?:seen|known|measured)\b",
 ]  # fmt: skip
 
 

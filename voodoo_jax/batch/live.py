@@ -65,15 +65,15 @@ class Pace:
         late = np.array(self.latencies[max(self.caught_up, 0) :])
         late = late[np.isfinite(late)]
         if not len(late):
-            return "no frame was given out"
+            return "no frame was published"
         median, most = np.percentile(late, [50, 95])
         text = f"latency {_seconds(median)} (median), {_seconds(most)} (95 %)"
         if self.caught_up < 0:
-            return f"{text}; it never caught up with the recording"
+            return f"{text}; tracking was slower than the recording"
         count, spent = self.frames - self.caught_up - 1, self.last - self.began
         if count > 0 and spent > 0:
             each = (time.process_time() - self.processor) / count
-            text += f", {count / spent:.1f} frames/s, {1000 * each:.0f} ms of the processor each"
+            text += f", {count / spent:.1f} frames/s, {1000 * each:.0f} ms of processor time each"
         behind = float(np.nanmedian(self.behind[self.caught_up :]))
         if 0 <= behind < 10:
             text += f"; {_seconds(behind)} after the recorder had them"
@@ -96,13 +96,13 @@ class LiveJob:
 
     def __post_init__(self):
         if self.settings.tracker != "icp":
-            raise SettingsError("live tracking knows the tracker icp only")
+            raise SettingsError("live tracking supports only the tracker icp")
         if self.settings.changes:
-            raise SettingsError("[[change]] in the settings: live tracking knows no changes of the body")
+            raise SettingsError("[[change]] in the settings: live tracking does not support changes of the body")
         if self.settings.read.skin:
-            raise SettingsError("read.skin looks at a whole log: live tracking does not know it")
+            raise SettingsError("read.skin needs a whole log: live tracking does not support it")
         if self.settings.read.pose_net:
-            raise SettingsError("read.pose_net follows a person through a whole log: live tracking does not know it")
+            raise SettingsError("read.pose_net needs a whole log: live tracking does not support it")
 
     @property
     def targets(self) -> tuple[Path, Path]:
@@ -128,7 +128,7 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
         reader = live.open()
         if not reader.sensors:
             raise Unsuitable(
-                f"'{source.path}' has named points or rays only: live tracking needs depth; replay does not"
+                f"'{source.path}' has only named points or rays, but live tracking needs depth; use replay"
             )
         say(f"{', '.join(reader.sensors)}: in '{reader.fixed_frame}'. Programs are loaded, or compiled once ...")
         tracker = LiveTracker(body, settings, _examples(reader), _nowhere(), bool(reader.features))

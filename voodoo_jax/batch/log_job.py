@@ -109,7 +109,7 @@ def track_log(
 
 def out_of_time(seconds: float) -> str:
     """Why a log was given up."""
-    return f"it was not done after {seconds:g} s, and given up; allow more, or cut it in pieces (--log-timeout)"
+    return f"tracking stopped after {seconds:g} s; allow more (--log-timeout), or split the log"
 
 
 def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4, log: str = "") -> None:
@@ -146,18 +146,18 @@ def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = Non
     except (LogError, SettingsError, Unsuitable, NotWritten) as problem:
         outcome = Outcome(job.log, error=str(problem))
     except UnicodeEncodeError as problem:  # bytes of a name that are no text
-        outcome = Outcome(job.log, error=f"a name in it or of it is not UTF-8 ({problem.reason}): rename the file")
+        outcome = Outcome(job.log, error=f"its name, or a name in it, is not UTF-8 ({problem.reason}): rename the file")
     except OSError as problem:
         why = problem.strerror or str(problem)
-        text = f"'{problem.filename or job.log}' cannot be read any more: {why}. Was it moved, or its disk taken away?"
+        text = f"'{problem.filename or job.log}' can no longer be read: {why}. Was it moved, or its disk removed?"
         outcome = Outcome(job.log, error=plain(text, SENTENCE))
     except MemoryError:
-        outcome = Outcome(job.log, error="out of memory: use fewer --workers, or cut the log in pieces")
+        outcome = Outcome(job.log, error="out of memory: use fewer --workers, or split the log")
     except Exception as problem:  # one log's trouble is not the others'
         outcome = Outcome(job.log, error=plain(f"unexpected {type(problem).__name__}: {problem}", SENTENCE))
     keep_compiled()
     if outcome.error and os.path.exists(output_places(job.log, job.out)[0]):
-        outcome = replace(outcome, error=f"{outcome.error} (The present files of this log are from an earlier run.)")
+        outcome = replace(outcome, error=f"{outcome.error} (This log's result files are from an earlier run.)")
     return replace(outcome, total_seconds=time.perf_counter() - began)
 
 
@@ -176,7 +176,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
         try:
             log = stack.enter_context(fetched(job.log))
         except Exception as problem:  # every store has its own errors
-            raise LogError(f"'{job.log}' cannot be fetched: {type(problem).__name__}: {problem}") from problem
+            raise LogError(f"'{job.log}' cannot be downloaded: {type(problem).__name__}: {problem}") from problem
         original = log
         log, converted = stack.enter_context(as_mcap(log, job.settings.read.types))
         folder = stack.enter_context(delivered(job.out))
@@ -224,7 +224,7 @@ def check_names(place: str, count: int) -> None:
     for person in range(1, count + 1):
         mine = person_place(place, person)
         if (there := _person_in(mine)) not in (None, person):
-            raise LogError(f"'{mine}' holds the tracks of another log's person {there}: replay into another folder")
+            raise LogError(f"'{mine}' has the tracks of person {there} of another log: name another --out")
 
 
 def remove_others(place: str, count: int) -> None:

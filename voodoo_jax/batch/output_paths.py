@@ -56,5 +56,5 @@ def folders_within(logs: Mapping[str, str]) -> dict[str, str]:
     found |= {log: joined(f, _stem(log)) if f else _stem(log) for log, f in found.items() if _second(log) in stems}
     written = Counter(place(log, folder) for log, folder in found.items())
     if twice := sorted(place for place, count in written.items() if count > 1):
-        raise ValueError(f"several logs would write {', '.join(twice)}: replay them into different folders")
+        raise ValueError(f"several logs would write {', '.join(twice)}: give them different --out folders")
     return found

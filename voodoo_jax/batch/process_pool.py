@@ -174,9 +174,9 @@ def _death(status: int, ready: bool) -> str:
     """Why a worker that ended so has no answer, and what to try."""
     if status < 0:
         name = signal.Signals(-status).name if -status in list(signal.Signals) else f"signal {-status}"
-        killed = "if nobody did that, the machine ran out of memory: use fewer --workers, or cut the log in pieces"
-        why = killed if name == "SIGKILL" else "a library crashed on it: voodoo-jax info may say what is odd in it"
-        return f"its worker process was ended by {name}; {why}. The other logs went on."
+        killed = "if nobody did that, the machine ran out of memory: use fewer --workers, or split the log"
+        why = killed if name == "SIGKILL" else "a library crashed on this log: voodoo-jax info may show the reason"
+        return f"its worker process was ended by {name}; {why}. The other logs are not affected."
     if not ready:
-        return f"its worker process did not start (exit status {status}): see above; --workers 1 does without"
+        return f"its worker process did not start (exit status {status}): see above; --workers 1 needs none"
     return f"its worker process ended with exit status {status}: see above"

@@ -41,9 +41,9 @@ def on_ray(jobs: list[Job], report: Report, tasks: RayTasks) -> Results:
                 warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
                 _join_or_start(ray, log_to_driver=False, logging_level="ERROR", configure_logging=False)
         except (ConnectionError, RuntimeError) as problem:
-            raise ValueError(
-                f"--engine ray: no cluster answers: {problem}. Look at RAY_ADDRESS and `ray status`"
-            ) from (problem)
+            raise ValueError(f"--engine ray: no cluster responds: {problem}. Check RAY_ADDRESS and `ray status`") from (
+                problem
+            )
     running: dict[Any, int] = {}
     try:
         say_what_lacks(ray, tasks)
@@ -135,7 +135,7 @@ def say_what_lacks(ray: Any, tasks: RayTasks) -> None:
     if not any(all(machine.get(name, 0) >= n for name, n in wanted.items()) for machine in machines):
         asked = " and ".join(f"{n:g} {name}" for name, n in wanted.items())
         text = f"--engine ray: no machine of the cluster has {asked} for a log (--ray-cpus, --ray-gpus)"
-        tqdm.write(shown(f"{text}; it waits until one joins"), file=sys.stderr)
+        tqdm.write(shown(f"{text}; waiting until one joins"), file=sys.stderr)
 
 
 def _join_or_start(ray: Any, **options: Any) -> None:

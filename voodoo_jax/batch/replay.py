@@ -117,7 +117,7 @@ def replay(
     if not 0 <= smooth_seconds <= SMOOTHEST:
         raise ValueError(f"--smooth {smooth_seconds}: must not be negative, and at most {SMOOTHEST:g} seconds")
     if workers < 0:
-        raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for as many as are good for this machine")
+        raise ValueError(f"--workers {workers}: must be 1 or more, or 0 for a number that suits this machine")
     if not 0 <= log_timeout <= LONGEST:
         raise ValueError(f"--log-timeout {log_timeout}: must not be negative, and at most {LONGEST:g} seconds")
     tasks, style = ray or RayTasks(), style or Style()
@@ -278,9 +278,7 @@ def _absolute(place: str | os.PathLike[str]) -> str:
     try:
         return os.path.abspath(os.path.expanduser(place))
     except FileNotFoundError as problem:
-        raise ValueError(
-            f"'{place}': the folder in which this was started is not there any more; change into another"
-        ) from problem
+        raise ValueError(f"'{place}': the current folder no longer exists; change to another one") from problem
 
 
 def parameters_of(settings: Settings, smooth_seconds: float = 0.0) -> tuple[tuple[str, str], ...]:

@@ -16,7 +16,7 @@ def parse_shard(text: str) -> tuple[int, int]:
         i, n = 0, 0
     if not 1 <= i <= n <= MOST:
         raise ValueError(
-            f"--shard {text}: must look like 2/8, the second of eight parts; the first is 1/8, and {MOST} are the most"
+            f"--shard {text}: must look like 2/8, the second of eight parts, from 1/8 on, with at most {MOST} parts"
         )
     return i, n
 

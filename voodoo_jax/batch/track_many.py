@@ -52,12 +52,12 @@ def track_many(
     count = max(map(len, given))
     if any(len(some) not in (1, count) for some in given):
         lengths = ", ".join(f"{len(some)} {name}" for some, name in zip(given, ("bodies", "recordings", "settings")))
-        raise ValueError(f"{lengths}: give one of each, or as many as of the others")
+        raise ValueError(f"{lengths}: each must have one entry, or as many as the others")
     for one in given[2]:
         assert isinstance(one, Settings)
         check_stages(one)
     if lanes < 0:
-        raise ValueError(f"lanes = {lanes}: must be 1 or more, or 0 for as many as are good for the devices")
+        raise ValueError(f"lanes = {lanes}: must be 1 or more, or 0 for a number that suits the devices")
     cases = list(zip(*(some * (count // len(some)) for some in given)))
     devices = len(jax.devices())
     lanes = devices * -(-min(lanes or usual_lanes(), count) // devices)

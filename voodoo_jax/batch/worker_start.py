@@ -87,7 +87,7 @@ def in_a_copy(function: Callable[..., str], *arguments: Any) -> str:
     try:
         return here.recv()
     except EOFError:
-        return f"what was asked ends a process (exit status {process.exitcode})"
+        return f"the check ended its process (exit status {process.exitcode})"
     finally:
         process.join()
 

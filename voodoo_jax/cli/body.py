@@ -14,7 +14,7 @@ def run_body(command: BodyCommand) -> int:
     if command.source is None:
         raise Stop("name a robot description (.urdf) or a skinned mesh (.glb, .gltf)")
     if command.out.exists() and not command.overwrite:
-        raise Stop(f"{command.out} exists: name another --out, or say --overwrite")
+        raise Stop(f"{command.out} exists: name another --out, or add --overwrite")
     pairs = [word.partition("=") for word in command.rest]
     try:
         rest = {name: float(value) for name, _, value in pairs}

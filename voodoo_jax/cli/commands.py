@@ -21,64 +21,64 @@ from voodoo_jax.config.options import (
 from voodoo_jax.config.output_style import Names, Style
 
 BODY_HELP = (
-    "Body to track: human (the default), human10 (the paper's ten limbs), arm, dog, or the path of a body file (TOML)."
+    "Body to track: human (the default), human10 (the papers' ten limbs), arm, dog, or the path of a body file (TOML)."
 )
 PRESET_BODIES = {
     "default": "human", "knoop2007": "human10", "flexible": "human", "both": "human", "hecht2009": "human",
 }  # fmt: skip
 PRESET_HELP = (
-    "Settings to start from: default; knoop2007, that paper's chain and values (with its ten limbs); flexible, both: "
-    "for these trackers; hecht2009: that paper's values."
+    "Settings to start from: default; knoop2007: method and values of that paper (with its body of ten limbs); "
+    "flexible, both: for these trackers; hecht2009: method and values of that paper."
 )
 Preset = Annotated[Literal["default", "knoop2007", "flexible", "both", "hecht2009"], arg(help=PRESET_HELP)]
-CONFIG_HELP = "Settings file (TOML), as `voodoo-jax config` prints it; flags override it."
+CONFIG_HELP = "Settings file (TOML; `voodoo-jax config` prints one); flags override it."
 
 PORTS = 1 << 16  # of TCP
-FORMATS_HELP = "Formats: csv, trc, c3d, bvh, bvh-rigid, mot, gltf, usd; several with commas between."
+FORMATS_HELP = "Formats: csv, trc, c3d, bvh, bvh-rigid, mot, gltf, usd; separate several by commas."
 EXPORT_HELP = f"Also write the tracks for other programs. {FORMATS_HELP}"
 
 
 @dataclass(frozen=True)
 class Results(Style):
-    """What is written."""
+    """Output files."""
 
     out: str = "voodoo-out"
     """Folder for the results, or a URL."""
     picture: bool = False
     """Also write <log>.png: image, cloud, tracked body."""
     html: bool = False
-    """Also write <log>.html: cloud, bodies, angles and quality over time, for a browser, offline."""
+    """Also write <log>.html, an offline page for a browser: cloud, bodies, angles and quality over time."""
     report: bool = False
     """Also write report.html, with a row for each log."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
     smooth: float = 0.0
-    """Average tracks over so many seconds (Gaussian); 0: as tracked."""
+    """Standard deviation of a Gaussian filter over the tracks, seconds; 0: no filter."""
 
 
 @dataclass(frozen=True)
 class Running:
-    """How many logs are done, where, and at once."""
+    """Processes, clusters and resuming."""
 
     again: bool = False
-    """Track finished logs anew."""
+    """Track finished logs again."""
     verbose: bool = False
-    """Print all notes, also in brackets."""
+    """Print all notes, including those that need no action."""
     workers: int = 0
-    """Processes that track one log each; 0: as many as there are cores, memory and logs for."""
+    """Number of processes, each with one log at a time; 0: limited by cores, memory and logs."""
     shard: str = ""
-    """Only a part of the logs, for array jobs, always the same: 2/8 is the second of eight."""
+    """Part of the logs, for array jobs: 2/8 is the second of eight. The parts are always the same."""
     engine: Literal["local", "batch", "ray"] = "local"
-    """local: processes here; batch: many logs at once, for GPUs; ray: a cluster, see RAY_ADDRESS."""
+    """local: processes on this machine; batch: many logs in one program, for GPUs; ray: a cluster (RAY_ADDRESS)."""
     compile_cache: str = ""
-    """Folder of compiled programs, or off; none named: the user's."""
+    """Folder for compiled programs, or off; empty: the user's cache folder."""
     log_timeout: float = 0.0
-    """Seconds after which a log is given up; 0: never."""
+    """Seconds after which tracking of a log stops with an error; 0: never."""
     ray_cpus: int = 1
-    """Cores that a log holds on Ray."""
+    """Cores for each log on Ray."""
     ray_gpus: float = 0.0
-    """GPUs that it holds there, 0.25: a share."""
+    """GPUs for each log on Ray; 0.25: a quarter of one."""
     ray_retries: int = 1
-    """Restarts of a log that Ray lost."""
+    """Restarts of a log after its Ray process or machine was lost."""
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ class Replay:
     """Track people (or other bodies) in recorded logs.
 
     Writes <log>.tracks.npz (joints, poses, quality) and <log>.voodoo.mcap (for Foxglove), and <log>.2.tracks.npz, ...
-    for further people. Usual options: --help; all settings, such as --start.scale: --help-all.
+    for further people. --help lists common options, --help-all also all settings, such as --start.scale.
     """
 
     logs: Positional[tuple[str, ...]] = ()
-    """MCAP logs with depth images or point clouds: files, folders of such, or URLs such as s3://bucket/*.mcap."""
+    """Logs (MCAP, or any format that convert reads): files, folders, or URLs such as s3://bucket/*.mcap."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
     preset: Preset = "default"
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
@@ -101,37 +101,37 @@ class Replay:
 
 @dataclass(frozen=True)
 class Live:
-    """Track the main person (or body) during the recording, with the settings of --online.
+    """Track the main person (or body) during recording, with the settings of --online.
 
-    Reads an MCAP file, or the folder of a ROS 2 bag, while a recorder writes it, or a Foxglove WebSocket (ws://...,
-    such as foxglove_bridge). Publishes transforms and the body frame by frame: in a growing <log>.voodoo.mcap, and with
-    --serve as a Foxglove WebSocket. Ends with Ctrl-C or with the recording, and then writes the files of replay. Usual
-    options: --help; all settings: --help-all.
+    Reads an MCAP file or the folder of a ROS 2 bag while a recorder writes it, or a Foxglove WebSocket (ws://..., such
+    as foxglove_bridge). Publishes transforms and the body frame by frame, in a growing <log>.voodoo.mcap and, with
+    --serve, as a Foxglove WebSocket. Ends with Ctrl-C or with the recording, and then writes the files of replay.
+    --help lists common options, --help-all also all settings.
     """
 
     source: Positional[str] = ""
     """A growing .mcap file, the folder of a bag, or ws://HOST:PORT."""
     out: str = "voodoo-out"
-    """Folder for the results; made if it is missing."""
+    """Folder for the results; created if missing."""
     serve: int = -1
-    """Port of a Foxglove WebSocket on this machine's own address, for transforms and the body; 0: any free port;
+    """Port of a Foxglove WebSocket on localhost, for transforms and the body; 0: any free port;
     -1: none."""
     names: Names = ""
-    """Names of joints; common: left_wrist."""
+    """Convention for joint names, such as common (left_wrist); empty: H-Anim."""
     idle: float = 10.0
-    """A file that has not grown for so many seconds is finished."""
+    """Seconds without growth after which a file is finished."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
     preset: Literal["default", "knoop2007"] = "default"
-    """Settings to start from: default; knoop2007, that paper's chain and values (with its body of ten limbs)."""
+    """Settings to start from: default; knoop2007: method and values of that paper (with its body of ten limbs)."""
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     compile_cache: str = ""
-    """Folder in which compiled programs are kept, or off; none named: the user's cache folder."""
+    """Folder for compiled programs, or off; empty: the user's cache folder."""
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
 
 
 @dataclass(frozen=True)
 class UsualSettings(Settings):
-    """Settings of which the short help shows only those of no section."""
+    """Settings for the short help, which shows only those outside of sections."""
 
     read: Suppress[ReadSettings] = field(default_factory=ReadSettings)
     detect: Suppress[DetectSettings] = field(default_factory=DetectSettings)
@@ -145,28 +145,28 @@ class UsualSettings(Settings):
 
 @dataclass(frozen=True)
 class Export:
-    """Write tracks in formats of other programs: tables, biomechanics, animation.
+    """Export tracks to formats of other programs: tables, biomechanics, animation.
 
-    What each format holds, with its units and axes, is in docs/results.md.
+    docs/results.md describes the contents, units and axes of each format.
     """
 
     tracks: Positional[tuple[Path, ...]] = ()
-    """Files <log>.tracks.npz, as replay writes them, or folders of such."""
+    """Files <log>.tracks.npz of replay, or folders of them."""
     formats: Annotated[str, arg(name="as", help=FORMATS_HELP)] = ""
     out: Path | None = None
-    """Folder for the files; none named: they are written beside the tracks."""
+    """Folder for the files; default: beside the tracks."""
     style: OmitArgPrefixes[Style] = field(default_factory=Style)
     limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
 class Convert:
-    """Make an MCAP log of a recording of another format.
+    """Convert recordings of other formats to MCAP logs.
 
-    ROS 1 bags (.bag), also RealSense's, SQLite bags of ROS 2 (.db3, or their folder), recordings of Azure Kinect and
-    Femto cameras (.mkv), skeletons of a Kinect (.json), C3D and TRC, and folders of 16-bit depth images (PNG), as the
-    TUM RGB-D benchmark has them or any with a camera file, or of point clouds (PCD, PLY). replay also takes such
-    files.
+    Reads ROS 1 and RealSense bags (.bag), SQLite bags of ROS 2 (.db3, or their folder), recordings of Azure Kinect and
+    Femto cameras (.mkv), skeletons (.json, .skeleton), tables of markers (.csv), C3D and TRC, folders of 16-bit depth
+    images (PNG; of the TUM RGB-D benchmark, or with a camera file) and of point clouds (PCD, PLY). replay also accepts
+    these.
     """
 
     sources: Positional[tuple[Path, ...]] = ()
@@ -174,12 +174,12 @@ class Convert:
     out: Path | None = None
     """The log (.mcap) of one recording, or a folder for the logs of several."""
     camera: Path | None = None
-    """Camera file (TOML) of depth images, or of an .mkv without calibration: width, height, fx, fy, cx, cy, unit
-    (metres of a count), rate (Hz)."""
+    """Camera file (TOML) for depth images, or for an .mkv without calibration: width, height, fx, fy, cx, cy, unit
+    (metres per count), rate (Hz)."""
     rate: float = 0.0
-    """Files a second of a folder whose files' names are not times in seconds (or nanoseconds of 19 digits)."""
+    """Rate of the files in a folder, Hz, if their names are not times (in seconds, or 19 digits of nanoseconds)."""
     types: tuple[str, ...] = ()
-    """Definitions of messages (.msg files of their packages) that an SQLite bag lacks; usual drivers' are known."""
+    """Message definitions (.msg files of their packages) that an SQLite bag lacks; those of usual drivers are known."""
     limits: LimitSettings = field(default_factory=LimitSettings)
 
 
@@ -195,69 +195,69 @@ class Info:
 
 @dataclass(frozen=True)
 class View:
-    """Show a log and its tracks in a browser: cloud, bodies, markers, camera image with the bodies over it.
+    """Show a log and its tracks in a browser: cloud, bodies, markers, camera image with the bodies drawn over it.
 
-    To send somebody a view, use replay --html instead: a file that needs no program.
+    To share a view, use replay --html instead: it writes a self-contained file.
     """
 
     what: Positional[tuple[Path, ...]] = ()
-    """The log, and <log>.tracks.npz, whose other people (<log>.2.tracks.npz, ...) are shown as well."""
+    """The log and, optionally, <log>.tracks.npz; further people (<log>.2.tracks.npz, ...) are shown as well."""
     port: int = 8080
-    """Of this machine's own address, on which the browser finds it; the next free one if it is taken."""
+    """Port on localhost; if it is in use, the next free one."""
     once: bool = False
-    """End at once when it is ready: a trial."""
+    """Exit as soon as the viewer is ready, as a test."""
     read: ReadSettings = field(default_factory=ReadSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Track the person in the recording that comes with the package, and compare with the truth.
+    """Track the person in the included recording, and compare with ground truth.
 
-    With --tracker flexible it is a stereo recording, which is simulated first.
+    With --tracker flexible, simulate a stereo recording first and track that.
     """
 
     out: Path = Path("demo-out")
-    """Folder for the results; made if it is missing."""
+    """Folder for the results; created if missing."""
     tracker: Literal["icp", "flexible"] = "icp"
     """icp: a depth camera; flexible: a stereo camera's images."""
 
 
 @dataclass(frozen=True)
 class FitCommand:
-    """Fit a body's sizes (or joints, bands, weights of measurements) to recorded logs.
+    """Fit a body's sizes (or joints, bands, measurement weights) to recorded logs.
 
-    Tracks the logs, changes the body until held-back measurements lie on its surface, and tracks the logs again. The
+    Tracks the logs, fits the body so that held-back points lie on its surface, and tracks the logs again. The
     body file is written only if the fitted body is better, beyond noise, in time held back from the fit. A report (.md,
     .html, .png) lists the changes with their uncertainty, and why the body was written or not. Parameters that the logs
-    do not determine keep their values. Fitted weights of measurements and options of the solve go into a settings file
-    (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: replay finds the size anew and
-    keeps the proportions. Ctrl-C stops the fit; the same command continues it.
+    do not determine keep their values. Fitted measurement weights and solver options go into a settings file
+    (.config.toml) for --config. Use the body with `voodoo-jax replay LOG --body FILE`: replay estimates the size again
+    and keeps the proportions. Ctrl-C stops the fit; the same command continues it.
     """
 
     logs: Positional[tuple[Path, ...]] = ()
     """MCAP logs, or folders of them."""
     out: Path = Path("body.toml")
-    """Body file to write if it is better; with several persons -1, -2, ... is added to its name."""
+    """Body file to write if it is better; for several people, -1, -2, ... is added to its name."""
     keep_anyway: bool = False
     """Write the fitted body even if it is no better."""
     truth: tuple[Path, ...] = ()
-    """Fit joint centres to these .npz files instead (time_ns, joints, joint_names), one for each log."""
+    """Fit to the joint centres in these .npz files instead (time_ns, joints, joint_names), one for each log."""
     overwrite: bool = False
     """Replace files that exist."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
     tracker: Literal["", "icp", "flexible"] = ""
-    """icp: fitted to depth; flexible: to the images of stereo or colour and depth cameras. Empty: that of --config."""
+    """icp: fit to 3D points; flexible: fit to images. Empty: the tracker of --config."""
     config: Annotated[Path | None, arg(help=CONFIG_HELP)] = None
     fit: Annotated[FitSettings, arg(name="")] = field(default_factory=FitSettings)
 
 
 @dataclass(frozen=True)
 class BodyCommand:
-    """Make a body file of a robot description (URDF) or of a skinned mesh (glTF).
+    """Make a body file from a robot description (URDF) or a skinned mesh (glTF).
 
-    Links, or the parts of the mesh that follow a joint, become limbs: the nearest tapered elliptic cylinders. Notes
-    name badly fitting parts. Track with `voodoo-jax replay LOG --body FILE --start.scale N`; this command prints N.
+    Links, or the parts of the mesh that follow a joint, become limbs: the best-fitting tapered elliptic cylinders.
+    Notes list parts that fit badly. Track with `voodoo-jax replay LOG --body FILE --start.scale N`; this prints N.
     """
 
     source: Positional[Path | None] = None
@@ -265,10 +265,10 @@ class BodyCommand:
     out: Path = Path("body.toml")
     """Body file to write."""
     rest: tuple[str, ...] = ()
-    """Values of a robot's joints in its rest pose, such as elbow=0.5, radians; 0 for others. It should not be stretched
-    out, nor at the joints' limits."""
+    """Joint values of the robot's rest pose, such as elbow=0.5, radians; others are 0. Avoid stretched chains and
+    joints at their limits."""
     least: float = 0.03
-    """Parts smaller than this are one with what they hang on, metres."""
+    """Parts smaller than this are merged with their parents, metres."""
     overwrite: bool = False
     """Replace a file that exists."""
     limits: LimitSettings = field(default_factory=LimitSettings)
@@ -284,7 +284,7 @@ class Config:
 
 @dataclass(frozen=True)
 class Layout:
-    """Print a layout for Foxglove (Layouts, Import from file): body in a 3D panel, confidence and residual below."""
+    """Print a layout for Foxglove (Layouts, Import from file): body in a 3D panel, confidence and residual below it."""
 
 
 Command = (

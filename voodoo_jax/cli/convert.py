@@ -15,14 +15,14 @@ def run_convert(command: Convert) -> int:
         raise Stop("name recordings and a log: voodoo-jax convert IN... --out LOG.mcap (a folder for several)")
     single = command.out.suffix == ".mcap"
     if single and len(command.sources) > 1:
-        raise Stop(f"{len(command.sources)} recordings need a folder: --out '{command.out}' names one log")
+        raise Stop(f"{len(command.sources)} recordings need a folder, but --out '{command.out}' is a single log")
     failed = False
     for source in command.sources:
         target = command.out if single else command.out / f"{source.resolve().name}.mcap"
         try:
             made_folder(target.parent)
             if target.exists() and target.samefile(source):
-                raise ConvertError(f"'{source}' would be replaced by itself: name another --out")
+                raise ConvertError(f"--out is the recording '{source}' itself: name another file")
             with limited(command.limits):
                 notes = convert(source, target, command.camera, command.rate, command.types)
         except (ConvertError, OSError) as problem:

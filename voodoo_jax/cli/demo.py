@@ -35,7 +35,7 @@ def demo(out: Path) -> int:
 
     with as_file(files("voodoo_jax") / "data") as data:
         log, truth_file = data / "demo.mcap", data / "demo.truth.npz"
-        tell("Tracking a simulated, waving and bowing person by one depth camera, without any configuration.")
+        tell("Tracking a simulated person who waves and bows in front of a depth camera, without configuration.")
         outcome = replay([log], out, again=True)[0]
         tracks = outcome.tracks
         if tracks is None or not outcome.ok:
@@ -45,7 +45,7 @@ def demo(out: Path) -> int:
         _print_errors(tracks, truth, "2 to 4 cm")
         target = Path(out) / "demo.png"
         picture(tracks, read_log(log), target, truth=_on_frames(tracks, truth))
-    tell(f"\nLook at {target}: cloud and tracked body side by side; crosses are the truth.")
+    tell(f"\nSee {target}: point cloud and tracked body side by side; crosses are the true joints.")
     tell(f"In Foxglove open {Path(out) / 'demo.voodoo.mcap'}.")
     return 0
 
@@ -60,9 +60,9 @@ def demo_flexible(out: Path) -> int:
 
     out, settings = Path(out), preset("flexible")
     out.mkdir(parents=True, exist_ok=True)
-    tell("Simulating a stereo camera's images of a waving and bowing person (half a minute).")
+    tell("Simulating stereo images of a person who waves and bows (half a minute).")
     log = write_colour(stereo_demo(), out / "demo-flexible.mcap")
-    tell("Tracking the person in these images with masses, springs and particle filters; nothing about them is given.")
+    tell("Tracking the person in these images with masses, springs and particle filters, without configuration.")
     outcome = replay([log], out, settings=settings, again=True)[0]
     tracks = outcome.tracks
     if tracks is None or not outcome.ok:
@@ -72,7 +72,7 @@ def demo_flexible(out: Path) -> int:
     _print_errors(tracks, truth, "3 to 5 cm")
     target = out / "demo-flexible.png"
     _over_images(tracks, read_log(log, settings.read), target, _on_frames(tracks, truth))
-    tell(f"\nLook at {target}: the tracked body over the left images; crosses are the truth.")
+    tell(f"\nSee {target}: the tracked body over the left images; crosses are the true joints.")
     tell(f"In Foxglove open {out / 'demo-flexible.voodoo.mcap'}, and {log} for the images.")
     return 0
 
@@ -113,7 +113,7 @@ def _print_errors(tracks: Tracks, truth: dict[str, np.ndarray], real: str) -> No
     for name, error in zip(truth["names"], np.nanmean(errors, 0)):
         tell(f"  {name:16s} {100 * error:5.1f} cm")
     tell(f"  {'all joints':16s} {100 * np.nanmean(errors):5.1f} cm")
-    tell(f"(The simulated person is made of the tracker's own kind of limbs: on real people expect {real}.)")
+    tell(f"(The simulated person has the same limb shapes as the tracker's body: on real people expect {real}.)")
 
 
 def _on_frames(tracks: Tracks, truth: dict[str, np.ndarray]) -> np.ndarray:

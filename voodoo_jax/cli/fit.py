@@ -42,9 +42,9 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         p for p in (*bodies, report, report.with_suffix(".png"), report.with_suffix(".html"), config) if p.exists()
     ]
     if command.out.suffix != ".toml":
-        raise Stop(f"--out '{command.out}': name a body file, with the ending .toml")
+        raise Stop(f"--out '{command.out}': must be a body file (.toml)")
     if there and not command.overwrite:
-        raise Stop(f"{there[0]} exists: name another --out, or say --overwrite")
+        raise Stop(f"{there[0]} exists: name another --out, or add --overwrite")
     with tqdm(total=command.fit.iterations * command.fit.rounds, unit="step", leave=False, disable=None) as bar:
 
         def show(what: str, progress: Progress | None) -> None:
@@ -63,7 +63,7 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
                 body = load_body(command.body or "human")
                 found = fit(body, logs, settings, command.fit, command.truth, state=state, say=show)
         except KeyboardInterrupt:
-            say("fit", "interrupted; the same command goes on from the last step")
+            say("fit", "interrupted; the same command continues from the last step")
             return 130
         except (BodyFileError, TruthError, FitError, LogError, ValueError, OSError) as problem:
             raise Stop(problem, 1 if isinstance(problem, (FitError, LogError)) and logs else 2) from problem
@@ -71,7 +71,7 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
         files = _write(command, settings, found, bodies)
         state.unlink(missing_ok=True)
     except OSError as problem:
-        raise Stop(f"{problem}; what was fitted is kept in {state}", 1) from problem
+        raise Stop(f"{problem}; {state} keeps the fitted parameters", 1) from problem
     tell(found.verdict.why)
     if not found.better:
         kept = "The fitted body is written anyway."

@@ -25,13 +25,13 @@ def run_live(command: Live) -> int:
     if not command.source:
         raise Stop("name a growing .mcap file, the folder of a bag, or a Foxglove WebSocket: ws://localhost:8765")
     if not -1 <= command.serve < PORTS:
-        raise Stop(f"--serve {command.serve}: must be a port, 0 (any that is free) to {PORTS - 1}")
+        raise Stop(f"--serve {command.serve}: must be a port, 0 (any free port) to {PORTS - 1}")
     if command.idle <= 0:
         raise Stop(f"--idle {command.idle:g}: must be above 0 seconds")
     with stopping(CacheError, BodyFileError, SettingsError, OSError, ValueError):
         cache = safe_folder(command.compile_cache, say)
         if problem := use_compile_cache(cache):
-            say(f"{problem}; it goes on without")
+            say(f"{problem}; continuing without a compile cache")
         with limited(command.settings.limits):
             body = load_on_host(command.body or PRESET_BODIES[command.preset])
         settings = online(command.settings)

@@ -61,9 +61,9 @@ def run_replay(command: Replay) -> int:
     if not command.logs:
         raise Stop("name at least one log")
     if command.settings.online and command.results.smooth:
-        raise Stop("--smooth averages over later frames too; leave it out with --online")
+        raise Stop("--smooth uses later frames; leave it out with --online")
     if command.settings.online_lag and (not command.settings.online or command.settings.tracker == "flexible"):
-        raise Stop("--online-lag goes with --online, and with trackers of points; leave it out")
+        raise Stop("--online-lag needs --online and a tracker of points; leave it out")
     gc.disable()  # all that is imported stays, and need not be gone through again and again
     from voodoo_jax.batch.replay import NotSummedUp, replay
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
@@ -74,7 +74,7 @@ def run_replay(command: Replay) -> int:
     gc.enable()
 
     def without_cache(problem: str) -> None:
-        say("replay", f"{problem}; it goes on without")
+        say("replay", f"{problem}; continuing without a compile cache")
 
     with stopping(CacheError):
         cache = safe_folder(command.running.compile_cache, without_cache)
@@ -248,7 +248,7 @@ def _quietly(do: Callable[[], _T]) -> _T:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more at its end
         if isinstance(problem, BrokenPipeError):
             raise SystemExit(141) from None  # 128 + SIGPIPE, as of other commands
-        say("", f"what it prints cannot be written: {problem.strerror}")
+        say("", f"the output cannot be written: {problem.strerror}")
         raise SystemExit(1) from None
 
 

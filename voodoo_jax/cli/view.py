@@ -17,9 +17,9 @@ def run_view(command: View) -> int:
     from voodoo_jax.io.log_reader import LogError
 
     if not 1 <= len(command.what) <= 2:
-        raise Stop("name a log, and its tracks if there are some: voodoo-jax view LOG [TRACKS]")
+        raise Stop("name a log and, optionally, its tracks: voodoo-jax view LOG [TRACKS]")
     if not 0 <= command.port < PORTS:
-        raise Stop(f"--port {command.port}: must be from 0 (any that is free) to {PORTS - 1}")
+        raise Stop(f"--port {command.port}: must be from 0 (any free port) to {PORTS - 1}")
     with stopping(SettingsError):
         check_settings(Settings(read=command.read, limits=command.limits))
     try:
@@ -30,7 +30,7 @@ def run_view(command: View) -> int:
             with limited(command.limits), as_mcap(str(command.what[0]), command.read.types) as (log, _):
                 viewer = Viewer(read_log(log, replace(command.read, images=True)), people, command.port)
     except ImportError as problem:
-        raise Stop('it needs viser: pip install "voodoo_jax[view]"') from problem
+        raise Stop('the viewer needs viser: pip install "voodoo_jax[view]"') from problem
     tell(f"Open http://localhost:{viewer.server.get_port()} in a browser; Ctrl-C ends it.", flush=True)
     if not command.once:
         viewer.play()

@@ -70,24 +70,24 @@ def refused(folder: str) -> str:
     for place in (Path(folder), shared):
         # a link is somebody's, too
         if {os.lstat(place).st_uid, os.stat(place).st_uid} != {os.geteuid()}:
-            return f"no compile cache in {place}: it is another user's, who could run code as you; {other}"
+            return f"no compile cache in {place}: it belongs to another user, who could run code as you; {other}"
         if os.stat(place).st_mode & OTHERS:
             return (
-                f"no compile cache in {place}: other users can write in it, so they could run code as you; close it to "
-                f"them (chmod go-w '{place}'), empty it if somebody may have written there, or {other}"
+                f"no compile cache in {place}: other users can write in it, so they could run code as you; remove "
+                f"their permission (chmod go-w '{place}') and empty it if somebody may have written there, or {other}"
             )
     # not the owners and groups of folders above: who exchanges a folder still cannot make files of this user
     for place in Path(folder).resolve().parents:
         mode = os.stat(place).st_mode
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-            return f"no compile cache in {folder}: anybody can exchange what is in {place}; {other}"
+            return f"no compile cache in {folder}: anybody can replace the contents of {place}; {other}"
     return ""
 
 
 def _warn(problem: str) -> None:
     if problem not in _warned:
         _warned.add(problem)
-        warnings.warn(f"{problem}. It goes on without, and compiles for half a minute.", RuntimeWarning, stacklevel=4)
+        warnings.warn(f"{problem}. Continuing without: compiling takes half a minute.", RuntimeWarning, stacklevel=4)
 
 
 def safe_folder(asked: str, say: Callable[[str], None] = _warn) -> str:
@@ -311,7 +311,7 @@ def _read(path: Path) -> bytes:
     """What is in a file that can be trusted. Raises OSError for others."""
     with os.fdopen(os.open(path, OPENED | os.O_RDONLY | getattr(os, "O_BINARY", 0)), "rb") as stream:
         if not _trusted(os.fstat(stream.fileno())):
-            raise PermissionError(f"{path} is not this user's alone")
+            raise PermissionError(f"{path} is not private to this user")
         return stream.read()
 
 

@@ -26,41 +26,41 @@ def check_fit(options: "FitSettings") -> None:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """What is fitted to what, and how long."""
+    """Parameters, data and duration of a fit."""
 
     free: tuple[str, ...] = ("segments",)
-    """What may change: segments (the lengths that are reported: of people upper arms, forearms, thighs, shanks), shape
-    (scale and the main ways in which people of one stature differ, if the body file has [[mode]] tables), scale,
-    lengths, radii, "joint centres", bands, "measurement weights", or patterns of names such as lengths.*thigh,
-    radii.chest.top, bands.*.weight, bands.*.axes.x, anchors.hip.y, solve.ratio."""
+    """Parameters to fit: segments (the reported lengths; of people upper arms, forearms, thighs, shanks), shape (scale
+    and modes of variation at one stature, if the body file has [[mode]] tables), scale, lengths,
+    radii, "joint centres", bands, "measurement weights", or patterns of names such as lengths.*thigh, radii.chest.top,
+    bands.*.weight, bands.*.axes.x, anchors.hip.y, solve.ratio."""
     mirrored: bool = True
-    """Left and right change alike."""
+    """Change left and right equally."""
     persons: Literal["one", "each"] = "one"
-    """one: all logs show the same person; each: every log another one, with a body of its own. Bands, measurement
-    weights and settings are common to all logs either way."""
+    """one: all logs show the same person; each: every log shows another person and gets its own body. Bands,
+    measurement weights and settings are common to all logs either way."""
     folds: int = 0
-    """For what people have in common (bands, measurement weights, solve.*), over logs of several people: cut the logs
-    into so many runs, in the order given, track each run with what the others gave, and write only what is better
-    there. Every log then has a person of its own. 0: time held back in each log judges."""
+    """Cross-validation for parameters that people share (bands, measurement weights, solve.*), with logs of several
+    people. In their order, logs form this number of folds; each is tracked with parameters fitted to the others, and
+    only improvements are written. Every log has its own person. 0: stretches held back in each log decide."""
     frames: int = 24
-    """Frames of each log that are fitted to, spread over the well tracked ones of every third run of time; the others
-    are held back and judge."""
+    """Frames of each log to fit to, spread over the well tracked ones of every third stretch of time; the other
+    stretches are held back."""
     points: int = 256
-    """Points of a frame that its pose is solved on; as many others judge."""
+    """Points of a frame that determine its pose; as many others determine the loss."""
     steps: int = 30
     """ICP steps before the Newton steps, in each frame and each step of the fit."""
     iterations: int = 12
-    """Most steps of a round; it ends by itself before, where the loss hardly falls any more."""
+    """Largest number of steps of a round; it ends earlier if the loss hardly decreases."""
     rounds: int = 1
-    """After each round but the last the logs are tracked anew with the body found so far: wrong sizes make wrong poses,
-    which no step from there leaves. Say 3 where the body is far off, by a tenth and more; else it gains nothing."""
+    """Rounds of tracking and fitting. More than one helps only if sizes are wrong by a tenth or more, since these give
+    wrong poses: then take 3."""
     noise: float = 0.035
-    """How far a person's surface is from the body's cylinders (standard deviation, metres); smaller trusts the log more
-    and the priors less. The default is what lengths of rendered people of known sizes ask for (experiments/fit)."""
+    """Distance of a person's surface from the body's cylinders (standard deviation, metres); a smaller one trusts the
+    log more and the priors less. The default fits rendered people of known sizes (experiments/fit)."""
     looseness: float = 1.0
-    """Widens all priors by this factor; with folds, where logs left out judge, by four times as much."""
+    """Factor that widens all priors; with folds, by four times as much."""
     stiffness: float = 20.0
-    """How many times stiffer than in tracking the bands are while sizes are fitted: soft ones give way to a wrong
-    length, so that the points hardly tell. 1 where bands or solve are free."""
+    """Stiffness of the bands while sizes are fitted, relative to tracking (soft bands stretch to absorb wrong lengths).
+    Use 1 if bands or solve are free."""
     markers: bool = False
-    """Named 3D points of the logs judge the fit and hold no pose; otherwise half of them do."""
+    """Use all named 3D points of the logs for the loss and none for the poses; otherwise half for each."""

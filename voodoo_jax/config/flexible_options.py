@@ -12,71 +12,71 @@ class FlexibleSettings:
     head_particles: int = 100
     """Particles of the head's filter."""
     seed: int = 0
-    """Random numbers begin here: the same seed gives the same tracks."""
+    """Seed of the random numbers: the same seed gives the same tracks."""
     layers: int = 3
-    """Annealing: how often each frame the particles are spread, weighed and drawn again, ever finer (the paper: 1)."""
+    """Annealing layers per frame: particles are spread, weighed and resampled, finer in each layer (the paper: 1)."""
     velocity: float = 0.6
-    """Share of a particle's velocity that is expected to go on (the paper: 0.5 to 0.8)."""
+    """Share of a particle's velocity in the prediction (the paper: 0.5 to 0.8)."""
     depth_share: float = 0.25
     """Share of the particles that are spread along the line of sight (alpha in the paper)."""
     depth_noise: tuple[float, ...] = (0.05, 0.12, 0.2)
-    """How far they are spread: roots, middles and ends of limbs, metres (the paper: 0.15, 0.5, 1.0)."""
+    """Noise of these particles at roots, middles and ends of limbs, metres (the paper: 0.15, 0.5, 1.0)."""
     base_noise: float = 0.02
-    """How far all others are spread in any case, metres."""
+    """Noise of all other particles, metres."""
     spread_noise: float = 0.3
-    """And in addition, as a share of how far the particles are apart."""
+    """Additional noise, as a share of the particles' spread."""
     motion_noise: float = 0.1
-    """And in addition where all the image moves, metres."""
+    """Additional noise if the whole image moves, metres."""
     edge_weight: float = 3.0
-    """What the edge score (0 to 1) weighs in the logarithm of a particle's weight."""
+    """Weight of the edge score (0 to 1) in the logarithm of a particle's weight."""
     surface_weight: float = 4.0
-    """The same of the surface score: colours."""
+    """Weight of the surface score (colours) there."""
     depth_weight: float = 10.0
-    """The same of the share of a limb's surface that is where depth is measured; 0: no dense depth is used."""
+    """Weight of the share of a limb's surface that agrees with measured depth; 0: no dense depth is used."""
     points_weight: float = 60.0
-    """The same of the mean squared distance of measured points to the body; 0: no points are used."""
+    """Weight of the mean squared distance of measured points to the body; 0: no points are used."""
     skin_weight: float = 6.0
-    """The same of the share of skin on a hand as far as it is seen; skin is what has the face's colours and not those
-    of clothes. 0: colours of hands are not looked at."""
+    """Weight of the share of skin colour on the visible part of a hand; skin has colours of the face that clothes have
+    not. 0: colours of hands are not used."""
     hidden_edge: float = 0.35
     """Edge score of a sample that is hidden or outside of the image."""
     hidden_surface: float = 0.5
     """Surface score of such a sample."""
     seen_length: bool = True
-    """Scores count by the length of limb that is seen; false: means, as in the paper, which like limbs that point at
-    the camera."""
+    """Weight scores by the visible length of a limb; false: use means, as in the paper, which favours limbs that point
+    at the camera."""
     unseen: float = 1.0
-    """What the length of limb that is not seen scores then, as a share of what hidden samples score (0: nothing, so
-    that limbs that point at the camera score least)."""
+    """Score of the invisible length with seen_length, relative to that of hidden samples (0: none, so that limbs that
+    point at the camera get the lowest score)."""
     flow: bool = True
     """Half of the particles follow the optical flow instead of their own velocity."""
     restart: float = 0.1
-    """Share of the particles that are put anew where points are that the rest of the body does not explain."""
+    """Share of the particles that restart at points that the rest of the body does not explain."""
     relaxations: int = 6
-    """How often springs and limits are applied after each step."""
+    """Rounds of springs and limits after each step."""
     refine: int = 8
-    """Rounds of the refinement, in which points pull the cylinders onto themselves; 0: none, as in the paper."""
+    """Rounds of the refinement, in which points pull the cylinders; 0: none, as in the paper."""
     follow_level: float = 0.6
-    """Share of the head's level motion that all other points follow at once (the paper: 0.8)."""
+    """Share of the head's horizontal motion that all other points follow at once (the paper: 0.8)."""
     follow_up: float = 0.2
-    """Share of its motion up and down (the paper: 0.8)."""
+    """Share of its vertical motion (the paper: 0.8)."""
     gravity: float = 9.81
-    """With which the body dangles from its head, metres per square second."""
+    """Gravity on the body, which hangs from its head, metres per square second."""
     mass_base: float = 0.5
     """m_base: mass of a point whose particles are far apart."""
     mass_variable: float = 6.0
-    """m_variable: what is added where they are together: m = m_base + m_variable exp(-mass_falloff sigma)."""
+    """m_variable: additional mass if they agree: m = m_base + m_variable exp(-mass_falloff sigma)."""
     mass_falloff: float = 20.0
-    """How fast it falls with how far they are apart (-s in the paper), per metre."""
+    """Decrease of the additional mass with the particles' spread (-s in the paper), per metre."""
     legs_apart: float = 0.0
-    """Knees and ankles stay so far on their own side of the plane between the legs, as a share of the stature."""
+    """Distance of knees and ankles from the plane between the legs, on their own side, as a share of the stature."""
     legs_cross: float = 0.1
-    """They may cross it by so much instead, as those of people do who walk (the paper: not at all)."""
+    """Distance by which they may cross it instead, as in walking, as a share of the stature (the paper: 0)."""
     learn_frames: int = 8
-    """Images in which colours are learnt, then they are frozen."""
+    """Images in which colours are learnt; then they are frozen."""
     points: int = 384
-    """Measured points of a frame that are used, at most."""
+    """Largest number of measured points of a frame."""
     backwards: bool = True
-    """Also track backwards in time and take, limb by limb, what explains more (not online)."""
+    """Also track backwards in time; each limb comes from the pass that explains more (not online)."""
     lost_confidence: float = 0.4
-    """So small a share of the joints expected within 10 cm: the frame counts as lost."""
+    """A frame is lost if the mean confidence of the joints is below this."""

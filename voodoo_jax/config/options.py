@@ -8,119 +8,119 @@ from voodoo_jax.config.flexible_options import FlexibleSettings as FlexibleSetti
 
 @dataclass(frozen=True)
 class ReadSettings:
-    """How a log becomes frames."""
+    """Reading a log: topics, units, calibration and transforms."""
 
     topics: tuple[str, ...] = ()
-    """Depth topics to use; empty: all that are found."""
+    """Depth topics to use; empty: all."""
     laser: bool = False
-    """Use laser scanners too: their points are taken like a depth camera's."""
+    """Use laser scanners too, as sources of 3D points."""
     stereo: bool = True
-    """Use pairs of calibrated images (topics named left and right) of rigs that have no other depth data."""
+    """Use stereo pairs (calibrated images, topics named left and right) of rigs that have no other depth data."""
     skin: bool = False
-    """Look for regions of skin colour in calibrated colour images: each is a line of sight to the feature skin."""
+    """Detect regions of skin colour in calibrated colour images; each is a line of sight to the feature skin."""
     pose_net: str = ""
-    """Look for a person's key points in calibrated colour images by a network: each is a line of sight. mediapipe: the
-    one that the extra [pose] installs; or a wheel or a folder that has MediaPipe's files; empty: none."""
+    """Detect a person's key points in calibrated colour images by a network; each is a line of sight. mediapipe: the
+    network that the extra [pose] installs; or a wheel or folder with MediaPipe's files; empty: none."""
     images: bool = False
-    """Give calibrated colour images to the tracker too: `--tracker flexible` sees to it."""
+    """Also give calibrated colour images to the tracker; `--tracker flexible` switches this on."""
     matching: Literal["fine", "none"] = "fine"
-    """How stereo pairs are matched. fine: densely, to fractions of a pixel; none: not at all, for trackers that have
-    the images."""
+    """Stereo matching. fine: dense, with sub-pixel accuracy; none: no matching, for trackers that use the images
+    directly."""
     features: bool = True
     """Use named 2D and 3D features too: detections, annotations, points, markers."""
     fixed_frame: str = ""
-    """Frame in which everything is expressed; empty: the root of the transform tree."""
+    """Frame of all results; empty: the root of the transform tree."""
     min_range: float = 0.1
     """Nearer measurements are dropped, metres."""
     max_range: float = 12.0
     """Farther measurements are dropped, metres."""
     max_points: int = 120_000
-    """Per sensor and frame; a denser depth image is read at every second, third, ... row and column."""
+    """Most points of a sensor in a frame; of larger depth images every second, third, ... row and column is used."""
     parts: tuple[str, ...] = ()
-    """Depth topic = limb, or topic = body: a segmentation has found all its points to be on that part of the person."""
+    """Topic = limb, or topic = body: all points of this depth topic are on that part, by a segmentation."""
     label_field: str = ""
-    """Field of point clouds that says which part a point is on; empty: one named like label, if labels are given."""
+    """Field of point clouds with each point's label; empty: a field with a name like label, if labels are given."""
     labels: tuple[str, ...] = ()
-    """Value of that field = limb, body or free; others are free, but without any entry all except 0 are body."""
+    """Value of that field = limb, body or free. Other values are free; without entries, all except 0 are body."""
     weights: tuple[str, ...] = ()
     """Topic = weight of each of its points or features; a point of a depth camera weighs 1."""
     up: str = ""
-    """Which way is up in the fixed frame: x, y, z, -x, -y, -z, or three numbers with commas; empty: it is found."""
+    """Upward direction in the fixed frame: x, y, z, -x, -y, -z, or three numbers with commas; empty: estimated."""
     scale: tuple[str, ...] = ()
-    """Topic = metres per unit of its distances or coordinates (0.001: millimetres); without an entry it is found."""
+    """Topic = metres per unit of its distances or coordinates (0.001: millimetres); without an entry: estimated."""
     mirror: tuple[str, ...] = ()
-    """Topic = axis (x, y or z) that is turned round: of named points in left-handed coordinates, such as Unity's, and
-    of clouds; of depth images x where they are mirrored left to right, y upside down. none, of named points:
-    coordinates are right-handed, and it is names that are on the wrong sides."""
+    """Topic = axis (x, y or z) to invert. For named points in left-handed coordinates, such as Unity's, and for clouds.
+    For depth images: x if they are mirrored left to right, y if upside down. none, for named points: coordinates are
+    right-handed, but left and right are exchanged in the names."""
     radial: tuple[str, ...] = ()
     """Depth image topic = yes if its values are distances along the rays, no if they are depths along the optical axis;
-    without an entry floor and walls decide."""
+    without an entry: estimated from floor and walls."""
     delays: tuple[str, ...] = ()
-    """Topic = seconds by which its stamps are late (negative: early); without an entry clocks are brought together."""
+    """Topic = seconds by which its stamps are late (negative: early); without an entry: estimated."""
     camera: tuple[str, ...] = ()
     """Calibration of depth images and cameras: topic = file (a camera_info as YAML, TOML or JSON), or one file for all
-    images whose calibration is not in the log."""
+    images without a calibration in the log."""
     types: tuple[str, ...] = ()
-    """Definitions of messages (.msg files of their packages) that an SQLite bag of ROS 2 lacks; usual drivers' are
+    """Message definitions (.msg files of their packages) that a ROS 2 SQLite bag lacks; those of common drivers are
     known."""
     transform: tuple[str, ...] = ()
-    """Transforms that the log lacks or has wrong: "parent child x y z qx qy qz qw" (metres), each of them a text."""
+    """Transforms that are missing or wrong in the log, each a text: "parent child x y z qx qy qz qw" (metres)."""
 
 
 @dataclass(frozen=True)
 class DetectSettings:
-    """How the person (or any tracked body) is separated from floor, walls and furniture."""
+    """Separating the person (or other body) from floor, walls and furniture."""
 
     people: int = 0
-    """How many people (or other bodies) are tracked at most, those in view for longest first; 0: all in view; 1: the
-    main one only."""
+    """Largest number of people (or other bodies) to track, those in view for longest first; 0: all; 1: only the main
+    one."""
     floor_margin: float = 0.035
     """Points lower than this above the floor are dropped, metres."""
     link: float = 0.12
-    """Points closer than this belong to the same thing, metres."""
+    """Points closer than this are connected, metres."""
     min_height: float = 0.65
-    """A thing lower than this is not taken for the body at the start, as a share of the body's height at rest."""
+    """At the start, objects lower than this are not taken for the body, as a share of the body's height at rest."""
     move: float = 0.25
-    """How far a part of the body may have moved since the last frame, metres."""
+    """Largest distance that a part of the body moves between frames, metres."""
     forget: int = 30
     """After this number of frames without the body the search covers the whole view again."""
     reach: float = 0.7
-    """Things farther than this from the box that the body was in are dropped, metres."""
+    """Objects farther than this from the body's last bounding box are dropped, metres."""
     points: int = 1024
-    """Points per frame given to the tracker: a random choice where there are more. Where one person is followed by one
-    sensor that sees twice as many on them, only an even share of a frame's points is looked at from the start."""
+    """Points per frame for the tracker, chosen at random from more. If a single sensor sees twice as many on a single
+    person, frames are subsampled evenly before detection."""
     noise: float = 0.03
-    """Noisier points than this weigh less, in inverse proportion to their variance, metres; 0: all weigh alike."""
+    """Points noisier than this weigh less, in inverse proportion to their variance, metres; 0: equal weights."""
     skip: tuple[str, ...] = ()
-    """Stages that are left out, by name; looks_ahead: all that use later frames."""
+    """Names of stages to skip; looks_ahead: all that use later frames."""
 
 
 @dataclass(frozen=True)
 class StartSettings:
-    """How the tracker finds pose, place and size at the beginning."""
+    """Start of the tracker: pose, position and size."""
 
     scale: float = 0.0
     """The body's scale (a person's stature) in metres; 0: measured from the cloud."""
     headings: int = 12
-    """Directions that are tried, evenly spread."""
+    """Number of headings to try, evenly spread."""
     frames: int = 6
-    """Frames over which the trials are compared, at most."""
+    """Most frames over which the trials are compared."""
     seconds: float = 0.4
-    """Time over which the trials are compared, at most; never less than three frames."""
+    """Longest time over which the trials are compared, but at least three frames."""
     directions: int = 26
-    """Directions that are tried for a held thing that appears."""
+    """Number of directions to try for a held object that appears."""
     size_frames: int = 12
     """Frames over which the size is measured."""
     later: tuple[float, ...] = (0.5, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0)
-    """After a doubtful beginning, times in seconds at which a clearer start is tried; from there the body is tracked
-    backwards to the beginning (not online)."""
+    """After a doubtful start, times in seconds of further starts; from the clearest one the body is tracked backwards
+    to the beginning (not online)."""
     sure: float = 0.00014
-    """Mean squared distance beyond what noise makes, square metres, below which a start is in no doubt."""
+    """A start is certain if its mean squared distance, less that of noise, is below this, square metres."""
 
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """Named features: which point of the body each is, and what it weighs (Knoop 2007, secs. 5.1 and 6)."""
+    """Named features: their points on the body, and their weights (Knoop 2007, secs. 5.1 and 6)."""
 
     names: tuple[str, ...] = (
         "face=sellion",
@@ -128,16 +128,16 @@ class FeatureSettings:
         "right_hand=r_metacarpal_phalanx_3",
         "skin=sellion|l_metacarpal_phalanx_3|r_metacarpal_phalanx_3",
     )
-    """Feature in the log = feature point or joint centre of the body; names of the body need no entry. Several points
-    with | between: the feature is the nearest of them."""
+    """Feature in the log = point or joint centre of the body; the body's own names need no entry. With several points,
+    separated by |, the feature is the nearest of them."""
     weights: tuple[str, ...] = ("face=4", "left_hand=5.5", "right_hand=5.5", "skin=3")
     """Feature in the log = weight; a point of a depth camera weighs 1. The papers: face 30, hand 20."""
     weight: float = 20.0
     """Weight of other features."""
     robust_scale: float = 0.12
-    """Distance at which a feature counts a quarter, metres: wrong detections happen."""
+    """Distance at which the weight of a feature is down to a quarter, metres (robust against wrong detections)."""
     max_distance: float = 0.5
-    """Features farther than this from their place on the body are ignored, metres."""
+    """Features farther than this from their point on the body are ignored, metres."""
 
 
 @dataclass(frozen=True)
@@ -145,20 +145,20 @@ class SolveSettings:
     """The ICP of one frame (Knoop 2007, sec. 5.2)."""
 
     solver: Literal["coupled", "per_limb"] = "coupled"
-    """coupled: all limbs and bands in one Gauss-Newton step; per_limb: the papers' way, limb by limb."""
+    """coupled: all limbs and bands in one Gauss-Newton step; per_limb: limb by limb, as in the papers."""
     damping: float = 1e-4
     """Levenberg-Marquardt damping of the coupled solver, as a share of the diagonal."""
     max_steps: int = 30
-    """Most ICP steps per frame (the papers: 6 online, 3 to 15 in general)."""
+    """Largest number of ICP steps per frame (the papers: 6 online, 3 to 15 in general)."""
     stretch: float = 2.0
     """Largest factor by which successive steps of a limb in the same direction are extrapolated (coupled); 1: none."""
     epsilon: float = 1e-7
-    """Stop when the mean squared distance changes by less, square metres (coupled, from where it was expected: by less
-    than ten times that, or rises); 0: take all steps."""
+    """Stop when the mean squared distance changes by less, square metres; 0: take all steps. If the
+    prediction was close, the coupled solver also stops if it changes by less than ten times this, or rises."""
     ratio: float = 0.6
-    """r: weight of a joint's bands over the measured weight of the limb (the papers: 0.4 to 0.7)."""
+    """r: weight of a joint's bands relative to the measured weight of the limb (the papers: 0.4 to 0.7)."""
     floor: float = 0.03
-    """Bands refer to at least this share of the frame's weight, so that a limb nobody sees hangs on its bands."""
+    """Least weight to which bands refer, as a share of the frame's weight, so that bands hold limbs without points."""
     body_enlarge: float = 0.4
     """Points outside the body's box enlarged by this are dropped, metres."""
     limb_enlarge: float = 0.35
@@ -166,18 +166,18 @@ class SolveSettings:
     sampling: float = 1.0
     """Share of a limb's points that are used, evenly spread."""
     sampling_min: int = 0
-    """A limb keeps at least so many points, or all it has."""
+    """Least number of points that a limb keeps, if it has as many."""
     sampling_max: int = 8192
-    """Most points that a limb uses."""
+    """Largest number of points that a limb uses."""
     max_distance: float = 0.35
-    """Longest distance of a pair, metres."""
+    """Largest distance of a pair, metres."""
     robust_scale: float = 0.15
-    """Distance at which a pair counts a quarter (Geman-McClure), metres; inf: all pairs count fully."""
+    """Distance at which the weight of a pair is down to a quarter (Geman-McClure), metres; inf: equal weights."""
     overlap: Literal["exclusive", "shared", "adjacent", "soft"] = "exclusive"
     """Rule for a point in several limbs' boxes. soft: each limb gets a share of it, the nearest one most, so that
-    gradients include points that go from limb to limb."""
+    gradients include points that change limbs."""
     softness: float = 0.02
-    """Distance over which shares go from one limb to the next (overlap soft), metres."""
+    """Distance over which the shares change from one limb to the next (overlap soft), metres."""
     near_side: bool = True
     """Match points to the side of a limb that faces their sensor."""
     refine: int = 0
@@ -185,66 +185,66 @@ class SolveSettings:
     prior: float = 0.0003
     """Weight of the pull to the predicted pose, as a share of the frame's weight."""
     prior_radius: float = 0.4
-    """Where the pull's pairs sit: larger holds rotations more, metres."""
+    """Distance of the pull's pairs from the limb's centre, metres; a larger one holds rotations more."""
     steady: float = 8.0
-    """Weight of the pull that holds a limb where it stands still, over the limb's measured weight; 0: none."""
+    """Weight of the pull that holds a limb at rest, relative to the limb's measured weight; 0: none."""
     steady_distance: float = 0.004
-    """Distance from the predicted place at which that pull is down to a quarter, metres: moving limbs are not held."""
+    """Distance from the predicted pose at which that pull is down to a quarter, metres: moving limbs are not held."""
     limits: float = 0.1
-    """Weight of pairs that turn joints back into their limits from frame to frame, relative to a joint's bands; 0: only
+    """Weight of pairs that turn joints back to their limits, relative to a joint's bands; 0: violations are only
     reported."""
     collisions: float = 0.0
-    """Weight of pairs that push limbs out of each other, relative to a joint's bands; 0: only reported."""
+    """Weight of pairs that push limbs apart, relative to a joint's bands; 0: collisions are only reported."""
     collision_margin: float = 0.02
-    """Limbs may be in each other by so much more than in the rest pose before they are pushed, metres."""
+    """Overlap of limbs, beyond that of the rest pose, that is tolerated before they are pushed apart, metres."""
 
 
 @dataclass(frozen=True)
 class TrackSettings:
-    """From frame to frame."""
+    """Tracking from frame to frame."""
 
     damping: float = 0.7
-    """Share of the last frame's velocity that is expected to go on (0: stand still, 1: constant velocity)."""
+    """Share of the last frame's velocity in the prediction (0: no motion, 1: constant velocity)."""
     prior_interval: float = 0.035
-    """Over longer intervals between frames the pull to the prediction weakens with the square of the time, seconds."""
+    """For longer frame intervals, the pull to the prediction decreases with the square of the interval, seconds."""
     still_speed: float = 0.2
-    """Limbs that are slower are held where they are (solve.steady), metres per second."""
+    """Limbs slower than this are held in place (solve.steady), metres per second."""
     hidden_rest: float = 0.8
     """Time in which limbs without points return to their rest pose, seconds (0: never); meanwhile they follow their
     parents."""
     hidden_weight: float = 8.0
-    """Weight of the points (1 each if not noisy) at which a limb counts as half hidden."""
+    """Weight of the points (1 each without noise) at which a limb counts as half hidden."""
     lost_explained: float = 0.8
-    """Less than this share of the person's points explained: the frame counts as lost."""
+    """A frame is lost if less than this share of the person's points is explained."""
     lost_confidence: float = 0.4
-    """So small a share of the joints expected within 10 cm: the frame counts as lost."""
+    """A frame is lost if the mean confidence of the joints is below this."""
     patience: int = 15
-    """After this number of successive lost or empty frames the search for the body starts anew."""
+    """After this number of successive lost or empty frames the search for the body starts again."""
     chunk: int = 128
     """Frames per compiled run."""
     skip: tuple[str, ...] = ()
-    """Stages that are left out, by name; looks_ahead: all that use later frames, so that each frame is tracked by what
-    came before it only."""
+    """Names of stages to skip; looks_ahead: all that use later frames, so that each frame depends only on earlier
+    ones."""
 
 
 @dataclass(frozen=True)
 class LimitSettings:
-    """Limits for one log: anything beyond a limit is refused with a sentence, and the rest is read."""
+    """Limits for one log: data beyond a limit is refused with a message, and the rest is read."""
 
     # the largest message of sensors in use is a raw image of 32 Mpixel (128 MB); recorders close chunks at some MB
     chunk_bytes: int = 256 << 20
-    """Bytes of a chunk, or of a message that is packed by itself, unpacked."""
+    """Bytes of a chunk, or of a compressed message, unpacked."""
     # a record of one takes 500 bytes of memory beside its content (measured), so this is half a GB
     chunk_messages: int = 1 << 20
     """Messages of a chunk."""
     # a log of dark images packs 500 : 1 (measured), zeros alone 10,000 : 1; the 4 GiB are for small logs
     log_bytes: int = 4 << 30
-    """Bytes of a whole log, unpacked, beyond limits.log_times its size."""
+    """Bytes of a whole log, unpacked, in addition to limits.log_times its size."""
     log_times: int = 1000
-    """So many times its size a log may have besides, unpacked."""
+    """Size of a log, unpacked, as a multiple of its file size (see limits.log_bytes)."""
     # the largest depth cameras and stereo cameras have 4096 x 4096 pixels
     pixels: int = 1 << 24
-    """Pixels of an image, as its header says."""
+    """Pixels of an image, by its header."""
     # lidars have 0.3 million in a turn; terrestrial scanners some millions
     points: int = 1 << 24
     """Points of a cloud or of a turn of a laser scanner."""
@@ -253,10 +253,10 @@ class LimitSettings:
     """Bytes of a schema."""
     # the longest of common_interfaces (InteractiveMarkerUpdate) has 700; 4000 take 0.4 s (measured)
     schema_lines: int = 4000
-    """Lines of a schema, fields or comments, with what it includes."""
-    # fields with those of the fields: the largest of common_interfaces (InteractiveMarkerUpdate) has 800
+    """Lines of a schema, including comments and included definitions."""
+    # with nested ones the largest of common_interfaces (InteractiveMarkerUpdate) has 800
     schema_fields: int = 10_000
-    """Fields of a schema with those of the fields."""
+    """Fields of a schema, including nested ones."""
     # robots record some hundred types of 100 lines
     schemas_bytes: int = 32 << 20
     """Bytes of all schemas of a log."""
@@ -268,7 +268,7 @@ class LimitSettings:
     """Different names of features, markers or coordinate frames of a log."""
     # 20 moving frames at 100 Hz are 7 million in an hour; one takes 80 bytes, and as much when they are sorted
     transforms: int = 1 << 23
-    """Transforms of a log that move."""
+    """Moving transforms of a log."""
     # 50 markers at 90 Hz are 16 million in an hour; one takes 100 bytes, and as much when they are gathered
     features: int = 1 << 24
     """Named features of a log, in all its messages together."""
@@ -280,33 +280,33 @@ class LimitSettings:
     """Bytes of memory for reading a file of another format."""
     # no recording at hand needs more than 6 s for its first frame (measured, one slow core): ten times that
     seconds: float = 60.0
-    """Seconds of a processor in which a log must yield its next frame, for each GiB begun of its size; 0: no limit."""
+    """Processor seconds until a log must yield its next frame, for each started GiB of its size; 0: no limit."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """A change of the body while it is tracked (Knoop 2006, sec. IV); a table [[change]] in a settings file."""
+    """A change of the body during tracking (Knoop 2006, sec. IV); a table [[change]] in a settings file."""
 
     time: float
-    """When, in seconds after the first frame."""
+    """Time of the change, seconds after the first frame."""
     scale: float = 0.0
-    """New scale of the body (a person's stature), metres; 0: as it is."""
+    """New scale of the body (a person's stature), metres; 0: unchanged."""
     sizes: tuple[tuple[str, tuple[float, ...]], ...] = ()
     """New sizes of limbs: both semi-axes of the bottom ellipse, of the top ellipse, length; metres."""
     remove: tuple[str, ...] = ()
-    """Limbs or held things that go, with all that hangs on them."""
+    """Limbs or held objects to remove, with everything attached to them."""
     add: Any = ""
-    """A limb that was removed, or a held thing: a body file (in Python also a Body)."""
+    """A limb that was removed, or a held object: a body file (in Python also a Body)."""
     to: str = ""
-    """Limb that carries the thing."""
+    """Limb that carries the object."""
     at: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """Where it is held, in the frame of the limb that carries it, metres."""
+    """Position of the joint in the frame of the carrying limb, metres."""
     grip: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """Where it is held, in the frame of the thing's first limb, metres."""
+    """Position of the joint in the frame of the object's first limb, metres."""
     axis: tuple[float, ...] = ()
-    """Direction in the carrying limb's frame in which the thing points at first; empty: trials find it."""
+    """Initial direction of the object in the carrying limb's frame; empty: found by trials."""
     joint_axes: tuple[float, ...] = (0.0, 0.0)
-    """Semi-axes of the joint's ellipse, metres: both 0 lets the thing turn freely."""
+    """Semi-axes of the joint's ellipse, metres; both 0: the object turns freely."""
     weight: float = 1.0
     """Weight of the joint."""
 
@@ -324,8 +324,8 @@ class Settings:
     flexible: FlexibleSettings = field(default_factory=FlexibleSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
     tracker: Literal["icp", "flexible", "both"] = "icp"
-    """icp: cylinders fitted to 3D points (Knoop et al. 2006, 2007); flexible: particle filters on stereo or colour
-    and depth images (Hecht et al. 2009); both: each limb by both."""
+    """icp: cylinders fitted to 3D points (Knoop et al. 2006, 2007); flexible: particle filters on images of stereo
+    pairs or of colour and depth cameras (Hecht et al. 2009); both: both trackers, merged limb by limb."""
     changes: tuple[Change, ...] = ()
     online: bool = False
     """Use no later frames, as on a robot."""

@@ -1,4 +1,4 @@
-"""How joints and bones are called in the files that are written, and how the skeletons in them stand."""
+"""Names of joints and bones in exported files, and the bind pose of their skeletons."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,8 +11,8 @@ class Style:
     """Names and bind pose."""
 
     names: Names = ""
-    """Names of joints; common: left_wrist."""
+    """Convention for joint names, such as common (left_wrist); empty: unchanged."""
     rig: Literal["mixamo", "humanoid", "lafan1"] = "mixamo"
-    """Bones of people in BVH, glTF, USD."""
+    """Skeleton of people in BVH, glTF, USD."""
     pose: Literal["t", "a"] = "t"
-    """In which people's skeletons are bound."""
+    """Bind pose of people's skeletons: T or A."""

@@ -33,7 +33,7 @@ def preset(name: str) -> Settings:
     if name == "hecht2009":
         return Settings(tracker="flexible", read=_IMAGES, flexible=_hecht2009())
     if name != "knoop2007":
-        raise SettingsError(f"there is no preset '{name}', but {', '.join(PRESETS)}")
+        raise SettingsError(f"there is no preset '{name}'; there are {', '.join(PRESETS)}")
     inf = float("inf")
     return Settings(
         read=ReadSettings(laser=True),

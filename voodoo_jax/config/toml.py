@@ -124,7 +124,7 @@ def settings_from(content: dict[str, Any], base: "Settings", path: str | os.Path
             changes = tuple(_change(path, n, table) for n, table in enumerate(values, 1))
             continue
         if stage not in _STAGES or not isinstance(values, dict):
-            raise SettingsError(f"{path}: [{stage}] is no stage{nearest(stage, filter(None, _STAGES))}")
+            raise SettingsError(f"{path}: [{stage}] is not a section{nearest(stage, filter(None, _STAGES))}")
         known = {f.name: f for f in fields(_STAGES[stage])}
         checked = {}
         for name, value in values.items():

@@ -1,4 +1,4 @@
-"""What in the scene is the body: ordered stages from frames to observations.
+"""Finds the body in the scene: ordered stages from frames to observations.
 
 Public: `pipeline.find_body`, `pipeline.find_people`.
 """

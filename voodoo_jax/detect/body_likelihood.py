@@ -1,4 +1,4 @@
-"""Which of several things is likeliest to be the body, where nobody knows yet. Host side, NumPy."""
+"""Chooses the object that is most likely the body, before it is known. Host side, NumPy."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ BROAD = 1.5  # times that area: what is even broader at the top is less likely t
 
 
 class Build(NamedTuple):
-    """How large a body is at rest."""
+    """Size of the body in its rest pose."""
 
     height: float  # metres
     width: float  # level, from end to end, metres
@@ -27,7 +27,7 @@ class Build(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """Its height or width, whichever is larger, in the largest size that is as likely; metres."""
+        """The larger of its height and width at the largest plausible size, metres."""
         return max(self.height, self.width) * (1 + self.loose)
 
 
@@ -41,13 +41,13 @@ def candidate(
     body: Build,
     least: float,
 ) -> tuple[int, float, float]:
-    """Label of the thing that is about as high as the body and not much wider, the largest of several, the height of
-    its top, and how likely it is, 0..1; things of another height, poles, and what is as broad at the top as below are
-    less likely. -1 where there is none.
+    """Label of the object that is most like the body, the height of its top, and its likelihood, 0..1. It is about as
+    high as the body and not much wider; the largest of several. Objects of another height, poles, and objects as broad
+    at the top as below are less likely. -1 if there is none.
 
-    **Arguments:** `label` the thing that each point belongs to; `area` that each point stands for, square metres: not
-    by points alone, what is near has many; `distance` from its sensor, metres; `places` heights above the floor and
-    level coordinates, metres; `least` the lowest top, as a share of the body's height.
+    **Arguments:** `label` of each point's object; `area` that each point stands for, square metres (near objects have
+    more points); `distance` from its sensor, metres; `places` heights above the floor and level coordinates, metres;
+    `least` the lowest top, as a share of the body's height.
     """
     height, areas = places[0], np.bincount(label, area)
     best, size, highest = -1, 0.0, 0.0

@@ -1,6 +1,6 @@
-"""Sensors that move without a transform that says so: floor and walls tell, for these stay. Host side, NumPy.
+"""Motion of sensors that no transform reports, estimated from floor and walls. Host side, NumPy.
 
-Points against known planes, as in point-to-plane ICP (Chen and Medioni 1992, doi:10.1016/0262-8856(92)90066-C).
+Registers points to known planes, as in point-to-plane ICP (Chen and Medioni 1992, doi:10.1016/0262-8856(92)90066-C).
 """
 
 from collections.abc import Iterable, Iterator
@@ -37,7 +37,7 @@ ALIKE = 0.05, 0.15  # radians and metres: one wall, found twice for its noise
 
 
 class Planes(NamedTuple):
-    """What stays where it is."""
+    """Planes that do not move."""
 
     normals: Float64[np.ndarray, "plane 3"]
     offsets: Float64[np.ndarray, " plane"]  # metres
@@ -45,7 +45,7 @@ class Planes(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, frames: list[Frame]) -> "Planes":
-        """Floor and walls, as they are seen in that of some frames which shows most."""
+        """Floor and walls, from the frame that shows most of them."""
         known: list[Plane] = [scene.floor] if scene.floor_seen else []
         for wall in scene.walls:
             if not any(_alike(wall, plane) for plane in known):
@@ -72,8 +72,8 @@ class Planes(NamedTuple):
 def steady_scene(
     frames: list[Frame], up: Float32[np.ndarray, "3"], up_is_sure: bool = True, every: int = 3
 ) -> tuple[Scene, Planes]:
-    """Floor and walls from some successive frames (of which every so many-th is looked at) in which sensors may move:
-    see scene.find_scene; and what steadies these and later frames."""
+    """Floor and walls from successive frames (subsampled) in which sensors may move, see scene.find_scene; and the
+    state that steadies these and later frames."""
     scene = find_scene(frames[::every], up, up_is_sure)
     planes = Planes.of(scene, frames[::every])
     for _ in range(TIMES):
@@ -94,16 +94,16 @@ def _some(frame: Frame) -> Float64[np.ndarray, "point 3"]:
 
 
 def _off(points, normals, offsets) -> tuple[Float64[np.ndarray, " point"], Int[np.ndarray, " point"]]:
-    """How far points are from the nearest plane, and which one it is."""
+    """Distances of points from the nearest plane, and its index."""
     off = points @ normals.T - offsets
     which = np.argmin(np.abs(off), 1)
     return off[np.arange(len(off)), which], which
 
 
 def steadied(frames: Iterable[Frame], planes: Planes) -> Iterator[Frame]:
-    """The frames as if all sensors had stayed where they were when floor and walls were found; no look ahead.
+    """The frames as if all sensors had kept the pose in which floor and walls were found; uses no later frames.
 
-    How they move along a plane and about its normal is not known if there is no other one, and is left as it is.
+    Motion along a plane and about its normal is unknown if there is no other plane, and is not corrected.
     """
     T, calm = STILL, 0  # frames since they moved
     for frame in frames:
@@ -121,7 +121,7 @@ def _found(
     planes: Planes,
     start: Float64[np.ndarray, "4 4"],
 ) -> Float64[np.ndarray, "4 4"]:
-    """What moves the points onto the planes, beginning with `start`: the identity where nothing has moved."""
+    """The transform that moves the points onto the planes, beginning with `start`: the identity without motion."""
     still = start is STILL
     if still and not _moving(points[::2], origin, planes):
         return start
@@ -150,7 +150,7 @@ def _found(
 
 
 def _moving(points: Float64[np.ndarray, "point 3"], origin: Float64[np.ndarray, "3"], planes: Planes) -> bool:
-    """Whether a first step says that sensors which stood where they were thought to be may have moved."""
+    """Whether, by a first step, static sensors may have moved."""
     off, which = _off(points, planes.normals, planes.offsets)
     limit = np.maximum(FAR, WIDE * planes.noise)[which]
     near = np.flatnonzero(np.abs(off) < limit)
@@ -171,8 +171,8 @@ def onto_planes(
     limit: Float64[np.ndarray, " point"],
     whole: Float64[np.ndarray, "6"],
 ) -> tuple[Float64[np.ndarray, "6"], Float64[np.ndarray, "point 6"], Float64[np.ndarray, " point"]]:
-    """The turn and shift that bring points, from their pivot, nearer to planes that they are `off`; how far each goes
-    for each of its numbers, and the weight of each. `whole`: how far all has gone already."""
+    """Rotation and translation about a pivot that reduce the distances `off` of points from planes; the Jacobian and
+    the weights of the points. `whole`: the motion so far."""
     weight = (1 - (off / limit) ** 2) ** 2
     weight *= COUNT / weight.sum() / noise**2
     (ax, ay, az), (nx, ny, nz) = arms.T, normal.T
@@ -183,7 +183,7 @@ def onto_planes(
 
 
 def turned(x: Float64[np.ndarray, "6"], pivot: Float64[np.ndarray, "3"] | float = 0.0) -> Float64[np.ndarray, "4 4"]:
-    """A turn about a point, and a shift."""
+    """A rotation about a point, and a translation."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(x[:3]).as_matrix()
     T[:3, 3] = x[3:] + pivot - T[:3, :3] @ (pivot + np.zeros(3))
@@ -195,12 +195,12 @@ def moved(points: Float[np.ndarray, "point 3"], T: Float64[np.ndarray, "4 4"]) -
 
 
 def _placed(frame: Seen, T: Float64[np.ndarray, "4 4"]) -> Seen:
-    """The frame with all that is in it elsewhere."""
+    """The frame with all its measurements transformed."""
     return with_places(frame, lambda p: moved(p, T).astype(np.float32), lambda v: (v @ T[:3, :3].T).astype(np.float32))
 
 
 def as_measured(frame: BodyObservation) -> BodyObservation:
-    """The frame with all that is in it where it was measured, in the fixed frame."""
+    """The frame with all its measurements in the fixed frame."""
     T = frame.T_fixed_steady
     return frame if T is None else replace(_placed(frame, T), T_fixed_steady=None)
 

@@ -19,7 +19,7 @@ USUAL_SPACING = 0.005  # radians between neighbouring points, of a sensor that h
 
 
 class Cleared(NamedTuple):
-    """A frame without floor, walls and flying pixels: made once where several things are followed in it."""
+    """A frame without floor, walls and flying pixels, computed once for all tracklets."""
 
     seen: BodyObservation  # what is left of it
     index: Int[np.ndarray, " point"]  # of which of its points
@@ -32,7 +32,7 @@ class Cleared(NamedTuple):
 
 
 class Clearing:
-    """Knows the floor and the walls of a scene, and how near to each other each sensor's points are."""
+    """Floor and walls of a scene, and the spacing of each sensor's points."""
 
     def __init__(self, scene: Scene, settings: DetectSettings):
         self.settings = settings
@@ -47,7 +47,7 @@ class Clearing:
         return other
 
     def take(self, scene: Scene) -> None:
-        """Goes by this floor and these walls from now on."""
+        """Uses this floor and these walls from now on."""
         across = np.linalg.svd(scene.floor.normal[None])[2][1:]  # two level directions
         self.scene = scene
         planes = (scene.floor, *scene.walls)
@@ -61,8 +61,8 @@ class Clearing:
         share: float = 1.0,
         boxes: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
     ) -> Cleared:
-        """The frame without floor, walls and flying pixels, for all who are followed in it: of a share of its points,
-        those in some boxes (None: anywhere)."""
+        """The frame without floor, walls and flying pixels, for all tracklets: of a share of its points, those within
+        the boxes (None: all)."""
         seen = whole(frame)
         index, known = even_share(share, len(seen.points)), np.flatnonzero(assigned(seen))
         if boxes is not None:
@@ -109,7 +109,7 @@ class Clearing:
         return [known.get(k, USUAL_SPACING) for k in range(len(seen.origins))]
 
     def link(self, seen: BodyObservation) -> float:
-        """Points closer than this belong to the same thing, metres: not less than the gaps between a scanner's rows."""
+        """Points closer than this belong to the same object, metres; at least the gaps between a scanner's rows."""
         gaps = [gap for sensor, gap in self.gap.items() if gap > 0 and (seen.sensor == sensor).sum() >= 30]
         if not gaps or min(gaps) < DENSE:
             return self.settings.link

@@ -1,4 +1,4 @@
-"""Where images were cropped whose calibration is of the whole image: by the floor, as far as it tells. Host side."""
+"""Crop offsets of images whose calibration is for the whole image, estimated from the floor. Host side."""
 
 import numpy as np
 
@@ -16,8 +16,8 @@ MIDDLE = 0.5  # odds of a crop about the middle where nothing tells; by hand
 
 
 def with_crops(reader: LogReader) -> LogReader:
-    """The reader, with the principal point of cropped images where the floor that they show is level; where nothing
-    tells it, this is said, and how sure places are."""
+    """The reader, with the principal point of cropped images such that their floor is level. If no floor is visible, it
+    adds a note and the probability that positions are right."""
     for topic in reader.sensors:
         (across, down), focal = reader.leeway(topic)
         if not (across or down):
@@ -32,8 +32,8 @@ def with_crops(reader: LogReader) -> LogReader:
         reader = reader.with_crop(topic, (0.0, place or 0.0), sure)
         if far > RIGHT:
             reader.say(
-                f"Nothing tells where '{topic}' was cropped: joints may be up to {100 * far:.0f} cm aside, and their "
-                "confidence says so. read.camera settles it."
+                f"It is unknown where '{topic}' was cropped: joints may be up to {100 * far:.0f} cm off, and their "
+                "confidence is lower. Set read.camera."
             )
     for topic in reader.cameras:
         if any(reader.leeway(topic)[0]):
@@ -42,8 +42,7 @@ def with_crops(reader: LogReader) -> LogReader:
 
 
 def _level(reader: LogReader, topic: str, samples: list, down: float) -> float | None:
-    """Pixels by which the principal point is lower than in the middle, so that the floor is level; None if no floor
-    tells it."""
+    """Pixels by which the principal point must be below the centre for a level floor; None without a floor."""
     if reader.up[2] <= 0.99:  # nothing says how the camera is held
         return None
     places = np.array([-down, 0.0, down])
@@ -67,7 +66,7 @@ def _level(reader: LogReader, topic: str, samples: list, down: float) -> float |
 
 
 def _floor(reader: LogReader, topic: str, samples: list) -> tuple[np.ndarray, float] | None:
-    """Normal of the floor and its height in the fixed frame, metres; None if none is seen."""
+    """Normal of the floor and its height in the fixed frame, metres; None if it is not visible."""
     frames: list[Frame] = [f for sample in samples if (f := reader.frame_of(topic, sample)) is not None]
     scene = find_scene(frames, reader.up, True) if frames else None
     return (scene.floor.normal, float(scene.floor.offset)) if scene is not None and scene.floor_seen else None

@@ -1,9 +1,9 @@
-"""What something nearer cuts in two in the image is one thing: somebody who carries a carton, or stands behind a board
+"""Joins an object that a nearer one cuts in two in the image: a person who carries a carton, or stands behind a board
 or a rail. Host side, NumPy.
 
-Two pieces belong together if one is under the other, they go on at one depth, and all between them is hidden. Asked
-where the body is looked for, not while it is followed: then each piece is followed by where it was, and furniture that
-somebody passes would be joined to them (experiments/stress).
+Two pieces are joined if one is below the other, their depths are continuous, and everything between them is hidden.
+This is used only in the search for the body, not while it is followed: then it would join furniture that a person
+passes (experiments/stress).
 """
 
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ def joined_labels(
     height: float,
     gap: float,
 ) -> Int[np.ndarray, " point"]:
-    """The labels of things, the same for the pieces of one thing that is cut in two.
+    """Labels of objects; the pieces of an object that is cut in two have the same label.
 
     **Arguments:** `seen` the points off floor and walls, and `label` the piece that each belongs to; `whole` all of the
     frame; `height` of the body, metres; `gap` between neighbouring points, radians.
@@ -78,7 +78,7 @@ def _one_under_another(
 
 
 def _extent(level: Float32[np.ndarray, "point 3"]) -> float:
-    """How wide a thing is on the level, but for single points; metres."""
+    """Horizontal width of an object, without outliers, metres."""
     return float(np.linalg.norm(np.ptp(np.percentile(level, [2, 98], axis=0), axis=0)))
 
 
@@ -91,8 +91,8 @@ def _edges(
     sensor: int,
     gap: float,
 ) -> tuple[Float[np.ndarray, "column 3"], Float[np.ndarray, "column 3"]] | None:
-    """Where the upper piece ends below and the lower one begins, in each strip of a sensor's image in which they go on
-    at one depth; None if there are too few."""
+    """Lower end of the upper piece and upper end of the lower one, in each strip of a sensor's image with continuous
+    depth; None if there are too few."""
     origin = seen.origins[sensor]
     sight = floor.level(np.median(seen.points[pieces[0]], 0)[None])[0] - floor.level(origin[None])[0]
     far = float(np.linalg.norm(sight))
@@ -125,7 +125,7 @@ def _edges(
 def _hidden(
     upper: Float[np.ndarray, "column 3"], lower: Float[np.ndarray, "column 3"], nearest: Nearest, sensor: int
 ) -> Bool[np.ndarray, " place"]:
-    """Which places between two edges the sensor does not see, and no other one sees through."""
+    """Which places between two edges are hidden from the sensor, and not seen as empty by another one."""
     many = np.maximum(np.linalg.norm(upper - lower, axis=1) / STEP, 1).astype(int)
     places = np.concatenate(
         [a + (b - a) * ((np.arange(n) + 0.5) / n)[:, None] for a, b, n in zip(upper, lower, many)]

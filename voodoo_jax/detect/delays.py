@@ -1,7 +1,7 @@
-"""Clocks of several computers that differ by a part of a second: found by what moves. Host side, NumPy.
+"""Differences of several computers' clocks by a part of a second, estimated from motion. Host side, NumPy.
 
-What two sensors see move is at one place at one time. Where their stamps differ it seems to be at two, farther apart
-the faster it is.
+A moving object is at one place at a time. If stamps of two sensors differ, it seems to be at two, whose distance is
+proportional to its speed.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ ALIKE = 0.77  # cosine, 40 degrees: so alike directions of view show the same si
 
 
 class Motion(NamedTuple):
-    """Where the middle of what moves is."""
+    """Positions of the centre of the moving points."""
 
     time: Float[np.ndarray, " message"]  # seconds
     place: Float[np.ndarray, "message 3"]  # metres, fixed frame
@@ -35,8 +35,8 @@ class Motion(NamedTuple):
 
 
 def offsets(reader: LogReader, build: Build, settings: DetectSettings) -> dict[str, float]:
-    """Seconds by which the stamps of some sensors are later than those of the first one that sees something move; what
-    is in doubt is left out. Sensors that move themselves are not looked at."""
+    """Seconds by which stamps of sensors are later than those of the first one that sees motion; uncertain ones are
+    left out, as are moving sensors."""
     if len(reader.sensors) < 2:
         return {}
     coarse = reader.coarse(POINTS)
@@ -48,7 +48,7 @@ def offsets(reader: LogReader, build: Build, settings: DetectSettings) -> dict[s
 
 
 def _motion(reader: LogReader, topic: str, start_ns: int, build: Build, settings: DetectSettings) -> Motion | None:
-    """How the body moves that one sensor sees; None if it sees none."""
+    """Motion of the body in one sensor's view; None without a body."""
     stamps = reader.stamps(topic)
     count = int(np.sum(stamps < start_ns + WINDOW * 1e9))
     samples = reader.sampled(topic, MOST, step=max(1, count // MOST))
@@ -70,7 +70,7 @@ def _motion(reader: LogReader, topic: str, start_ns: int, build: Build, settings
 
 
 def offset(one: Motion, other: Motion) -> float:
-    """Seconds by which the times of the other motion are later than those of the first; 0 where that is not sure."""
+    """Seconds by which the times of the other motion are later than those of the first; 0 if uncertain."""
     if np.linalg.norm(np.ptp(one.place, axis=0)) < PATH or np.linalg.norm(np.ptp(other.place, axis=0)) < PATH:
         return 0.0
     by = np.arange(-REACH, REACH + STEP / 2, STEP)
@@ -84,7 +84,7 @@ def offset(one: Motion, other: Motion) -> float:
 
 
 def _apart(one: Motion, other: Motion, by: float, alike: bool) -> float:
-    """Median distance between both if the other's clock is so many seconds late; NaN where they hardly overlap.
+    """Median distance between both for a delay of the other's clock in seconds; NaN if they hardly overlap.
 
     Sensors that look from different sides see different sides of what moves: how far these are apart does not count.
     """

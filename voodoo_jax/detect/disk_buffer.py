@@ -1,4 +1,4 @@
-"""Points of long recordings wait in a temporary file: memory hardly grows with the length of a log. Host side."""
+"""Buffers the points of long recordings in a temporary file, to save memory. Host side."""
 
 import mmap
 import weakref
@@ -21,7 +21,7 @@ WITHOUT: dict[str, Any] = {
 
 
 class Kind(NamedTuple):
-    """How an array lies in the file."""
+    """Layout of an array in the file."""
 
     name: str
     dtype: np.dtype
@@ -30,7 +30,7 @@ class Kind(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a frame's arrays are in the file, one behind the other."""
+    """Position of a frame's arrays in the file, one after another."""
 
     at: int  # bytes
     counts: tuple[int, ...]  # points, or rows, of each array
@@ -38,8 +38,8 @@ class Place(NamedTuple):
 
 
 class Spill:
-    """Frames that come one by one; once they are many, their points are in a nameless file (in the user's cache), which
-    goes when the frames do. Where it cannot be written the points stay in memory.
+    """A sequence of frames. Points of many go to an unnamed file in the user's cache, which is deleted with the frames,
+    or stay in memory if it cannot be written.
     """
 
     def __init__(self, block: int = BLOCK):
@@ -58,7 +58,7 @@ class Spill:
             self._write()
 
     def frames(self) -> list[BodyObservation]:
-        """All that there are."""
+        """All frames."""
         if self._file is None or not self._end:
             return list(self._frames)
         if not self._full:
@@ -105,7 +105,7 @@ def _arrays(frame: BodyObservation) -> dict[str, np.ndarray]:
 
 
 def _shared(frame: BodyObservation, before: BodyObservation | None) -> BodyObservation:
-    """The frame with one object for what is alike in all frames, or in it and the one before."""
+    """The frame with shared objects for values equal in all frames, or in the previous one."""
     same: dict[str, Any] = {} if frame.rays.names or frame.rays is NO_RAYS else {"rays": NO_RAYS}
     same |= {} if frame.pairs.names or frame.pairs is NO_PAIRS else {"pairs": NO_PAIRS}
     if before is not None and frame.origins is not before.origins and _alike(frame.origins, before.origins):
@@ -118,12 +118,12 @@ def _alike(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _order(array: np.ndarray) -> Literal["C", "F"]:
-    """How it lies in memory, on which the last bits of sums may depend."""
+    """Its memory order, on which the last bits of sums may depend."""
     return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
 
 
 def _mapped(frame: BodyObservation, place: Place, held: mmap.mmap) -> BodyObservation:
-    """A frame with its arrays in the file: read when they are asked for, dropped by the system as it likes."""
+    """A frame with its arrays in the file: read on access, and evicted by the system."""
     arrays, at = {}, place.at
     for kind, count in zip(place.kinds, place.counts):
         array = np.ndarray((count, *kind.row), kind.dtype, held, at, order=kind.order)

@@ -1,7 +1,7 @@
-"""Skirts, long coats and whatever else hides the legs and goes with them: at the height of thighs and knees a body is
-two narrow columns, and what is one wide piece there is none of its limbs. Host side, NumPy; looks ahead.
+"""Removes skirts, long coats and other garments that hide the legs: at the height of thighs and knees a body is two
+narrow columns, and a single wide piece there is not a limb. Host side, NumPy; looks ahead.
 
-Left in, the legs are spread to explain its rim, as well as they would explain legs, and the trunk follows them.
+If it were left in, the legs would spread to fit its rim, and the trunk would follow them.
 """
 
 from collections.abc import Iterable, Iterator
@@ -21,7 +21,7 @@ FRAMES = 30  # are looked at, evenly spread; by hand
 
 
 class Pieces(NamedTuple):
-    """Of each point of a frame, all as shares of the stature."""
+    """Slices of a frame: values of each point, as shares of the stature."""
 
     height: Float[np.ndarray, " point"]
     across: Float[np.ndarray, " point"]  # level, across the line of sight to the body
@@ -32,9 +32,9 @@ class Pieces(NamedTuple):
 
 @dataclass(frozen=True)
 class DropGarment:
-    """What is one wide piece below the hips of somebody who stands or walks, in most frames.
+    """Removes a single wide piece below the hips of a person who stands or walks, if most frames show it.
 
-    Numbers were chosen by hand, on ten recordings of people as they are (pieces at most 0.17 wide in nine of ten
+    Numbers were chosen by hand, on ten recordings of people without garments (pieces at most 0.17 wide in nine of ten
     frames) and six of them in skirts and a coat (at least 0.24 in half of the frames); all lengths are shares of the
     stature.
     """
@@ -117,5 +117,5 @@ class DropGarment:
 
 
 def _origin(frame: BodyObservation) -> Float32[np.ndarray, "3"]:
-    """Of the sensor that sees most points."""
+    """Position of the sensor that sees most points."""
     return frame.origins[int(np.bincount(frame.sensor).argmax())]

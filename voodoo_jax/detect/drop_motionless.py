@@ -1,4 +1,4 @@
-"""What never moves at all is nobody: dummies, coat stands, walls. Host side, NumPy; looks ahead."""
+"""Rejects objects that never move: dummies, coat stands, walls. Host side, NumPy; looks ahead."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -11,16 +11,16 @@ from voodoo_jax.detect.stillness import Stillness, breathes, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
 NOTE = (
-    "Something of a person's height never moves at all, not even as somebody who stands still does: it is taken for a"
-    " thing and not tracked (stage drop_motionless)."
+    "An object of a person's height never moves, not even as a person who stands still: it is not tracked (stage "
+    "drop_motionless)."
 )
 
 
 @dataclass(frozen=True)
 class DropMotionless:
-    """Nothing is left of what does not move at all while it is watched, nor breathes if it lies. Numbers were chosen by
-    hand: noise alone moves 1.4 % of the directions, so that of 40 directions 10 % or more move once in 1000 times;
-    people who stand for the first half second of the 18 recordings move in 80 % or more."""
+    """Removes all points of an object that never moves and, if it lies, does not breathe. Numbers were chosen by hand:
+    noise alone moves 1.4 % of the directions, so that of 40 directions 10 % or more move once in 1000 times; people who
+    stand for the first half second of the 18 recordings move in 80 % or more."""
 
     name: ClassVar = "drop_motionless"
     looks_ahead: ClassVar = True
@@ -46,7 +46,7 @@ class DropMotionless:
         return by_windows(frames, change)
 
     def is_thing(self, frames: list[BodyObservation], stillness: Stillness) -> bool:
-        """Whether what is seen never moves; False where too little is seen to tell."""
+        """Whether the points never move; False if there are too few to decide."""
         if not seen_long(frames, self.frames, self.seconds):
             return False
         found = moves(stillness.directions(frames), self.often)

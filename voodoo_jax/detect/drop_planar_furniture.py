@@ -1,5 +1,5 @@
-"""Flat faces of furniture that the body touches all the time: seats, backs, fronts of sofas, tables. No person is flat
-to some millimetres. Host side, NumPy; looks ahead."""
+"""Removes flat faces of furniture that the body touches all the time: seats, backs, fronts of sofas, tables. People are
+not flat to some millimetres. Host side, NumPy; looks ahead."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class Face:
 
 @dataclass(frozen=True)
 class DropPlanarFurniture:
-    """Flat faces that the body touches all the time. A machine may have flat faces, too: of people alone."""
+    """Removes flat faces that the body touches all the time; for people only, since a machine may have flat faces."""
 
     name: ClassVar = "drop_planar_furniture"
     looks_ahead: ClassVar = True
@@ -66,7 +66,7 @@ class DropPlanarFurniture:
 
 
 def without_faces(frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
-    """The frames without the points on flat faces of what is at rest; the same frames if there are none."""
+    """The frames without points on flat faces at rest; the same frames if there are none."""
     faces = flat_faces(resting(frames), floor)
     if not faces:
         return frames
@@ -118,7 +118,7 @@ def _roughness(face: Face) -> float:
 
 
 def _even_patches(rest: Resting) -> list[tuple[Face, float]]:
-    """Pieces of planes among what is at rest, and their areas, square metres; the largest first."""
+    """Planar pieces among the static points, and their areas, square metres; the largest first."""
     normal, even = _normals(rest)
     slant = np.maximum(np.abs(np.sum(normal * rest.direction, 1)), 0.2)
     area = rest.pixel**2 / slant
@@ -146,7 +146,7 @@ def _even_patches(rest: Resting) -> list[tuple[Face, float]]:
 
 
 def _settled(points: np.ndarray, normal: np.ndarray, best: int) -> Int[np.ndarray, " inlier"]:
-    """The points on the plane through one of them, the plane fitted to them anew."""
+    """The points on the plane through one of them, with the plane refitted to them."""
     plane, on = Face(normal[best], points[best], points[:0]), np.zeros(0, int)
     for _ in range(3):
         on = np.flatnonzero(
@@ -164,7 +164,7 @@ def _face(points: np.ndarray) -> Face:
 
 
 def _normals(rest: Resting) -> tuple[Float[np.ndarray, "rest 3"], Bool[np.ndarray, " rest"]]:
-    """Normals of the surface at each point, and whether it is even there."""
+    """Normals of the surface at each point, and whether it is flat there."""
     reach = max(NEAR[0], NEAR[1] * float(np.median(rest.pixel)))
     distance, index = KDTree(rest.points).query(rest.points, NEIGHBOURS, distance_upper_bound=reach)
     there = np.isfinite(distance)

@@ -1,4 +1,4 @@
-"""Takes out things that were seen apart from the body in other frames. Host side, NumPy; looks ahead."""
+"""Removes objects that were seen apart from the body in other frames. Host side, NumPy; looks ahead."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was
 
 @dataclass(frozen=True)
 class DropSeenApart:
-    """Things that were seen apart from the body, before or afterwards."""
+    """Removes objects that were seen apart from the body, before or afterwards."""
 
     name: ClassVar = "drop_seen_apart"
     looks_ahead: ClassVar = True
@@ -39,11 +39,11 @@ def without_things(
     apart: Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]],
     link: float = DetectSettings.link,
 ) -> list[BodyObservation]:
-    """Takes out things that were seen apart from the body in other frames, before or afterwards.
+    """Removes objects that were seen apart from the body in other frames, before or afterwards.
 
-    **Arguments:** `apart` says which points lie where such a thing was (see BodySegmenter.apart); points nearer than
-    `link` metres are of one thing. Where that leaves the head out, it was the body that stood there, and the frame
-    comes back as it is.
+    **Arguments:** `apart` selects points at places where such an object was (see BodySegmenter.apart); points nearer
+    than `link` metres are of one object. If this would remove the head, the body stood there, and the frame is returned
+    unchanged.
     """
     out = []
     for frame in frames:
@@ -59,8 +59,7 @@ def without_things(
 def _remains(
     points: Float32[np.ndarray, "point 3"], gone: Float32[np.ndarray, "gone 3"], floor: Plane, link: float
 ) -> Bool[np.ndarray, " point"]:
-    """Which points are what is left of a thing of which the others are `gone`: they touch it, and are low and beside
-    the body."""
+    """Which points remain of an object whose others are `gone`: they touch it, and are low and beside the body."""
     label = components(points, link)
     things = [points[label == k] for k in range(label.max() + 1)]
     tops = np.array([floor.top(thing) for thing in things])

@@ -1,8 +1,8 @@
-"""Tables, desks and counters that somebody stands or sits behind all the time: what never moves and is wider than a
-person. Host side, NumPy; looks ahead.
+"""Removes tables, desks and counters in front of a person: objects that never move and are wider than a person. Host
+side, NumPy; looks ahead.
 
-Their tops are seen at a flat angle, in rows too far apart for a face to be told from them (drop_planar_furniture), and
-the body would be fitted to them, so that nothing is left unexplained (drop_unexplained).
+Their tops are seen at a flat angle, in rows too far apart to detect a face (drop_planar_furniture). The body would be
+fitted to them, so that no point would stay unexplained (drop_unexplained).
 """
 
 from collections.abc import Iterable, Iterator
@@ -36,8 +36,8 @@ class Top(NamedTuple):
 
 @dataclass(frozen=True)
 class DropWideStill:
-    """What never moves while somebody does, and has a straight front or a level top that is wider than a person. Legs
-    of who sits are at rest and hang together with the seat: they stand out before it. Numbers were chosen by hand."""
+    """Removes objects that never move while a person does, with a straight front or a level top wider than a person. It
+    keeps the legs of a sitting person, which are in front of the seat. Numbers were chosen by hand."""
 
     name: ClassVar = "drop_wide_still"
     looks_ahead: ClassVar = True
@@ -76,10 +76,10 @@ class DropWideStill:
         stillness: Stillness,
         beside: Float32[np.ndarray, "beside 3"] | None = None,
     ) -> list[BodyObservation]:
-        """The frames without such things; the same frames if there are none.
+        """The frames without such objects; the same frames if there are none.
 
-        **Arguments:** `beside` points that were seen beside the body: of a table behind which somebody stands only the
-        middle is among the body's points.
+        **Arguments:** `beside` points that were seen beside the body: of a table in front of a person only the middle
+        is among the body's points.
         """
         if not seen_long(frames, self.frames, self.seconds):
             return frames
@@ -110,9 +110,9 @@ class DropWideStill:
     def _wide(
         self, place: Float32[np.ndarray, "some 3"], origin: Float32[np.ndarray, "3"], floor: Plane
     ) -> Bool[np.ndarray, "2 some"]:
-        """Which of some places are of a thing that is wide, and which hang together with one and are not of it: what
-        stands out before its front towards the sensor at `origin`, as the legs of who sits on a sofa, and where all of
-        it together is narrow, as a chair with who sits on it."""
+        """Which places belong to a wide object, and which are connected with one but do not belong to it: parts in
+        front of it towards the sensor at `origin`, such as the legs of a person on a sofa, and narrow components, such
+        as a chair with a person on it."""
         wide, spared = np.zeros((2, len(place)), bool)
         if len(place) < 2:
             return np.stack([wide, spared])
@@ -130,7 +130,7 @@ class DropWideStill:
     def _behind_front(
         self, level: Float32[np.ndarray, "some 3"], origin: Float32[np.ndarray, "3"]
     ) -> Bool[np.ndarray, " some"]:
-        """Which of some places at one height lie on the straight front of something wide, or behind it."""
+        """Which of some places at one height lie on the straight front of a wide object, or behind it."""
         if len(level) < 3 or _span(level) < self.wide:
             return np.zeros(len(level), bool)
         one, other = np.triu_indices(len(level), 1)
@@ -139,7 +139,7 @@ class DropWideStill:
         one, along = one[far > self.wide / 2], (along / np.maximum(far, 1e-9)[:, None])[far > self.wide / 2]
 
         def off_line(k: int | slice) -> tuple[np.ndarray, np.ndarray]:
-            """How far along a line, or some, each place is, and how it is off it."""
+            """Positions of points along a line, or several, and their offsets from it."""
             out = level - level[one[k]][..., None, :]
             at = np.sum(out * along[k][..., None, :], -1)
             return at, out - at[..., None] * along[k][..., None, :]
@@ -163,15 +163,15 @@ class DropWideStill:
         return behind & (at >= low) & (at <= high)
 
     def _and_beside(self, found: Directions, things: Int[np.ndarray, " some"]) -> Bool[np.ndarray, " direction"]:
-        """Which directions are of these things, or right beside them, and nothing is known to move there."""
+        """Which directions are of these objects, or right beside them, without motion."""
         near = KDTree(found.place[things]).query(found.place, distance_upper_bound=self.margin)[0] < np.inf
         drop = near & ((found.ratio >= NOISE) | (found.often < self.often))
         drop[things] = True
         return drop
 
     def _tops(self, place: Float32[np.ndarray, "some 3"], floor: Plane, dense: float = 0.0) -> list[Top]:
-        """Level tops among some places, each with the share `dense` of them at least: somebody before it may hide the
-        middle of one."""
+        """Level tops among some places, each with at least the share `dense` of them; a person in front may hide its
+        middle."""
         height, level = floor.height(place), floor.level(place)
         slab = np.abs(height[:, None] - height) < self.thick
         count, high = slab.sum(1), self.highest if dense else np.inf
@@ -198,7 +198,7 @@ class DropWideStill:
         return found
 
     def _on(self, points: Float32[np.ndarray, "point 3"], top: Top, floor: Plane) -> Bool[np.ndarray, " point"]:
-        """Which points lie on a level top, also where something moves behind it."""
+        """Which points lie on a level top, even with motion behind it."""
         return self._within(points, top, floor) & (np.abs(floor.height(points) - top.height) < self.thick)
 
     def _over(self, points: Float32[np.ndarray, "point 3"], top: Top, floor: Plane) -> Bool[np.ndarray, " point"]:
@@ -212,13 +212,13 @@ class DropWideStill:
 
 
 def _span(level: Float32[np.ndarray, "some 3"]) -> float:
-    """How long some places are in their longest direction, metres."""
+    """Extent of some places in their longest direction, metres."""
     out = level - level.mean(0)
     return float(np.ptp(out @ np.linalg.svd(out, full_matrices=False)[2][0])) if len(level) > 1 else 0.0
 
 
 def _origin(frames: list[BodyObservation]) -> Float32[np.ndarray, "3"]:
-    """Of the sensor that sees most points."""
+    """Position of the sensor that sees most points."""
     sensors = len(frames[0].origins)
     count = np.sum([np.bincount(f.sensor, minlength=sensors) for f in frames], 0)
     return frames[0].origins[int(np.argmax(count))]

@@ -1,4 +1,4 @@
-"""Which way is up where a log does not say so, or says it as if the camera stood level. Host side, NumPy."""
+"""Estimates the upward direction if a log lacks it, or assumes a level camera. Host side, NumPy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,14 +23,14 @@ BELOW = -0.1  # metres under the floor: no sensor is there; by hand
 SAME = 0.87  # cosine, 30 degrees: floors are found within 40 of where up is thought to be; by hand
 
 SAID = (
-    "Up is ({}) in the fixed frame, not as the log's frames say: a floor is seen there, with somebody on it. "
-    "read.up settles it."
+    "Up is ({}) in the fixed frame, unlike the log's frames: a floor with a person on it is visible. To "
+    "override, set read.up."
 )
 
 
 @dataclass(frozen=True)
 class FindGravity:
-    """Which way is up, where what the log says of it shows nobody; floor and walls are found anew then."""
+    """Estimates the upward direction if that of the log shows no body; then finds floor and walls again."""
 
     name: ClassVar = "find_gravity"
     looks_ahead: ClassVar = False
@@ -53,10 +53,10 @@ def upright(
     body: Build,
     settings: DetectSettings,
 ) -> Float32[np.ndarray, "3"]:
-    """`up`, or another direction if with that there is a floor on which something is like a body, as with `up` there is
-    not: the camera may be on its side, on its head, or look down. All are right to some 40 degrees only.
+    """`up`, or another direction if only that gives a floor with a body-like object on it: the camera may be on its
+    side, upside down, or look down. All are accurate only to some 40 degrees.
 
-    **Arguments:** `scene` what is found with `up`.
+    **Arguments:** `scene` found with `up`.
     """
     if up_is_sure and scene.floor_seen:
         return up
@@ -79,8 +79,9 @@ def upright(
 
 
 def _others(up: Float32[np.ndarray, "3"], seen: Frame, down: bool) -> list[Float32[np.ndarray, "3"]]:
-    """Directions that may be up instead: by quarter turns about where the sensor looks, the axes of the frame, and, if
-    the sensor may look `down`, against where it looks; each more than 30 degrees from those before."""
+    """Other candidates for the upward direction: rotations by 90 degrees about the viewing direction, the axes of the
+    frame, and, if the sensor may look `down`, the reverse viewing direction; each more than 30 degrees from those
+    before."""
     away = np.mean(seen.points - seen.origins[seen.sensor], 0)
     ahead = away / max(float(np.linalg.norm(away)), 1e-6)
     turned = [Rotation.from_rotvec(k * np.pi / 2 * ahead).apply(up) for k in (1, 2, 3)]
@@ -96,7 +97,7 @@ def _others(up: Float32[np.ndarray, "3"], seen: Frame, down: bool) -> list[Float
 def likely_body(
     scene: Scene, frames: Sequence[Frame], body: Build, settings: DetectSettings, enough: float = np.inf
 ) -> float:
-    """How like a body something in the frames is, 0..1, or more than `enough`."""
+    """Largest body likelihood of an object in the frames, 0..1, or the first above `enough`."""
     likely, finder = 0.0, BodySegmenter(scene, body, settings)
     for frame in frames:
         finder = finder.another(settings)

@@ -1,8 +1,8 @@
-"""Heads: people who touch each other are told apart by them, and upper bodies known. Host side, NumPy.
+"""Heads separate people who touch each other, and identify upper bodies. Host side, NumPy.
 
-What hangs together is one thing; of people who stand shoulder to shoulder, hold hands or embrace, it is several. Seen
-from above, heads are summits with lower ground between them, and under a head there is a body, which is not so under a
-hand that is held up.
+A connected component may be several people who stand shoulder to shoulder, hold hands or embrace. Seen from above,
+heads are local maxima of height with lower points between them; below a head there is a body, unlike below a raised
+hand.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ MOST = 4.5  # metres: what is wider is a room; by hand
 
 
 def may_be_several(level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
-    """Whether a thing with these level coordinates is as wide as several people, and nowhere near a room."""
+    """Whether an object with these level coordinates is as wide as several people, and much smaller than a room."""
     wide = float(np.hypot(*np.ptp(level, axis=1))) if level.shape[1] >= 2 * FEWEST else 0.0
     return not body.loose and WIDE * body.height <= wide <= MOST
 
@@ -36,8 +36,8 @@ def may_be_several(level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
 def parted(
     height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], body: Build, least: float
 ) -> Int[np.ndarray, " point"]:
-    """Number of the person in a thing that each of its points belongs to: all 0 unless there are several heads. For
-    what `may_be_several`.
+    """Number of the person that each point of an object belongs to: all 0 unless there are several heads. For objects
+    that `may_be_several`.
 
     **Arguments:** `height` above the floor and `level` coordinates, metres; `least` the lowest top of a person, as a
     share of the body's height.
@@ -54,10 +54,10 @@ def parted(
 
 
 def has_shoulders(height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
-    """Whether a thing has a head and, right below, broader shoulders: so an upper body looks from the
-    front, the back and aslant; right from the side some have shoulders as narrow as their head.
+    """Whether an object has a head and, right below, broader shoulders, as an upper body seen from the front, the back
+    or obliquely. Exactly from the side, some people's shoulders are as narrow as their head.
 
-    **Arguments:** `height` and `level` coordinates, metres; from which height on does not matter.
+    **Arguments:** `height` and `level` coordinates, metres; from any reference height.
     """
     if body.loose or np.hypot(*np.ptp(level, axis=1)) > MOST:
         return False
@@ -72,15 +72,14 @@ def has_shoulders(height: Float32[np.ndarray, " point"], level: Float32[np.ndarr
 
 
 def _width(level: np.ndarray) -> float:
-    """From end to end, metres; what is at the edge of all is not counted."""
+    """Width from end to end, metres, without points at the edge of the grid."""
     return float(np.hypot(*np.ptp(np.percentile(level, [2, 98], axis=1), axis=0))) if level.shape[1] else 0.0
 
 
 def summits(
     height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], drop: float
 ) -> list[Float32[np.ndarray, "3"]]:
-    """Places (level coordinates and height, metres) that are higher by `drop` than the ground over which one gets from
-    there to anything higher; the highest first."""
+    """Local maxima (level coordinates and height, metres) whose prominence is at least `drop`, the highest first."""
     corner = np.floor(level.min(1) / CELL).astype(int) - BRIDGED
     row, column = np.floor(level / CELL).astype(int) - corner[:, None]
     shape = (row.max() + BRIDGED + 1, column.max() + BRIDGED + 1)
@@ -99,7 +98,7 @@ def summits(
 
 
 def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
-    """The cells that hang together with one over ground that is not lower than `least`."""
+    """The cells connected with one over cells not lower than `least`."""
     ground, reached = (top >= least).ravel(), np.zeros(top.shape, bool)
     reached[start] = True
     while True:
@@ -110,7 +109,7 @@ def _reached(top: np.ndarray, start: tuple, least: float) -> np.ndarray:
 
 
 def _has_body(height: np.ndarray, level: np.ndarray, spot: np.ndarray, body: Build, least: float) -> bool:
-    """Whether a head is as high as a person's may be, and there is a body under it."""
+    """Whether a head is as high as a person's may be, with a body below it."""
     top = float(spot[2])
     if not least * body.height <= top <= TALLEST * body.height:
         return False

@@ -1,4 +1,4 @@
-"""What is between a sensor and the body, and may hide its limbs: furniture, and other people. Host side, NumPy."""
+"""Finds points between a sensor and the body, which may hide limbs: furniture, and other people. Host side, NumPy."""
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -44,7 +44,7 @@ def in_the_way(
 def _between(
     frame: BodyObservation, own: Int[np.ndarray, " own"], floor: Plane, middle: Float32[np.ndarray, "3"], halved: int
 ) -> Int[np.ndarray, " some"]:
-    """Indices of what is between a sensor and the body's `middle`, of all points, `halved` so many times."""
+    """Indices of the points between a sensor and the body's `middle`, `halved` that many times."""
     some = even_share(0.5**halved, len(frame.points))  # few shares, for which indices are kept
     points, sensor = picked(frame.points, some), frame.sensor[some]
     up, origins = floor.normal, frame.origins

@@ -1,6 +1,6 @@
-"""Who lies on the floor, a bed or a sofa: what is low, long and no larger than a body. Host side, NumPy.
+"""Finds people lying on the floor, a bed or a sofa: low, long objects no larger than a body. Host side, NumPy.
 
-Carpets, mattresses and dogs may be so, too: it is for others to ask whether such a thing moves (tracklets).
+Carpets, mattresses and dogs fit this, too; tracklets.py checks whether the object moves.
 """
 
 from typing import NamedTuple
@@ -34,12 +34,12 @@ class Extent(NamedTuple):
 
     @property
     def lies(self) -> bool:
-        """Whether they are low and long."""
+        """Whether the points are low and long."""
         return self.length > LONG * self.height
 
 
 def extent(points: Float32[np.ndarray, "point 3"], floor: Plane) -> Extent:
-    """How some points lie; single ones do not count."""
+    """Extent of some points, without outliers."""
     level, height = floor.level(points).astype(float), floor.height(points).astype(float)
     away = level - level.mean(0)
     axis = np.linalg.eigh(away.T @ away)[1][:, -1]
@@ -54,7 +54,7 @@ def extent(points: Float32[np.ndarray, "point 3"], floor: Plane) -> Extent:
 
 
 def mostly_lie(frames: list[BodyObservation], floor: Plane) -> bool:
-    """Whether what is seen in most frames is low and long."""
+    """Whether the points of most frames are low and long."""
     seen = [f for f in frames if len(f.points) >= FEWEST]
     return bool(np.mean([extent(f.points, floor).lies for f in seen[:: len(seen) // LOOKED_AT + 1]] or [False]) > 0.5)
 
@@ -66,7 +66,7 @@ def who_lies(
     floor: Plane,
     height: float,
 ) -> int:
-    """Label of the largest thing that may be a body that lies; -1 where there is none.
+    """Label of the largest object that may be a lying body; -1 if there is none.
 
     **Arguments:** as for `candidate`; `height` of the body, metres.
     """

@@ -1,7 +1,7 @@
-"""Sensors that a log places wrongly beside each other: a surface that two of them see is one surface. Host side, NumPy.
+"""Corrects wrong relative poses of sensors: a surface that two of them see must coincide. Host side, NumPy.
 
-Point-to-plane ICP (Chen and Medioni 1992, doi:10.1016/0262-8856(92)90066-C) of one sensor's points onto the surfaces
-that the others see, of what is at rest: in several frames at once, one shift and turn for all.
+Point-to-plane ICP (Chen and Medioni 1992, doi:10.1016/0262-8856(92)90066-C) of one sensor's points onto the static
+surfaces that the others see, with one rigid transform for several frames.
 """
 
 from collections.abc import Sequence
@@ -36,16 +36,16 @@ STAYS = 0.7  # of the frames: in so many something is where what is at rest is; 
 
 
 class Surface(NamedTuple):
-    """What a sensor sees in one frame."""
+    """Surface points of a sensor in one frame."""
 
     points: Float64[np.ndarray, "point 3"]
     normals: Float64[np.ndarray, "point 3"]  # unit, towards the sensor
 
 
 def with_sensors_in_place(reader: LogReader) -> LogReader:
-    """The reader with each misplaced sensor moved to where its surfaces fit those of the others. Where more than one
-    place fits, the sensor stays, and `reader.sure` falls. Sensors that move by themselves are left alone. Of two that
-    contradict each other, the one whose floor is less level is moved, but none that read.transform places."""
+    """The reader with each misplaced sensor moved so that its surfaces fit those of the others. If more than one pose
+    fits, the sensor is not moved, and `reader.sure` decreases. Moving sensors are left out. Of two that contradict each
+    other, the one whose floor is less level is moved, but none with a pose from read.transform."""
     one_each = {reader.frame_name(topic): topic for topic in reversed(reader.sensors)}
     if len(one_each) < 2:
         return reader
@@ -70,13 +70,13 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
 
 
 def _say(reader: LogReader, topics: tuple[str, str], away: float, told: bool, lines: tuple[str, str]) -> None:
-    """Says that two sensors contradict each other, and what was done; and how far the places are to be believed."""
+    """Adds a note on the contradiction of two sensors and its correction, and sets the reliability of positions."""
     (first, topic), (line, before) = topics, lines
     if away > RIGHT and not (line and told):
         reader.sure *= TORN
     found = f"'{topic}' sees what '{first}' sees, too, up to {100 * away:.0f} cm off: one of their transforms is wrong"
     if not line:
-        reader.say(f"{found}. By how much is not certain; read.transform settles it.")
+        reader.say(f"{found}. The error is uncertain; set read.transform.")
         return
     why = "the floor is level with that of the others" if told else "nothing tells which"
     reader.say(
@@ -86,15 +86,15 @@ def _say(reader: LogReader, topics: tuple[str, str], away: float, told: bool, li
 
 
 class _Views(NamedTuple):
-    """What others see, and what one sensor sees in several frames."""
+    """Surfaces of the other sensors, and of one sensor, in several frames."""
 
     there: Surface
     tree: KDTree
     mine: tuple[Surface, ...]
 
     def matched(self, T: np.ndarray, reach: float, every: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Those of the points (every so many-th) that have a surface of the others within reach that faces as they do,
-        the normals of that surface, and the signed distances from it, metres."""
+        """A subset of the points that have a surface of the others within reach, with the same facing; the normals of
+        that surface, and the signed distances from it, metres."""
         points = moved(np.concatenate([one.points[::every] for one in self.mine]), T)
         facing = np.concatenate([one.normals[::every] for one in self.mine]) @ T[:3, :3].T
         away, which = self.tree.query(points, distance_upper_bound=reach)
@@ -105,8 +105,8 @@ class _Views(NamedTuple):
         return points, normals, np.sum((points - self.there.points[nearest]) * normals, 1)
 
     def shared(self, T: np.ndarray, up: np.ndarray | None = None) -> float:
-        """The share of the points that lie on what others see; of those on upright surfaces, if it is said what is up:
-        of level ones each shift shares as many."""
+        """The share of the points that lie on surfaces of the others; with `up`, only points on upright surfaces, since
+        level ones fit after any level shift."""
         _, normal, off = self.matched(T, ON, 4)
         asked = np.concatenate([one.normals[::4] for one in self.mine])
         on = np.clip(1 - (off / (2 * NOISE)) ** 2, 0, None) ** 2
@@ -138,8 +138,8 @@ class _Views(NamedTuple):
 def correction(
     there: Surface, mine: Sequence[Surface], up: Float[np.ndarray, "3"]
 ) -> tuple[Float64[np.ndarray, "4 4"], bool]:
-    """The transform that takes a sensor's surfaces, frame by frame, onto those of the others, and whether no other one
-    fits as well. The identity where they lie on each other already, or where nothing tells."""
+    """The transform that takes a sensor's surfaces, frame by frame, onto those of the others, and whether it is unique.
+    The identity if they coincide already, or if it cannot be determined."""
     mine = [one for one in mine if len(one.points)]
     if len(mine) < 2 or len(there.points) < FEWEST:
         return STILL, True
@@ -165,12 +165,12 @@ def correction(
 
 
 def _apart(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
-    """Root mean square distance between where two transforms take points, metres."""
+    """Root mean square distance between points under two transforms, metres."""
     return float(np.sqrt(np.mean(np.sum((moved(points, one) - moved(points, other)) ** 2, 1))))
 
 
 def _surfaces(reader: LogReader, topic: str, at: Int64[np.ndarray, " time"]) -> list[Surface]:
-    """What a sensor sees at rest around some times; nothing of one that moves itself."""
+    """Static surfaces of a sensor around some times; none for a moving one."""
     samples = reader.sampled(topic, FRAMES, at=at)
     frames = [frame for sample in samples if (frame := reader.frame_of(topic, sample)) is not None]
     if not frames or np.ptp([frame.origins[0] for frame in frames], axis=0).max() > 0.01:
@@ -182,7 +182,7 @@ def _surfaces(reader: LogReader, topic: str, at: Int64[np.ndarray, " time"]) -> 
 
 
 def _surface(frame: Frame, still: Bool[np.ndarray, " point"]) -> Surface:
-    """The points of a frame that are at rest and lie on something smooth, with its normals."""
+    """The static points of a frame on smooth surfaces, with normals."""
     points = frame.points.astype(float)
     if len(points) < PATCH:
         return Surface(points[:0], points[:0])

@@ -1,6 +1,6 @@
-"""Whether a thing moves as no furniture does: how it is seen in a frame beside how it was before. Host side, NumPy.
+"""Decides whether an object moves unlike furniture, by its points in earlier frames. Host side, NumPy.
 
-What comes out from behind something else has not moved; what was seen through before, and is full now, has.
+An object that comes out from behind another has not moved; one that fills space that was seen as empty has.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ MANY = 20_000  # points of a frame by which it is asked what hides what
 
 @dataclass(frozen=True)
 class Sight:
-    """How a thing was seen in a frame."""
+    """Points of an object in a frame."""
 
     points: Float32[np.ndarray, "point 3"]
     sensor: Int[np.ndarray, " point"]
@@ -54,7 +54,7 @@ class Sight:
 
     @classmethod
     def of(cls, seen: BodyObservation, frame: Frame | BodyObservation) -> "Sight":
-        """Of the thing with the points that were `seen` in a frame."""
+        """Sight of the object with the points `seen` in a frame."""
         cells = cells_of(seen.points, CELL)
         some = whole(frame).only(fair_share(frame.sensor, MANY))
         others = some.only(~touching(cells_of(some.points, CELL), cells))
@@ -63,12 +63,12 @@ class Sight:
 
     @cached_property
     def everything(self) -> Nearest:
-        """The nearest of all that was seen."""
+        """Nearest distances of all measurements."""
         return Nearest.of(self.whole.points, self.whole.sensor, self.whole.origins)
 
     def gone_from(self, before: "Sight") -> float:
-        """The share of where it was before in which it is no longer; what something else hides now does not count, nor,
-        for a sensor that goes round a thing, what it does not see through."""
+        """The share of its earlier place that it has left; hidden places do not count, nor, for a sensor that moves
+        round it, those that the sensor does not see through."""
         gone = ~touching(before.cells, self.cells)
         points, sensor = before.points[gone], before.sensor[gone]
         here, there = self.whole.origins, before.whole.origins
@@ -79,19 +79,18 @@ class Sight:
         return float(np.mean(gone))
 
     def newly_in(self, before: "Sight") -> float:
-        """The share of it that is where its sensor saw through before."""
+        """The share of it that is at places that its sensor saw as empty before."""
         new = ~touching(self.cells, before.cells)
         new[new] = before.everything.empty(self.points[new], self.sensor[new])
         return float(np.mean(new))
 
     def elsewhere(self, before: "Sight") -> float:
-        """How much of it is where it was not before; nothing unless it is no longer in some place where it was."""
+        """How much of it is at new places; 0 unless it has also left a place."""
         return min(before.gone_from(self), LEFT * self.gone_from(before))
 
 
 class Motion:
-    """How a thing has moved since it was found: numbers of frames in which it was seen, and in which it was
-    elsewhere."""
+    """Motion of an object since it was found: numbers of frames in which it was seen, and in which it was elsewhere."""
 
     def __init__(self) -> None:
         self.seen = 0
@@ -103,10 +102,9 @@ class Motion:
         self._sights: tuple[Sight, Sight] | None = None  # how it was seen at first, and last
 
     def note(self, seen: BodyObservation, frame: Frame | BodyObservation, alone: bool, lying_on: Plane | None) -> None:
-        """Takes account of what was seen of it in a frame.
+        """Adds the points of a frame.
 
-        **Arguments:** `alone` it is known that no other thing touches it; `lying_on` the floor, if it was found as
-        somebody who lies there.
+        **Arguments:** `alone`: no other object touches it; `lying_on`: the floor, if it was found as a lying person.
         """
         if len(seen.points) >= TELLING:
             if self.seen % EVERY == 0:
@@ -114,7 +112,7 @@ class Motion:
             self.seen += 1
 
     def _compare(self, now: Sight, alone: bool, lying_on: Plane | None) -> None:
-        """With how it was seen when it was found, and when it was compared before."""
+        """Compares with the sights at its first and its last comparison."""
         first, last = self._sights or (now, now)
         # of what is known of more and more of it the middle moves, too
         away = np.linalg.norm(now.place - first.place) > AWAY and now.gone_from(first) > EMPTY
@@ -131,17 +129,17 @@ class Motion:
 
     @property
     def enough(self) -> bool:
-        """Whether it has moved as no thing does."""
+        """Whether it has moved enough to be no furniture."""
         return self.moved >= ENOUGH
 
     @property
     def is_persons(self) -> bool:
-        """Whether it is a person by how it has moved."""
+        """Whether it is a person by its motion."""
         return (self.alive or self.enough or self.went >= LITTLE or self.stirred >= STIRRED) and self.seen >= BRIEF
 
     def sways(self, frames: Sequence[BodyObservation]) -> bool:
-        """Whether it moves as who stands still does, by millimetres, or in most of the few frames that there are: then
-        it is a person from now on. `frames`: the last ones."""
+        """Whether it moves like a person who stands still, by millimetres, or in most of few frames: then it is a
+        person from now on. `frames`: the last ones."""
         self.alive |= self.moved >= max(LITTLE, MOSTLY * self.seen)
         if not self.alive and seen_long(frames, ASKS.frames, ASKS.seconds):
             found = directions(frames)

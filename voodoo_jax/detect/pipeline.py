@@ -1,6 +1,6 @@
 """From frames to the scene and the body's points in every frame: the stages of detection in their order. Host side.
 
-A new correction is a file, a line here, a test file and a row of experiments/ablation of the same name.
+A new stage needs a file, a line here, and a test file and a row of experiments/ablation of the same name.
 """
 
 from collections.abc import Iterable, Iterator
@@ -40,17 +40,17 @@ POINTS: tuple[PointStage, ...] = (
 
 
 def stages() -> tuple[Named, ...]:
-    """All stages of detection that can be left out."""
+    """Names of all stages of detection that can be skipped."""
     return (*SCENE, *POINTS)
 
 
 def find_body(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
 ) -> tuple[Scene, list[BodyObservation]]:
-    """Floor and walls, and the points of the main person (or body) of every frame. Of the frames, taken one by one,
-    only these are kept.
+    """Floor and walls, and the points of the main person (or body) of every frame. Frames are read one by one, and only
+    these points are kept.
 
-    **Arguments:** `up_is_given` a user has said it: nothing else is looked for.
+    **Arguments:** `up_is_given`: the user has stated the upward direction, so it is not estimated.
     """
     tracklets, seen = watched(frames, up, body, settings, up_is_given)
     kept = spilled(seen)
@@ -60,8 +60,8 @@ def find_body(
 def watched(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
 ) -> tuple[Tracklets, Iterator[BodyObservation]]:
-    """The points of the main person (or body), frame by frame as they come, and what follows them, which knows floor
-    and walls; as `find_body`. A few first frames are taken at once."""
+    """The points of the main person (or body), frame by frame as they come, and the tracklets, which hold floor and
+    walls; as `find_body`. The first few frames are read at once."""
     found = surroundings(frames, up, body, settings, up_is_given)
     several = settings.detect.people != 1  # what others have is not the main one's, as in `find_people`
     ahead = settings.looks_ahead("detect")
@@ -72,8 +72,8 @@ def watched(
 def find_people(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
 ) -> list[Subject]:
-    """Everybody in view, who is seen longest first; `settings.detect.people` of them at most. One subject at least,
-    without points if there is nobody. Of the frames, taken one by one, only the points on people are kept."""
+    """All people in view, those seen longest first, at most `settings.detect.people`; at least one subject, without
+    points if there is no person. Frames are read one by one, and only the points on people are kept."""
     if settings.detect.people == 1:
         return [Subject(1, *find_body(frames, up, body, settings, up_is_given))]
     found = surroundings(frames, up, body, settings, up_is_given)
@@ -91,7 +91,7 @@ def find_people(
 def only_named(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
 ) -> list[Subject]:
-    """As `find_people`, for recordings without depth: there are no points among which a body could be looked for."""
+    """As `find_people`, for recordings without depth: there are no points to segment."""
     found = surroundings(frames, up, body, settings, up_is_given)
     return [Subject(1, found.scene, [whole(frame) for frame in found.frames])]
 
@@ -99,7 +99,7 @@ def only_named(
 def surroundings(
     frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool = False
 ) -> Surroundings:
-    """What is known of a recording before the body is looked for; of the frames the first ones are taken."""
+    """The state of a recording before the search for the body; reads the first frames."""
     stream: Iterator[Frame] = iter(frames)
     first, sure = list(islice(stream, SCENE_FRAMES)), bool(up[2] > 0.99)
     scene, planes = steady_scene(first, up, sure, SCENE_EVERY)
@@ -127,7 +127,7 @@ def _is_active(stage: Named, body: Body, settings: Settings) -> bool:
 
 
 def build_of(body: Body, scale: float) -> Build:
-    """What is known of the body's size; `scale` 0: it is to be found."""
+    """Known size of the body; `scale` 0: to be estimated."""
     # a body's scale need not be its height
     rested = scaled(body, scale) if scale > 0 else body
     low, high = rest_box(rested)

@@ -1,4 +1,4 @@
-"""Somebody who stands on something level: a treadmill, a stage, a step. Its top is their floor. Host side, NumPy."""
+"""Uses the top of a treadmill, a stage or a step as the floor of the person on it. Host side, NumPy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ BACK, HIGH, LENGTH, UPRIGHT = 0.7, 0.28, 1.4, 0.17
 
 @dataclass(frozen=True)
 class RaiseFloor:
-    """The top of what somebody stands on is their floor."""
+    """Raises the floor to the level object that the person stands on."""
 
     name: ClassVar = "raise_floor"
     looks_ahead: ClassVar = False
@@ -46,7 +46,7 @@ class RaiseFloor:
 
 
 def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: DetectSettings) -> Scene:
-    """The scene, its floor as high as what somebody stands on, if somebody does in all frames that show a body."""
+    """The scene, with its floor at the level object that the person stands on, if all frames with a body show this."""
     frames = [frame for frame in frames if len(frame.points)]
     for top in level_tops(frames[0], scene) if frames else ():
         raised = _raised(scene, top)
@@ -58,14 +58,14 @@ def on_its_floor(frames: Sequence[Frame], scene: Scene, body: Build, settings: D
 
 
 def _raised(scene: Scene, top: float) -> Scene:
-    """The scene with its floor so many metres higher."""
+    """The scene with its floor raised by metres."""
     floor = replace(scene.floor, offset=scene.floor.offset + top)
     return replace(scene, floor=floor, floor_seen=True, floor_open=False)
 
 
 def with_beds(frame: Frame, scene: Scene) -> list[Scene]:
-    """The scene with each of some level tops as its floor, the largest first, and with what stands behind
-    somebody there as a wall, as the back of a sofa does; and the scene itself."""
+    """The scene with each of some level tops as its floor, the largest first, and with an object behind it, such as the
+    back of a sofa, as a wall; and the scene itself."""
     found = []
     for top in level_tops(frame, scene, BED)[:BEDS]:
         raised = _raised(scene, top)
@@ -76,7 +76,7 @@ def with_beds(frame: Frame, scene: Scene) -> list[Scene]:
 
 
 def _backs(frame: BodyObservation, raised: Scene) -> list[Plane]:
-    """An upright face right above a level top that is longer than a body is wide and higher than one that lies."""
+    """An upright face above a level top, longer than a body's width and higher than a lying body."""
     height = raised.floor.height(frame.points)
     some = (height > LOWEST) & (height < BACK)
     for wall in raised.walls:
@@ -94,7 +94,7 @@ def _backs(frame: BodyObservation, raised: Scene) -> list[Plane]:
 
 
 def level_tops(frame: Frame, scene: Scene, highest: float = HIGHEST) -> list[float]:
-    """Heights of level things above the floor, up to the `highest`, metres; the largest first."""
+    """Heights of level surfaces above the floor, up to the `highest`, metres; the largest first."""
     found, height = [], scene.floor.height(frame.points)
     count = np.bincount(np.clip(height / BIN, 0, 60).astype(int), minlength=61)
     for k in range(int(LOWEST / BIN), int(highest / BIN)):
@@ -110,7 +110,7 @@ def level_tops(frame: Frame, scene: Scene, highest: float = HIGHEST) -> list[flo
 
 
 def _stands(frame: Frame, raised: Scene, finder: BodySegmenter) -> bool | None:
-    """Whether somebody stands on the raised floor; None: there is nobody."""
+    """Whether a person stands on the raised floor; None: no person is visible."""
     seen = finder(frame).points
     if len(seen) < 30:
         return None
@@ -124,7 +124,7 @@ def _stands(frame: Frame, raised: Scene, finder: BodySegmenter) -> bool | None:
 
 
 def _around(points: Float32[np.ndarray, "point 3"], place: Float32[np.ndarray, "3"], normal) -> int:
-    """In how many directions from a place there are points near it, not just a few."""
+    """Number of directions from a place in which there are enough points near it."""
     first, second = np.linalg.svd(normal[None])[2][1:]
     away = points - place
     distance = np.linalg.norm(away, axis=1)

@@ -1,6 +1,6 @@
-"""Tells the body's points apart from floor, walls and furniture. Host side, NumPy; one frame at a time, no look ahead.
+"""Separates the body's points from floor, walls and furniture. Host side, NumPy; one frame at a time, no look ahead.
 
-Nothing here knows what the body looks like but its height and width at rest.
+It uses only the height and width of the body at rest.
 """
 
 from collections.abc import Callable, Sequence
@@ -49,12 +49,12 @@ SURVEY_NS = 490_000_000  # after which the whole room is looked at, not only wha
 
 
 class BodySegmenter:
-    """Follows one thing of a body's height and width through the frames: first the best candidate, then what hangs
-    together with where it was. Places where other things were seen several times count as background from then on.
+    """Follows one object of a body's height and width: first the best candidate, then the component connected with its
+    last place. Places where other objects were seen several times become background.
 
-    Where nobody knows the floor, it is as far under the body as this is high: `scene` is what is known by now.
+    If the floor is unknown, it is assumed the body's height below its top; `scene` is the present state.
 
-    Points that are assigned already pass all tests; what they touch is the body, of whatever height.
+    Points with an assigned part pass all tests; whatever they touch is the body, of any height.
     """
 
     def __init__(self, scene: Scene, body: Build, settings: DetectSettings):
@@ -93,8 +93,8 @@ class BodySegmenter:
         taken: Sequence[Float32[np.ndarray, "_ 3"]] = (),
         mine: Bool[np.ndarray, " point"] | None = None,
     ) -> BodyObservation:
-        """What is seen of the body in a frame, but for what is near points that are `taken` by others; `mine`: which
-        points may be its own, None: all."""
+        """The body's points in a frame, except for those near points `taken` by others; `mine`: candidates, None:
+        all."""
         clear = frame if isinstance(frame, Cleared) else self.cleared_near(frame)
         known, sure, index = self._own(clear, taken, mine)
         if self.last is not None and len(sure) and np.median(KDTree(self.last).query(sure)[0]) > self.settings.move:
@@ -144,15 +144,14 @@ class BodySegmenter:
         return replace(seen, before=before, before_sensor=sensor) if len(before) else seen
 
     def cleared_near(self, frame: Frame | BodyObservation) -> Cleared:
-        """What is looked at of a frame for this body alone."""
+        """The cleared points of a frame near this body."""
         wholly = self.last is None or self.surveys(frame.time_ns)
         return self.clearing.cleared(frame, self.share, None if wholly else [self.around(frame.time_ns)])
 
     def _own(
         self, clear: Cleared, taken: Sequence[np.ndarray], mine: Bool[np.ndarray, " point"] | None
     ) -> tuple[Int[np.ndarray, " known"], Float32[np.ndarray, "known 3"], Int[np.ndarray, " free"]]:
-        """Indices of the points of a cleared frame that are known to be on the body, these points, and indices of those
-        that may be."""
+        """Indices of the points of a cleared frame with assigned parts, these points, and indices of the candidates."""
         seen = clear.seen
         own = np.ones(len(seen.points), bool) if mine is None else mine
         if len(taken):
@@ -164,8 +163,7 @@ class BodySegmenter:
     def _near(
         self, clear: Cleared, index: Int[np.ndarray, " free"]
     ) -> tuple[Int[np.ndarray, " near"], Float32[np.ndarray, "far 3"]]:
-        """Those indices whose points are near where the body was; and, where it is time to look at the whole room, the
-        points that are farther off."""
+        """Indices of points near the body's last place; and, when the whole room is searched, the farther points."""
         points, now = clear.seen.points, clear.time_ns
         if self.last is None:
             return index, points[:0]
@@ -174,31 +172,32 @@ class BodySegmenter:
         return near, picked(points, np.setdiff1d(index, near, True)) if survey else points[:0]
 
     def around(self, time_ns: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
-        """The box in which the body is at that time, and what is looked at beside it; lowest and highest corner."""
+        """The box of the body at that time, with a margin; lowest and highest corner."""
         assert self.last is not None
         reach = np.float32(self.settings.reach + self._gone_by(time_ns))
         return self.last.min(0) - reach, self.last.max(0) + reach
 
     def surveys(self, time_ns: int) -> bool:
-        """Whether it is time to look at the whole room, not only near the body."""
+        """Whether it is time to search the whole room, not only near the body."""
         if self.last is None or self._surveyed_ns is None:
             return False
         return time_ns - self._surveyed_ns >= SURVEY_NS
 
     def near_only(self, time_ns: int) -> Float32[np.ndarray, "point 3"] | None:
-        """The body's points when it was last seen, where in a frame of that time nothing else is looked at than what is
-        near them; None: the whole room is."""
+        """The body's last points, if a frame of that time is searched only near them; None: the whole room is
+        searched."""
         if self.last is None or self.unseen or self._surveyed_ns is None:
             return None
         return None if self.surveys(time_ns) else self.last
 
     @property
     def share(self) -> float:
-        """The share of a frame's points that is looked at."""
+        """The share of a frame's points that is used."""
         return STEP**self._steps if self.thins and self.last is not None else 1.0
 
     def _thin(self) -> None:
-        """Sees to it that the next frame has about as many points on the body as are kept, or somewhat more."""
+        """Sets the share of points such that the next frame has at least about as many points on the body as are
+        kept."""
         assert self.last is not None
         count, kept = len(self.last), self.settings.points
         if self.thins and count >= (ENOUGH if self._steps else PLENTY) * kept:
@@ -210,21 +209,20 @@ class BodySegmenter:
             self._steps = max(0, self._steps - 1)
 
     def another(self, settings: DetectSettings) -> "BodySegmenter":
-        """One that follows nothing yet, for the same sensors."""
+        """A segmenter without a body, for the same sensors."""
         other = BodySegmenter(self._given, self.body, settings)
         other.clearing = self.clearing.another(self._given, settings)
         return other
 
     def lying(self, settings: DetectSettings, scene: Scene) -> "BodySegmenter":
-        """One that looks for who lies on the floor of a scene, or on what stands for it there."""
+        """A segmenter that searches for a person lying on the floor of a scene, or on a surface in its place."""
         other = self.another(settings)
         other.lies = True
         other.clearing.take(scene)
         return other
 
     def _of_body(self, frame: BodyObservation, known: Int[np.ndarray, " known"]) -> int:
-        """How many of the `known` points are assigned to the body as a whole, or to so many limbs that it makes no
-        difference."""
+        """Number of the `known` points assigned to the whole body; all of them if they are on four limbs or more."""
         if frame.part is None:
             return 0
         part = frame.part[known]
@@ -233,7 +231,7 @@ class BodySegmenter:
         return int(np.sum(np.array([name == "body" for name in frame.parts])[part]))
 
     def _choose(self, seen: BodyObservation, sure, frame: BodyObservation) -> Bool[np.ndarray, " point"]:
-        """Which points belong to the body, of those `seen` in a frame. `sure`: those that are known to be on it."""
+        """Which of the points `seen` in a frame belong to the body. `sure`: those with assigned parts."""
         points = seen.points
         if len(points) < TELLING:
             return np.zeros(len(points), bool)
@@ -261,9 +259,9 @@ class BodySegmenter:
         return taken[label]
 
     def _joined(self, seen: BodyObservation, label, frame: BodyObservation) -> Int[np.ndarray, " point"]:
-        """The labels of things, the same for the pieces of one that something nearer cuts in two, and for a head and
-        the shoulders that are near it: a neck is thin, and the grid of `components` is coarse. An animal of unknown
-        size has no width by which furniture beside it could be told."""
+        """The labels of objects, joined for pieces of one that is cut in two, and for a head and shoulders near it: a
+        neck is thin, and the grid of `components` is coarse. For an animal of unknown size, no width distinguishes
+        furniture beside it."""
         if self.body.loose:
             return label
         points, count, out = seen.points, np.bincount(label), np.array(label)
@@ -281,11 +279,11 @@ class BodySegmenter:
         return joined_labels(seen, label, frame, self.scene.floor, self.body.height, gap)
 
     def _gone_by(self, time_ns: int) -> float:
-        """How much farther than from frame to frame the body may be by now, metres."""
+        """Additional distance that the body may have moved since it was last seen, metres."""
         return min(max(SPEED * (time_ns - self.last_ns) / 1e9 - self.settings.move, 0.0), FARTHEST)
 
     def _elsewhere(self, points, label, count, last, far: float) -> Bool[np.ndarray, " thing"]:
-        """The thing nearest to where the body was some time ago that is like it, and was not there before."""
+        """The object nearest to the body's last place that is like it, and was not there before."""
         floor, best = self.scene.floor, np.zeros(len(count), bool)
         near = np.bincount(label, within(points, last, far))
         for k in np.argsort(-near):
@@ -299,8 +297,8 @@ class BodySegmenter:
         return best
 
     def _followed(self, points, label, counts, last) -> Bool[np.ndarray, " thing"]:
-        """Which things hang together with where the body was: of each the `counts` of points, of those that are near
-        that, and of those beside what was seen apart from it."""
+        """Which objects are connected with the body's last place, by the `counts` of their points, of those near it,
+        and of those next to objects seen apart from it."""
         count, near, beside = counts
         taken = near > np.maximum(np.clip(FEW * len(last), *SPECK), 0.3 * count)
         # what stood apart from the body and stays where it is remains apart, however near: a chair;
@@ -334,21 +332,21 @@ class BodySegmenter:
         return stands_aside(thing, body, self.scene.floor) and bool(within(thing, last, STILL).mean() > APART)
 
     def _gone(self, taken) -> bool:
-        """Whether what is left was never the body: at once less, and far lower. A chair remains."""
+        """Whether the remaining points were never the body: suddenly fewer and far lower, such as a chair."""
         if self.last is None or self.hidden or len(taken) < 30 or len(taken) > 0.8 * len(self.last):
             return False
         floor = self.scene.floor
         return floor.top(taken) < GONE * floor.top(self.last)
 
     def _is_head(self, thing, body) -> bool:
-        """Whether a thing is right above a body: a head whose neck is hidden or narrow, not a chair."""
+        """Whether an object is right above a body: a head whose neck is hidden or narrow, not a chair."""
         floor = self.scene.floor
         apart = np.median(thing, 0) - np.median(body, 0)
         apart -= (apart @ floor.normal) * floor.normal
         return bool(floor.height(thing).min() > HEADS * self.body.height and np.linalg.norm(apart) < 0.3)
 
     def _parted(self, points, label) -> Int[np.ndarray, " point"]:
-        """The labels of things, where several people hang together one for each of them."""
+        """The labels of objects, with one for each of several connected people."""
         out = np.array(label)
         height, *level = self.clearing.places(points)
         level, flat = np.stack(level), self.scene.floor.level
@@ -365,7 +363,7 @@ class BodySegmenter:
         return out
 
     def _candidate(self, seen: BodyObservation, label) -> int:
-        """Label of the thing that is likeliest to be the body, or -1; where the floor is, too, if nobody knows that."""
+        """Label of the likeliest object to be the body, or -1; determines the floor, too, if it is unknown."""
         points, sensor = seen.points, seen.sensor
         angle = np.array(self.clearing.of_sensors(self.clearing.spacing, seen))[sensor]
         distance = distances(seen)
@@ -393,11 +391,12 @@ class BodySegmenter:
         return best
 
     def _is_upper_body(self, places) -> bool:
-        """Whether a thing of which nobody sees where it ends below looks like one."""
+        """Whether an object whose lower end is invisible looks like an upper body."""
         return places.shape[1] >= FEWEST and has_shoulders(places[0], places[1:], self.body)
 
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
-        """Says of points whether they lie where something was seen apart from the body for some time, up to now."""
+        """A function of points: whether they are at places where an object was seen apart from the body for some
+        time."""
         cells = self._background.cells(LONG)
         if not len(cells):
             return lambda points: np.zeros(len(points), bool)
@@ -414,7 +413,7 @@ class BodySegmenter:
         return told
 
     def _learn(self, distant, body, sure) -> None:
-        """Counts where things are that are not the body: the others near it, and those that are `distant`."""
+        """Counts the places of other objects: those near the body, and those that are `distant`."""
         if self.last is None and not len(body) and not len(sure):
             # nobody there: the room, or somebody who is not told from it yet, so it takes most of a second
             apart, times = self.others, 0.15
@@ -433,7 +432,7 @@ class BodySegmenter:
             self._beside.append(apart[:: len(apart) // SOME_BESIDE + 1])
 
     def beside(self) -> Float32[np.ndarray, "point 3"]:
-        """Some points of what was seen beside the body at first: it is not looked at any more once that is known."""
+        """Some points of objects that were seen beside the body at first; later frames are not searched there."""
         return np.concatenate([np.zeros((0, 3), np.float32), *self._beside])
 
 
@@ -443,5 +442,5 @@ def near_taken(points: Float32[np.ndarray, "point 3"], taken: Sequence[np.ndarra
 
 
 def stands_aside(thing: Float32[np.ndarray, "thing 3"], body: Float32[np.ndarray, "body 3"], floor: Plane) -> bool:
-    """Whether a thing is beside the body, not under it as legs are."""
+    """Whether an object is beside the body, not below it as legs are."""
     return bool(within(floor.level(thing), floor.level(body), ASIDE).mean() < 0.05)

@@ -1,4 +1,4 @@
-"""Depth cameras that smear the edges of things: found out by their first images. Host side, NumPy."""
+"""Detects depth cameras that smear edges, by their first images. Host side, NumPy."""
 
 import numpy as np
 
@@ -10,12 +10,12 @@ FIRST = 3  # images that are looked at; by hand
 
 
 def without_smeared_edges(reader: LogReader) -> LogReader:
-    """The reader, without what lies in the edges of depth images whose camera has smeared them, which is said."""
+    """The reader, without points at smeared depth edges, and with a note."""
     found = frozenset(topic for topic in reader.sensors if _smeared(reader, topic))
     for topic in sorted(found):
         reader.say(
-            f"The edges of things are smeared in '{topic}', as by a filter of its camera: what lies between near and "
-            "far things there is left out."
+            f"Depth edges in '{topic}' are smeared, as by a filter of its camera: points between near and far "
+            "objects are left out."
         )
     return reader.without_sheets(found) if found else reader
 

@@ -1,4 +1,4 @@
-"""What the stages of detection take and give.
+"""Inputs and outputs of the stages of detection.
 
 The name of a stage is its file, its switch (`detect.skip`), its test file and its row in experiments/ablation.
 """
@@ -27,7 +27,7 @@ WINDOW = 1800  # frames by which furniture is told from the body at once; by han
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What is known of a recording before the body is looked for."""
+    """The state of a recording before the search for the body."""
 
     frames: Iterable[Frame]  # all, one by one
     first: list[Frame]  # of them
@@ -44,14 +44,14 @@ class Surroundings:
         return self.first[:: SCENE_FRAMES // 2]
 
     def with_planes(self) -> "Surroundings":
-        """The same with floor and walls found anew."""
+        """The same with floor and walls found again."""
         scene, planes = steady_scene(self.first, self.up, self.up_is_sure, SCENE_EVERY)
         return replace(self, scene=scene, planes=planes)
 
 
 @runtime_checkable
 class Target(Protocol):
-    """The body that is followed, as far as one knows by now."""
+    """The body that is followed, in its present state."""
 
     @property
     def finder(self) -> BodySegmenter: ...
@@ -63,7 +63,7 @@ class Target(Protocol):
 
 @runtime_checkable
 class Named(Protocol):
-    """What every stage says of itself."""
+    """Attributes of every stage."""
 
     name: ClassVar[str]
     looks_ahead: ClassVar[bool]  # uses later frames: left out with Settings.online
@@ -72,28 +72,28 @@ class Named(Protocol):
 
 @runtime_checkable
 class SceneStage(Named, Protocol):
-    """One correction of what is known of the scene."""
+    """A correction of the scene."""
 
     def __call__(self, found: Surroundings) -> Surroundings: ...
 
 
 @runtime_checkable
 class PointStage(Named, Protocol):
-    """One correction of the points on the body, frame by frame, as they come."""
+    """A correction of the points on the body, frame by frame."""
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]: ...
 
 
 def shows_who_lies(window: list[BodyObservation], target: Target) -> bool:
-    """Whether the body was found as somebody who lies, and does so in most of these frames."""
+    """Whether the body was found as a lying person, and lies in most of these frames."""
     return target.finder.lies and mostly_lie(window, target.finder.scene.floor)
 
 
 def by_windows(
     frames: Iterable[BodyObservation], change: Callable[[list[BodyObservation]], list[BodyObservation]]
 ) -> Iterator[BodyObservation]:
-    """The frames after a change of so many successive ones as are looked at together. Those that are given on are not
-    kept, so that one window is in memory at a time, whatever the number of stages."""
+    """Applies a change to windows of successive frames. Frames that were yielded are not kept, so that each stage keeps
+    one window in memory."""
     stream = iter(frames)
     while window := list(islice(stream, WINDOW)):
         changed = change(window)

@@ -1,5 +1,5 @@
-"""What stays in its place while a body is followed: in the same direction from a sensor, at the same distance, in many
-frames. Their mean is known to some millimetres, however noisy the sensor. Host side, NumPy; looks ahead."""
+"""Static points while a body is followed: in the same direction from a sensor, at the same distance, in many frames.
+Their mean is accurate to some millimetres, however noisy the sensor. Host side, NumPy; looks ahead."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ UNIT, BITS = 2.5e-4, 18  # metres, and bits of a distance that is counted in the
 
 
 class Resting(NamedTuple):
-    """Points at rest, each the mean of what was seen there, and in which frames it was seen."""
+    """Static points, each the mean of the measurements there, and the frames in which it was seen."""
 
     points: Float[np.ndarray, "rest 3"]  # fixed frame, metres
     direction: Float[np.ndarray, "rest 3"]  # from their sensor, unit vectors
@@ -30,7 +30,7 @@ NOTHING = Resting(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, i
 
 
 def resting(frames: list[BodyObservation]) -> Resting:
-    """What is at rest in the frames, of each sensor by itself; nothing of a sensor that moves."""
+    """Static points of the frames, for each sensor; none for a moving sensor."""
     there = that_differ(frames, 30)
     there = np.array(there[:: len(there) // FRAMES + 1], int)
     if len(there) < FEWEST / OFTEN / 2:

@@ -1,4 +1,4 @@
-"""Sensors that move without a transform that says so are taken to stand still. See camera_motion.py."""
+"""Removes sensor motion that no transform reports, see camera_motion.py."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -9,7 +9,7 @@ from voodoo_jax.detect.stage import Surroundings
 
 @dataclass(frozen=True)
 class SteadySensors:
-    """The frames as if all sensors had stayed where they were when floor and walls were found."""
+    """The frames as if all sensors had kept the pose in which floor and walls were found."""
 
     name: ClassVar = "steady_sensors"
     looks_ahead: ClassVar = False

@@ -1,9 +1,9 @@
-"""What moves, however little, and what does not: in each direction from a sensor, by how distances change with time.
-Host side, NumPy; looks ahead.
+"""Detects even small motion, in each direction from a sensor, by the change of distances with time. Host side, NumPy;
+looks ahead.
 
-Distances of a thing that does not move at all differ from frame to frame as much as from frames long before, for noise
-has no memory: the ratio of von Neumann 1941 (doi:10.1214/aoms/1177731677) is about 1, and less for what moves. It asks
-for no sensor's noise. Who stands still sways, by some millimetres within some seconds.
+Distances of a static object differ from frame to frame as much as from frames long before, since noise is uncorrelated:
+the ratio of von Neumann 1941 (doi:10.1214/aoms/1177731677) is about 1, and less with motion. It needs no model of the
+sensor's noise. A person who stands still sways by some millimetres within some seconds.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ TELLING = 30  # points in a frame, as in segmentation; by hand
 
 
 class Directions(NamedTuple):
-    """Directions in which something was seen."""
+    """Directions with measurements."""
 
     which: list[Int[np.ndarray, " point"]]  # of each frame's points: the direction that it is in
     ratio: Float[np.ndarray, " direction"]  # half of von Neumann's ratio
@@ -33,8 +33,8 @@ class Directions(NamedTuple):
 
 
 def seen_long(frames: Sequence[BodyObservation], count: int, seconds: float) -> bool:
-    """Whether so many frames have points, over so many seconds, by sensors that do not move, and nobody has said whose
-    they are: then stillness tells something."""
+    """Whether enough frames over enough seconds have points of static sensors, without assigned parts: stillness is
+    informative then."""
     there = [frames[k] for k in that_differ(frames, TELLING)]
     if len(there) < count or (there[-1].time_ns - there[0].time_ns) / 1e9 < seconds:
         return False
@@ -43,14 +43,14 @@ def seen_long(frames: Sequence[BodyObservation], count: int, seconds: float) -> 
 
 
 class Stillness:
-    """What moves in the frames of one recording: found once where one stage after the other asks for the same frames,
-    and kept no longer than they are."""
+    """Motion in the frames of a recording, computed once for successive stages with the same frames, and kept as long
+    as these."""
 
     def __init__(self):
         self._last: tuple[list[ref[BodyObservation]], Directions] | None = None  # of which frames, and what was found
 
     def directions(self, frames: Sequence[BodyObservation]) -> Directions:
-        """As `directions`, or what it found when it was last asked for these frames."""
+        """As the function `directions`, cached for the last frames."""
         known = self._last
         if known is not None and len(known[0]) == len(frames) and all(a() is b for a, b in zip(known[0], frames)):
             return known[1]
@@ -60,7 +60,7 @@ class Stillness:
 
 
 def directions(frames: Sequence[BodyObservation]) -> Directions:
-    """The directions of all points, and how their distances change."""
+    """The directions of all points, and the changes of their distances."""
     sizes = [len(f.points) for f in frames]
     which, count, mean = _means(frames)
     there = count > 0
@@ -95,11 +95,11 @@ def _means(
 
 
 def breathes(frames: Sequence[BodyObservation], often: float) -> bool:
-    """Whether what is seen moves together, by less than can be told of single directions: as chest and belly of who
-    lies still.
+    """Whether the directions move together, by less than is detectable in single ones, as chest and belly of a person
+    lying still.
 
-    What most of the directions that are seen in the share `often` of the frames have in common is the first principal
-    component of their distances, each in units of its own noise. Of noise it has no memory either.
+    The test takes the directions that are seen in the share `often` of the frames. Their common motion is the first
+    principal component of their distances, each in units of its own noise. For noise it is uncorrelated, too.
     """
     _, count, mean = _means([f for f in frames if len(f.points) >= TELLING])
     whole = (count > 0) & _as_usual(count)
@@ -116,8 +116,8 @@ def breathes(frames: Sequence[BodyObservation], often: float) -> bool:
 
 
 def _as_usual(count: Int[np.ndarray, "direction frame"]) -> Bool[np.ndarray, "direction frame"]:
-    """In which frames about as many points are seen in a direction as usually: else something that goes by hides some
-    of them, and their mean is another one's."""
+    """Frames with about the usual number of points in a direction: otherwise a passing object hides some of them, and
+    changes their mean."""
     usual = np.median(count, axis=1, keepdims=True)
     return (count >= ALIKE * usual) & (ALIKE * count <= usual)
 
@@ -138,13 +138,13 @@ def _direction(ray: Float[np.ndarray, "3 point"], sensor: Int[np.ndarray, " poin
 
 
 def filled(found: Directions) -> Bool[np.ndarray, " direction"]:
-    """In which directions nearly always about as many points are seen: no edge of the thing is there, nor of anything
-    that moves before it."""
+    """Directions with a nearly constant number of points: there is no edge of the object or of one moving in front of
+    it."""
     count = np.array([np.bincount(which, minlength=len(found.ratio)) for which in found.which])
     least, usual, most = np.quantile(count, [RARELY, 0.5, 1 - RARELY], axis=0)
     return (least >= ALIKE * usual) & (ALIKE * most <= usual)
 
 
 def moves(found: Directions, often: float) -> Bool[np.ndarray, " direction"]:
-    """In which of the directions that have been seen often something moves."""
+    """Which of the often seen directions show motion."""
     return found.ratio[found.often >= often] < NOISE

@@ -1,8 +1,8 @@
-"""Everything in view that may be a body, each followed from when it comes until it leaves: tracklets. Which of them is
-the main one is decided once one has moved as no thing does; at the end, who is a person. Host side, NumPy.
+"""Tracklets: all objects that may be a body, each followed from its appearance until it leaves. The main one is chosen
+once one has moved unlike furniture; at the end it is decided which ones are people. Host side, NumPy.
 
-A wardrobe looks like a body to a sensor, and is there before it. What is near two people goes to the nearer one, by
-where they were in the frame before. Who was hidden or away for a while is known again by height and place.
+A wardrobe looks like a body, and may be seen before it. Points near two people are assigned to the nearer one, by their
+places in the previous frame. People who were hidden or away for a while are re-identified by height and place.
 """
 
 from collections import deque
@@ -52,9 +52,10 @@ NONE = np.zeros(0, int)
 
 
 class Tracklet:
-    """One thing of a body's shape from when it came into view until it left, or was hidden for long.
+    """An object of a body's shape, from its appearance until it left or was hidden for long.
 
-    **Arguments:** `first` number of the first frame; `before` what the same finder followed until it was lost.
+    **Arguments:** `first` number of the first frame; `before` the tracklet that the same finder followed until it was
+    lost.
     """
 
     def __init__(self, finder: BodySegmenter, first: int, before: "Tracklet | None" = None):
@@ -78,15 +79,15 @@ class Tracklet:
 
     @property
     def height(self) -> float:
-        """Of who stands upright most of the time, metres."""
+        """Height of a person who is upright most of the time, metres."""
         return float(np.percentile(self._tops, 80)) if self._tops else np.nan
 
     def sways(self) -> bool:
-        """Whether it is a person, as is asked of who stands still."""
+        """Whether it sways as a person who stands still."""
         return self.is_person or self.motion.sways(self.frames.frames()[-WATCHED:])
 
     def add(self, frame: BodyObservation, number: int) -> None:
-        """What was seen of it in the next frame."""
+        """Adds its points in the next frame."""
         self.frames.append(frame)
         self.now, self._kept = frame, self._kept + 1
         if len(frame.points) < TELLING:
@@ -104,7 +105,7 @@ class Tracklet:
                 self._way.popleft()
 
     def forget(self) -> None:
-        """Lets go of frames that nobody asks for again, once there are many."""
+        """Deletes frames that are no longer needed, once there are many."""
         if self._kept > 2 * WATCHED:
             frames, self.frames, self.before = self.frames.frames()[-WATCHED:], Spill(), None
             self.first, self._kept = self.first + self._kept - WATCHED, WATCHED
@@ -112,8 +113,8 @@ class Tracklet:
                 self.frames.append(frame)
 
     def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
-        """Takes care that what others hide of it now is known for its own when it comes out again: where it was
-        seen `before`, so many seconds ago, counts on where no sensor sees it."""
+        """Keeps its hidden places, to assign them when they reappear: places where it was seen `before`, that many
+        seconds ago, which no sensor sees now."""
         finder = self.finder
         finder.hidden = False
         if before is None or finder.last is None:
@@ -133,7 +134,7 @@ class Tracklet:
                 finder.last = np.concatenate([some, before[:: len(before) // SOME + 1][~hidden]])
 
     def _velocity(self) -> Float32[np.ndarray, "3"]:
-        """Level, when it was wholly seen for the last time; metres per second."""
+        """Horizontal velocity when it was last wholly visible, metres per second."""
         if not self._way:
             return np.zeros(3, np.float32)
         (began, first), (ended, last) = self._way[0], self._way[-1]
@@ -144,7 +145,7 @@ class Tracklet:
 
 @dataclass(frozen=True)
 class Observed:
-    """Somebody in a recording: what was seen of them in each frame, and the scene they are in."""
+    """A person in a recording: the points in each frame, and the scene."""
 
     finder: BodySegmenter
     settings: DetectSettings
@@ -153,11 +154,11 @@ class Observed:
 
 
 class Tracklets:
-    """Follows everything that may be a body, and gives the main one's points frame by frame.
+    """Follows all objects that may be a body, and yields the main one's points frame by frame.
 
-    `ahead`: frames wait until it is known which one that is (HELD of them at most); else each is given at once, of what
-    is likeliest then. `several`: others are looked for and followed after that, too. `keeps`: `people` will be asked
-    for.
+    `ahead`: frames wait (at most HELD of them) until the main one is known; otherwise each is yielded at once, with the
+    points of the likeliest. `several`: others are searched for and followed after that, too. `keeps`: `people` will be
+    called.
     """
 
     # 6 parameters: what is looked for, and how
@@ -180,11 +181,11 @@ class Tracklets:
 
     @property
     def finder(self) -> BodySegmenter:
-        """That of what is taken for the main one by now."""
+        """The segmenter of the present main one."""
         return self.main.finder
 
     def near_only(self, time_ns: int) -> Float32[np.ndarray, "point 3"] | None:
-        """As that of the segmenter; None too for as long as other things are compared with the main one."""
+        """As that of the segmenter; also None while other objects are compared with the main one."""
         return self.finder.near_only(time_ns) if self.known else None
 
     def __call__(self, frames: Iterable[Frame]) -> Iterator[BodyObservation]:
@@ -225,7 +226,7 @@ class Tracklets:
         self._renew()
 
     def _follow(self, clear: Cleared, looks: bool) -> None:
-        """Shares the points out among all that are followed, the nearer ones to the sensors first."""
+        """Assigns the points to the tracklets, those nearer to the sensors first."""
         self.followed.sort(key=lambda t: t.finder.unseen)
         seen, seconds = clear.seen, max(0.0, (clear.time_ns - self._last_ns) / 1e9)
         self._last_ns = clear.time_ns
@@ -254,7 +255,7 @@ class Tracklets:
         self, seen: BodyObservation, owner: Int8[np.ndarray, " point"], before: Sequence[np.ndarray | None],
         seconds: float,
     ) -> None:  # fmt: skip
-        """Tells all what the others hide of them."""
+        """Updates the hidden places of all tracklets."""
         owned = np.flatnonzero(owner >= 0)
         owned = owned[:: len(owned) // (SOME * len(before)) + 1]
         whose, points = owner[owned], picked(seen.points, owned)
@@ -263,7 +264,7 @@ class Tracklets:
             tracklet.keep_hidden(before[k], nearest(whose != k), seconds)
 
     def _leave(self, time_ns: int, looks: bool) -> None:
-        """Follows no longer what was lost, what another one follows, and what has not moved for long."""
+        """Ends tracklets that are lost, duplicate another one, or have not moved for long."""
         for tracklet in list(self.followed):
             others = [t for t in self.followed if t is not tracklet and t.seen >= tracklet.seen]
             if tracklet is not self.main and tracklet.finder.last is None:
@@ -282,7 +283,7 @@ class Tracklets:
             self._ended.append(tracklet)
 
     def _renew(self) -> None:
-        """Where the main one is lost somebody else is it, if they have moved as much; or it is looked for anew."""
+        """If the main one is lost, replaces it by another that has moved as much, or searches again."""
         main = self.main
         if main in self.followed and (main.finder.last is not None or not main.seen):
             return
@@ -297,7 +298,7 @@ class Tracklets:
             self.followed.append(self.main)
 
     def _thin(self, may: bool) -> None:
-        """Sees to it that whoever has fewest points in the next frame has about as many as are kept, or more."""
+        """Sets the share of points such that the person with the fewest has at least about as many as are kept."""
         counts = [len(t.now.points) for t in self.followed if t.now is not None and len(t.now.points) >= TELLING]
         fewest = min(counts, default=0)
         if may and fewest >= ENOUGH * self.settings.points:
@@ -310,8 +311,7 @@ class Tracklets:
     # -- what else may be a body
 
     def _look(self, frame: Frame, clear: Cleared, taken: list[np.ndarray]) -> None:
-        """Begins to follow what else is of a body's shape, if there is anything: a small one only where there is no
-        other."""
+        """Begins to follow another object of a body's shape, if there is one; a small one only if there is no other."""
         if self._number % (AGAIN * LOOK) == 0:
             self._passed = self._passed[:0]
         s, main = self.settings, self.finder
@@ -334,7 +334,7 @@ class Tracklets:
     def _lying(
         self, frame: Frame, clear: Cleared, taken: list[np.ndarray]
     ) -> tuple[BodySegmenter, BodyObservation] | None:
-        """Who may lie on the floor or on a bed; None where there is nobody, or one is followed already."""
+        """A candidate lying on the floor or on a bed; None without one, or if one is followed already."""
         if any(t.finder.lies for t in self.followed):
             return None
         for scene in with_beds(frame, self.finder.scene):
@@ -345,7 +345,7 @@ class Tracklets:
         return None
 
     def _found(self, finder: BodySegmenter, seen: BodyObservation) -> Tracklet:
-        """Something, followed back to when it came into view, which was after the last look."""
+        """A new tracklet, followed back to its appearance after the last search."""
         earlier: list[tuple[BodyObservation, Frame]] = []
         if self.ahead and not finder.lies:
             back = finder.another(self.settings)
@@ -364,9 +364,9 @@ class Tracklets:
     # -- which one it is
 
     def _decide(self, assigned: bool = False, full: bool = False) -> None:
-        """Takes the likeliest for the main one if it has moved, or another thing that has, and the likeliest has not.
+        """Selects the likeliest as the main one if it has moved, else another one that has.
 
-        `assigned`: somebody has said what is the body; `full`: frames can wait no longer."""
+        `assigned`: parts are assigned by the user; `full`: frames can wait no longer."""
         main, ahead = self.main, self.ahead
         others = [t for t in (*self.followed, *self._ended) if t is not main and t.motion.slid < LITTLE]
         best = max(others, key=lambda t: t.motion.moved, default=None)
@@ -390,7 +390,7 @@ class Tracklets:
             self.followed.append(self.main)
 
     def _asleep(self) -> Tracklet | None:
-        """Who lies and moves no more than by breathing, while nothing else does; None if nobody does."""
+        """A lying person who moves only by breathing, while nothing else moves; None without one."""
         main = self.main
         if main.motion.moved or (main.seen and not ASKS.is_thing(main.frames.frames(), Stillness())):
             return None
@@ -402,7 +402,7 @@ class Tracklets:
         return None
 
     def _release(self) -> Iterator[BodyObservation]:
-        """The frames that waited, of what is the main one as far as one knows."""
+        """The frames that waited, of the present main one."""
         frames, self._waiting = self._waiting, []
         begin, tracklet = self._number - len(frames), self.main
         if len(frames) == 1 and tracklet.now is not None and tracklet.now.time_ns == frames[0].time_ns:
@@ -425,9 +425,9 @@ class Tracklets:
         yield from frames
 
     def people(self, main: list[BodyObservation]) -> list[Observed]:
-        """Everybody, who is seen longest first; nobody if there is but one, whose points `main` has.
+        """All people, those seen longest first; empty if there is only one, whose points are in `main`.
 
-        **Arguments:** `main` the frames that were given.
+        **Arguments:** `main` the frames that were yielded.
         """
         found = [t for t in (*self._ended, *self.followed) if t.seen and (t.is_person or t.sways())]
         groups = linked(found, main)
@@ -444,7 +444,7 @@ class Tracklets:
 
 
 def same(one: Tracklet, other: Tracklet) -> bool:
-    """Whether two are at the same thing by now."""
+    """Whether two follow the same object now."""
     mine, theirs = one.finder.last, other.finder.last
     if mine is None or theirs is None:
         return False
@@ -459,8 +459,8 @@ def _some(points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "some 3
 
 
 def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) -> Int8[np.ndarray, " point"]:
-    """Who was nearest to each point in the frame before; -1 where nobody was nearer than about `reach` metres. Who is
-    hidden has what is left."""
+    """The nearest tracklet to each point in the previous frame; -1 if none was nearer than about `reach` metres. A
+    hidden one gets the rest."""
     points = frame.points
     owner, many = np.full(len(points), -1, np.int8), np.zeros(len(points), np.int8)
     known = [(k, f, f.last[:: len(f.last) // SOME + 1]) for k, f in enumerate(finders) if f.last is not None]
@@ -491,8 +491,8 @@ def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) ->
 
 
 def linked(found: list[Tracklet], frames: list[BodyObservation]) -> list[list[Tracklet]]:
-    """Tracklets of the same people, each in order of time: who was away or hidden is known again by height, and by
-    where they can have gone meanwhile."""
+    """Tracklets grouped by person, each group in order of time: people who were away or hidden are re-identified by
+    height, and by the places that they can have reached meanwhile."""
     groups: list[list[Tracklet]] = []
     for tracklet in sorted(found, key=lambda t: t.since):
         costs = [_unlike(group[-1], tracklet, frames) for group in groups]
@@ -505,7 +505,7 @@ def linked(found: list[Tracklet], frames: list[BodyObservation]) -> list[list[Tr
 
 
 def _unlike(before: Tracklet, after: Tracklet, frames: list[BodyObservation]) -> float:
-    """How unlike each other the last and the first sight of somebody are: below 1 they may be the same."""
+    """Dissimilarity of the last and the first sight of two tracklets: below 1 they may be the same person."""
     if before.last >= after.since:
         return np.inf
     seconds = (frames[after.since].time_ns - frames[before.last].time_ns) / 1e9

@@ -1,7 +1,7 @@
-"""Units of distances that are not what their encoding says: found out by floor, body and range. Host side, NumPy.
+"""Detects units of distances that differ from those of the encoding, by floor, body and range. Host side, NumPy.
 
-Depth of 16 bits may be in steps of 0.25 mm or 0.1 mm, 32-bit depth and clouds in millimetres. What fits is left as it
-is; one sure answer is taken and said; else the user is asked.
+Depth of 16 bits may be in steps of 0.25 mm or 0.1 mm, 32-bit depth and clouds in millimetres. Plausible units are kept;
+a single certain one is applied, with a note; otherwise an error names the option.
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,8 @@ AT_ZERO, NOT_ZERO = 0.1, 0.4  # metres: a floor is, or is not, at the height 0 o
 
 
 def with_units(reader: LogReader, build: Build, settings: DetectSettings) -> LogReader:
-    """The reader, with another scale for topics whose distances are of another unit. Raises LogError where they are
-    of no usual one, and nothing tells of which."""
+    """The reader, with another scale for topics in another unit. Raises LogError if the unit is unusual and
+    ambiguous."""
     scales: dict[str, float] = {}
     for topic in reader.sensors:
         if topic in reader.scales or not _doubted(reader, topic, reader.sampled(topic, FIRST)):
@@ -39,19 +39,19 @@ def with_units(reader: LogReader, build: Build, settings: DetectSettings) -> Log
             scales[topic] = reader.unit(topic) * factor
             reader.say(
                 f"'{topic}': a unit of its distances is {scales[topic]:g} m, not {reader.unit(topic):g} m as usual: "
-                "with that the floor, a body and the range fit. read.scale settles it."
+                "then floor, body and range fit. To override, set read.scale."
             )
     return reader.with_scales(scales) if scales else reader
 
 
 def _distance(samples: Sequence[Sample]) -> float:
-    """Median distance in the unit that is usual, metres; NaN where nothing is measured."""
+    """Median distance in the usual unit, metres; NaN without measurements."""
     every = np.concatenate([np.zeros(0), *(sample.distances for sample in samples)])
     return float(np.median(every)) if len(every) else float("nan")
 
 
 def _doubted(reader: LogReader, topic: str, samples: Sequence[Sample]) -> bool:
-    """Whether the first messages show distances that are not usual, or a floor that is not where it should be."""
+    """Whether the first messages show unusual distances, or a floor at a wrong height."""
     if not samples:
         return False
     if not USUAL[0] <= _distance(samples) <= USUAL[1]:
@@ -66,7 +66,7 @@ def _doubted(reader: LogReader, topic: str, samples: Sequence[Sample]) -> bool:
 
 
 def _factor(reader: LogReader, topic: str, samples: Sequence[Sample], build: Build, settings: DetectSettings) -> float:
-    """By how much the unit that is usual is to be multiplied."""
+    """Factor on the usual unit."""
     distance = _distance(samples)
     low, high = POSSIBLE if reader.is_image(topic) else (POSSIBLE[0], OPEN_AIR)
     possible = [f for f in (1.0, *FACTORS) if low <= f * distance <= high]
@@ -95,12 +95,12 @@ def _factor(reader: LogReader, topic: str, samples: Sequence[Sample], build: Bui
     near = ", ".join(f"'{topic}={reader.unit(topic) * f:g}'" for f in possible[:2]) or f"'{topic}=0.001'"
     raise LogError(
         f"'{reader.path}': the distances of '{topic}' are {distance:.3g} m (median) if its unit is "
-        f"{reader.unit(topic):g} m, and nothing tells which it is. read.scale says it: metres per unit, such as {near}."
+        f"{reader.unit(topic):g} m, and the unit is ambiguous. Set read.scale: metres per unit, such as {near}."
     )
 
 
 def _fits(frames: list[Frame], reader: LogReader, build: Build, settings: DetectSettings) -> tuple[float, float]:
-    """How like a body something on the floor is, and how high above 0 of the fixed frame a floor is seen (else NaN)."""
+    """Body likelihood of an object on the floor, and the height of the floor in the fixed frame (NaN without one)."""
     if not frames:
         return 0.0, float("nan")
     sure = bool(reader.up[2] > 0.99)

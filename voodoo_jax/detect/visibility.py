@@ -1,4 +1,4 @@
-"""What hides what: a thing that comes out from behind another one has not moved. Host side, NumPy."""
+"""Occlusion: an object that comes out from behind another one has not moved. Host side, NumPy."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -20,7 +20,7 @@ NEARER = 0.3  # metres: what hides a place is so much nearer to the sensor, and 
 
 
 class Nearest(NamedTuple):
-    """How far off the nearest thing is in each direction from each sensor, metres; infinite: nothing is seen."""
+    """Distance of the nearest point in each direction from each sensor, metres; infinite: none."""
 
     origins: Float32[np.ndarray, "sensor 3"]
     distance: Float[np.ndarray, " bin"]  # of all sensors, see _directions
@@ -42,7 +42,7 @@ class Nearest(NamedTuple):
         sensor: Int[np.ndarray, " point"],
         origins: Float32[np.ndarray, "sensor 3"],
     ) -> "Callable[[Bool[np.ndarray, ' point'] | slice], Nearest]":
-        """The same of some of the points, again and again: which ones, says a mask."""
+        """A function of a mask that gives the same for a subset of the points."""
         distance, bins = _directions(points, sensor, origins)
 
         def of_some(some: Bool[np.ndarray, " point"] | slice) -> Nearest:
@@ -55,21 +55,21 @@ class Nearest(NamedTuple):
     def hides(
         self, points: Float32[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"], nearer: float = NEARER
     ) -> Bool[np.ndarray, " point"]:
-        """Which points their sensor would not see, for something is before them, `nearer` by so many metres."""
+        """Which points are occluded from their sensor, by something that is at least `nearer` metres nearer."""
         distance, bins = _directions(points, sensor, self.origins)
         return self.distance[bins] < distance - nearer
 
     def empty(
         self, points: Float32[np.ndarray, "point 3"], sensor: Int[np.ndarray, " point"]
     ) -> Bool[np.ndarray, " point"]:
-        """Through which places their sensor sees something behind them."""
+        """Which places their sensor sees as empty."""
         distance, bins = _directions(points, sensor, self.origins)
         return np.isfinite(self.distance[bins]) & (self.distance[bins] > distance + NEARER)
 
 
 def has_far_sides(frames: Sequence[BodyObservation]) -> bool:
-    """Whether points are behind others in the directions in which one sensor sees one distance: then the points of a
-    `sensor` were measured by several, in places that nobody knows."""
+    """Whether points are behind others in the same direction: then the cloud of a `sensor` was merged from several
+    sensors at unknown positions."""
     return float(np.median([_behind(f) for f in frames if len(f.points) >= ASKED] or [0.0])) > BEHIND
 
 

@@ -1,7 +1,7 @@
-"""How noisy a sensor's distances are, measured from the points on the body themselves: noisier points weigh less.
+"""Measures the noise of a sensor's distances from the points on the body; noisier points weigh less.
 
-Host side, NumPy; one frame at a time, no look ahead. Nothing about the sensor need be known: a time-of-flight camera
-errs by 1 cm at 2 m and 4 cm at 5 m, a stereo pair by more, a laser scanner by 2 cm anywhere.
+Host side, NumPy; one frame at a time, no look ahead. It needs no data of the sensor: a time-of-flight camera errs by 1
+cm at 2 m and 4 cm at 5 m, a stereo pair by more, a laser scanner by 2 cm anywhere.
 """
 
 from collections.abc import Iterable, Iterator
@@ -27,7 +27,7 @@ EVERY = 30  # frames after which it is measured again
 
 @dataclass(frozen=True)
 class WeighByNoise:
-    """Points weigh less where the sensor is noisy; without it nothing is known of noise."""
+    """Reduces the weight of noisy points; without this stage, noise is unknown."""
 
     name: ClassVar = "weigh_by_noise"
     looks_ahead: ClassVar = False
@@ -40,13 +40,14 @@ class WeighByNoise:
 def range_noise(
     points: Float32[np.ndarray, "point 3"], origin: Float32[np.ndarray, "3"], joined: bool = False
 ) -> float:
-    """Standard deviation of the points' distances from their sensor, metres: median of what is left of each point's
-    nearest neighbours, as the sensor sees them, after a plane is fitted to them.
+    """Standard deviation of the points' distances from their sensor, metres: median residual of planes fitted to each
+    point's neighbours in the image.
 
     **Arguments:** points of one sensor on a body or another surface, `origin` of the sensor; `joined`: the points are
-    on all sides of it, so that neighbours in its picture need not be neighbours on the surface.
+    on all sides of it, so that neighbours in its image need not be neighbours on the surface.
 
-    Too much where neighbours are so far apart that the surface is bent between them. NaN for fewer than FEWEST points.
+    Overestimated where neighbours are so far apart that the surface is curved between them. NaN for fewer than FEWEST
+    points.
     """
     if len(points) < FEWEST:
         return float("nan")
@@ -78,7 +79,7 @@ def weighed(frames: Iterable[BodyObservation], usual: float) -> Iterator[BodyObs
     """The frames with the noise of their points, and with weights: 1 for points with a noise of `usual` metres or less,
     less for others, in inverse proportion to their variance; times the weight that they have already.
 
-    Between measurements noise grows with the square of the distance. `usual` 0: all weigh as they did.
+    Between measurements noise grows with the square of the distance. `usual` 0: weights are unchanged.
     """
     growth: dict[int, float] = {}  # of each sensor: noise over the square of the distance, 1/metres
     for number, frame in enumerate(frames):

@@ -61,7 +61,7 @@ def format_of(path: str | os.PathLike[str]) -> str:
     for end in sorted(ends, key=len, reverse=True):
         if name.endswith(end):
             return ends[end]
-    raise ExportError(f"'{path}': which format is that? Names end in {', '.join(ends)}")
+    raise ExportError(f"'{path}': unknown format. Names end in {', '.join(ends)}")
 
 
 def export(tracks: Tracks, path: str | os.PathLike[str], format: str = "", style: Style | None = None) -> Path:
@@ -74,7 +74,7 @@ def export(tracks: Tracks, path: str | os.PathLike[str], format: str = "", style
     Raises ExportError (a ValueError) for an unknown format, a missing package or tracks without frames; OSError.
     """
     if not len(tracks.time_ns):
-        raise ExportError(f"there is nothing to export: the tracks of {tracks.source} have no frame")
+        raise ExportError(f"nothing to export: the tracks of {tracks.source} have no frame")
     (name,) = check_formats([format or format_of(path)])
     try:
         check_text(path, name)

@@ -130,16 +130,16 @@ def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) 
         array = data[name]
         expected = tuple(sizes[n] if n.isalpha() else int(n) for n in shape)
         if array.shape != expected:
-            raise TracksFileError(f"{path}: '{name}' has shape {array.shape} where its body asks for {expected}")
+            raise TracksFileError(f"{path}: '{name}' has shape {array.shape} where its body needs {expected}")
         if array.dtype.kind not in kinds:
-            raise TracksFileError(f"{path}: '{name}' holds {array.dtype}, which are no numbers of its kind")
+            raise TracksFileError(f"{path}: '{name}' holds {array.dtype}, which is the wrong type")
         if array.dtype.kind == "f" and (np.abs(array) > FARTHEST).any():
-            raise TracksFileError(f"{path}: '{name}' holds numbers beyond {FARTHEST:g}")
+            raise TracksFileError(f"{path}: '{name}' has numbers beyond {FARTHEST:g}")
     stamps, norms = data["time_ns"], np.linalg.norm(data["rotation"], axis=-1)
     if not ((stamps >= 0) & (stamps < LATEST)).all() or (np.diff(stamps.astype(np.int64)) < 0).any():
-        raise TracksFileError(f"{path}: 'time_ns' does not rise, or holds impossible times")
+        raise TracksFileError(f"{path}: 'time_ns' is not increasing, or has impossible times")
     if not (np.isnan(norms) | (np.abs(norms - 1) < UNEVEN)).all():
-        raise TracksFileError(f"{path}: 'rotation' holds quaternions that are no rotations")
+        raise TracksFileError(f"{path}: 'rotation' has quaternions that are no rotations")
 
 
 def tracks_arrays(stream: Any, path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
@@ -162,28 +162,28 @@ def scale_of(data: Mapping[str, np.ndarray]) -> tuple[str, float]:
             return name, float(value)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
         pass
-    raise NotArrays("'body_json' does not say how large its body is")
+    raise NotArrays("'body_json' lacks the size of its body")
 
 
 def _check_plain(data: Mapping[str, np.ndarray]) -> None:
     """Raises NotArrays for what no tracks file has beside its arrays of a body."""
     for name in ("person", "people"):
         if name in data and not (data[name].dtype.kind in "iu" and data[name].shape == () and 1 <= data[name] <= MOST):
-            raise NotArrays(f"'{name}' is no number of people")
+            raise NotArrays(f"'{name}' is not a number of people")
     if "seconds" in data:
         seconds = data["seconds"]
         if seconds.dtype.kind not in "iuf" or seconds.shape != () or not 0 <= seconds < math.inf:
-            raise NotArrays("'seconds' is no number of seconds")
+            raise NotArrays("'seconds' is not a number of seconds")
     for name in (name for name in ("notes", "marker_names", "joint_names") if name in data):
         if data[name].ndim != 1 or data[name].dtype.kind != "U" and data[name].size:
-            raise NotArrays(f"'{name}' is no list of texts")
+            raise NotArrays(f"'{name}' is not a list of texts")
     for name in (name for name in TEXTS if name in data):
         if data[name].shape != () or data[name].dtype.kind != "U":
             raise NotArrays(f"'{name}' is no text")
     count = data["time_ns"].shape if "time_ns" in data else None
     for name, kinds in (("tracked", "b"), ("residual", "f")):
         if name in data and (data[name].shape != count or data[name].dtype.kind not in kinds):
-            raise NotArrays(f"'{name}' is not one for each frame")
+            raise NotArrays(f"'{name}' does not have one entry for each frame")
     if "body_json" in data:
         scale_of(data)
 

@@ -45,7 +45,7 @@ def arrays_in(stream: Any, wanted: Container[str] | None = None) -> dict[str, np
     except UNREADABLE as problem:
         raise NotArrays(str(problem) or type(problem).__name__) from problem
     if wanted is None and DIGEST in found and str(found.pop(DIGEST)) != digest(found):
-        raise NotArrays("its arrays are not those that were written: it is damaged")
+        raise NotArrays("its arrays do not match their checksum: it is damaged")
     return found
 
 

@@ -52,7 +52,7 @@ def undistort(
         return _undo_fisheye(seen, np.asarray(D, float))
     if name not in _BROWN:
         known = ", ".join(["plumb_bob", "rational_polynomial", "equidistant", "kannala_brandt"])
-        raise ValueError(f"lens model '{model}' is not known (known: {known})")
+        raise ValueError(f"lens model '{model}' is unknown (known: {known})")
     return _undo_brown(seen, np.asarray(D, float))
 
 

@@ -1,4 +1,4 @@
-"""Sensor logs as frames. Never imports JAX.
+"""Reads sensor logs as frames. Never imports JAX.
 
 Public: `log_reader.open_log`, `log_reader.read_log`, `log_summary.survey`, `log_reader.LogError`.
 """

@@ -1,4 +1,4 @@
-"""What is next in a stream is made in another thread while this one is busy with what came before."""
+"""Computes the next items of a stream in another thread."""
 
 from collections.abc import Iterable, Iterator
 from contextvars import copy_context
@@ -17,9 +17,9 @@ class _End(NamedTuple):
 
 
 def ahead(items: Iterable[T], count: int) -> Iterator[T]:
-    """The same items in the same order, up to `count` of them made before they are asked for, in a thread of its own
-    (NumPy, OpenCV and decompression let other threads run meanwhile). Raises what making them raises, in its turn; who
-    stops asking ends the thread. The limits that hold here hold there, too."""
+    """The same items in the same order, up to `count` of them computed in advance, in a separate thread (NumPy, OpenCV
+    and decompression release the GIL). Exceptions are raised at their item. The thread ends with the iteration; it has
+    the same limits as the caller."""
     made: Queue[T | _End] = Queue(count)
     stopped = Event()
 

@@ -1,4 +1,4 @@
-"""What the planes in a log's first images say of what the log says of them: places of frames, kinds of distances."""
+"""Checks a log's metadata against planes in its first images: poses of frames, kinds of distances."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ FITS, TORN = 2.5, 0.5
 
 
 def with_settled_frames(reader: LogReader) -> LogReader:
-    """The reader with the one of two places of each frame that two publishers disagree about: that with which the floor
-    is level and at the height 0, if it tells."""
+    """The reader with one of the two poses of each frame about which two publishers disagree: the one with a level
+    floor at height 0, if visible."""
     for child, both in reader.scan.tree.torn.items():
         count = 2 * min(len(e.stamps) for e in both)
         off, lines = zip(*((off_level(reader), line) for line in (reader.scan.tree.choose(child, k) for k in (0, 1))))
@@ -29,22 +29,22 @@ def with_settled_frames(reader: LogReader) -> LogReader:
         reader.scan.tree.choose(child, best)
         told = is_decisive(off[best], off[1 - best])
         reader.sure *= 1.0 if told else TORN
-        why = "the floor is level with the one that is used" if told else "nothing tells which is right"
+        why = "the floor is level with the one that is used" if told else "it is unknown which one is right"
         reader.say(
-            f"Frame '{child}' jumps between two places, {count} times: two publishers say where it is; {why}. "
+            f"Frame '{child}' jumps between two poses, {count} times: two publishers disagree about it; {why}. "
             f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
         )
     return reader
 
 
 def is_decisive(best: float, other: float) -> bool:
-    """Whether the better of two places of a sensor is right, to judge by `off_level` of both."""
+    """Whether the better of two poses of a sensor is right, by `off_level` of both."""
     return best < FITS and other > 2 * max(best, FITS / 4)
 
 
 def with_images_as_shown(reader: LogReader) -> LogReader:
-    """The reader with depth images taken for what their planes show them to be: distances along the rays, and optical
-    ones in a frame of a camera's body."""
+    """The reader with depth images interpreted as their planes show: as distances along the rays, or as optical images
+    in a frame of a camera's body."""
     for topic in reader.sensors:
         if not reader.is_image(topic) or (found := calibrated(reader.scan.topics, topic)) is None:
             continue
@@ -52,23 +52,23 @@ def with_images_as_shown(reader: LogReader) -> LogReader:
         if topic not in reader.measuring.radial and flat_share(xy, values)[1]:
             reader.measuring.radial[topic] = True
             reader.say(
-                f"'{topic}' has distances along the rays, not along the optical axis, to judge by the planes in it "
+                f"'{topic}' has distances along the rays, not along the optical axis, as its planes show "
                 f"(read.radial={topic}=yes; =no says that they are depths)."
             )
         if in_body_frame(reader, topic, xy, values):
             reader.measuring.of_body |= {topic}
             reader.say(
-                f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor stands upright: that is the "
-                "frame of a camera's body, and its images are taken for optical ones (z ahead, x to the right) at that "
-                "place. A transform of an optical frame, or read.up, settles it."
+                f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor would be upright: that is "
+                "the frame of a camera's body. Its images are treated as optical (z forwards, x to the right) there. "
+                "To override, give the transform of an optical frame, or set read.up."
             )
     return reader
 
 
 def off_level(reader: LogReader, topic: str = "") -> float:
-    """How far the floor in the first image of a depth camera is from lying level at the height 0 of the fixed
-    frame, in degrees, or 2 centimetres; the best of all cameras, or that of one; infinite where none sees one. Walls
-    beside the axes of the frame count a tenth of that: rooms are often measured along them."""
+    """Deviation of the floor in a depth camera's first image from level at height 0 of the fixed frame, in units of a
+    degree or 2 centimetres; the best of all cameras, or that of one; infinite without a floor. Deviations of walls from
+    the axes of the frame count a tenth: rooms are often measured along them."""
     least = np.inf
     for name in (topic,) if topic else reader.sensors:
         found = calibrated(reader.scan.topics, name) if reader.is_image(name) else None
@@ -91,8 +91,8 @@ def off_level(reader: LogReader, topic: str = "") -> float:
 
 
 def in_body_frame(reader: LogReader, topic: str, xy: np.ndarray, values: np.ndarray) -> bool:
-    """Whether the floor in a topic's first image is level only if its frame is that of a camera's body, as the
-    transforms place it."""
+    """Whether the floor in a topic's first image is level, by the transforms, only if its frame is that of a camera's
+    body."""
     frame, tree = reader.frame_name(topic), reader.scan.tree
     pose = tree.lookup(reader.fixed_frame, frame, int(reader.stamps(topic)[0]), hold_ns=None)
     if reader.up_is_given or pose is None or frame == tree.root(frame) or "optical" in frame.lower():

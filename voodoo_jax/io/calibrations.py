@@ -1,4 +1,4 @@
-"""Which calibration, and which coordinate frame, belongs to a topic."""
+"""Finds the calibration and the coordinate frame of a topic."""
 
 import re
 from dataclasses import replace
@@ -13,22 +13,22 @@ BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # from optical a
 
 
 def bare(topic: str) -> str:
-    """Topic of the image itself, without what image_transport adds for a packed one."""
+    """Topic of the raw image, without the suffix of image_transport for a compressed one."""
     return topic.removesuffix("/compressedDepth").removesuffix("/compressed")
 
 
 def rectified(topic: str) -> bool:
-    """By ROS custom images have no lens left if their topic has `rect` in its name."""
+    """By ROS convention images are undistorted if their topic has `rect` in its name."""
     return re.search(r"(^|[/_])(image_)?rect(ified)?([/_]|$)", topic) is not None
 
 
 def lens_of(topic: str, c: Calibration) -> tuple[np.ndarray, np.ndarray]:
-    """K and D for the pixels of a topic."""
+    """K and D of a topic's pixels."""
     return (c.P[:, :3].copy(), np.zeros(0)) if rectified(topic) and c.P[0, 0] > 0 else (c.K.copy(), c.D)
 
 
 def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:
-    """That of the same frame, else of the same namespace; then the one of the same size."""
+    """The calibration of the same frame, else of the same namespace; of several, the one of the same size."""
     image: Image = topics[name].sample
     if topics[name].given is not None:
         return topics[name].given
@@ -51,8 +51,8 @@ def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:
 
 
 def camera_of(topics: dict[str, Topic], name: str, frame: str) -> Calibration | None:
-    """The camera of 2D features: that of the same frame, else of the same namespace; without a frame also the
-    only one that is not a depth sensor's, or the only one at all."""
+    """The camera of 2D features: that of the same frame, else of the same namespace; without a frame also the only one
+    that is not a depth sensor, or the only one."""
     if (given := topics[name].given) is not None:
         return replace(given, frame=frame or given.frame)
     found = _camera_of(topics, name, frame)

@@ -1,4 +1,4 @@
-"""What is in the chunks of an MCAP file, each unpacked within limits; texts in it that harm no terminal."""
+"""Reads the chunks of an MCAP file, each unpacked within limits, and escapes texts in it."""
 
 import struct
 import time
@@ -41,21 +41,21 @@ _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")  # heads: of a 
 
 
 class LogError(Exception):
-    """A log cannot be used. The text says what is wrong, where, and what to try; names in it are spelt out."""
+    """A log cannot be used. The text states the fault, its place and a remedy; names in it are escaped."""
 
     def __init__(self, text: str):
         super().__init__(plain(text, 2 * SENTENCE))
 
 
 class Clock:
-    """How long a log has taken since it yielded something, in seconds of the processor for this thread."""
+    """Processor time of this thread since a log last yielded something, seconds."""
 
     def __init__(self, size: int):
         self.most = limits().seconds * (1 + (size >> 30))
         self.restart()
 
     def restart(self) -> None:
-        """Something came of it."""
+        """Restarts the clock, after a result."""
         self._wall, self._began = time.monotonic(), time.thread_time()
 
     def check(self) -> None:
@@ -63,36 +63,36 @@ class Clock:
         # the processor's time is asked for where all time could be enough only: that takes ten times as long
         if 0 < self.most < time.monotonic() - self._wall and self.most < time.thread_time() - self._began:
             raise LogError(
-                f"The log took {self.most:g} s of the processor without yielding a frame: it is damaged, or made to "
-                "take long. If it is as it should be, allow more (--limits.seconds)."
+                f"The log took {self.most:g} s of processor time without yielding a frame: it is damaged, or made "
+                "to take long. If it is intact, allow more (--limits.seconds)."
             )
 
 
 class Budget:
-    """How much a log may still unpack to."""
+    """Bytes to which a log may still unpack."""
 
     def __init__(self, size: int):
         self.most = self.left = limits().log_bytes + limits().log_times * size
         self.lock = Lock()
 
     def take(self, count: int) -> None:
-        """Takes note of so many bytes. Raises LogError if they are too many: other than a bad chunk this ends all."""
+        """Subtracts bytes. Raises LogError if they are too many: unlike a bad chunk, this ends reading."""
         with self.lock:
             self.left -= count
         if self.left < 0:
             raise LogError(
                 f"The log unpacks to more than {self.most} bytes, over {limits().log_times} times its size: it is "
-                "damaged, or made to take long. Nothing of it is used (--limits.log_bytes, --limits.log_times)."
+                "damaged, or made to take long. It is not used (--limits.log_bytes, --limits.log_times)."
             )
 
 
 def chunk_records(body: bytes, budget: Budget) -> tuple[list, str]:
-    """Schemas, channels and messages of one chunk record, and why some are missing; raises one of READ_ERRORS if its
-    bytes are not as written."""
+    """Schemas, channels and messages of one chunk record, and the reason for missing ones; raises one of READ_ERRORS if
+    it is damaged."""
     chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     if chunk.compression not in COMPRESSIONS:
         # mcap 1.6 would take the bytes for uncompressed ones and lose them without a word.
-        raise McapError(f"compression '{chunk.compression}' is not known")
+        raise McapError(f"compression '{chunk.compression}' is unknown")
     if not chunk.uncompressed_crc and not chunk.compression and len(chunk.data) != chunk.uncompressed_size:
         raise McapError("its length is not the one stated")
     data = _unpacked(chunk)
@@ -143,15 +143,15 @@ def _records(data: bytes) -> tuple[list, str]:
         elif opcode == Opcode.SCHEMA:
             records.append(Schema.read(ReadDataStream(BytesIO(data[at:stop]))))
         elif opcode == 0:  # MCAP has no such record: a chunk of zeros would be millions of them
-            raise McapError("it holds bytes that are no records")
+            raise McapError("it has bytes that are no records")
         if len(records) > most:
-            raise McapError(f"it holds more than {most} messages (--limits.chunk_messages)")
+            raise McapError(f"it has more than {most} messages (--limits.chunk_messages)")
         at = stop
     return records, ""
 
 
 def clean_channel(channel: Channel) -> Channel:
-    """A channel by whose names no terminal is harmed."""
+    """A channel with escaped names."""
     topic, encoding = plain_name(channel.topic), plain(channel.message_encoding)
     if (topic, encoding) == (channel.topic, channel.message_encoding) and not channel.metadata:
         return channel
@@ -180,5 +180,5 @@ def unpacked_message(channel: Channel, message: Message) -> Message:
 
 def words(error: BaseException) -> str:
     if isinstance(error, CRCValidationError):
-        return "checksum does not match, bytes were changed"
+        return "checksum mismatch, bytes were changed"
     return str(error).strip().rstrip(".") or f"broken off ({type(error).__name__})"

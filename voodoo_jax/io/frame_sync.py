@@ -1,4 +1,4 @@
-"""Stamps to frames: which messages belong together."""
+"""Groups messages into frames by their stamps."""
 
 import numpy as np
 from jaxtyping import Bool, Int64
@@ -28,7 +28,7 @@ def join(
 
 
 def join_one(times: Int64[np.ndarray, " frame"], stamps: Int64[np.ndarray, " message"]) -> list[tuple[int, int]]:
-    """(frame, message) for each frame that some message belongs to: the one that is nearest in time."""
+    """(frame, message) for each frame with a message: the one nearest in time."""
     nearest, joins = join(times, period_of(times), stamps)
     order = np.lexsort((np.abs(times[nearest] - stamps), nearest))
     order = order[joins[order]]
@@ -70,10 +70,10 @@ def clean_stamps(name: str, stamps_ns: list[int], log_times_ns: list[int], notes
 
 
 def plan_frames(stamps: list[np.ndarray], places: list[np.ndarray]) -> list[tuple[int, list[tuple[int, int]]]]:
-    """Which messages make up which frame: (time_ns, [(sensor, place)]) in order of time, each message once.
+    """The messages of each frame: (time_ns, [(sensor, index)]) in order of time, each message once.
 
-    `stamps` per sensor, increasing, sensors in name order. The fastest sensor leads; what falls into its pauses is
-    planned again among the others.
+    `stamps` per sensor, increasing, sensors in name order. The fastest sensor gives the frames; messages in its pauses
+    are planned again among the others.
     """
     period = np.array([period_of(s) for s in stamps])
     left = {i: np.arange(len(s)) for i, s in enumerate(stamps)}

@@ -1,4 +1,4 @@
-"""What a log lacks and a user gives: calibrations from files, transforms as texts."""
+"""Data from the user that a log lacks: calibrations from files, transforms as texts."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def given_cameras(words: tuple[str, ...]) -> dict[str, Calibration]:
         except (ValueError, TypeError, AttributeError, OverflowError) as problem:
             if isinstance(problem, SettingsError):
                 raise
-            raise SettingsError(f"read.camera: '{file}' holds no camera_info: {problem}") from problem
+            raise SettingsError(f"read.camera: '{file}' has no camera_info: {problem}") from problem
     return found
 
 
@@ -53,7 +53,7 @@ def given_transforms(words: tuple[str, ...]) -> list[Transform]:
         if not QUATERNION[0] <= length <= QUATERNION[1]:
             raise SettingsError(
                 f"read.transform: '{word}' must look like 'parent child x y z qx qy qz qw', such as "
-                "'base camera 0 0 1.2 0 0 0 1': metres and a quaternion, the place of the child in the parent"
+                "'base camera 0 0 1.2 0 0 0 1': metres and a quaternion, the pose of the child in the parent"
             )
         found.append(Transform(0, frame_name(parts[0]), frame_name(parts[1]), numbers[:3], numbers[3:]))
     return found
@@ -96,9 +96,9 @@ def _content(place: str) -> dict[str, Any]:
             # `ros2 topic echo` writes a line of dashes behind each message
             content = next(iter(YAML(typ="safe", pure=True).load_all(text)), None)
     except Exception as problem:  # each parser has its own, RecursionError among them
-        raise SettingsError(f"read.camera: '{place}' is no YAML, TOML or JSON: {problem}") from problem
+        raise SettingsError(f"read.camera: '{place}' is not YAML, TOML or JSON: {problem}") from problem
     if not isinstance(content, dict):
-        raise SettingsError(f"read.camera: '{place}' holds no camera_info")
+        raise SettingsError(f"read.camera: '{place}' has no camera_info")
     return content
 
 

@@ -1,4 +1,4 @@
-"""A calibration for images of another size than its own: scaled, cropped, a region of interest, binning."""
+"""Adapts a calibration to images of another size: scaled, cropped, a region of interest, binning."""
 
 from dataclasses import replace
 
@@ -8,34 +8,34 @@ from voodoo_jax.records.messages import Calibration
 
 ALIKE = 0.02  # of each other: rounding to whole pixels, as 424 x 240 from 1280 x 720, changes factors by no more
 PARTS = (2, 3, 4)  # every second, third or fourth row is kept: as likely as a crop to so little
-CROPPED = "taken for cropped about its middle (if it is not, give its calibration by read.camera)"
+CROPPED = "assumed to be cropped about its centre (if not, give its calibration by read.camera)"
 LEAST = 0.4  # of the picture: who crops to less has chosen a place, not the middle
 
 
 def fitted(c: Calibration, shape: tuple[int, int]) -> tuple[Calibration, str]:
-    """The calibration for images of so many rows and columns, and what was assumed, as half a sentence; "" if nothing.
+    """The calibration for images of this size, and the assumption as half a sentence; "" if none.
 
-    Pixels stay square: where both directions do not shrink alike the picture was cropped, about its middle. Raises
-    ValueError where several things may have been done to the image that the calibration does not know of.
+    Pixels stay square: if the two directions do not shrink alike, the image was cropped, about its centre. Raises
+    ValueError if the change is ambiguous.
     """
     rows, columns = shape
     if not (c.width and c.height) or (c.height, c.width) == shape:
         return replace(c, width=columns, height=rows), ""
     for other in c.others:  # a region or binning that was stated, and not done
         if (other.height, other.width) == shape:
-            return other, "its region of interest or binning is not that of the image, and left out"
+            return other, "its region of interest or binning does not fit the image, and is ignored"
     across, down = columns / c.width, rows / c.height
     if abs(across / down - 1) <= ALIKE:
         return scaled(c, shape), "scaled to fit"
     sizes = f"it is {columns} x {rows} pixels, its calibration is of {c.width} x {c.height}"
     ask = "give the right calibration by read.camera"
     if abs(columns / c.height / (rows / c.width) - 1) <= ALIKE:
-        raise ValueError(f"{sizes}: the image was turned by a quarter turn; {ask}")
+        raise ValueError(f"{sizes}: the image was rotated by 90 degrees; {ask}")
     less = min(across, down) / max(across, down)
     if any(abs(less * part - 1) < 1e-6 for part in PARTS):
         raise ValueError(f"{sizes}: it was cropped, or rows or columns were left out; {ask}")
     if less < LEAST:
-        raise ValueError(f"{sizes}: it was cropped, and nothing says where; {ask}")
+        raise ValueError(f"{sizes}: it was cropped, at an unknown place; {ask}")
     size = _uncropped(c, shape)
     whole = moved(scaled(c, size), ((columns - size[1]) / 2, (rows - size[0]) / 2))
     return replace(whole, width=columns, height=rows), CROPPED
@@ -48,8 +48,8 @@ def _uncropped(c: Calibration, shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def leeway(c: Calibration, shape: tuple[int, int]) -> tuple[float, float]:
-    """Pixels across and down by which the middle of an image that `fitted` takes for cropped may lie beside that of the
-    whole one; 0, 0 for images that it takes for something else."""
+    """Largest offset (pixels across and down) of the centre of an image that `fitted` assumes to be cropped from that
+    of the whole image; 0, 0 for others."""
     if fitted(c, shape)[1] != CROPPED:
         return 0.0, 0.0
     rows, columns = _uncropped(c, shape)
@@ -57,7 +57,7 @@ def leeway(c: Calibration, shape: tuple[int, int]) -> tuple[float, float]:
 
 
 def moved(c: Calibration, by: tuple[float, float]) -> Calibration:
-    """The calibration with its principal point so many pixels to the right and down."""
+    """The calibration with its principal point moved by pixels to the right and down."""
     K, P = c.K.copy(), c.P.copy()
     for matrix in (K, P):
         matrix[:2, 2] += np.array(by) * matrix[2, 2]

@@ -1,7 +1,7 @@
-"""What a depth image says of itself, told by the planes that it shows: floor, walls, tables. Host side, NumPy.
+"""Finds planes in depth images (floor, walls, tables), which show the kind of its values. Host side, NumPy.
 
-On a plane the inverse of the depth is linear in the pixel's place. Where an image has distances along the ray instead
-of along the optical axis, that holds for them only once they are turned into depths.
+On a plane the inverse depth is linear in pixel coordinates. For distances along the ray instead of along the optical
+axis, this holds only after conversion to depths.
 """
 
 from typing import NamedTuple
@@ -73,7 +73,7 @@ def seen_pixels(
 
 def flat_share(xy: Float[np.ndarray, "row column 2"], image: Float[np.ndarray, "row column"]) -> tuple[float, bool]:
     """Share of an image's pixels that lie on its larger planes, and whether its values are distances along the rays:
-    there are planes in it then, and else hardly any. Brightness and confidence have none either way."""
+    only the right interpretation has planes. Brightness and confidence have none."""
     ways, value = seen_pixels(xy, image)
     if len(value) < TELLING:
         return 0.0, False

@@ -1,8 +1,8 @@
-"""Key points that several calibrated cameras see, as named 3D points: triangulated, and told apart by people.
+"""Triangulates key points of several calibrated cameras to named 3D points, and associates them with people.
 
-Where a log has nothing else, lines of sight start no body: nothing says how far away it is. Detections of one message
-are taken apart by their names, which repeat for each person; people of several cameras belong together where their
-lines of sight meet, first with whom they were in the frame before.
+Lines of sight alone cannot start a body, since its distance is unknown. Detections of one message are split into people
+by their names, which repeat for each person. People in several cameras are associated if their lines of sight meet;
+associations of the previous frame are tried first.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ BRIEF = 0.1  # of the frames with anybody: who is seen in fewer is nobody; by ha
 
 @dataclass(frozen=True)
 class Sight:
-    """What one camera sees of one person at one time."""
+    """Detections of one person by one camera at one time."""
 
     origin: Float[np.ndarray, "3"]
     names: tuple[str, ...]
@@ -43,8 +43,8 @@ class _Person:
 
 
 def order_of(names: Sequence[str], stamps: Int64[np.ndarray, " name"]) -> tuple[str, ...]:
-    """The order in which a camera's detections name the points of a person: the longest beginning of a message in which
-    none is named twice, and then the others."""
+    """The order of names in a camera's detections of a person: the longest beginning of a message without repeated
+    names, and then the others."""
     starts = [0, *(np.flatnonzero(np.diff(stamps)) + 1).tolist(), len(names)]
     best: list[str] = []
     for a, b in zip(starts, starts[1:]):
@@ -58,7 +58,7 @@ def order_of(names: Sequence[str], stamps: Int64[np.ndarray, " name"]) -> tuple[
 def sights(
     origin: np.ndarray, names: Sequence[str], directions: np.ndarray, weights: np.ndarray, order: Sequence[str]
 ) -> list[Sight]:
-    """The detections of a message in their order, taken apart by people: names come in one `order`, each once for each
+    """The detections of a message in their order, split into people: names come in one `order`, once for each
     person."""
     place = {name: k for k, name in enumerate(order)}
     at = [place[name] for name in names]
@@ -69,8 +69,8 @@ def sights(
 
 
 def people_of(frames: dict[int, list[list[Sight]]]) -> tuple[dict[int, Pairs], dict[int, Rays]]:
-    """Named 3D points and the lines of sight to them, by frame, of what each camera sees [camera][person]; names begin
-    with `person<k>:` where there are several people, the one who is seen longest first."""
+    """Named 3D points and the lines of sight to them, by frame, from the sights [camera][person]; for several people
+    names begin with `person<k>:`, in order of the time in view."""
     people: list[_Person] = []
     for i in sorted(frames):
         _take(people, i, [list(seen) for seen in frames[i]])
@@ -170,7 +170,7 @@ def _gap(one: Sight, other: Sight) -> float:
 
 
 def triangulated(looks: Sequence[Sight]) -> dict[str, np.ndarray]:
-    """Points that two lines of sight or more agree on, metres; lines that do not agree with most are left out."""
+    """Points on which at least two lines of sight agree, metres, without outliers."""
     by_name: dict[str, list[tuple[np.ndarray, np.ndarray, float]]] = {}
     for sight in looks:
         for name, direction, weight in zip(sight.names, sight.directions, sight.weights):

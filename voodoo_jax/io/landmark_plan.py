@@ -1,4 +1,4 @@
-"""Named features to frames: rays through calibrated cameras and 3D points, in the fixed frame. Plans, reads nothing."""
+"""Assigns named features to frames: rays through calibrated cameras and 3D points, in the fixed frame."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ from voodoo_jax.records.recording import Pairs, Rays
 
 @dataclass
 class FeaturePlan:
-    """Rays and pairs by number of the frame, the topics that gave them, and what was left out, one sentence each."""
+    """Rays and pairs by frame number, their topics, and notes on features left out."""
 
     rays: dict[int, Rays] = field(default_factory=dict)
     pairs: dict[int, Pairs] = field(default_factory=dict)
@@ -43,10 +43,10 @@ class _Placed:
 def plan_features(
     scan: Scan, fixed: str, topics: list[str], times: Int64[np.ndarray, " frame"], weights: Parts, after_ns: int = -1
 ) -> FeaturePlan:
-    """Gives each feature of the topics to the frame with the nearest stamp (`times`, increasing, nanoseconds), if that
-    is after `after_ns`.
+    """Assigns each feature of the topics to the frame with the nearest stamp (`times`, increasing, nanoseconds), if
+    that is after `after_ns`.
 
-    Of one name and topic a frame gets one: the nearest in time, then the one with the highest score.
+    A frame gets one feature for each name and topic: the nearest in time, then the one with the highest score.
     """
     plan = FeaturePlan()
     found: dict[str, list[_Placed]] = {RAYS: [], PAIRS: []}
@@ -72,8 +72,8 @@ def plan_features(
 def plan_key_points(
     scan: Scan, fixed: str, topics: list[str], times: Int64[np.ndarray, " frame"], weights: Parts
 ) -> FeaturePlan:
-    """Key points of several cameras alone as named 3D points and the lines of sight to them, each person's by
-    themselves; frames as for plan_features."""
+    """Key points of several cameras as named 3D points and the lines of sight to them, for each person; frames as for
+    plan_features."""
     plan, frames = FeaturePlan(), {}
     counted: Counter[str] = Counter()
     for camera, name in enumerate(sorted(topics)):
@@ -145,7 +145,7 @@ def _place(
         return f"no transform between {', '.join(repr(f) for f in known)} and '{fixed}'"
     nearest, joins = join(times, period_of(times), found.stamps)
     if not joins.all():
-        counted["left out, near no frame in time"] += int((~joins).sum())
+        counted["left out, with no frame near in time"] += int((~joins).sum())
     kept = np.flatnonzero(joins & np.isfinite(values).all(axis=1) & (times[nearest] > after_ns))
     number = {n: i for i, n in enumerate(dict.fromkeys(found.names))}
     key = nearest[kept] * len(number) + np.array([number[found.names[k]] for k in kept], np.int64)

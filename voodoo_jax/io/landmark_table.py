@@ -27,7 +27,7 @@ EXTENTS = ((0.3, 10.0, 1.0), (30.0, 250.0, 0.01), (300.0, 10_000.0, 0.001))
 
 
 def unit_of(found: "Gathered", fewest: int = 4) -> float:
-    """Metres per unit of 3D features, to judge by how far apart those of one time are; 1 where that does not tell."""
+    """Metres per unit of 3D features, by their extent at one time; 1 if ambiguous."""
     if found.values.shape[1:] != (3,) or len(found.values) < fewest:
         return 1.0
     times, index, count = np.unique(found.stamps, return_inverse=True, return_counts=True)
@@ -40,10 +40,10 @@ def unit_of(found: "Gathered", fewest: int = 4) -> float:
 
 
 def gather(topic: str, messages: Sequence[Features], log_times: Sequence[int], notes: list[str]) -> Gathered:
-    """Put the messages of a topic together; says in `notes` where the log's time had to serve as stamp.
+    """Collects the messages of a topic; `notes` state where the log time replaces a missing stamp.
 
-    A feature's own stamp comes first, then its message's. A name that stands for several things at one time gets what
-    tells them apart as a second part, throughout the log: marker number 3 of `hand` is "hand/3", whoever else is seen.
+    A feature's own stamp comes first, then its message's. A name of several points at one time gets their number as a
+    second part throughout the log: marker number 3 of `hand` is "hand/3".
     """
     last = topic.rstrip("/").rsplit("/", 1)[-1]
     own = np.array([m.stamp_ns for m in messages], np.int64)

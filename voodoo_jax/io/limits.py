@@ -1,7 +1,7 @@
-"""How much one log may ask for: what asks for more is refused with a sentence, before memory or time is spent on it.
+"""Limits for one log: data beyond them is refused with a message, before memory or time is spent on it.
 
-Together with what is kept of a log between its passes these keep reading below 2 GB (docs/limits.md). They hold for all
-that is read in the same thread: what decodes a message need not be told.
+With the data kept between passes, they keep reading below 2 GB (docs/limits.md). They are thread-local, so decoders
+need no argument for them.
 """
 
 from voodoo_jax.config.limited import limited, limits, too_large

@@ -1,8 +1,7 @@
-"""Read an MCAP sensor log: depth images, point clouds and named features, found by type, as frames in one fixed frame.
+"""Reads an MCAP sensor log: depth images, point clouds and named features, found by type, as frames in one fixed frame.
 
-Two passes: the first collects stamps, calibrations, transforms and features, and plans which messages make up which
-frame; the second decodes the depth messages one by one. So memory stays bounded, and a calibration may come after the
-images.
+The first of two passes collects stamps, calibrations, transforms and features, and assigns messages to frames; the
+second decodes the depth messages one by one. So memory stays bounded, and a calibration may come after the images.
 """
 
 from collections import Counter
@@ -47,13 +46,13 @@ Progress = Callable[[int, int], None]
 AHEAD = 2 * UNPACKERS  # frames: so that no thread waits for the next pair of images
 Part = tuple[int, int, Measured | Future[Cloud]]  # number of a sensor, and of its message; a pair's is being matched
 UNREADABLE = "cannot be decoded, left out"
-STUCK = "left out, with the picture of the one before: the sensor, its driver or a relay stood still"
-BEGAN = "with the picture of the first one, at the beginning: the sensor or its driver stood still"
+STUCK = "left out, which repeat the previous image: the sensor, its driver or a relay was frozen"
+BEGAN = "which repeat the first image, at the beginning: the sensor or its driver was frozen"
 FEW_POINTS = 5000  # of a message that are looked at to see whether it shows something
 
 
 def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "LogReader":
-    """Look through a log and plan its frames; `frames()` of the result then gives them one by one.
+    """Scans a log and plans its frames; `frames()` of the result then yields them one by one.
 
     **Arguments:** `path` of a file, of a bag's folder, or those of several files that were recorded together.
 
@@ -76,7 +75,7 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "Lo
 
 
 def read_log(path: Place, settings: ReadSettings | None = None, progress: Progress | None = None) -> Recording:
-    """Read a whole log into memory: see `open_log`, `LogReader.frames` and `Recording`. Raises as `open_log`."""
+    """Reads a whole log into memory: see `open_log`, `LogReader.frames` and `Recording`. Raises as `open_log`."""
     return read_whole(open_log(path, settings), progress)
 
 
@@ -91,7 +90,7 @@ def read_whole(log: "LogReader", progress: Progress | None = None) -> Recording:
 
 @dataclass(frozen=True)
 class Sample:
-    """One message of a depth topic, for looking at it before all are read."""
+    """One message of a depth topic, decoded in advance."""
 
     number: int  # of the topic's messages
     content: Cloud | Image
@@ -126,21 +125,21 @@ class LogReader:
 
     @property
     def scales(self) -> dict[str, float]:
-        """Metres per unit of topics, where it is not the usual."""
+        """Metres per unit of topics, if unusual."""
         return self.measuring.scales
 
     def unit(self, topic: str) -> float:
-        """Metres per unit of a depth topic's numbers, as is usual for its encoding."""
+        """Usual metres per unit of a depth topic's encoding."""
         sample = self.scan.topics[topic].sample
         return sample.unit if isinstance(sample, Image) else 1.0
 
     def frame_name(self, topic: str) -> str:
-        """The frame in which a depth topic is given."""
+        """The coordinate frame of a depth topic."""
         return self.scan.topics[topic].sample.frame
 
     def move(self, topic: str, T: Float[np.ndarray, "4 4"]) -> tuple[str, str]:
-        """Moves a sensor that stands still by `T`, in the fixed frame. Returns how read.transform says where it then
-        is, and where the log has it; both are empty where the log's transforms cannot be changed so."""
+        """Moves a static sensor by `T`, in the fixed frame. Returns the read.transform texts of its new pose and of
+        that of the log; both are empty if the log's transforms do not allow this."""
         name, tree = self.frame_name(topic), self.scan.tree
         before = tree.said(name)
         if not tree.move(name, self.fixed_frame, T):
@@ -155,7 +154,7 @@ class LogReader:
 
     @property
     def given_frames(self) -> set[str]:
-        """Frames that read.transform places."""
+        """Frames with a pose from read.transform."""
         return {transform.child for transform in given_transforms(self._settings.transform)}
 
     def is_image(self, topic: str) -> bool:
@@ -178,15 +177,14 @@ class LogReader:
         return self._with(smeared=topics)
 
     def with_crop(self, topic: str, moved: tuple[float, float], sure: float = 1.0) -> "LogReader":
-        """The same log with the principal point of a topic's cropped images so many pixels to the right and down of
-        where it is if they were cropped about their middle, which is right with the probability `sure`."""
+        """The same log with the principal point of a topic's cropped images moved by pixels to the right and down,
+        relative to a central crop; right with the probability `sure`."""
         other = self._with(moved={**self.measuring.moved, topic: moved}, rays={}, turned={}, assumed={})
         other.sure *= sure
         return other
 
     def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
-        """Pixels across and down by which the place is unknown where a topic's images were cropped, and their focal
-        length, pixels."""
+        """Uncertainty of a topic's crop offset, pixels across and down, and the focal length, pixels."""
         shape = shape_of(self.scan.topics[topic].sample)
         c = None if shape is None else calibration_of(self.scan.topics, topic)
         if shape is None or c is None:
@@ -206,7 +204,7 @@ class LogReader:
         return self.measuring.depth(topic, image, every)
 
     def continued(self, scan: Scan, plan: Plan) -> "LogReader":
-        """The same log with what has come since: another look at it, and its plan."""
+        """The same log with later messages: a new scan and plan."""
         other = copy(self)
         other.scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
         other.sensors, other.features = plan.sensors, plan.features
@@ -216,13 +214,13 @@ class LogReader:
         return other
 
     def settled(self, transforms: list[tuple[Transform, bool]], decoder: Decoder) -> Known:
-        """What this look at the log has settled, for `continued`; `transforms` and `decoder` see Known."""
+        """Results of this scan that stay fixed, for `continued`; `transforms` and `decoder` see Known."""
         s = self.scan
         return Known(s.topics, s.uses, s.skin, s.stereo, s.shifts, transforms, decoder)
 
     @property
     def shifts(self) -> dict[str, int]:
-        """What was added to stamps, see Scan."""
+        """Offsets added to stamps, see Scan."""
         return self.scan.shifts
 
     @property
@@ -232,21 +230,21 @@ class LogReader:
 
     @property
     def losses(self) -> dict[tuple[str, str], int]:
-        """How often what happened to messages of a topic, by topic and what, since `frames` was begun."""
+        """Counts of events with messages since `frames` was begun, by topic and event."""
         return dict(self._counted)
 
     def coarse(self, max_points: int) -> "LogReader":
-        """The same log with so many points of each message only."""
+        """The same log with at most this many points of each message."""
         other = self._with(settings=replace(self._settings, max_points=max_points))
         other._settings = other.measuring.settings
         return other
 
     def stamps(self, topic: str) -> Int64[np.ndarray, " message"]:
-        """Of the messages of a depth topic in the order of reading, nanoseconds."""
+        """Stamps of a depth topic's messages in the order of reading, nanoseconds."""
         return self._stamps[self.sensors.index(topic)]
 
     def say(self, note: str) -> None:
-        """Adds a sentence to the notes."""
+        """Adds a note."""
         self._notes.append(note)
 
     def sampled(
@@ -257,8 +255,8 @@ class LogReader:
         step: int = 1,
         at: Int64[np.ndarray, " time"] | None = None,
     ) -> list[Sample]:
-        """Some messages of a depth topic that show something: the first ones (every so many-th), or `spread` over the
-        log, or those nearest to some times (nanoseconds)."""
+        """Some non-empty messages of a depth topic: the first ones (subsampled), or `spread` over the log, or those
+        nearest to some times (nanoseconds)."""
         total = len(self.scan.topics[topic].stamps)
         step = max(1, total // count) if spread else step
         stamps = self.stamps(topic)
@@ -287,7 +285,7 @@ class LogReader:
         return found
 
     def frame_of(self, topic: str, sample: Sample) -> Frame | None:
-        """What one message shows, alone, in the fixed frame; None if there is no transform."""
+        """A frame of one message, in the fixed frame; None without a transform."""
         at = int(self._stamps[self.sensors.index(topic)][sample.number])
         measured = self.measuring.measured(topic, sample.content, at, self._counted)
         if measured is None:
@@ -351,8 +349,8 @@ class LogReader:
     def frames(
         self, progress: Progress | None = None, origins: Float[np.ndarray, "sensor 3"] | None = None
     ) -> Iterator[Frame]:
-        """Frames in the order of their stamps. `progress` gets the number of depth messages (without
-        any: frames) done, and of all; `origins` are where sensors were last (NaN: not known), and are kept up to date.
+        """Frames in the order of their stamps. `progress` gets the number of depth messages (without any: frames) done,
+        and of all; `origins` are the last positions of sensors (NaN: unknown), updated in place.
 
         Raises LogError if not one message can be used.
         """
@@ -432,7 +430,7 @@ class LogReader:
                 yield self._frame(i, found, origins)
                 made += 1
         if not made:
-            why = [f"'{self.path}': not one depth message can be used.", *self._losses(), self._error]
+            why = [f"'{self.path}': no depth message can be used.", *self._losses(), self._error]
             text = " ".join(why).strip()
             if any(what == UNREADABLE for _, what in self._counted):
                 text = f"{text}. It is damaged, or was written by another version: copy it again."
@@ -462,7 +460,7 @@ class LogReader:
         self._counted[topic, UNREADABLE] += 1
 
     def no_origins(self) -> Float[np.ndarray, "sensor 3"]:
-        """Where sensors are before they have measured."""
+        """Positions of sensors before their first measurement: NaN."""
         return np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
 
     def _homes(self) -> tuple[list[Int64[np.ndarray, " message"]], int]:

@@ -1,4 +1,4 @@
-"""What a log holds, as a table for a person, without reading its depth data."""
+"""Summary of a log as a table, without reading its depth data."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -18,8 +18,8 @@ TOPICS = 500  # that are listed
 
 @dataclass(frozen=True)
 class TopicSurvey:
-    """One topic of a log. `use` is what replay takes it for, with what the settings say of it behind a comma ("point
-    cloud, points of head, weight 2"), or "not used: <reason>"."""
+    """One topic of a log. `use` is its use in replay, with settings for it after a comma ("point cloud, points of head,
+    weight 2"), or "not used: <reason>"."""
 
     topic: str
     type: str
@@ -30,7 +30,7 @@ class TopicSurvey:
 
 @dataclass(frozen=True)
 class LogSurvey:
-    """What a log holds, and what of it replay would use. `str()` gives a table for a person."""
+    """Topics of a log, and their use in replay. `str()` gives a table."""
 
     path: str
     start_ns: int  # log time of the first message, nanoseconds since 1970
@@ -58,13 +58,13 @@ class LogSurvey:
 
 
 def damaged(scan: Scan, problem: LogError) -> str:
-    """Why a log is refused: that it is damaged goes before what it lacks, which may be a consequence."""
+    """The reason for refusing a log: damage comes before missing data, which may be a consequence."""
     damage = as_few(scan.damage)
     limits = " ".join(note for note in scan.notes if "--limits." in note and note not in damage)
     problem = LogError(f"{problem} {limits}".strip())
     if not damage or "is damaged" in str(problem):
         return str(problem)
-    return f"'{scan.log.path}' is damaged, copy it again. {' '.join(damage)} What is left of it: {problem}"
+    return f"'{scan.log.path}' is damaged, copy it again. {' '.join(damage)} The rest: {problem}"
 
 
 def _named(scan: Scan, topics: Iterable[str]) -> list[str]:
@@ -74,8 +74,8 @@ def _named(scan: Scan, topics: Iterable[str]) -> list[str]:
 
 
 def survey(path: Place, settings: ReadSettings | None = None) -> LogSurvey:
-    """List what a log holds, and what of it is used with `settings`; recordings of other formats are converted in
-    passing. Raises LogError only if nothing can be read at all, or a topic in the settings is not in the log."""
+    """Lists the topics of a log, and their use with `settings`; recordings of other formats are converted temporarily.
+    Raises LogError only if nothing can be read at all, or a topic in the settings is not in the log."""
     settings = settings or ReadSettings()
     with as_mcap(path, settings.types) as (log, notes):
         found = _surveyed(log, settings)

@@ -1,4 +1,4 @@
-"""What one message of a depth topic measured, as points in the fixed frame."""
+"""Converts messages of depth topics to points in the fixed frame."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -29,7 +29,7 @@ class Measured:
 
 @dataclass
 class Measuring:
-    """How the depth topics of a log are taken, and what follows from that for each of their pixels."""
+    """Interpretation of the depth topics of a log, and the geometry of their pixels."""
 
     topics: dict[str, Topic]
     tree: TransformTree
@@ -47,7 +47,7 @@ class Measuring:
     turned: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
-        """Of every so many-th row and column of a depth image, metres; None if it is of another kind."""
+        """Depth of a subsampled depth image, metres; None for another kind of image."""
         raw = raw_of(image)
         if raw is None:
             return None
@@ -58,8 +58,8 @@ class Measuring:
     def measured(
         self, topic: str, content: Cloud | Image, stamp_ns: int, losses: Counter[tuple[str, str]]
     ) -> Measured | None:
-        """What a message measured, in the fixed frame; None if there is no transform. `losses` counts what is left out,
-        by topic and why."""
+        """The points of a message in the fixed frame; None without a transform. `losses` counts messages left out, by
+        topic and reason."""
         s = self.settings
         found = self.tree.lookup(self.fixed_frame, content.frame, stamp_ns)
         if found is None:
@@ -98,7 +98,7 @@ class Measuring:
                 if field in content.fields:
                     labels = content.field(field, s.max_points)
                 else:
-                    losses[topic, f"without the field '{field}', so that all points are free"] += 1
+                    losses[topic, f"without the field '{field}': all their points are free"] += 1
             with np.errstate(invalid="ignore", over="ignore"):
                 keep = self._in_range(np.einsum("ni,ni->n", points, points))
             if content.pose is not None:
@@ -148,8 +148,8 @@ class Measuring:
             if topic in self.moved and any(self.moved[topic]):
                 c = moved(c, self.moved[topic])
                 assumed = (
-                    f"taken for cropped {abs(self.moved[topic][1]):.0f} pixels beside its middle: with that the floor "
-                    "is level (if it is not, give its calibration by read.camera)"
+                    f"assumed to be cropped {abs(self.moved[topic][1]):.0f} pixels off its centre: then the floor is "
+                    "level (if not, give its calibration by read.camera)"
                 )
             if assumed:
                 own = f"{image.shape[1]} x {image.shape[0]}"

@@ -1,4 +1,4 @@
-"""Colour images of a log for trackers that look at them: which topics they are, and how they are unpacked.
+"""Colour images of a log for trackers that use them: selection of topics, and decoding.
 
 The left and right images of stereo pairs come rectified, others with their lens undone. Nothing is decoded before a
 tracker asks for it.
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from voodoo_jax.sensors.stereo_rig import Rig
 
 _GREY = ("mono8", "8uc1")
-UNSEEN = "The images of '{}' are not looked at: {}."
+UNSEEN = "The images of '{}' are not used: {}."
 
 
 @dataclass(frozen=True)
 class PicturePlan:
-    """Which messages of single cameras go to which frame; pairs come with their clouds."""
+    """Frames of the messages of single cameras; stereo pairs come with their clouds."""
 
     cameras: dict[str, Calibration]  # by topic
     frame_of: dict[tuple[str, int], int]  # (topic, number of the message) -> frame
@@ -124,7 +124,7 @@ class PictureReader:
 
 
 def shape_of(sample: Any) -> tuple[int, int] | None:
-    """Rows and columns of an image of depth or colour; None of what is none, or cannot be unpacked."""
+    """Rows and columns of a depth or colour image; None if it is not an image, or cannot be decoded."""
     colour = picture_of(sample)
     if colour is None:
         return sample.shape if isinstance(sample, Image) else None

@@ -1,4 +1,4 @@
-"""What the settings say of a topic: which part of the person its points are on, and what its measurements weigh."""
+"""Settings of a topic: the part of the person that its points are on, and their weight."""
 
 import re
 from collections import Counter
@@ -16,7 +16,7 @@ _LABEL_NAME = re.compile(r"(\w+_)?(label|class|segment)(s|_?ids?)?", re.IGNORECA
 
 
 def label_field(cloud: object, settings: ReadSettings) -> str:
-    """Name of the field of a cloud that says which part a point is on; "" for none, or where nobody asks for it."""
+    """Name of the label field of a cloud; "" if there is none or no labels are set."""
     if not isinstance(cloud, Cloud):
         return ""
     if settings.label_field:
@@ -27,7 +27,7 @@ def label_field(cloud: object, settings: ReadSettings) -> str:
 class Parts:
     """Parts and weights of the topics of one log. `names`: what the points' numbers stand for, see `Frame.parts`.
 
-    `notes`: settings that say something of no topic of this log. Raises SettingsError for texts that mean nothing.
+    `notes`: settings for topics that are not in this log. Raises SettingsError for invalid texts.
     """
 
     def __init__(self, topics: dict[str, Topic], uses: dict[str, str], settings: ReadSettings):
@@ -50,7 +50,7 @@ class Parts:
                 wanted = DEPTH_USES if option == "parts" else (*DEPTH_USES, RAYS, PAIRS, SKIN_USE, POSE_USE)
                 if uses.get(name) not in wanted:
                     why = f"'{name}' is {uses[name]}" if name in uses else f"the log has no topic '{name}'"
-                    self.notes.append(f"read.{option} does not count here: {why}.")
+                    self.notes.append(f"read.{option} has no effect: {why}.")
         clouds = {n: topics[n].sample for n in topics if uses[n] == "point cloud" and n not in self._of_topic}
         without = [n for n in sorted(clouds) if n not in self._fields]
         if without and (settings.label_field or self._labels):
@@ -59,7 +59,7 @@ class Parts:
             self.notes.append(f"No field {what}, so that all points are free: {has}.")
 
     def say(self, topic: str) -> str:
-        """What the settings make of a topic, to append to its use; "" for nothing."""
+        """The settings of a topic, to append to its use; "" for none."""
         words = ""
         if (part := self._of_topic.get(topic, FREE)) != FREE:
             words += f", points of {part}"
@@ -68,24 +68,24 @@ class Parts:
         return words + (f", weight {self._weights[topic]:g}" if topic in self._weights else "")
 
     def of_topic(self, topic: str) -> str:
-        """The part on which all points of a topic are; "free" where nothing says so."""
+        """The part on which all points of a topic are; "free" without a setting."""
         return self._of_topic.get(topic, FREE)
 
     def weight(self, topic: str) -> float:
-        """What each measurement of a topic weighs."""
+        """Weight of each measurement of a topic."""
         return self._weights.get(topic, 1.0)
 
     def weighted(self, topics: tuple[str, ...]) -> bool:
-        """Whether any of the topics weighs something else than 1."""
+        """Whether any of the topics has a weight other than 1."""
         return any(self.weight(name) != 1 for name in topics)
 
     def field(self, topic: str) -> str:
-        """The field that says which part a point of a topic is on; "" for none."""
+        """The label field of a topic; "" for none."""
         return "" if topic in self._of_topic else self._fields.get(topic, "")
 
     def numbers(self, topic: str, labels: np.ndarray | None, count: int) -> Int32[np.ndarray, " point"]:
-        """The part of each of `count` points of a topic, an index in `names`, -1: free. `labels` [point]: the values
-        of its field; values without an entry are counted, but for 0, the usual word for nothing."""
+        """The part of each of `count` points of a topic, an index in `names`, -1: free. `labels` [point]: the values of
+        its field; values without an entry are counted, except for 0, the usual value for background."""
         part = np.full(count, -1, np.int32)
         if labels is None:
             if self.of_topic(topic) != FREE:
@@ -108,7 +108,7 @@ class Parts:
         return part
 
     def forget(self) -> None:
-        """Begins to count anew."""
+        """Resets the counts."""
         self._unknown.clear()
         self._examples.clear()
 
@@ -119,7 +119,7 @@ class Parts:
             some = sorted(self._examples[topic])
             values = ", ".join([f"{value:g}" for value in some[:5]] + ["..."] * (len(some) > 5))
             notes.append(
-                f"'{topic}': {count} points are free because read.labels says nothing of their value of "
+                f"'{topic}': {count} points are free because read.labels has no entry for their value of "
                 f"'{self._fields[topic]}' ({values})."
             )
         return notes

@@ -19,7 +19,7 @@ _ROWS = np.array([KEY_POINTS.index(n) for n in NAMES])
 
 
 class PoseRays:
-    """Makes rays of the images of a log's frames, which come in the order of time.
+    """Makes rays from the images of a log's frames, in order of time.
 
     A network for each camera follows the person from image to image; the same images give the same rays.
     """
@@ -31,7 +31,7 @@ class PoseRays:
         self._nets: dict[str, PoseNet] = {}
 
     def rays(self, pictures: tuple[Picture, ...]) -> Rays:
-        """Of one frame; names as in NAMES, weights are the network's scores times those of read.weights."""
+        """Rays of one frame; names as in NAMES, weights are the network's scores times those of read.weights."""
         found = [rays for picture in pictures if (rays := self._of_one(picture)) is not None]
         return joined_rays(found)
 
@@ -40,13 +40,13 @@ class PoseRays:
         try:
             image = picture.unpack()[0]
         except DECODE_ERRORS:
-            self._counted[picture.topic, "cannot be decoded, no key points are looked for in them"] += 1
+            self._counted[picture.topic, "cannot be decoded, and give no key points"] += 1
             return None
         if picture.topic not in self._nets:
             self._nets[picture.topic] = PoseNet(self._files)
         found = self._nets[picture.topic].find(image)
         if found is None:
-            self._counted[picture.topic, "in which read.pose_net finds nobody"] += 1
+            self._counted[picture.topic, "in which read.pose_net finds no person"] += 1
             return None
         rows = _ROWS[found.scores[_ROWS] >= _SEEN]
         K, pose = picture.K, picture.T_fixed_camera

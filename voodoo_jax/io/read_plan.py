@@ -1,4 +1,4 @@
-"""The plan for reading a log: the fixed frame, the sensors that are connected to it, and what makes up which frame."""
+"""The plan for reading a log: the fixed frame, the sensors connected to it, and the messages of each frame."""
 
 import re
 from collections import Counter
@@ -40,7 +40,7 @@ NEEDED_FEATURES = (
 
 @dataclass(frozen=True)
 class Plan:
-    """How a log becomes frames. `notes`: what is left out or assumed, one sentence each."""
+    """The plan of a log's frames. `notes`: data left out or assumed, one sentence each."""
 
     fixed_frame: str
     origin: Float64[np.ndarray, "3"]  # in it; all places are given from there
@@ -68,12 +68,11 @@ def make_plan(
     scan: Scan, settings: ReadSettings, origin: Float64[np.ndarray, "3"] | None = None, after_ns: int = -1
 ) -> Plan:
     """Plans the second pass; `origin` as in Plan, if it is settled already; frames up to `after_ns` need no features.
-    Raises LogError if there is nothing to track in it, or no way to the fixed frame.
+    Raises LogError without usable measurements, or without transforms to the fixed frame.
 
-    Depth leads: its fastest sensor gives the frames their stamps, the next one those in its pauses. Sensors that are
-    much thinner than the densest (scanners with few lines) do so in long pauses only, and clouds of one limb only where
-    nothing else is. Without depth the fastest topic of pairs leads, else a laser scanner, else rays. All others join
-    the frames that are there.
+    The fastest depth sensor gives the stamps of frames, the next one those in its pauses. Sensors much sparser than the
+    densest (scanners with few lines) do so in long pauses only, and clouds of one limb only without other data. Without
+    depth the fastest topic of pairs gives the stamps, else a laser scanner, else rays. Other data joins these frames.
     """
     of = {use: sorted(n for n in scan.uses if scan.uses[n] == use) for use in (*DEPTH_USES, RAYS, PAIRS)}
     lasers, depth = of["laser scan"], sorted(of["depth image"] + of["point cloud"] + of[STEREO_USE])
@@ -138,7 +137,7 @@ def make_plan(
     pictures = plan_pictures(scan, fixed, at) if settings.images or settings.pose_net else None
     notes += pictures.notes if pictures else ()
     if settings.pose_net and pictures is not None and not pictures.cameras and not scan.stereo:
-        notes.append("No key points are looked for (read.pose_net): the log has no calibrated colour images.")
+        notes.append("read.pose_net has no effect: the log has no calibrated colour images.")
     given = np.array(direction(settings.up), np.float32) if settings.up else None
     up = _upward(scan, fixed, leaders[0], frames[0][0]) if given is None else given
     return Plan(
@@ -196,7 +195,7 @@ def _no_depth(scan: Scan, features: bool) -> str:
     topics = sorted(scan.topics.items())
     held = "; ".join(f"{name} ({t.type}, {t.count} messages) {scan.uses[name]}" for name, t in topics)
     nor, needed = (" and no named features", NEEDED + NEEDED_FEATURES) if features else ("", NEEDED)
-    return f"'{scan.log.path}' holds no depth data{nor}. It holds: {held}. {needed}.{damage}"
+    return f"'{scan.log.path}' has no depth data{nor}. It has: {held}. {needed}.{damage}"
 
 
 def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[str]) -> tuple[str, list[str]]:
@@ -213,13 +212,13 @@ def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[
     if tree.frames and not asked and frame[best] not in tree.frames:
         lone = ", ".join(f"'{f}'" for f in sorted(set(frame.values())))
         raise LogError(
-            f"'{path}': no {what} is in the transform tree, nothing links {lone} to any of "
+            f"'{path}': no {what} is in the transform tree, no transform links {lone} to any of "
             f"{', '.join(tree.frames)}. Record the missing transform, give it by read.transform, or set fixed_frame to "
             f"'{frame[best]}' to track in the sensor's own frame."
         )
     fixed = asked or roots[best]
     if not tree.frames:
-        notes.append(f"The log has no transforms: everything is given in the frame '{fixed}' of the sensor.")
+        notes.append(f"The log has no transforms: results are in the frame '{fixed}' of the sensor.")
     kept = [name for name in sensors if tree.connected(frame[name], fixed)]
     for name in sensors:
         if name not in kept:

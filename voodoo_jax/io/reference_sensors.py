@@ -1,4 +1,4 @@
-"""Which depth sensors give frames: those that see a person so well that a frame of theirs alone can be tracked."""
+"""Selects the depth sensors that give frames: those dense enough to track a person by a single one."""
 
 import numpy as np
 

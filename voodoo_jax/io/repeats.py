@@ -1,5 +1,5 @@
-"""Sensors that stand still: a driver that hangs, or a relay that is faster than its sensor, sends the last picture
-again with a new stamp. No sensor measures the same noise twice."""
+"""Detects frozen sensors: a driver that hangs, or a relay faster than its sensor, sends the last image again with a new
+stamp. Real noise never repeats."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -34,7 +34,7 @@ class _Shown(NamedTuple):
 
 
 class Repeats:
-    """Tells messages that show once more what the one before them of their topic has shown."""
+    """Detects messages that repeat the previous one of their topic."""
 
     def __init__(self):
         self._last: dict[str, tuple[Cloud | Image, _Shown]] = {}
@@ -43,8 +43,8 @@ class Repeats:
         self.began: dict[str, int] = {}  # the same of topics whose messages differ everywhere since
 
     def again(self, topic: str, content: Cloud | Image) -> bool:
-        """Whether a message repeats the one before it, of a topic whose messages differ everywhere else: of a sensor
-        without noise, which is simulated, two pictures may be the same."""
+        """Whether a message repeats the previous one, in a topic whose messages usually differ everywhere: two images
+        of a simulated sensor without noise may be equal."""
         shown = _shown(content)
         last = self._last.get(topic)
         if shown is None:

@@ -1,4 +1,4 @@
-"""The files of a recording that has several, read as one."""
+"""Reads a recording of several files as one."""
 
 import heapq
 import os

@@ -1,4 +1,4 @@
-"""Skin regions of a log's colour images as rays, by frame. A pass of its own over these images."""
+"""Skin regions of a log's colour images as rays, by frame, in a separate pass over these images."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from voodoo_jax.io.log_index import Scan
 
 SKIN = "skin"  # name of the feature
-UNSEARCHED = "No skin is looked for in '{}': {}."
+UNSEARCHED = "Skin detection leaves out '{}': {}."
 _STILL = 1.5  # pixels of an image 640 wide: a standing head sways more within a few seconds
 _OFTEN, _SECONDS = 0.8, 3.0  # furniture is there in this share of the images; shorter logs do not tell
 
@@ -37,14 +37,14 @@ class SkinPlan:
 
 
 def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weights: Parts) -> SkinPlan:
-    """Gives the skin regions of each camera's images to the frames (`times`, increasing, nanoseconds), the image
+    """Assigns the skin regions of each camera's images to the frames (`times`, increasing, nanoseconds), the image
     nearest in time to each.
 
     Regions that keep their place in nearly all of a log, while others move, are furniture and left out.
     """
     cameras, plan = scan.skin, SkinPlan()
     if not cameras:
-        plan.notes.append("No skin is looked for: the log has no calibrated colour images.")
+        plan.notes.append("read.skin has no effect: the log has no calibrated colour images.")
         return plan
     counted: Counter[tuple[str, str]] = Counter()
     wanted = {}  # (topic, number of the message) -> frame
@@ -73,7 +73,7 @@ def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weig
             flat = flat[np.isfinite(flat).all(1)]
             pose = scan.tree.lookup(fixed, scan.topics[name].sample.frame, int(stamps[name][number]))
             if pose is None:
-                counted[name, "without a transform at the stamp, in which no skin is looked for"] += 1
+                counted[name, "without a transform at the stamp, left out of skin detection"] += 1
             elif len(flat):
                 directions = np.column_stack([flat, np.ones(len(flat))]) @ pose[0].T
                 directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -108,7 +108,7 @@ def _find(scan: "Scan", names: set[str], wanted: set[tuple[str, int]], counted: 
         except DECODE_ERRORS:
             image = None
         if image is None:
-            counted[channel.topic, "cannot be decoded, no skin is looked for in them"] += 1
+            counted[channel.topic, "cannot be decoded, left out of skin detection"] += 1
             continue
         found[key] = (image.shape[0], image.shape[1]), finders[channel.topic].find(image).centres
     return found

@@ -1,4 +1,4 @@
-"""Stereo pairs of a log: which topics they are, and bringing their images together while the log is read."""
+"""Stereo pairs of a log: finds their topics, and pairs their images while the log is read."""
 
 import re
 from collections import Counter, OrderedDict
@@ -47,7 +47,7 @@ def picture_of(content: object) -> Colour | None:
 
 
 def find_pairs(topics: dict[str, Topic], tree: TransformTree) -> list[Pair]:
-    """The pairs to judge by their topics' names: for each left camera the best of its topics (rectified, then not
+    """The pairs, by their topics' names: for each left camera the best of its topics (rectified, then not
     compressed)."""
     found: dict[str, Pair] = {}
     pictures = [n for n, t in topics.items() if picture_of(t.sample) is not None]
@@ -90,7 +90,7 @@ def make_rig(topics: dict[str, Topic], tree: TransformTree, pair: Pair, shape: t
     a, b = topics[pair.left].sample.frame, topics[pair.right].sample.frame
     pose = tree.lookup(a, b, 0, hold_ns=None) if a != b else None
     if pose is None:
-        raise ValueError(f"the distance of its cameras is not known: P[0, 3] of the right calibration is "
+        raise ValueError(f"the distance of its cameras is unknown: P[0, 3] of the right calibration is "
                          f"{right.P[0, 3]:g}, and there is no transform between '{a}' and '{b}'")  # fmt: skip
     return posed_rig(left, right, *pose, rectified(pair.left))
 
@@ -118,7 +118,7 @@ Item = tuple[Schema | None, Channel, Message]
 
 
 class StereoReader:
-    """Brings the images of the pairs that are used together while a log is read, and makes clouds of them."""
+    """Pairs the images of the used stereo pairs while a log is read, and makes clouds from them."""
 
     def __init__(self, topics: dict[str, Topic], tree: TransformTree, pairs: list[Pair], settings: ReadSettings):
         self._topics, self._tree, self._settings = topics, tree, settings
@@ -161,8 +161,8 @@ class StereoReader:
                 yield *key, item, None
 
     def begin(self, left: Item, right: Item, fixed_frame: str, up: np.ndarray) -> Future[Cloud]:
-        """What a pair of images shows, in the left camera's frame; `up` is upwards in the fixed one. Other threads
-        match the images. Raises one of DECODE_ERRORS for broken images, here or where the result is asked for."""
+        """The cloud of a pair of images in the left camera's frame; `up` is upwards in the fixed one. Other threads
+        match the images. Raises one of DECODE_ERRORS for broken images, here or when the result is read."""
         contents = [self._decoder.message(s, c, m.data) for s, c, m in (left, right) if s is not None]
         stamp, frame = contents[0].stamp_ns, contents[0].frame
         pose = self._tree.lookup(fixed_frame, frame, stamp, hold_ns=None)

@@ -1,4 +1,4 @@
-"""What the first pass over a log learns of each topic."""
+"""Data on each topic from the first pass over a log."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,7 +12,7 @@ SKIN_USE, POSE_USE = "skin colour", "key points"  # of images that read.skin and
 
 @dataclass
 class Topic:
-    """What the first pass learns of a topic."""
+    """Data on a topic from the first pass."""
 
     type: str
     encoding: str

@@ -1,4 +1,4 @@
-"""What replay can use each topic of a log for."""
+"""Decides the use of each topic of a log."""
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
@@ -17,7 +17,7 @@ from voodoo_jax.records.messages import DEPTH_ENCODINGS, RAYS, Colour, Image
 def decide_uses(
     path: str, topics: dict[str, Topic], settings: ReadSettings, notes: list[str], pairs: list[Pair]
 ) -> dict[str, str]:
-    """What each topic is used as, or "not used: <reason>"; a camera that gives an image and a cloud is used once.
+    """The use of each topic, or "not used: <reason>"; a camera with both image and cloud is used once.
 
     Raises LogError if a topic that `settings` name is not in the log.
     """
@@ -47,7 +47,7 @@ def decide_uses(
             if name not in depth:
                 why = f" ({uses[name]})" if name in uses else ""
                 raise LogError(f"'{path}' has no depth topic '{name}'{why}. It has: {', '.join(depth) or 'none'}.")
-        return {n: "not used: not among the topics asked for" if n in depth and n not in settings.topics else use
+        return {n: "not used: not in read.topics" if n in depth and n not in settings.topics else use
                 for n, use in uses.items()}  # fmt: skip
     order = {"depth image": 0, "point cloud": 1}  # a laser scanner shadows nothing
     seen: dict[str, str] = {}
@@ -73,7 +73,7 @@ def _picture(name: str, topic: Topic) -> str:
     depth = encoding.upper().startswith(tuple(DEPTH_ENCODINGS)) or "depth" in name.lower()
     if depth and ("jpeg" in encoding or "jpg" in encoding):
         return (
-            "depth packed as JPEG, which keeps 8 of its 16 bits and changes these: nothing can bring it back. Record "
+            "depth packed as JPEG, which keeps 8 of its 16 bits and changes these: it cannot be restored. Record "
             f"'{bare(name)}/compressedDepth' or '{bare(name)}' itself"
         )
     return "a colour image"
@@ -100,7 +100,7 @@ def _feature_use(topics: dict[str, Topic], name: str) -> str:
     if empty := _empty(topic):
         return empty
     if found is None or not found.names:
-        return "not used: nothing is named in its messages"
+        return "not used: its messages have no names"
     if topic.kind == RAYS:
         cameras = {frame: camera_of(topics, name, frame) for frame in sorted(set(found.frames))}
         if not any(cameras.values()):
@@ -124,7 +124,7 @@ def _depth_use(topics: dict[str, Topic], name: str) -> str:
         return f"not used: encoding {topic.sample.encoding} is not a depth image"
     tokens = name.lower().replace("/", "_").split("_")
     if _is_mono(topics, name) and {"ir", "infra", "infra1", "infra2", "infrared", "amplitude", "intensity"} & {*tokens}:
-        return "not used: brightness, to judge by its name"
+        return "not used: brightness, by its name"
     calibration = calibration_of(topics, name)
     if calibration is None:
         return f"not used: a depth image without calibration (none for frame '{topic.sample.frame}')"

@@ -38,7 +38,7 @@ class Moving:
         self.parents = array("i")  # number of its parent
 
     def add(self, transform: Transform, log_time_ns: int) -> None:
-        """One more; its stamp and log time are possible ones (limits.TIME)."""
+        """Adds a sample with a valid stamp and log time (limits.TIME)."""
         self._stamps.append(transform.stamp_ns)
         self._log_times.append(log_time_ns)
         self.numbers.extend(transform.translation)
@@ -84,7 +84,7 @@ class _Edge:
 
 
 class TransformTree:
-    """All transforms of a log. Collect with `add`, then `close`, then look up. `notes` says what was odd."""
+    """All transforms of a log. Use `add`, then `close`, then `lookup`. `notes` list oddities."""
 
     def __init__(self):
         self._samples: dict[tuple[str, str], list[_Samples]] = {}  # (child, parent)
@@ -101,13 +101,13 @@ class TransformTree:
         self.notes: list[str] = []
 
     def choose(self, child: str, which: int) -> str:
-        """Takes one of the two places of a frame that jumps between them; how read.transform says it."""
+        """Selects one of the two poses of a frame that jumps between them; returns its read.transform text."""
         edge = self._edges[child] = self.torn[child][which]
         self._cache.clear()
         return self.said(child, len(edge.stamps) // 2)
 
     def said(self, child: str, sample: int = 0) -> str:
-        """Where a frame is in its parent, as read.transform says it; empty for one that has no parent."""
+        """The read.transform text of a frame's pose in its parent; empty without a parent."""
         edge = self._edges.get(child)
         if edge is None:
             return ""
@@ -115,8 +115,8 @@ class TransformTree:
         return f"{edge.parent} {child} {' '.join(f'{x:.5g}' for x in numbers)}"
 
     def move(self, child: str, target: str, T: Float[np.ndarray, "4 4"]) -> bool:
-        """Places a frame that does not move in its parent elsewhere: by `T`, in `target` as `lookup` gives it. Whether
-        that could be done."""
+        """Moves a frame that is static in its parent by `T`, in `target` as `lookup` gives it. Returns whether this was
+        possible."""
         edge = self._edges.get(child)
         if edge is None or len(edge.stamps):
             return False
@@ -130,20 +130,20 @@ class TransformTree:
         return True
 
     def add(self, transform: Transform, static: bool) -> None:
-        """Keep one sample. A static transform holds for the whole log, the last one given wins."""
+        """Adds one sample. A static transform holds for the whole log; the last one counts."""
         possible = abs(transform.stamp_ns) < TIME
         stamps = np.array([transform.stamp_ns if possible else TIME], np.int64)
         numbers = np.concatenate([transform.translation, transform.rotation])[None].astype(float)
         self._add(transform.child, transform.parent, _Samples(stamps, numbers), static)
 
     def give(self, transform: Transform) -> None:
-        """Keep what a user gives: it holds for the whole log, whatever that says of the same frame."""
+        """Adds a transform from the user, which overrides the log's for the whole log."""
         self._given.pop(transform.child, None)  # one that was given before
         self.add(transform, True)
         self._given[transform.child] = transform.parent
 
     def add_moving(self, child: str, moving: Moving, by_ns: Int64[np.ndarray, " sample"]) -> None:
-        """Keep all samples of a frame that moves, so much later."""
+        """Adds all samples of a moving frame, delayed by a time."""
         samples = _Samples(moving.stamps_ns + by_ns, np.array(moving.numbers).reshape(-1, 7))
         parents = np.array(moving.parents, np.int64)
         for number, parent in enumerate(moving.names):
@@ -164,7 +164,7 @@ class TransformTree:
             self._odd["transforms without a child frame were left out"] += count
             return
         if zeros := int((samples.numbers[:, 3:] == 0).all(1).sum()):
-            self._odd["transforms have a rotation of all zeros, taken as no rotation"] += zeros
+            self._odd["transforms have a rotation of all zeros, treated as no rotation"] += zeros
         key = (child, parent)
         if key not in self._samples and len(self._samples) >= limits().names:
             self._odd[f"transforms beyond those of {limits().names} frames were left out (--limits.names)"] += count
@@ -180,7 +180,7 @@ class TransformTree:
             self._samples.setdefault(key, []).append(samples)
 
     def close(self) -> None:
-        """Sort the samples and settle on one parent for each frame."""
+        """Sorts the samples and selects one parent for each frame."""
         for (child, parent), samples in self._samples.items():
             if child in self._edges:
                 other = self._edges[child].parent
@@ -205,12 +205,12 @@ class TransformTree:
                 )
                 self._edges[child] = self.torn[child][0]
         for child, parent in self._unused.items():
-            self.notes.append(f"Frame '{child}' is where read.transform puts it in '{parent}', not where the log does.")
+            self.notes.append(f"Frame '{child}' has the pose in '{parent}' of read.transform, not of the log.")
         self.notes += [f"{n} {what}." for what, n in self._odd.items()]
         self._samples.clear()
 
     def give_from(self, frame: str, origin: Float[np.ndarray, "3"]) -> None:
-        """From now on places in `frame` are looked up from another origin in it, metres: near that float32 is exact."""
+        """Sets another origin, metres, for positions in `frame`, near which float32 is accurate."""
         self._near = frame, origin
         self._cache.clear()
 
@@ -241,7 +241,7 @@ class TransformTree:
         return self._up(frame)[-1]
 
     def connected(self, a: str, b: str) -> bool:
-        """Whether the log has any chain of transforms between two frames."""
+        """Whether the log has a chain of transforms between two frames."""
         return self.root(a) == self.root(b)
 
     def lookup(
@@ -279,8 +279,8 @@ class TransformTree:
 def to_and_fro(
     translations: Float[np.ndarray, "sample 3"], quaternions: Float[np.ndarray, "sample 4"]
 ) -> Bool[np.ndarray, " sample"] | None:
-    """Which samples of a frame are of another place than the first one, where it jumps between two, time and again: two
-    publishers say where it is. None where it does not."""
+    """For a frame that jumps repeatedly between two poses (of two publishers): which samples have another pose than the
+    first one. None for others."""
     if len(translations) < FEWEST:
         return None
     q = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
@@ -303,8 +303,8 @@ def to_and_fro(
 def plausible(
     translation: Float[np.ndarray, "*poses 3"], rotation: Float[np.ndarray, "*poses 4"]
 ) -> Bool[np.ndarray, "*poses"]:
-    """Whether poses can be meant: a place on earth, metres, and a quaternion of a length near 1, or of zeros, which
-    nobody filled in. Its square neither overflows nor vanishes."""
+    """Whether poses are plausible: a position on earth, metres, and a quaternion with a norm near 1, or of zeros (not
+    filled in). Its square neither overflows nor vanishes."""
     largest = np.abs(rotation).max(-1)
     low, high = QUATERNION
     # NaN fails every comparison

@@ -1,5 +1,5 @@
-"""Named features that a message has though they were not seen: a number that stands for "not seen", and the last place
-once more. Drivers of motion capture do both where a marker is hidden."""
+"""Removes named features of hidden markers: drivers of motion capture send a placeholder for "not seen", or repeat the
+last position."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -22,16 +22,16 @@ OTHERS = 16  # names that are asked how far they have moved: some of them, for t
 
 
 def without_placeholders(topic: str, found: Gathered, notes: list[str]) -> Gathered:
-    """The features without those whose numbers stand for "not seen": exactly the same for several names, or the same in
-    all coordinates, time and again."""
-    return _without(topic, found, _placeholders(found), "whose numbers stand for 'not seen'", notes)
+    """The features without placeholders for "not seen": repeatedly exactly the same for several names, or in all
+    coordinates."""
+    return _without(topic, found, _placeholders(found), "whose numbers are placeholders for 'not seen'", notes)
 
 
 def without_held(topic: str, found: Gathered, notes: list[str]) -> Gathered:
-    """The 3D features (metres) without those that hold their last place until they are seen again."""
+    """The 3D features (metres) without those that repeat their last position until they are visible again."""
     if found.values.shape[1:] != (3,):
         return found
-    return _without(topic, found, _held(found), "that hold the last place where they were seen", notes)
+    return _without(topic, found, _held(found), "that repeat their last visible position", notes)
 
 
 def _without(topic: str, found: Gathered, which: Bool[np.ndarray, " feature"], what: str, notes: list[str]) -> Gathered:

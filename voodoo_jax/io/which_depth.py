@@ -1,5 +1,5 @@
-"""Which of several images of depth's type is depth: brightness, amplitude and confidence are published beside it with
-the same pixels, frames and encodings. Told by the planes in them, then by how one falls with the other, then by names.
+"""Finds the depth images among several of depth's type: brightness, amplitude and confidence have the same sizes,
+frames and encodings. Planes decide, then the decrease of one with the other, then names.
 """
 
 import re
@@ -27,7 +27,7 @@ STEP = 4  # every so many-th row and column is looked at
 
 
 def word(name: str) -> int:
-    """What the name of an image says: -1 it is no depth, 1 it is, 0 nothing."""
+    """Meaning of an image's name: -1 no depth, 1 depth, 0 unknown."""
     last = [{*re.split(r"[^a-z0-9]+", part)} for part in bare(name).lower().replace("_", " ").split("/") if part]
     for words in last[::-1]:  # what stands last says most
         if words & DEPTH:
@@ -39,7 +39,7 @@ def word(name: str) -> int:
 
 def calibrated(topics: dict[str, Topic], name: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Rays to a depth of 1 [row, column, 2] of some pixels of a topic's first image, and the values there, in its unit;
-    None where that is not known."""
+    None if unknown."""
     image = topics[name].sample
     try:
         raw = raw_of(image) if isinstance(image, Image) else None
@@ -58,8 +58,8 @@ def calibrated(topics: dict[str, Topic], name: str) -> tuple[np.ndarray, np.ndar
 
 
 def compared(topics: dict[str, Topic], names: list[str]) -> tuple[dict[str, str], dict[str, int]]:
-    """Of images of depth's type: those that are none, and why; and the place of the others among those of one camera,
-    the best first."""
+    """Of images of depth's type: those without depth, and why; and the rank of the others of one camera, the best
+    first."""
     if len(names) < 2:
         return {}, {}
     shown = {name: calibrated(topics, name) for name in names}
@@ -72,7 +72,7 @@ def compared(topics: dict[str, Topic], names: list[str]) -> tuple[dict[str, str]
             if best == name or share[best] < FLAT or share[name] > FEWER * share[best]:
                 continue
             if same or word(name) < 0 or _falls(shown[name], shown[best]):
-                text = "no depth, to judge by what it shows: planes such as floor and walls are in"
+                text = "no depth, judged by its content: planes such as floor and walls are in"
                 none[name] = f"{text} '{best}' ({100 * share[best]:.0f} % of the pixels), and not in it"
                 break
     return none, {name: place for place, name in enumerate(order)}

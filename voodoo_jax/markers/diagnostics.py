@@ -22,9 +22,9 @@ HINT = 0.06  # set by hand, metres: so near to a point of the body a marker may 
 HINTED = 0.3  # set by hand: share of the frames in which a marker must be seen to say where it sits
 USUAL = "Plug-in Gait"  # the set that needs no note
 FAR = 0.025  # set by hand: metres: a marker that is on average farther from its fitted place is named
-FEW = f"No frame has {TO_START} markers that features.names knows a point of this body for."
+FEW = f"No frame has {TO_START} markers with a known point on this body (features.names)."
 MIRRORED = (
-    "The places of the named points exchange left and right: either all names are exchanged, as assumed here, or "
+    "The positions of the named points exchange left and right: either all names are exchanged, as assumed here, or "
     "coordinates are left-handed (as Unity's are). read.mirror TOPIC=y (or x, z) inverts that axis; TOPIC=none "
     "means that the names are wrong."
 )
@@ -65,7 +65,7 @@ def marker_notes(
     at = places(body, known.rows, poses)
     notes = []
     if empty := spans.long(~some):
-        notes.append(f"There are no markers in frames {spans.words(empty)}.")
+        notes.append(f"No markers in frames {spans.words(empty)}.")
     put_right = []
     for e in exchanges:
         where = (
@@ -106,10 +106,10 @@ def _misplaced(known: Markers, at: np.ndarray, tracked: np.ndarray, spans: Spans
     for k in often:
         if found := spans.long(far[:, k] & ~exchanged[:, k]):
             metres = np.median(off[far[:, k], k])
-            text = f"is {100 * metres:.0f} cm from its place (frames {spans.words(found)}); not used there"
+            text = f"is {100 * metres:.0f} cm from its fitted position (frames {spans.words(found)}); not used there"
             away.append((metres, f"'{known.names[k]}'", text))
     away.sort(key=lambda a: -a[0])
-    notes += in_few_lines([a[1:] for a in away], "markers are far from their places for a time, farthest", "Marker ")
+    notes += in_few_lines([a[1:] for a in away], "markers are far from their positions for a time, farthest", "Marker ")
     return notes
 
 
@@ -155,7 +155,7 @@ def name_notes(named: Named) -> list[str]:
         )
     titles = [title for title in named.known.titles if title != USUAL]
     if titles:
-        notes.append(remark(f"Names of points are known from: {'; '.join(named.known.titles)}."))
+        notes.append(remark(f"The names of points are from: {'; '.join(named.known.titles)}."))
     return notes
 
 
@@ -169,21 +169,21 @@ def _unknown(body: Body, table: MarkerTable, poses: Poses, tracked) -> list[str]
     notes, hints = [], _where(body, table, poses, tracked, rest)
     found = []
     for k in rest:
-        text = f"was not used ({int(other.seen[:, k].sum())} times): no marker set has the name"
+        text = f"was not used ({int(other.seen[:, k].sum())} times): unknown name"
         if k in hints:
             text += f"; it sits where {hints[k]} belongs"
         found.append((f"'{other.names[k]}'", text))
     notes += in_few_lines(found, "markers were not used", "Marker ")
     if hints:
         line = " ".join(f"'{other.names[k]}={site}'" for k, site in hints.items())
-        notes.append(f"By where they sit: --features.names {line}")
+        notes.append(f"By their positions: --features.names {line}")
     elif rest and not tracked.any():
         line = " ".join(f"'{other.names[k]}=...'" for k in rest)
         notes.append(f"State which points of the body or limbs they are (docs/logs.md): --features.names {line}")
     if nobody:
         names = [other.names[k] for k in nobody]
         listed = ", ".join(f"'{n}'" for n in names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
-        notes.append(f"{len(nobody)} points without names were not used ({listed}).")
+        notes.append(f"{len(nobody)} unnamed points were not used ({listed}).")
     return notes
 
 

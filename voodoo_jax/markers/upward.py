@@ -38,7 +38,7 @@ def with_upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> lis
     along = abs(found[axis]) > 0.999
     word = ("-" if found[axis] < 0 else "") + "xyz"[axis] if along else ",".join(f"{x:.2f}" for x in found + 0.0)
     was = ",".join(f"{x:g}" for x in np.round(stated, 2) + 0.0)
-    note = f"Standing people show that up is {word}, not ({was}); for a lying person set read.up={was}."
+    note = f"Up is {word}, not ({was}), judged by standing people; for a lying person set read.up={was}."
     return [replace(one, up=found.astype(np.float32), notes=(*one.notes, note)) for one in people]
 
 

@@ -41,7 +41,7 @@ def attach(
     """
     b, t, n = body.topology, thing.topology, body.limb_count
     if limb not in b.limbs:
-        raise ValueError(f"'{body.name}' has no limb '{limb}' to hold anything: it has {', '.join(b.limbs)}")
+        raise ValueError(f"'{body.name}' has no limb '{limb}' to hold an object: it has {', '.join(b.limbs)}")
     for kind in ("limbs", "joints", "centres", "sites"):
         twice = sorted(set(getattr(b, kind)) & set(getattr(t, kind)))
         if twice:
@@ -90,7 +90,7 @@ def _turn_to(axis: Sequence[float]):
     """The smallest rotation that takes z to `axis`."""
     z = np.asarray(axis, float)
     if not np.linalg.norm(z) > 1e-9:
-        raise ValueError("the axis of a held thing must not be zero")
+        raise ValueError("the axis of a held object must not be zero")
     turn = Rotation.align_vectors([z / np.linalg.norm(z)], [[0.0, 0.0, 1.0]])[0]
     return jnp.asarray(turn.as_quat(scalar_first=True), jnp.float32)
 
@@ -112,7 +112,7 @@ def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
         chosen |= more
     for p, c in zip(t.parents, t.children):
         if present and c in chosen and p not in chosen and not body.present[p]:
-            raise ValueError(f"'{t.limbs[c]}' hangs on '{t.limbs[p]}', which is not there: add that first")
+            raise ValueError(f"'{t.limbs[c]}' is attached to '{t.limbs[p]}', which is missing: add that first")
     rows = jnp.array(sorted(chosen), int)
     return eqx.tree_at(lambda b: b.presence, body, body.presence.at[rows].set(float(present)))
 
@@ -136,7 +136,7 @@ def loaded(changes: Sequence[Change]) -> tuple[Change, ...]:
     for change in sorted(changes, key=lambda c: c.time):
         if change.to and not change.add:
             raise SettingsError(
-                f"change at {change.time:g} s: 'to' names the limb that carries a thing, 'add' is missing"
+                f"change at {change.time:g} s: 'to' names a limb to carry an object, but 'add' is missing"
             )
         out.append(replace(change, add=load_body(change.add)) if change.to and isinstance(change.add, str) else change)
     return tuple(out)
@@ -152,8 +152,8 @@ def prepared(body: Body, changes: Sequence[Change]) -> Body:
         name, grip = thing.topology.limbs[0], (change.to, change.at, change.grip, change.joint_axes, change.weight)
         if held.setdefault(name, grip) != grip:
             raise SettingsError(
-                f"change at {change.time:g} s: '{name}' was held otherwise before: a thing that changes hands needs a "
-                "body file for each, with other names"
+                f"change at {change.time:g} s: '{name}' was held differently before: an object that changes hands "
+                "needs a body file for each hand, with other names"
             )
         if f"{name}_grip" not in body.topology.joints:
             with _naming(change):

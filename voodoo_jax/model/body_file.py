@@ -124,17 +124,15 @@ def _parsed(text: str, source: str) -> Body:
     root = file.root()
     scale = root.number("scale", above=0)
     if not SIZES[0] <= scale <= SIZES[1]:
-        root.fail("scale", f"a body of {scale:g} m; from {SIZES[0]:g} to {SIZES[1]:g} m are tracked")
+        root.fail("scale", f"a body of {scale:g} m; sizes from {SIZES[0]:g} to {SIZES[1]:g} m are supported")
     scale_name = root.string("scale_name", "scale")
     if scale_name in RESERVED:
-        root.fail("scale_name", f"'{scale_name}' cannot be what the scale is called: results use that name otherwise")
+        root.fail("scale_name", f"'{scale_name}' cannot be the name of the scale: results use it for something else")
     tables = {kind: file.tables(kind) for kind in KEYS if kind}
     if not tables["limb"]:
         file.fail(None, "a body needs at least one [[limb]]")
     if len(tables["limb"]) > limits().limbs:
-        file.fail(
-            None, f"{len(tables['limb'])} limbs, more than the {limits().limbs} that are allowed (--limits.limbs)"
-        )
+        file.fail(None, f"{len(tables['limb'])} limbs, more than {limits().limbs} (--limits.limbs)")
     limbs, joints = unique_names(tables["limb"]), unique_names(tables["joint"])
     centres, sites = unique_names(tables["centre"]), unique_names(tables["site"])
     unique_names(tables["mode"])
@@ -275,16 +273,16 @@ def _check_tree(
         if child == 0:
             table.fail("child", f"{table.title}: limb '{names[0]}' is the root (the first limb) and cannot be a child")
         if child in above:
-            table.fail("child", f"{table.title}: limb '{names[child]}' already hangs on '{names[above[child]]}'")
+            table.fail("child", f"{table.title}: limb '{names[child]}' already has the parent '{names[above[child]]}'")
         above[child] = parent
     for i, table in enumerate(limbs):
         path = [i]
         while path[-1] != 0:
             if path[-1] not in above:
-                limbs[path[-1]].fail("", f"limb '{names[path[-1]]}' hangs on nothing: no joint has it as child")
+                limbs[path[-1]].fail("", f"limb '{names[path[-1]]}' has no parent: no joint has it as child")
             path.append(above[path[-1]])
             if path[-1] in path[:-1]:
-                table.fail("", f"limb '{names[i]}' is in a circle: {' on '.join(names[p] for p in path)}")
+                table.fail("", f"limb '{names[i]}' is in a loop: {' on '.join(names[p] for p in path)}")
 
 
 _Frames = tuple[np.ndarray, np.ndarray]  # rotation matrices [n, 3, 3] and translations [n, 3] in float64

@@ -100,7 +100,7 @@ class Table:
         if not isinstance(value, str) or not value:
             self.fail(key, f"'{key}' of {self.title} must be a text in quotes, not {value!r}")
         if len(value) > LONGEST or not value.isprintable():
-            self.fail(key, f"'{key}' of {self.title} must have at most {LONGEST} characters, all to be seen")
+            self.fail(key, f"'{key}' of {self.title} must have at most {LONGEST} characters, all printable")
         return value
 
     def number(self, key: str, above: float, default: float | None = None) -> float:
@@ -119,9 +119,7 @@ class Table:
             self.fail(key, f"'{key}' of {self.title} must be {'above' if above >= 0 else 'at least'} 0, not {value!r}")
         if max(map(abs, values)) > LARGEST or above == 0 and min(values) < LEAST:
             least = f"at least {LEAST:g} and " if above == 0 else ""
-            self.fail(
-                key, f"'{key}' of {self.title} must be {least}at most {LARGEST:g}: float32 computes with no others"
-            )
+            self.fail(key, f"'{key}' of {self.title} must be {least}at most {LARGEST:g}: the range of float32")
         return np.array(values, np.float64)
 
     def index(self, key: str, names: tuple[str, ...], what: str) -> int:

@@ -283,9 +283,7 @@ def told_names(names: Iterable[str], settings: FeatureSettings) -> list[str]:
             notes.append(f"Names{whose}: {len(known.places)} of {len(own)} are known from: {'; '.join(known.titles)}.")
         if unknown:
             line = " ".join(f"'{name}=...'" for name in unknown)
-            notes.append(
-                f"Names{whose} that no set knows; say which point or limb of the body each is: --features.names {line}"
-            )
+            notes.append(f"Unknown names{whose}; state the point or limb of the body of each: --features.names {line}")
     return notes
 
 

@@ -53,8 +53,8 @@ def as_few(notes: Iterable[str]) -> tuple[str, ...]:
             continue
         names = dict.fromkeys(name for note in same[1:] for name in re.findall(r"'[^']*'", note)[:1])
         told = ", ".join(list(names)[:NAMED]) + (" and others" if len(names) > NAMED else "")
-        out.append(f"{same[0]} The same of {len(same) - 1} more{f': {told}' if told else ''}.")
+        out.append(f"{same[0]} The same for {len(same) - 1} more{f': {told}' if told else ''}.")
     if len(out) > MOST:
         kept = [*out[:MOST], *(note for note in out[MOST:] if note.startswith((DAMAGED, INCOMPLETE)))]
-        out = [*kept, f"And {len(out) - len(kept)} notes more."]
+        out = [*kept, f"And {len(out) - len(kept)} more notes."]
     return tuple(out)

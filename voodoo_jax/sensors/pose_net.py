@@ -34,10 +34,7 @@ _SURE = 0.5  # a person is there: MediaPipe's min_detection_confidence, and its 
 _SAME = 0.3  # overlap of detections of one person: MediaPipe, NonMaxSuppressionCalculator
 _LARGER = 1.25  # margin around the circle through hips and the farthest point: MediaPipe, pose_detection_to_roi
 _KERNEL, _PEAK = 3, 0.5  # pixels each way, least peak of a heat map: MediaPipe, RefineLandmarksFromHeatmapCalculator
-NO_RUNTIME = (
-    "read.pose_net: LiteRT, which runs the networks, is not installed; the extra [pose] has it: "
-    "pip install 'voodoo_jax[pose]'."
-)
+NO_RUNTIME = "read.pose_net: LiteRT, which runs the networks, is not installed: pip install 'voodoo_jax[pose]'."
 _PIECE = 64 * 2**20  # bytes: larger files are none of MediaPipe's networks (full has 6 MB, heavy 28 MB)
 
 
@@ -248,7 +245,9 @@ def _run(net: Any, image: Float32[np.ndarray, "row column 3"], shapes: tuple[tup
     """What a network says of an image: its outputs of these shapes. Raises SettingsError if it is another network."""
     takes, gives = net.get_input_details(), {tuple(o["shape"].tolist()): o["index"] for o in net.get_output_details()}
     if takes[0]["shape"].tolist() != [1, *image.shape] or not set(shapes) <= gives.keys():
-        raise SettingsError("read.pose_net: these are not BlazePose's networks: other shapes of inputs and outputs.")
+        raise SettingsError(
+            "read.pose_net: these are not BlazePose's networks: their inputs and outputs have other shapes."
+        )
     net.set_tensor(takes[0]["index"], image[None])
     net.invoke()
     return [net.get_tensor(gives[shape])[0] for shape in shapes]

@@ -119,7 +119,7 @@ def _read(pipe: int, count: int, wait: float | None) -> bytes:
     found = b""
     while len(found) < count:
         if not select.select([pipe], [], [], wait)[0]:
-            raise Refused("it is not read any further, and given up (--limits.seconds)")
+            raise Refused("reading does not progress, and was stopped (--limits.seconds)")
         if not (more := os.read(pipe, count - len(found))):
             break
         found += more
@@ -131,9 +131,9 @@ def _ended(status: int, room: Room) -> str:
     if status >= 0:
         return "the process that reads it has ended"
     if -status == signal.SIGXCPU:
-        return f"after {room.seconds:g} s of a processor nothing came of it (--limits.seconds)"
+        return f"after {room.seconds:g} s of processor time it gave no result (--limits.seconds)"
     if -status == signal.SIGKILL:
-        return "the process that reads it was ended: is there memory enough?"
+        return "the process that reads it was killed: is there enough memory?"
     return f"its reader crashed ({signal.Signals(-status).name}): it is damaged"
 
 

@@ -24,7 +24,7 @@ def named_file(suffix: str) -> tuple[int, str]:
 
 
 def _first(made: Callable[[str], T]) -> T:
-    trouble: OSError = FileNotFoundError("no folder on a disk for what does not fit into memory")
+    trouble: OSError = FileNotFoundError("no folder on a disk for data that does not fit into memory")
     for folder in _folders():
         try:
             Path(folder).mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -5,26 +5,26 @@ import os
 import stat
 from typing import BinaryIO
 
-ROOM = "make room, or name another folder for results; the same command then goes on"
-RIGHTS = "you may not write there", "name another folder for results"
-READ_ONLY = "the disk can be read only", "name another folder for results"
+ROOM = "make room, or name another folder for results; the same command then continues"
+RIGHTS = "you have no permission to write there", "name another folder for results"
+READ_ONLY = "the disk is read-only", "name another folder for results"
 # error of the system: why a file cannot be written, and what to do
 REASONS = {
     errno.ENOSPC: ("the disk is full", ROOM),
-    errno.EDQUOT: ("your share of the disk is used up", ROOM),
+    errno.EDQUOT: ("your disk quota is used up", ROOM),
     errno.EFBIG: ("it would be larger than files may be (ulimit -f)", "allow larger ones"),
     errno.EROFS: READ_ONLY,
     errno.EACCES: RIGHTS,
     errno.EPERM: RIGHTS,
-    errno.ENOENT: ("its folder is not there, or no more", "make it, and give the same command again"),
+    errno.ENOENT: ("its folder does not exist", "create it, and run the same command again"),
     errno.ENOTDIR: ("a part of its path is a file and no folder", "name another folder for results"),
     errno.EEXIST: ("a file or a broken link of this name is there", "name a folder"),
     errno.EISDIR: ("a folder of this name is there", "rename that folder, or name another one for results"),
     errno.ENAMETOOLONG: ("its name is too long for the disk", "shorten the name"),
-    errno.ELOOP: ("links in its path lead in a circle", "name another folder for results"),
+    errno.ELOOP: ("links in its path form a loop", "name another folder for results"),
     errno.EMFILE: ("too many files are open (ulimit -n)", "allow more, or use fewer --workers"),
     errno.ENFILE: ("too many files are open", "use fewer --workers"),
-    errno.EIO: ("the disk reports an error", "look at it, and name a folder on another one"),
+    errno.EIO: ("the disk reports an error", "check it, and name a folder on another one"),
 }
 # errors of writing that come without the name of the file
 WHILE_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -83,7 +83,7 @@ def small_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | No
     with opened_file(path, inside) as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > most:
-            raise _unfit(f"it has {size} bytes, more than the {most} that are read of such files")
+            raise _unfit(f"it has {size} bytes, more than the {most} allowed for such files")
         return stream.read(most + 1)
 
 

@@ -40,7 +40,7 @@ def file_system(url: str) -> tuple[Any, str]:
     """The file system of a URL, and the path in it. Raises ValueError with what to install."""
     protocol = url.split("://", 1)[0]
     if protocol not in STORES or "::" in url:
-        raise ValueError(f"{url}: such addresses are not read or written; what is: {', '.join(STORES)}")
+        raise ValueError(f"{url}: unsupported URL; supported are {', '.join(STORES)}")
     try:
         import fsspec
     except ImportError as problem:
@@ -150,8 +150,8 @@ def expanded(place: str | os.PathLike[str]) -> list[str]:
         if logs := sorted(_inside(place)):
             return logs
         raise ValueError(
-            f"'{place}' is a folder without any log in it ({', '.join((*ENDINGS[:1], *FOREIGN))}): name the logs, or "
-            "the folder they are in; folders of images, or of point clouds, become a log by voodoo-jax convert"
+            f"'{place}' is a folder without logs ({', '.join((*ENDINGS[:1], *FOREIGN))}): name the logs, or "
+            "the folder they are in; folders of images, or of point clouds, become logs by voodoo-jax convert"
         )
     if len(several := log_parts(place)) > 1:
         return [TOGETHER.join(os.path.abspath(part) for part in several)]
@@ -163,7 +163,7 @@ def expanded(place: str | os.PathLike[str]) -> list[str]:
     except Exception as problem:  # every store has its own errors
         raise ValueError(f"{place}: cannot be listed: {type(problem).__name__}: {problem}") from problem
     if not found:
-        raise ValueError(f"{place}: no log matches; look at the names in the store, or at your access to it")
+        raise ValueError(f"{place}: no log matches; check the names in the store, and your access to it")
     return [system.unstrip_protocol(name) for name in found]
 
 

@@ -163,7 +163,7 @@ def _legend(figure: "Figure", people: list[Tracks], frames: list[Frame], truth: 
         handles.append(Line2D([], [], color=RAY_COLOUR, label="lines of sight of 2D features"))
     if handles:
         figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False)
-    legend = "" if people[0].joint_confidence is None else ", the redder the more doubtful"
+    legend = "" if people[0].joint_confidence is None else "; red: low confidence"
     figure.supxlabel(f"circles: joint centres{legend}" + ("; crosses: truth" if truth else ""), fontsize=8)
 
 

@@ -1,4 +1,4 @@
-"""Recordings of other formats as MCAP logs.
+"""Converts recordings of other formats to MCAP logs.
 
 Public: `sources.convert`, `sources.is_foreign`.
 """

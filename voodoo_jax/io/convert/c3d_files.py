@@ -1,4 +1,4 @@
-"""C3D files by two libraries: ezc3d, and py-c3d for what that does not read (MIPS, parameters of other types)."""
+"""Reads C3D files by ezc3d, and by py-c3d what that does not support (MIPS, parameters of other types)."""
 
 import warnings
 from io import BytesIO
@@ -21,7 +21,7 @@ class Points(NamedTuple):
 
 
 def points_of(source: Path) -> Points:
-    """Raises ConvertError, with what ezc3d says."""
+    """The points of a file. Raises ConvertError, with the message of ezc3d."""
     try:
         import ezc3d  # noqa: F401
     except ImportError as problem:

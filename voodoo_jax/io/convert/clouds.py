@@ -19,7 +19,7 @@ MOST = 88  # bytes that a byte of LZF can become: 264 for a repetition of 3
 
 
 def convert(source: Path, target: Answer, rate: float) -> list[str]:
-    """Writes x, y, z of all points, 32 bits; points that are no number are left out. Raises ConvertError, OSError."""
+    """Writes x, y, z of all points, 32 bits; non-finite points are left out. Raises ConvertError, OSError."""
     clouds = named_times(source, ENDINGS, rate)
     notes, written = [], 0
     with new_log(target) as writer:
@@ -54,7 +54,7 @@ def read_pcd(data: bytes, name: str) -> np.ndarray:
     while "DATA" not in header:
         end = data.find(b"\n", at)
         if end < 0 or at > 4096:
-            raise ConvertError(f"'{name}' is no PCD file: it has no DATA line")
+            raise ConvertError(f"'{name}' is not a PCD file: it has no DATA line")
         words = data[at:end].decode("ascii", "replace").split()
         if words and not words[0].startswith("#"):
             header[words[0]] = words[1:]
@@ -79,7 +79,7 @@ def read_pcd(data: bytes, name: str) -> np.ndarray:
         elif header["DATA"] == ["binary"]:
             table = array_at(data, row, (count,), at)
         else:
-            raise ConvertError(f"'{name}': PCD data of the kind '{' '.join(header['DATA'])}' are not read")
+            raise ConvertError(f"'{name}': PCD data '{' '.join(header['DATA'])}' are not supported")
         return np.stack([table[f"{names[i]}.{i}"][:, 0].astype(float) for i in where], 1)
     except (KeyError, IndexError, ValueError) as problem:
         if isinstance(problem, ConvertError):

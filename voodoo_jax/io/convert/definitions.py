@@ -1,7 +1,7 @@
-"""Definitions of messages for bags that have none: SQLite bags of ROS 2 before Iron, with types of drivers.
+"""Message definitions for bags without them: SQLite bags of ROS 2 before Iron, with drivers' own types.
 
-`driver_types.msg` holds the usual drivers' types as their packages define them (Livox, RealSense, ZED, vision_msgs 4,
-point_cloud_interfaces, mocap4r2_msgs); files of others can be given.
+`driver_types.msg` has types of common drivers, as their packages define them (Livox, RealSense, ZED, vision_msgs 4,
+point_cloud_interfaces, mocap4r2_msgs); others can be given as files.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ WAY_OUT = "give its definition, the .msg file of its package: --read.types FILE.
 
 
 def register(store: Any, wanted: Sequence[str], given: Sequence[str]) -> set[str]:
-    """Adds definitions to a typestore where it has none, first those of the files that are given; the names of `wanted`
-    that it knows only by that. Raises ConvertError for a file that is none."""
+    """Adds missing definitions to a typestore, first those of the given files; returns the names in `wanted` that it
+    now knows. Raises ConvertError for a file without definitions."""
     missing = {name for name in wanted if name not in store.fielddefs}
     if missing:
         types = get_types_from_msg(small_text(BUILT_IN), FIRST) | _of_files(given, missing)
@@ -36,7 +36,7 @@ def _of_files(given: Sequence[str], missing: set[str]) -> dict[str, Any]:
             for path in [*sorted(place.parent.glob("*.msg")), place]:
                 found |= get_types_from_msg(small_text(path), f"{package}/msg/{path.stem}")
         except (OSError, ValueError, KeyError, TypesysError) as problem:
-            raise ConvertError(f"read.types: '{place}' is no definition of a message (.msg): {problem}") from problem
+            raise ConvertError(f"read.types: '{place}' is not a message definition (.msg): {problem}") from problem
     return found
 
 

@@ -1,10 +1,10 @@
-"""Folders of depth images (16-bit PNG), with a camera file, or as the TUM RGB-D benchmark has them; with colour images.
+"""Converts folders of depth (16-bit PNG) and colour images, with a camera file or of the TUM RGB-D benchmark.
 
 Camera file (TOML): width, height, fx, fy, cx, cy (pixels), unit (metres of one count, such as 0.001), and rate (images
-a second) where the names of the images are not times in seconds. TUM: `depth.txt` and `rgb.txt` name the images and
-their times, one count is 1/5000 m; the camera is that of the benchmark's registered images unless a file says another
+per second) if the names of the images are not times in seconds. TUM: `depth.txt` and `rgb.txt` name the images and
+their times, one count is 1/5000 m; the camera is that of the benchmark's registered images, unless a file gives another
 one. Otherwise the images are in the folder itself, or in its folders `depth` and `rgb`, `color` or `colour`; colour is
-taken if it is registered to depth, pixel by pixel.
+used if it is registered to depth, pixel by pixel.
 """
 
 import tomllib
@@ -61,7 +61,7 @@ def convert(source: Path, target: Answer, given: Path | None = None, rate: float
                 continue
             depth = image
             if depth.dtype != np.uint16 or depth.ndim != 2:
-                notes.append(f"'{path.name}' was left out: it is no 16-bit image of one channel")
+                notes.append(f"'{path.name}' was left out: it is not a 16-bit image of one channel")
                 bad += 1
                 continue
             if depth.shape != (camera["height"], camera["width"]):
@@ -101,7 +101,7 @@ def _put_colour(put: Put, stamp: int, path: Path, camera: dict, data: bytes, ima
 
 
 def camera_file(path: Path, usual: dict | None = None, asked: bool = True) -> dict:
-    """What a camera file says; `usual` where it is missing and was not asked for. Raises ConvertError."""
+    """The contents of a camera file; `usual` if none was given. Raises ConvertError."""
     if not path.is_file():
         if usual is None or asked:
             raise ConvertError(
@@ -112,7 +112,7 @@ def camera_file(path: Path, usual: dict | None = None, asked: bool = True) -> di
     try:
         found = (usual or {}) | tomllib.loads(small_text(path))
     except (ValueError, RecursionError, OSError) as problem:
-        raise ConvertError(f"'{path}' is no TOML file: {problem}") from problem
+        raise ConvertError(f"'{path}' is not a TOML file: {problem}") from problem
     for key in KEYS:
         if not isinstance(found.get(key), int | float) or not 0 < found[key] <= LARGEST:
             raise ConvertError(f"'{path}': '{key}' must be a number above 0, and at most {LARGEST:g}")
@@ -128,7 +128,7 @@ def _listed(path: Path) -> list[tuple[int, Path]]:
 
 
 def pinhole(camera: dict) -> CameraCalibration:
-    """The calibration that a camera file describes."""
+    """The calibration of a camera file."""
     fx, fy, cx, cy = (float(camera[key]) for key in ("fx", "fy", "cx", "cy"))
     return CameraCalibration(
         frame_id=FRAME, width=int(camera["width"]), height=int(camera["height"]), distortion_model="plumb_bob",
@@ -138,7 +138,7 @@ def pinhole(camera: dict) -> CameraCalibration:
 
 
 def depth_image(depth: np.ndarray, unit: float) -> RawImage:
-    """The image as it is where counts are millimetres, else in metres."""
+    """The image, unchanged if counts are millimetres, else in metres."""
     whole = unit == MILLIMETRE
     data = depth.astype("<u2") if whole else (depth * np.float64(unit)).astype("<f4")
     return RawImage(

@@ -1,7 +1,7 @@
-"""What a conversion that fails raises, and how what it makes is known. Imports nothing."""
+"""The exception of failed conversions, and the mark of converted logs. Imports nothing."""
 
 LIBRARY = "voodoo_jax convert"  # which wrote a log, as its header says
 
 
 class ConvertError(ValueError):
-    """A recording that cannot be converted, with the reason and what to do."""
+    """A recording cannot be converted; the text states the reason and the remedy."""

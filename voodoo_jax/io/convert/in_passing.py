@@ -1,4 +1,4 @@
-"""Logs of other formats, converted in passing."""
+"""Converts logs of other formats temporarily."""
 
 import os
 import tempfile
@@ -13,7 +13,7 @@ from voodoo_jax.io.convert.sources import convert, is_foreign
 
 @contextmanager
 def as_mcap(log: Place, types: Sequence[str] = ()) -> Iterator[tuple[Any, list[str]]]:
-    """The log as MCAP, itself or a copy that is removed at the end, and what the conversion left out.
+    """The log as MCAP, itself or a temporary copy, and notes of the conversion.
 
     **Arguments:** `types` as read.types. Raises LogError.
     """

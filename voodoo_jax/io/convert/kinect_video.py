@@ -1,8 +1,8 @@
 """Recordings of Azure Kinect and Femto cameras (.mkv): depth, colour and calibration.
 
 The format: learn.microsoft.com/azure/kinect-dk/record-file-format. Depth is a track of 16-bit images in millimetres,
-the calibration an attachment, JSON, for the whole sensor; what part of it an image has says the depth mode
-(K4A_DEPTH_MODE).
+the calibration an attachment, JSON, for the whole sensor; the depth mode (K4A_DEPTH_MODE) determines the part of it in
+an image.
 """
 
 import json
@@ -47,8 +47,8 @@ class _Streams(NamedTuple):
 
 
 def convert(source: Path, target: Answer, camera: Path | None = None) -> list[str]:
-    """Writes depth in millimetres as it is, and colour images that are JPEG. `camera`: see depth_images.py, where the
-    file has no calibration. Raises ConvertError, OSError."""
+    """Writes depth in millimetres unchanged, and JPEG colour images. `camera`: see depth_images.py, if the file has no
+    calibration. Raises ConvertError, OSError."""
     try:
         import av
         import av.error

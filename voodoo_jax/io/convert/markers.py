@@ -36,12 +36,12 @@ def convert_c3d(source: Path, target: Answer) -> list[str]:
     names, points, notes = [names[k] for k in kept], points[:, kept], []
     if left_out:
         notes.append(
-            f"{left_out} outputs of a model were left out (angles, forces, axes of bones): they are no markers"
+            f"{left_out} computed channels were left out (angles, forces, axes of bones): they are not markers"
         )
     told = next(iter(listed(point, "UNITS")), "")
     if (unit := unit_name(told)) is None:
         unit = unit_by_size(points, source, told)
-        notes.append(f"'{source}' names {_no_unit(told)}: by the size of what was recorded it is {unit}")
+        notes.append(f"'{source}' names {_no_unit(told)}: judged by size, it is {unit}")
     write_markers(
         target,
         source,
@@ -54,7 +54,7 @@ def convert_c3d(source: Path, target: Answer) -> list[str]:
 
 
 def listed(point: dict[str, Any], key: str) -> list[str]:
-    """A parameter of the group POINT and what goes on in `key`2, `key`3, ...: each of these holds 255 names."""
+    """A parameter of the group POINT, continued in `key`2, `key`3, ...: each of these has up to 255 names."""
     parts = {int(found[1] or 1): k for k in point if (found := re.fullmatch(f"{key}(\\d*)", k))}
     return [_letters(str(name)).strip() for _, k in sorted(parts.items()) for name in point[k]["value"]]
 
@@ -87,7 +87,7 @@ def _computed(point: dict[str, Any], names: list[str]) -> set[str]:
 
 
 def unit_name(text: str) -> str | None:
-    """A unit's short name, of that or of a word for it, which may be cut ("mete"); None: it is unknown."""
+    """A unit's short name, from itself or from its full name, which may be truncated ("mete"); None if unknown."""
     text = text.strip().lower().rstrip(".")
     if text in METRES:
         return text
@@ -100,7 +100,7 @@ def _no_unit(told: str) -> str:
 
 
 def unit_by_size(points: np.ndarray, source: Path, told: str) -> str:
-    """That in which all points of a frame together are as large as what is recorded with markers may be."""
+    """The unit in which the extent of a frame's points is plausible for a recording of markers."""
     seen = points[np.isfinite(points).all(2).sum(1) >= 3]
     extent = np.median(np.linalg.norm(np.nanmax(seen, 1) - np.nanmin(seen, 1), axis=1)) if len(seen) else np.nan
     for unit in ("mm", "m", "cm"):  # by how often they are meant
@@ -157,7 +157,7 @@ def _upwards(point: dict[str, Any]) -> str:
 def write_markers(
     target: Answer, source: Path, names: list[str], points: np.ndarray, seconds: np.ndarray, up: str
 ) -> None:
-    """Named points [frame, point, 3], metres, at seconds of any zero; `up` as in read.up.
+    """Writes named points [frame, point, 3], metres, at times in seconds from any zero; `up` as in read.up.
 
     Raises ConvertError, OSError.
     """

@@ -1,7 +1,7 @@
-"""What bags of the RealSense viewer and SDK do differently: names of topics, and the unit of depth.
+"""Differences of bags of the RealSense viewer and SDK: names of topics, and the unit of depth.
 
-Image and calibration of a stream are `/device_0/sensor_0/Depth_0/image/data` and `.../info/camera_info`, depth counts
-are those of the option Depth_Units (librealsense, src/media/ros).
+Image and calibration of a stream are `/device_0/sensor_0/Depth_0/image/data` and `.../info/camera_info`, the unit of
+depth counts is the option Depth_Units (librealsense, src/media/ros).
 """
 
 import re
@@ -16,7 +16,7 @@ CLOSE = 1e-6  # metres: units that differ by less are one
 
 
 def plain_topic(topic: str) -> str:
-    """The topic under which an image and its calibration are found together; others stay as they are."""
+    """The common topic of an image and its calibration; others are unchanged."""
     match = IMAGE.match(topic)
     if match is None:
         return topic
@@ -26,7 +26,7 @@ def plain_topic(topic: str) -> str:
 
 
 def depth_units(reader: Any) -> dict[str, float]:
-    """Metres of a count of depth, by device, where it is not a millimetre."""
+    """Metres per depth count, by device, if it is not a millimetre."""
     found: dict[str, float] = {}
     connections = [c for c in reader.connections if UNITS.match(c.topic)]
     for connection, _, raw in reader.messages(connections=connections) if connections else ():
@@ -38,7 +38,7 @@ def depth_units(reader: Any) -> dict[str, float]:
 
 
 def unit_of(topic: str, kind: str, units: dict[str, float]) -> float | None:
-    """The unit by which images of a topic have to be multiplied; None: they are millimetres, or no depth images."""
+    """Metres per count of a topic's images; None: they are millimetres, or no depth images."""
     match = IMAGE.match(topic)
     if match is None or not kind.endswith("/Image") or match[2].lower() != "depth":
         return None
@@ -46,7 +46,7 @@ def unit_of(topic: str, kind: str, units: dict[str, float]) -> float | None:
 
 
 def in_metres(store: Any, data: bytes, kind: str, unit: float) -> bytes:
-    """A message of 16-bit counts (CDR) as one of metres, 32 bits."""
+    """Converts a message of 16-bit counts (CDR) to metres, 32 bits."""
     image = store.deserialize_cdr(data, kind)
     order = ">" if image.is_bigendian else "<"
     rows = np.asarray(image.data).reshape(image.height, image.step)[:, : 2 * image.width]

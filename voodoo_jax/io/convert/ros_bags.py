@@ -1,4 +1,4 @@
-"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message as it is, in ROS 2's encoding."""
+"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message, in ROS 2's encoding."""
 
 from bz2 import BZ2Decompressor
 from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +29,7 @@ BROKEN = (AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError, Assert
 
 
 def convert(source: Path, target: Answer, types: Sequence[str] = ()) -> list[str]:
-    """Copies all topics; notes on those that could not be. `types` files that define messages which the bag does not.
+    """Copies all topics; returns notes on topics left out. `types` files with message definitions that the bag lacks.
     Raises ConvertError, OSError."""
     notes: list[str] = []
     for path in source.iterdir() if source.is_dir() else ():
@@ -44,8 +44,8 @@ def convert(source: Path, target: Answer, types: Sequence[str] = ()) -> list[str
             if connection.msgtype in assumed and not _fits(reader, connection):
                 channels[connection.id] = None
                 notes.append(
-                    f"'{connection.topic}' was left out: its messages are not of the {connection.msgtype} that is "
-                    f"known, but of another version of it: {WAY_OUT}"
+                    f"'{connection.topic}' was left out: its messages have another version of "
+                    f"{connection.msgtype} than the known one: {WAY_OUT}"
                 )
         _check_use(source, store, [c for c in reader.connections if channels[c.id] is not None], notes)
         units = depth_units(reader)
@@ -90,7 +90,7 @@ def _check_use(source: Path, store: Any, kept: list[Any], left_out: list[str]) -
     kinds = {_renamed(c.msgtype) for c in kept}
     used = {KINDS.get(kind, "") or kind_by_fields(store, kind) for kind in kinds}
     if left_out and not used - {"", "calibration", "transforms"}:
-        raise ConvertError(f"'{source}' has nothing left to track by: {'; '.join(left_out)}")
+        raise ConvertError(f"'{source}' has no usable topic left: {'; '.join(left_out)}")
 
 
 def _part(decoder: Callable[[], Any]) -> Callable[[bytes], bytes]:

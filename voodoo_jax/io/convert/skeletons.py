@@ -1,4 +1,4 @@
-"""Skeletons of body trackers as files: joints become named points, one prefix for each body.
+"""Converts skeleton files of body trackers: joints become named points, with a prefix for each body.
 
 * JSON of a Kinect, as Microsoft's Azure Kinect samples write it: `joint_names`, and `frames` with `timestamp_usec` and
   `bodies`, each with `body_id` and `joint_positions` in millimetres, in the depth camera's frame.

@@ -1,4 +1,4 @@
-"""Which recordings of other formats are converted, and by what."""
+"""The table of convertible formats and their converters."""
 
 import os
 from collections.abc import Sequence
@@ -34,8 +34,8 @@ FILES = {
 
 
 def is_foreign(path: str | os.PathLike[str]) -> bool:
-    """Whether a file, or the folder of an SQLite bag, can be converted in passing, by its ending; other folders have to
-    be converted by name."""
+    """Whether a file, or the folder of an SQLite bag, can be converted automatically, by its extension; other folders
+    must be named for conversion."""
     path = Path(path)
     return (path.suffix.lower() in FILES and path.is_file()) or (path.is_dir() and any(path.glob("*.db3")))
 
@@ -47,17 +47,17 @@ def convert(
     rate: float = 0.0,
     types: Sequence[str] = (),
 ) -> list[str]:
-    """Writes a recording of another format as an MCAP log; nothing is left where that does not work.
+    """Writes a recording of another format as an MCAP log; writes no file if this fails.
 
     **Arguments:** `source` a ROS 1 bag (.bag, also RealSense's), an SQLite bag of ROS 2 (.db3, or its folder), a
-    recording of an Azure Kinect or Femto (.mkv), C3D, TRC, skeletons (.json of a Kinect, Nuitrack or ZED, .skeleton
-    of NTU RGB+D), tables of points (.csv of Motive, or with columns NAME_x, NAME_y, NAME_z), a point cloud (.pcd,
-    .ply), or a folder of these or of depth images; `camera` the images' camera file (see depth_images.py); `rate`
-    files, or rows of a table, a second where there are no times; `types` files that define messages (.msg), for bags
-    that do not.
+    recording of an Azure Kinect or Femto (.mkv), C3D, TRC, skeletons (.json of a Kinect, Nuitrack or ZED, .skeleton of
+    NTU RGB+D), tables of points (.csv of Motive, or with columns NAME_x, NAME_y, NAME_z), a point cloud (.pcd, .ply),
+    or a folder of these or of depth images; `camera` the images' camera file (see depth_images.py); `rate` files, or
+    rows of a table, per second, if there are no times; `types` files with message definitions (.msg), for bags without
+    them.
 
-    It is read in a process of its own (storage/guard.py). **Returns:** what was left out or changed, one sentence each.
-    Raises ConvertError, also where a log that was not converted would be replaced, OSError.
+    A separate process reads it (storage/guard.py). **Returns:** notes on data left out or changed. Raises ConvertError,
+    also instead of replacing a log that convert did not make, and OSError.
     """
     if not 0 <= rate <= FASTEST or 0 < rate < SLOWEST:
         raise ConvertError(
@@ -86,7 +86,7 @@ def convert(
 
 # 6 parameters: those of the task, and where its answer goes
 def converted(module: str, function: str, source: str, given: dict, allowed: dict, answer: "Answer") -> list[str]:
-    """In the process that may do little: the log of a recording."""
+    """Converts a recording, within the confined process."""
     convert: Any = getattr(import_module(f"voodoo_jax.io.convert.{module}"), function)
     given = {name: Path(value) if value and name == "camera" else value for name, value in given.items()}
     try:
@@ -108,7 +108,7 @@ def _check_ours(target: Path) -> None:
     except NotReadable as problem:
         raise ConvertError(f"'{target}' cannot be replaced: {problem}") from problem
     if head and LIBRARY.encode() not in head:
-        raise ConvertError(f"'{target}' is there, and no log that was converted: name another --out")
+        raise ConvertError(f"'{target}' exists, and was not made by convert: name another --out")
 
 
 def _reader(source: Path) -> tuple[str, ...]:
@@ -120,7 +120,7 @@ def _reader(source: Path) -> tuple[str, ...]:
         if ".db3" in endings:
             return "ros_bags", "convert", "types"
         if ".mcap" in endings:
-            raise ConvertError(f"'{source}' holds MCAP logs already: give it to replay as it is")
+            raise ConvertError(f"'{source}' has MCAP logs: give it to replay directly")
         if endings & {".pcd", ".ply"}:
             return "clouds", "convert", "rate"
         return "depth_images", "convert", "camera", "rate"
@@ -132,5 +132,5 @@ def _reader(source: Path) -> tuple[str, ...]:
     if kind not in READERS:
         known = ", ".join(f"{name} ({end})" for end, name in FILES.items())
         known += ", folders of a ROS 2 bag, of depth images (PNG) or of point clouds (PCD, PLY)"
-        raise ConvertError(f"'{source}': such files are not converted; what is: {known}")
+        raise ConvertError(f"'{source}': unsupported file; supported are {known}")
     return READERS[kind]

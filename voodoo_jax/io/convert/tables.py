@@ -1,8 +1,8 @@
 """Named points over time in tables (CSV): exports of Motive, and any with columns NAME_x, NAME_y, NAME_z.
 
 Motive (OptiTrack): a first line of `Format Version` and so on, then lines of types, names and axes, then a line for
-each frame; its labelled markers are taken, of a file without any the origins of its bones. Y is up there. Tables of
-others (FreeMoCap, pandas): a line of names, then one for each frame; with a column of times in seconds, or at a rate.
+each frame; its labelled markers are used, or without any the origins of its bones. Y is up. Other tables (FreeMoCap,
+pandas): a line of names, then one for each frame, with a column of times in seconds or at a given rate.
 """
 
 import csv
@@ -69,14 +69,14 @@ def _table(source: Path, target: Answer, rows: list[list[str]], rate: float) -> 
     points = _points(table, list(groups.values()))
     unit = unit_by_size(points, source, "")
     if unit != "m":
-        notes.append(f"'{source}' names no unit: by the size of what was recorded it is {unit}")
+        notes.append(f"'{source}' names no unit: judged by size, it is {unit}")
     time = next((k for k, name in enumerate(rows[0]) if TIMES.fullmatch(name.strip())), None)
     if time is not None and not rate and np.isfinite(table[:, time]).all():
         seconds = table[:, time]
     else:
         seconds = np.arange(len(table)) / (rate or USUAL_HZ)
         if not rate:
-            notes.append(f"'{source}' has no times: {USUAL_HZ:g} frames a second are assumed (--rate says others)")
+            notes.append(f"'{source}' has no times: {USUAL_HZ:g} frames a second are assumed (to override: --rate)")
     write_markers(target, source, list(groups), points * METRES[unit], seconds, "")
     return notes
 

@@ -1,4 +1,4 @@
-"""The MCAP log that a recording is converted to."""
+"""Writes the MCAP log of a conversion."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -27,8 +27,9 @@ Put = Callable[[str, int, Any], None]  # topic, stamp in nanoseconds, message of
 
 
 def named_times(folder: Path, endings: tuple[str, ...], rate: float) -> list[tuple[int, Path]]:
-    """Files of a folder (or one alone) in their order, with stamps in nanoseconds: their names, where these are times
-    in seconds, or nanoseconds (19 digits); else numbered at a rate (files a second). Raises ConvertError."""
+    """Files of a folder (or a single file) in order, with stamps in nanoseconds: from their names, if these are times
+    in seconds or nanoseconds (19 digits), else from their numbers and a rate (files per second). Raises
+    ConvertError."""
     if folder.is_file():
         return [(START_NS, folder)]
     files = [path for path in folder.iterdir() if path.suffix.lower() in endings and not path.name.startswith(".")]
@@ -43,14 +44,14 @@ def named_times(folder: Path, endings: tuple[str, ...], rate: float) -> list[tup
 
 
 class NewLog(Writer):
-    """A writer of a log that takes no more than one may unpack to."""
+    """A writer that limits the unpacked size of a log."""
 
     def __init__(self, stream: Answer):
         super().__init__(stream, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
         self._left = stream.size
 
     def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
-        """Raises ConvertError for what is too much in all, ValueError for what cannot be."""
+        """Adds a message. Raises ConvertError beyond the limit, ValueError for invalid values."""
         self._left -= len(data) + ROW
         if self._left < 0:
             raise ConvertError("it becomes a log of more than --limits.log_bytes allow")
@@ -71,7 +72,7 @@ def new_log(stream: Answer) -> Iterator[NewLog]:
 
 
 def content(path: Path, inside: Path | None = None) -> bytes:
-    """All of a file of a recording, which must not be larger than a chunk may be. Raises ConvertError, OSError."""
+    """The contents of a file of a recording, at most as large as a chunk may be. Raises ConvertError, OSError."""
     try:
         return small_file(path, inside, limits().chunk_bytes)
     except NotReadable as problem:
@@ -86,8 +87,8 @@ def check_points(names: int, rows: int) -> None:
 
 
 def putter(writer: Writer, up: str = "") -> Put:
-    """What writes messages of foxglove's, stamped where they have a stamp, into a log; `up` which way is up by the
-    recording's format, as in read.up."""
+    """A function that writes Foxglove messages, with their stamps, into a log; `up` is the format's upward direction,
+    as in read.up."""
     channels: dict[str, int] = {}
 
     def put(topic: str, stamp: int, message: Any) -> None:

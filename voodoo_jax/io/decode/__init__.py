@@ -1,1 +1,1 @@
-"""Messages of a log decoded: one module for each kind of content, and the table of all message types."""
+"""Decodes messages of a log: one module for each kind of content, and the table of all message types."""

@@ -1,5 +1,5 @@
-"""Messages of drivers' own types (Livox clouds, markers of motion capture, RGBD images, ZED's bodies), told by their
-fields."""
+"""Recognises messages of drivers' own types by their fields (Livox clouds, motion capture markers, RGBD images, ZED
+bodies)."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -64,12 +64,12 @@ def _strings(store: Typestore, name: str) -> list[str]:
 
 
 def structure_converter(store: Typestore, name: str) -> Callable[[Any], Any] | None:
-    """What makes of a message of this type an Image, Cloud or Features; None where its fields are of none."""
+    """A function that converts a message of this type to an Image, Cloud or Features; None if its fields fit none."""
     return _found(store, name)[1]
 
 
 def kind_by_fields(store: Typestore, name: str) -> str:
-    """What a message of this type may be used for, as `registry.KINDS` calls it; "" for nothing."""
+    """The use of messages of this type, as in `registry.KINDS`; "" for none."""
     return _found(store, name)[0]
 
 

@@ -1,5 +1,4 @@
-"""Messages with colour, grey or compressed images: what they hold, still packed. `io.decode.image_codec` unpacks
-them."""
+"""Messages with colour, grey or compressed images, without decompression, which is done by `io.decode.image_codec`."""
 
 from typing import Any
 

@@ -31,7 +31,7 @@ _FOXGLOVE_FIELDS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4
 
 
 def ros_cloud(m: Any, data: Any = None) -> Cloud:
-    """A cloud of ROS; `data`: its bytes, where the message holds them packed."""
+    """A cloud of ROS; `data`: its unpacked bytes, if the message is compressed."""
     fields = {f.name: (_ROS_FIELDS.get(f.datatype), f.offset) for f in m.fields if f.name in _AXES or f.count <= 1}
     data, order = m.data if data is None else data, ">" if m.is_bigendian else "<"
     grid = _grid(data, m.height, m.width, m.point_step, m.row_step, fields, order)
@@ -133,7 +133,7 @@ def _foxglove_cloud(m: Any) -> Cloud:
 
 
 def foxglove_pose(m: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    """Rotation and place of a measurement in its frame, if the message has any."""
+    """Rotation and position of a measurement in its frame, if the message has a pose."""
     if not m.HasField("pose"):
         return None
     q = xyzw(m.pose.orientation)

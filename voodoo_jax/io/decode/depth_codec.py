@@ -1,4 +1,4 @@
-"""Depth images that image_transport has packed (compressedDepth: PNG or RVL), and plain PNG of 16 bits."""
+"""Unpacks depth images of image_transport (compressedDepth: PNG or RVL), and plain 16-bit PNG."""
 
 import struct
 
@@ -16,10 +16,10 @@ HEADER = 12  # bytes before the packed image: int32 format, float32 parameters A
 
 
 def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | bytes) -> Image | None:
-    """The depth image that a compressed image holds, still packed; None if it is one of colour or grey.
+    """The depth image in a compressed image, still packed; None for colour or grey.
 
     `format` as image_transport writes it ("16UC1; compressedDepth png"; older ones say "; compressedDepth" only), or
-    "png", where the file itself says that it has one channel of 16 bits. Raises ValueError if it is too short.
+    "png", if its header states one channel of 16 bits. Raises ValueError if it is too short.
     """
     encoding, _, how = (part.strip() for part in format.partition(";"))
     whole, start = "compresseddepth" not in how.lower(), 0
@@ -46,8 +46,8 @@ def packed_depth(stamp_ns: int, frame: str, format: str, data: np.ndarray | byte
 
 
 def raw_of(image: Image) -> np.ndarray | None:
-    """The raw image [row, column], unpacked if it is packed; 0 or NaN where there is nothing; None of another encoding.
-    Raises ValueError if it is broken.
+    """The raw image [row, column], unpacked; 0 or NaN without a measurement; None for another encoding. Raises
+    ValueError if it is broken.
 
     Distances of 32FC1 are packed as A / (raw - B), so that the steps grow with distance.
     """

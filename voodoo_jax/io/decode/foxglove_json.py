@@ -1,4 +1,4 @@
-"""Messages of Foxglove in JSON, as the protobuf messages of the same name."""
+"""Converts Foxglove messages in JSON to the protobuf messages of the same name."""
 
 import json
 from datetime import UTC, datetime
@@ -16,11 +16,11 @@ def _kind(name: str) -> type[Message]:
     try:
         return getattr(import_module(f"foxglove_schemas_protobuf.{short}_pb2"), short)
     except ImportError as problem:
-        raise ValueError(f"{name} is no message of Foxglove") from problem
+        raise ValueError(f"{name} is not a Foxglove message") from problem
 
 
 def message_of(name: str, data: bytes) -> Message:
-    """The message with a name such as foxglove.PointCloud. Raises ValueError if it is none."""
+    """The message with a name such as foxglove.PointCloud. Raises ValueError for other data."""
     try:
         return json_format.ParseDict(_as_protobuf(json.loads(data)), _kind(name)(), ignore_unknown_fields=True)
     except (json_format.ParseError, OSError, OverflowError) as problem:

@@ -1,4 +1,4 @@
-"""Packed images to pixels."""
+"""Decodes compressed images."""
 
 import struct
 
@@ -26,7 +26,7 @@ _ENDS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}  # how a complet
 
 
 def pixels(image: Colour) -> UInt8[np.ndarray, "row column 3"]:
-    """Blue, green and red of each pixel. Raises ValueError for an image that is broken or in a format not known."""
+    """Blue, green and red of each pixel. Raises ValueError for a damaged image or an unknown format."""
     if image.step:
         size = PIXELS[image.encoding]
         rows, columns = image.shape
@@ -43,8 +43,8 @@ def pixels(image: Colour) -> UInt8[np.ndarray, "row column 3"]:
 
 
 def stored(data: np.ndarray | bytes, what: str, how: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
-    """The image [row, column, ...] in the bytes of a JPEG, PNG and so on. Raises ValueError that names `what` it is of,
-    where it is broken."""
+    """The image [row, column, ...] in the bytes of a JPEG, PNG and so on. Raises ValueError, which names `what`, if it
+    is damaged."""
     data = array_at(data, np.uint8)
     end = _ENDS.get(data[:2].tobytes())
     # the decoder fills what is missing at the end of a file

@@ -1,4 +1,4 @@
-"""How many pixels a packed image says to have, looked up in its header before a decoder asks for memory."""
+"""Reads the number of pixels from the header of a compressed image, before a decoder allocates memory."""
 
 import struct
 
@@ -7,10 +7,9 @@ READ = "JPEG, PNG, TIFF, WebP, AVIF, BMP"
 
 
 def packed_size(data: bytes) -> int:
-    """Pixels of an image of a format that is read; the most that any part of its header says.
+    """Pixels of an image; the largest number in any part of its header.
 
-    Raises ValueError for an image of another format, or with a header that cannot be; struct.error for one that ends
-    in its header.
+    Raises ValueError for another format or an invalid header; struct.error if the data ends within the header.
     """
     if data[:2] == b"\xff\xd8":
         return _jpeg(data)

@@ -1,8 +1,8 @@
-"""Messages of named 3D points whose bytes differ from an earlier one's in stamps and places only, read at once.
+"""Fast decoding of messages of named 3D points that differ from an earlier one only in stamps and positions.
 
-A list of forty markers takes two milliseconds to decode, and says the same names time and again. Where its numbers lie
-is found in one message, and proved by decoding it again with other numbers there: so what is read here is what the
-decoder gives, to the last bit.
+A list of forty markers takes two milliseconds to decode, and always has the same names. The byte offsets of its numbers
+are found in one message, and verified by decoding it again with other numbers there. So results equal the decoder's to
+the last bit.
 """
 
 import struct
@@ -23,7 +23,7 @@ _AT_FIRST = 8  # layouts that are made before any has been of use: each costs as
 
 
 class Remembering:
-    """A decoder of messages that remembers their layouts."""
+    """A decoder of messages that caches their layouts."""
 
     def __init__(self, decode: Callable[[bytes], Any]):
         self._decode, self._known = decode, dict[int, list[Layout]]()
@@ -44,7 +44,7 @@ class Remembering:
 
 
 class Layout:
-    """Where the stamp and the places of a message lie."""
+    """Byte offsets of the stamp and the positions of a message."""
 
     def __init__(self, like: Features, data: bytes, places: list[int], stamps: list[int]):
         byte = array_at(data, np.uint8)
@@ -58,7 +58,7 @@ class Layout:
 
     @classmethod
     def of(cls, data: bytes, found: Features, decode: Callable[[bytes], Any]) -> "Layout | None":
-        """That of a message in which `found` was found; None where it has none that can be proved."""
+        """The layout of a message with the features `found`; None if it cannot be verified."""
         values = found.values
         if values.shape[1:] != (3,) or not values.size or not values.all() or (found.stamps != found.stamp_ns).any():
             return None
@@ -85,8 +85,8 @@ class Layout:
         return byte.tobytes()
 
     def read(self, data: bytes) -> Features | None:
-        """The features of a message of the same length; None unless it differs in nothing but its numbers, and these
-        are usual ones: what stands for a marker that was not seen is the decoder's to tell."""
+        """The features of a message of the same length; None if it differs in more than its numbers, or if these are
+        unusual (the decoder recognises placeholders for hidden markers)."""
         byte = array_at(data, np.uint8)
         if not np.array_equal(byte[self._fixed], self._same):
             return None

@@ -1,6 +1,6 @@
-"""Clouds that were packed: of point_cloud_transport (zlib, zstd, Draco) and of Foxglove (Draco).
+"""Unpacks compressed clouds of point_cloud_transport (zlib, zstd, Draco) and of Foxglove (Draco).
 
-Draco is unpacked by DracoPy, which wraps Google's own library: it has wheels for all systems, and is kept.
+Draco is unpacked by DracoPy, which wraps Google's library, has wheels for all systems, and is maintained.
 """
 
 import zlib
@@ -77,8 +77,8 @@ def _draco(data: bytes, names: tuple[str, ...]) -> Float32[np.ndarray, "point 3"
 
 
 def places(attributes: list[dict[str, Any]], names: tuple[str, ...]) -> Float32[np.ndarray, "point 3"]:
-    """Of Draco's attributes of points: one of three numbers, or, as point_cloud_transport packs the fields of a cloud,
-    one for each axis. Raises ValueError where there are none."""
+    """Positions in Draco's attributes: one with three numbers, or one for each axis, as point_cloud_transport packs the
+    fields of a cloud. Raises ValueError without positions."""
     found = [a["data"] for a in attributes if a["attribute_type"] == _POSITION]
     if found and found[0].shape[1] == 3:
         return np.asarray(found[0], np.float32)
@@ -86,7 +86,7 @@ def places(attributes: list[dict[str, Any]], names: tuple[str, ...]) -> Float32[
         ordered = sorted(attributes, key=lambda a: a["unique_id"])
         found = [ordered[names.index(axis)]["data"] for axis in _AXES]
     if len(found) < 3 or any(data.shape[1] != 1 for data in found[:3]):
-        raise ValueError("the cloud that Draco has packed has no places of points")
+        raise ValueError("the cloud that Draco has packed has no positions")
     return np.concatenate(found[:3], 1).astype(np.float32)
 
 

@@ -1,4 +1,4 @@
-"""From the bytes of a ROS 2 or Foxglove message to what it holds: which types are read, and with which decoder."""
+"""Decodes the bytes of ROS 2 and Foxglove messages: the table of supported types and their decoders."""
 
 import re
 import struct
@@ -84,19 +84,19 @@ DECODE_ERRORS = (
 
 
 def kind_of(schema: Schema | None, channel: Channel) -> str:
-    """What a channel may be used for: a value of `KINDS`, or "" for nothing."""
+    """The use of a channel: a value of `KINDS`, or "" for none."""
     if schema is None or (channel.message_encoding, schema.encoding) not in _ENCODINGS:
         return ""
     return KINDS.get(_full(schema.name), "") or structure_kind(schema, channel)
 
 
 def reason_unused(schema: Schema | None, channel: Channel) -> str:
-    """Why a channel is not read, either of no kind or of one that is switched off."""
+    """The reason why a channel is not read: its kind is unsupported or switched off."""
     if schema is None:
         return "it has no schema"
     name = schema.name.rsplit("/", 1)[-1].rsplit(".", 1)[-1]
     if (channel.message_encoding, schema.encoding) not in _ENCODINGS:
-        return f"encoding {channel.message_encoding or '?'}/{schema.encoding or '?'} is not read"
+        return f"encoding {channel.message_encoding or '?'}/{schema.encoding or '?'} is not supported"
     if name == "CompressedImage":
         return "a colour image"
     if "Compressed" in name:
@@ -107,7 +107,7 @@ def reason_unused(schema: Schema | None, channel: Channel) -> str:
 
 
 def is_static(schema: Schema | None, channel: Channel) -> bool:
-    """Whether transforms on this channel hold for the whole log."""
+    """Whether transforms on this channel are static."""
     if channel.topic.rstrip("/").endswith("tf_static") or channel.metadata.get("latching") == "1":
         return True
     qos = channel.metadata.get("offered_qos_profiles", "")
@@ -115,14 +115,14 @@ def is_static(schema: Schema | None, channel: Channel) -> bool:
 
 
 class Decoder:
-    """Turns message bytes into `Cloud` (laser scans too), `Image`, `Colour`, `Calibration`, `Features` or a list of
+    """Decodes message bytes to `Cloud` (laser scans too), `Image`, `Colour`, `Calibration`, `Features` or a list of
     `Transform`; one decoder per schema."""
 
     def __init__(self):
         self._made: dict[tuple[str, bytes], Callable[[bytes], Any] | str] = {}
 
     def message(self, schema: Schema, channel: Channel, data: bytes) -> Any:
-        """The decoded content. Raises one of DECODE_ERRORS if the message or its schema is broken."""
+        """The decoded content. Raises one of DECODE_ERRORS if the message or its schema is damaged."""
         key = (schema.name, schema.data)
         if key not in self._made:
             self._made[key] = self._make(schema, channel)
@@ -226,7 +226,7 @@ def _ros(schema_name: str, encoding: str, definition: bytes, within: LimitSettin
     store, name = _types(schema_name, encoding, definition, within)
     convert = _CONVERTERS.get(name) or structure_converter(store, name)
     if convert is None:
-        raise ValueError(f"{name} holds nothing that can be used")
+        raise ValueError(f"{name} has no usable field")
     read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
     return lambda data: convert(read(data, name))
 
@@ -241,7 +241,7 @@ def _structure_kind(schema_name: str, encoding: str, definition: bytes, within: 
 
 
 def structure_kind(schema: Schema, channel: Channel) -> str:
-    """What a ROS message of an unknown type may be used for, by its fields."""
+    """The use of a ROS message of an unknown type, by its fields."""
     if channel.message_encoding not in ("cdr", "ros1"):
         return ""
     return _structure_kind(schema.name, schema.encoding, schema.data, limits())

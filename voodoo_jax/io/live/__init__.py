@@ -1,4 +1,4 @@
-"""Logs that are still being recorded: what has come so far, as frames.
+"""Frames of logs that are still being recorded.
 
 Never imports JAX.
 """

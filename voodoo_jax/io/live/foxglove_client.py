@@ -30,8 +30,8 @@ OPEN_SECONDS = 10.0  # by hand
 
 
 class FoxgloveClient:
-    """Subscribes to all topics of a server that can be of use. Raises LogError where there is no such server, or the
-    package `websockets` is missing."""
+    """Subscribes to all usable topics of a server. Raises LogError without a server, or if the package `websockets` is
+    missing."""
 
     def __init__(self, url: str, socket: Any = None):
         """`socket` an open connection, another one than to `url`."""
@@ -55,7 +55,7 @@ class FoxgloveClient:
                 )  # fmt: skip
         except (OSError, WebSocketException, ValueError) as problem:
             raise LogError(
-                f"'{url}' cannot be connected to: {problem}. Is the server (foxglove_bridge, or another one of "
+                f"'{url}': no connection: {problem}. Is the server (foxglove_bridge, or another one of "
                 "Foxglove) running there?"
             ) from problem
         self._errors = WebSocketException, OSError, EOFError
@@ -135,7 +135,7 @@ class FoxgloveClient:
             while self._bytes > self._most:
                 self._bytes -= len(self._waiting.popleft()[2].data) + ITEM
                 self._lost += 1
-                self._said["lost"] = f"{self._lost} messages came faster than they were used, and were left out."
+                self._said["lost"] = f"{self._lost} messages came faster than they were processed, and were dropped."
                 self.notes[:] = self._said.values()
             self._there.notify()
 

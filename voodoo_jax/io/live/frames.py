@@ -1,8 +1,8 @@
 """Frames of a log that is still being recorded, by the same plan as those of a finished one.
 
-What has come in the last seconds is looked at as if it were a log of its own, again and again; what was settled at the
-beginning (topics, units, clocks, the fixed frame) stays. A frame is given once nothing that may still come belongs to
-it, so that it is the frame that a finished log would have.
+The messages of the last seconds are repeatedly planned like a small log; topics, units, clocks and the fixed frame stay
+as determined at the beginning. A frame is yielded once no later message can belong to it, so that it equals the frame
+of the finished log.
 """
 
 import time
@@ -51,7 +51,7 @@ class HeldLog(LogFile):
         self.declared, self.time_range, self.counts, self.damage = {}, None, Counter(), []
 
     def messages(self, wanted: Callable[[Schema | None, Channel], bool]) -> Iterator[Item]:
-        """In the order in which they came."""
+        """Messages in order of arrival."""
         for item in self._items:
             if wanted(item[0], item[1]):
                 self.counts[item[1].id] += 1
@@ -59,7 +59,7 @@ class HeldLog(LogFile):
 
 
 class Remembering(Decoder):
-    """Decodes what is small, and looked at again with each frame, once."""
+    """Caches decoded small messages, which each frame reads again."""
 
     def __init__(self):
         super().__init__()
@@ -73,15 +73,15 @@ class Remembering(Decoder):
         return self._known[id(data)]
 
     def forget(self, data: bytes) -> None:
-        """Of bytes that are let go."""
+        """Removes the entries of deleted bytes."""
         self._known.pop(id(data), None)
 
 
 class LiveLog:
     """A log that is still being recorded.
 
-    **Arguments:** `opened` makes a reader of what has come first, such as detect.opening.open_checked; `say` is told
-    what it waits for.
+    **Arguments:** `opened` makes a reader of the first messages, such as detect.opening.open_checked; `say` gets
+    messages about waiting.
     """
 
     def __init__(
@@ -106,8 +106,8 @@ class LiveLog:
     # -- the beginning
 
     def open(self) -> LogReader:
-        """Waits for what is needed, and gives a reader of what has come by then. Raises LogError if nothing comes of
-        it before the source ends."""
+        """Waits for the required messages, and returns a reader of the messages so far. Raises LogError if they do not
+        come before the source ends."""
         tried, waiting = 0, ""
         while True:
             items = self._poll()
@@ -150,7 +150,7 @@ class LiveLog:
     # -- frames
 
     def frames(self) -> Iterator[Frame]:
-        """Frames as they are complete, until the source ends. Only after `open`."""
+        """Yields frames as they become complete, until the source ends. Only after `open`."""
         yield from self._ready()
         while not self.source.ended:
             try:
@@ -170,7 +170,7 @@ class LiveLog:
 
     @property
     def held(self) -> Sequence[Item]:
-        """The messages that are looked at."""
+        """The messages in memory."""
         return self._items
 
     def _poll(self) -> list[Item]:

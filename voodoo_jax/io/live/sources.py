@@ -1,4 +1,4 @@
-"""Where messages come from while they are recorded: a growing MCAP file, or a Foxglove WebSocket."""
+"""Sources of messages during recording: a growing MCAP file, or a Foxglove WebSocket."""
 
 import os
 import struct
@@ -28,23 +28,23 @@ URLS = ("ws://", "wss://")
 
 @runtime_checkable
 class Source(Protocol):
-    """Gives messages as they come."""
+    """Yields messages as they arrive."""
 
     path: str
     ended: bool  # nothing more will come
     notes: list[str]  # what could not be read, a sentence each
 
     def poll(self, seconds: float) -> list[Item]:
-        """What has come since the last call; waits for so long at most if there is nothing."""
+        """Messages since the last call; waits for at most the given time if there are none."""
         ...
 
     def close(self) -> None: ...
 
 
 def open_source(place: str, idle: float) -> Source:
-    """A file or folder, or a Foxglove WebSocket.
+    """Opens a file or folder, or a Foxglove WebSocket.
 
-    **Arguments:** `idle` seconds after which a file that has not grown is taken for finished. Raises LogError.
+    **Arguments:** `idle` seconds without growth after which a file is finished. Raises LogError.
     """
     if place.startswith(URLS):
         from voodoo_jax.io.live.foxglove_client import FoxgloveClient
@@ -54,7 +54,7 @@ def open_source(place: str, idle: float) -> Source:
 
 
 class Reassembled:
-    """Records of an MCAP file as messages with their channels and schemas."""
+    """Makes messages, with channels and schemas, from records of an MCAP file."""
 
     def __init__(self):
         self._channels: dict[int, Channel] = {}
@@ -88,10 +88,10 @@ class Reassembled:
 
 
 class GrowingFile:
-    """An MCAP file that a recorder still writes, read as far as whole records are in it. Of a folder, as `ros2 bag
-    record` makes it, the file that was begun last, and those that follow it.
+    """An MCAP file that a recorder still writes, read up to its last whole record. In a folder of `ros2 bag record`,
+    the newest file, and those that follow it.
 
-    Raises LogError where there is no such file, or it is no MCAP file.
+    Raises LogError if the file is missing or is not MCAP.
     """
 
     def __init__(self, path: str, idle: float):
@@ -104,7 +104,7 @@ class GrowingFile:
         self._next()
 
     def poll(self, seconds: float) -> list[Item]:
-        """See Source. Raises LogError where what comes is no MCAP file."""
+        """See Source. Raises LogError if the data is not MCAP."""
         until = time.monotonic() + seconds
         while True:
             found = self._read()
@@ -130,7 +130,7 @@ class GrowingFile:
             left = [name for name in names if os.path.join(path, name) not in self._done]
             if not left:
                 if not self._done:
-                    raise LogError(f"The folder '{path}' holds no .mcap file. Was the recording started?")
+                    raise LogError(f"The folder '{path}' has no .mcap file. Was the recording started?")
                 return False
             path = os.path.join(path, left[0] if self._done else left[-1])
             self._done |= {os.path.join(self.path, name) for name in names if not self._done and name != left[-1]}

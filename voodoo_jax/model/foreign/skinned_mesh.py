@@ -110,7 +110,7 @@ def _body_of(file: _File, path: Path, least: float) -> tuple[str, list[str]]:
     nodes = file.tree.get("nodes", [])
     skinned = [node for node in nodes if "skin" in node and "mesh" in node]
     if not skinned:
-        raise BodyFileError(str(path), None, "it has no mesh with a skin: joints are needed that move its vertices")
+        raise BodyFileError(str(path), None, "it has no mesh with a skin (joints that move its vertices)")
     places = file.places()
     skin = file.tree["skins"][skinned[0]["skin"]]
     joints = skin["joints"]
@@ -197,7 +197,7 @@ def _pieces(
             if len(points):
                 old = pieces[owner[above]]
                 pieces[owner[above]] = old.with_surface(points, normals)
-                notes.append(f"'{name}' is small: it is one with '{old.name}'")
+                notes.append(f"'{name}' is small: merged with '{old.name}'")
     if not pieces:
-        raise ValueError("no joint has a part of the mesh that is large enough")
+        raise ValueError("no joint moves a large enough part of the mesh")
     return pieces

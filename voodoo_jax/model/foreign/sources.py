@@ -47,7 +47,7 @@ def body_from(
         raise BodyFileError(str(path), None, problem.strerror or str(problem)) from problem
     kind = KINDS.get(path.suffix.lower())
     if kind is None:
-        raise BodyFileError(str(path), None, f"bodies are made of {', '.join(KINDS)} files")
+        raise BodyFileError(str(path), None, f"supported files are {', '.join(KINDS)}")
     if not 0 <= least <= LARGEST:
         raise BodyFileError(str(path), None, f"--least {least}: must be from 0 to {LARGEST:g} metres")
     if not all(abs(value) <= LARGEST for value in (rest or {}).values()):

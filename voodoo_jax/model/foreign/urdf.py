@@ -57,7 +57,7 @@ def read_urdf(path: Path, rest: dict[str, float], least: float) -> tuple[str, li
     except (ElementTree.ParseError, OSError) as problem:
         raise BodyFileError(str(path), None, f"it cannot be read as XML: {problem}") from problem
     if root.tag != "robot":
-        raise BodyFileError(str(path), None, f"its root is <{root.tag}>, not <robot>: xacro files have to be expanded")
+        raise BodyFileError(str(path), None, f"its root is <{root.tag}>, not <robot>: expand xacro files first")
     try:
         return _body_of(root, path, rest, least)
     except (KeyError, ValueError, AttributeError) as problem:
@@ -76,7 +76,7 @@ def _body_of(root: ElementTree.Element, path: Path, rest: dict[str, float], leas
         )
     roots = [name for name in names if name not in {joint.child for joint in joints}]
     if len(roots) != 1:
-        raise BodyFileError(str(path), None, f"it needs one link that hangs on nothing; there are {roots}")
+        raise BodyFileError(str(path), None, f"it needs one link without a parent; there are {roots}")
     notes: list[str] = []
     values = {joint.name: _value(joint, rest) for joint in joints}
     places = _placed(roots[0], joints, values)
@@ -188,7 +188,7 @@ def _mesh(shape: ElementTree.Element, path: Path, notes: list[str]) -> trimesh.T
     file = _file(shape.attrib["filename"], path)
     try:
         if file.suffix.lower() not in MESHES:
-            raise ValueError(f"what is read are {', '.join(MESHES)}")
+            raise ValueError(f"supported are {', '.join(MESHES)}")
         content = BytesIO(small_file(file, folder_of(path)))
         mesh = trimesh.load(content, file_type=file.suffix[1:].lower(), force="mesh")
     except Exception as problem:  # trimesh has no error of its own
@@ -231,11 +231,11 @@ class _Tree:
             old = self.pieces[above]
             self.pieces[above] = old.with_surface(surface.points, surface.normals)
             if between:
-                self.notes.append(f"'{link}' is small: it is one with '{old.name}'")
+                self.notes.append(f"'{link}' is small: merged with '{old.name}'")
         for joint in self.joints:
             if joint.parent == link:
                 if joint.kind == SLIDING:
-                    self.notes.append(f"'{joint.name}' slides, which limbs cannot: it stays as in the rest pose")
+                    self.notes.append(f"'{joint.name}' is prismatic: it keeps its rest pose, as limbs cannot slide")
                 turns = [joint] if joint.kind not in (RIGID, SLIDING) else []
                 self.add(joint.child, above, [*between, *turns], make)
 

@@ -1,4 +1,4 @@
-"""The body's size from the height of what is seen, and how likely such a size is. Host side."""
+"""Estimates the body's size from the height of the points, and the likelihood of a size. Host side."""
 
 import numpy as np
 
@@ -18,7 +18,8 @@ def measured_height(
 ) -> float:
     """Height of a standing body from its points, metres: median over frames of the third highest point.
 
-    `reach` level distance in metres from the middle of the upper half within which the top is: a hand may be higher.
+    `reach` level distance in metres from the middle of the upper half within which the top is searched: a hand may be
+    higher.
 
     `pixel` is the angle between neighbouring points, radians, of all sensors or of each: the top lies between the
     highest point and the next.
@@ -40,8 +41,8 @@ def measured_height(
 
 
 def _spacings(frames: list[BodyObservation]) -> list[float]:
-    """Angle between neighbouring points of each sensor, radians, where it first sees the body; 0 if it never does. Of a
-    scanner whose rows are far apart, half of that: on average the top is so far above its highest row."""
+    """Angle between neighbouring points of each sensor, radians, in its first view of the body; 0 without one. For a
+    scanner with sparse rows, half of it: the mean distance of the top above its highest row."""
     found = [0.0] * len(frames[0].origins)
     for sensor in range(len(found)):
         for frame in frames:
@@ -54,13 +55,13 @@ def _spacings(frames: list[BodyObservation]) -> list[float]:
 
 
 def unlikely(body: Body) -> float:
-    """What a start's cost is multiplied by for its size, 1 at least: nobody is 2.4 m tall, though a body of that size
-    may explain points as well as a smaller one with an arm raised."""
+    """Factor on a start's cost for an unlikely size, at least 1: a body of 2.4 m may explain points as well as a
+    smaller one with an arm raised."""
     return float(np.exp(max(0.0, float(body.scale) - TALL) / TALLER)) if body.scale_name == "stature" else 1.0
 
 
 def sized(body: Body, frames: list[BodyObservation], floor: Plane, settings: StartSettings) -> Body:
-    """The body scaled to what was seen, or to what the settings say."""
+    """The body scaled to the measured size, or to that of the settings."""
     if settings.scale > 0:
         return scaled(body, settings.scale)
     seen = [f for f in frames if len(f.points) >= 50]

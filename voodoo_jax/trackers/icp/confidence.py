@@ -1,6 +1,6 @@
-"""Whether what was tracked in points is somebody, and which of its joints can be trusted. Host side, NumPy.
+"""Decides whether a tracked body is a person, and rates the confidence of its joints. Host side, NumPy.
 
-The probability of each joint is that of shared/confidence.py; here it decides which frames are LOST.
+It uses the probabilities of shared/confidence.py to mark frames as LOST.
 """
 
 from dataclasses import replace
@@ -21,9 +21,10 @@ HEELS_UP = 0.05
 
 
 def legs_folded_up(tracks: Tracks, ahead: bool = True) -> Bool[np.ndarray, "frame joint"]:
-    """Knees and ankles of legs that nobody has so: both ankles above the hips (HEELS_UP), knees below, upright.
+    """Knees and ankles of legs in an impossible pose: upright, with both ankles above the hips (HEELS_UP) and the knees
+    below.
 
-    What such legs are fitted to is something else, furniture behind whose legs are hidden; nothing in a frame tells.
+    They are fitted to furniture that hides the true ones.
 
     **Arguments:** `ahead` as for `clues`.
     """
@@ -41,8 +42,8 @@ def legs_folded_up(tracks: Tracks, ahead: bool = True) -> Bool[np.ndarray, "fram
 
 
 def rate_joints(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
-    """The tracks with the confidence of their joints; LOST where fewer than the share `least` of them are expected to
-    be right, and everywhere where it was never sure that this is somebody (see confirmed; only if `ahead`).
+    """The tracks with the confidence of their joints; LOST in frames with less than the share `least` of right joints,
+    and in all frames without certainty of a person (see confirmed; only if `ahead`).
 
     **Arguments:** `ahead` as for `clues`.
     """
@@ -54,8 +55,8 @@ def rate_joints(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
 
 
 def confirmed(time_ns: Int64[np.ndarray, " frame"], confidence: Float32[np.ndarray, "frame joint"]) -> bool:
-    """Whether it was ever sure that what is tracked is somebody: for LONG seconds on end, or the whole recording if
-    that is shorter, the better half of the joints were expected to be right with the probability CONFIRMED."""
+    """Whether it was ever certain that a person is tracked: for LONG successive seconds, or the whole recording if it
+    is shorter, the better half of the joints had a confidence of at least CONFIRMED."""
     joints = np.sort(np.nan_to_num(confidence), 1)
     share = joints[:, joints.shape[1] // 2 :].mean(1, dtype=float)
     if not len(share):
@@ -69,6 +70,6 @@ def confirmed(time_ns: Int64[np.ndarray, " frame"], confidence: Float32[np.ndarr
 def mark_lost(
     status: Int8[np.ndarray, " frame"], confidence: Float32[np.ndarray, "frame joint"], least: float
 ) -> Int8[np.ndarray, " frame"]:
-    """Status, LOST where fewer than the share `least` of the joints are expected to be right."""
+    """Status, LOST in frames in which less than the share `least` of the joints is expected to be right."""
     lost = (status == Status.TRACKED) & (expected_share(confidence) < least)
     return np.where(lost, Status.LOST, status).astype(np.int8)

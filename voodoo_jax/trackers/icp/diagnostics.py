@@ -1,4 +1,4 @@
-"""What a user should know about a tracked recording: what was left out, not known or not plausible; in sentences."""
+"""Notes for the user on a tracked recording: data left out, unknown or implausible."""
 
 import numpy as np
 from jaxtyping import Float
@@ -21,32 +21,32 @@ TURNED, SHIFTED = 1.0, 0.12
 
 
 def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:
-    """A sentence on sensors that seem to move: so little may as well be their distances, or what they see."""
+    """A note on sensors that seem to move; small motion may be caused by errors of distances, or by the scene."""
     turn = float(np.degrees(Rotation.from_matrix(T[:, :3, :3]).magnitude().max()))
     shift = float(np.linalg.norm(T[:, :3, 3], axis=1).max())
-    out = f"this was taken out while tracking in {len(T)} frames (stage steady_sensors)."
+    out = f"this was compensated in {len(T)} frames (stage steady_sensors)."
     if turn < TURNED and shift < SHIFTED:
-        return remark(f"Floor and walls seem to be up to {100 * shift:.0f} cm off, no more than noise may do: {out}")
-    return f"The sensors move, by up to {turn:.0f} degrees, and no transform says so: {out}"
+        return remark(f"Floor and walls seem to move by up to {100 * shift:.0f} cm, which may be noise: {out}")
+    return f"The sensors move, by up to {turn:.0f} degrees, without a transform for it: {out}"
 
 
 def _of_scale(run: Runner, scale: Scale) -> str:
-    """A sentence on distances that seem to be of a wrong scale."""
-    rare = f"Somebody of {float(run.body.scale):.2f} m is rare"
+    """A note on distances that seem to have a wrong scale."""
+    rare = f"A stature of {float(run.body.scale):.2f} m is rare"
     floor = 100 * float(run.scene.floor.offset)
     where = f", and the floor {abs(floor):.0f} cm {'above' if floor > 0 else 'below'} the fixed frame's zero"
     return (
         f"{rare}{where if run.scene.floor_seen and abs(floor) > 100 * LEVEL else ''}: the log's distances may be "
-        f"{scale.factor:.2f} times the true ones. read.scale tells their unit, start.scale a stature that is right."
+        f"{scale.factor:.2f} times the true ones. Set read.scale (the unit), or start.scale (the true stature)."
     )
 
 
 def _of_level(run: Runner, level: Level) -> str:
-    """A sentence on a fixed frame that seems not to stand level."""
+    """A note on a fixed frame that seems not to be level."""
     up = ",".join(f"{x:.2f}" for x in run.scene.floor.normal + 0.0)
     return (
-        f"The floor slopes by {level.degrees:.0f} degrees in the fixed frame: transforms turn the sensor wrongly, and "
-        f"all places with it, or it is a slope. read.transform gives a right one; read.up={up} says that this is right."
+        f"The floor slopes by {level.degrees:.0f} degrees in the fixed frame: either a transform has a wrong "
+        f"rotation, and all positions are wrong, or it is a slope. Correct it by read.transform, or set read.up={up}."
     )
 
 
@@ -74,26 +74,26 @@ def notes_on(run: Runner, tracks: Tracks, named: Named) -> tuple[str, ...]:
             f"Distances are noisy: {100 * np.median(noise):.0f} cm (median, where the body is). Joints are less exact."
         )
     if len(tracks.status) and np.all(tracks.status == Status.NOT_STARTED):
-        notes.append("Nothing of the body's height was found: no frame is tracked.")
+        notes.append("No object of the body's height was found: no frame is tracked.")
     if np.any(tracks.status == Status.LOST) and not tracks.tracked.any() and tracks.joint_confidence is not None:
         notes.append("The tracker was never certain of a person: no frame is tracked.")
     total = int(tracks.points.sum())
     if run.left_out:
         share, most = 100 * run.left_out / (run.left_out + total), run.settings.detect.points
-        notes.append(remark(f"{share:.0f} % of the body's points were thinned out, detect.points = {most} per frame."))
-    unused = [(f"'{n}'", f"({c} times): features.names gives it no point of this body") for n, c in run.unknown.items()]
+        notes.append(remark(f"{share:.0f} % of the body's points were left out (detect.points = {most} per frame)."))
+    unused = [(f"'{n}'", f"({c} times): no point on this body in features.names") for n, c in run.unknown.items()]
     if len(unused) > SHOWN:
         listed = ", ".join(name for name, _ in unused[:LISTED]) + (", ..." if len(unused) > LISTED else "")
-        notes.append(f"{len(unused)} features were not used, features.names gives them no point of this body: {listed}")
+        notes.append(f"{len(unused)} features were not used, without points on this body in features.names: {listed}")
     else:
         notes += [f"Feature {name} was not used {text}." for name, text in unused]
     if run.parts is not None and run.parts.unknown:
         names = ", ".join(sorted(run.parts.unknown))
-        notes.append(f"The body has no limb {names}: points assigned to it count as on the body, on whichever limb.")
+        notes.append(f"The body has no limb {names}: points assigned to it count as on any limb of the body.")
     for _, change in run.pending:
-        notes.append(f"The change at {change.time:g} s comes after the last frame: not made.")
+        notes.append(f"The change at {change.time:g} s is after the last frame, and was not applied.")
     if run.settings.changes and run.settings.looks_ahead("track"):
-        notes.append("The body changes on the way, so it was tracked forwards only.")
+        notes.append("The body changes during the log, so it was tracked forwards only.")
     if run.features_left_out:
-        notes.append(f"{run.features_left_out} features were left out: more in a frame than there is room for.")
+        notes.append(f"{run.features_left_out} features were left out: their frames have too many.")
     return tuple(notes)

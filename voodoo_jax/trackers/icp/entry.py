@@ -13,7 +13,7 @@ from voodoo_jax.trackers.icp.tracker import prepare
 
 
 class IcpTracker(Tracker):
-    """Limbs as cylinders that are fitted to 3D points (Knoop et al. 2006, 2007)."""
+    """Fits limbs, modelled as cylinders, to 3D points (Knoop et al. 2006, 2007)."""
 
     def prepare(self, task: Task) -> None:
         prepare(task)

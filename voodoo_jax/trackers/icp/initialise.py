@@ -1,4 +1,4 @@
-"""Where and how a segment begins: the best of several starts, tracked as trials. Host side."""
+"""Starts a segment: the best of several starts, tracked as trials. Host side."""
 
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.trackers.icp.runner import Runner
@@ -16,10 +16,10 @@ START: tuple[StartStage, ...] = (CutOffSize(), LyingDown(), LaterStart(), OtherS
 
 
 def begin(run: Runner, at: int, before: Poses | None = None) -> StartHypothesis:
-    """The best trial in frame `at`, or a better one later on, followed back to there.
+    """The best trial in frame `at`, or a better later one, tracked backwards to `at`.
 
-    The first start settles the body's size, too. `before` the last poses before the body was lost: it may still be in
-    them, elsewhere.
+    The first start also determines the body's size. `before` the last poses before the body was lost, which may still
+    hold at another place.
     """
     first = trial(run, at, sized_at(run, at), before)
     search = Search(at, first, (first,))
@@ -36,8 +36,8 @@ def begin(run: Runner, at: int, before: Poses | None = None) -> StartHypothesis:
 
 
 def clearer(run: Runner, at: int) -> StartHypothesis | None:
-    """A start in frame `at` that leaves no doubt, in the size that the body has there, if there is one; it settles the
-    size anew. For who began in doubt and may not look ahead."""
+    """A certain start in frame `at`, with the body's size there, if there is one; it determines the size again. For
+    doubtful starts without later frames."""
     if not run.can_start(at):
         return None
     found = trial(run, at, measured_at(run, at))
@@ -49,5 +49,5 @@ def clearer(run: Runner, at: int) -> StartHypothesis | None:
 
 
 def _followed(run: Runner, start: StartHypothesis, at: int) -> Poses:
-    """The poses in an earlier frame `at`."""
+    """The poses tracked backwards to an earlier frame `at`."""
     return run.backwards(start.poses, at, start.frame + 1).poses[0]

@@ -1,8 +1,8 @@
-"""How far off joint centres may be where a recording was tracked there and back in time. Host side.
+"""Covariances of joint centres from the difference of the forward and the backward pass. Host side.
 
-Two passes that differ say more of a frame's errors than its points do: with how far they are apart, one set of
-numbers holds for who stands and waves, and for who kicks and dances with limbs hidden. Without it 95 % regions that
-hold for the one hold 86 % of the truth for the other.
+The difference of two passes predicts a frame's errors better than its points do. With it, one calibration holds for
+people who stand and wave, and for people who kick and dance with hidden limbs. Without it, 95 % regions calibrated for
+the former contain 86 % of the truth for the latter.
 """
 
 from dataclasses import replace
@@ -23,8 +23,8 @@ MOVED = 0.008
 
 
 def with_passes(tracks: Tracks) -> Tracks:
-    """Tracks whose joint covariances know how far apart the passes there and back in time are; as they are where there
-    was one pass."""
+    """Tracks with the distance between forward and backward pass in the joint covariances; unchanged where there was
+    one pass."""
     assert tracks.joint_covariance is not None and tracks.passes_apart is not None
     limbs, out = np.array(tracks.body.topology.centre_limbs, int), np.empty_like(tracks.joint_covariance)
     for at in range(0, len(out), BATCH):

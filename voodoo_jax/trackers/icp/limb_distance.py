@@ -1,4 +1,4 @@
-"""How far points are from a limb, on the host: every point and limb, where kernels.frustum has one of each."""
+"""Distances of points from limbs, on the host: of every point and limb, where kernels.frustum has one of each."""
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -7,7 +7,7 @@ from jaxtyping import Float, Float32
 def signed_distance(
     size: Float[np.ndarray, "*limb 5"], points: Float[np.ndarray, "*point 3"]
 ) -> Float[np.ndarray, "*point"]:
-    """From the surface of limbs with flat caps to points in their frames, metres; negative inside, to the side there.
+    """Distances of points, in limb frames, from limbs with flat caps, metres; inside negative and to the side.
 
     Across the limb by the ratio of its ellipse: exact on its surface and for round limbs.
 
@@ -30,10 +30,10 @@ def body_distance(
     points: Float32[np.ndarray, "point 3"],
     most: float = np.inf,
 ) -> Float[np.ndarray, " point"]:
-    """How far points are from the surface of the nearest limb, inside or outside, metres; `most` where it is more.
+    """Distances of points from the surface of the nearest limb, inside or outside, metres; at most `most`.
 
-    **Arguments:** `rotation`, `translation` of the limbs, unit quaternions wxyz and metres; a limb without a place is
-    none.
+    **Arguments:** `rotation`, `translation` of the limbs, unit quaternions wxyz and metres; limbs without a pose are
+    left out.
     """
     out = np.full(len(points), min(most, 1e3))
     there = np.isfinite(translation).all(-1)

@@ -1,7 +1,7 @@
-"""A body followed frame by frame as they come, as with `online` through a whole recording. Host side.
+"""Tracks a body frame by frame as frames arrive, like `online` tracking of a whole recording. Host side.
 
-The steps are those of sequence.follow, in the same order and by the same programs: what is given out for a frame is
-what a replay of the finished recording says of it. Only a start waits for the frames that its trials take.
+The steps are those of sequence.follow, in the same order and by the same programs: the result of a frame equals that of
+a replay of the finished recording. Only a start waits for the frames of its trials.
 """
 
 import time
@@ -46,11 +46,11 @@ KEPT = 64  # frames whose points stay in memory: more than a start looks back or
 
 
 class LiveRunner(Runner):
-    """One recording whose frames are not all there yet, tracked one at a time."""
+    """Tracks an unfinished recording one frame at a time."""
 
     def __init__(self, body: Body, settings: Settings, scene: Scene, first: list[BodyObservation], features: bool):
-        """`first` frames like those that will come; `features`: whether there may be named ones that none of them
-        has."""
+        """`first` frames with the sensors and names of later ones; `features`: whether other named features may
+        come."""
         super().__init__(body, options_from(settings.solve, settings.track, settings.features), first, scene, settings)
         self.length = THING_FRAMES * settings.start.frames  # of one program for trials and single frames
         if features and self.names.rows:
@@ -83,17 +83,17 @@ class LiveRunner(Runner):
 class LiveTracker:
     """Follows the main person (or body) through frames as they come.
 
-    **Arguments:** `first` some frames of the recording, whose sensors and names stand for those to come; `features`
-    whether named features may come that none of these has. Raises SettingsError for settings that need later frames.
+    **Arguments:** `first` some frames of the recording, with the sensors and names of later ones; `features` whether
+    other named features may come. Raises SettingsError for settings that need later frames.
     """
 
     def __init__(
         self, body: Body, settings: Settings, first: list[BodyObservation], scene: Scene, features: bool = False
     ):
         if settings.changes:
-            raise SettingsError("[[change]] in the settings: live tracking knows no changes of the body")
+            raise SettingsError("[[change]] in the settings: live tracking does not support changes of the body")
         if settings.online_lag:
-            raise SettingsError("live tracking gives results at once; leave out online_lag (replay can wait)")
+            raise SettingsError("live tracking gives results at once; leave out online_lag (replay supports it)")
         if settings.looks_ahead("track") or settings.looks_ahead("detect"):
             raise SettingsError("live tracking needs settings.online")
         self.seconds = 0.0  # of tracking so far, without compiling
@@ -107,14 +107,14 @@ class LiveTracker:
         self._shown = _Shown(self.run)
 
     def prepare(self) -> None:
-        """Compiles, or loads, what frames are tracked with."""
+        """Compiles or loads the programs."""
         self.run.prepare()
         blank = Followed.blank(0, self.run.body.limb_count)
         looked_at.prepare(self.run.body, *padded(blank, 1))
 
     def add(self, frame: BodyObservation, scene: Scene) -> list[Tracks]:
-        """Takes one frame; tracks of one frame each, of those that are settled by now, in their order. `scene` as it
-        is known now, for a start."""
+        """Adds one frame; returns tracks of one frame each, for the frames that are final now, in order. `scene`: the
+        present one, for a start."""
         self.run.scene = scene
         self.run.append(frame)
         self._kept.append(frame)
@@ -122,12 +122,12 @@ class LiveTracker:
         return self._settled()
 
     def end(self) -> list[Tracks]:
-        """No more frames come: those that have waited for more."""
+        """Ends the input; returns the frames that waited for more."""
         self._ended = True
         return self._settled()
 
     def whole(self, source: LogInfo) -> Tracks:
-        """All frames as one, as replay writes them."""
+        """Tracks of all frames, as replay writes them."""
         run, people = self.run, self._kept.frames()
         every = Runner(self._body, run.options, people, run.scene, self.settings)
         every.body, every.bodies, every.sized, every.left_out = run.body, run.bodies, run.sized, run.left_out
@@ -162,7 +162,7 @@ class LiveTracker:
         return replace(row, first=at)
 
     def _start_frames(self, at: int) -> Iterator[None]:
-        """Waits for the frames that a start looks at."""
+        """Waits for the frames that a start needs."""
         s = self.settings.start
         good = lambda: sum(len(f.points) >= FEW_POINTS for f in self.run.people[at : at + 3 * s.frames])  # noqa: E731
         yield from self._until(at + s.size_frames - 1)
@@ -170,7 +170,7 @@ class LiveTracker:
             yield None
 
     def _followed(self) -> Iterator[Followed | None]:
-        """What each frame comes to; None where another frame must come first."""
+        """The result of each frame; None if another frame is needed first."""
         run, state, before, at = self.run, None, None, 0
         tried, doubt = -1, False  # until that frame nothing is given up as lost
         yield from self._until(0)
@@ -217,7 +217,7 @@ def _doubtful(start: StartHypothesis, settings: Settings) -> bool:
 
 
 class _Chunk:
-    """Frames that replay tracks at once: within them it is seen that the body is gone or lost."""
+    """Frames that replay tracks at once; at their end it detects that the body is gone or lost."""
 
     def __init__(self, first: int, most: int, may_be_lost: bool, settings: Settings):
         self.first, self._most, self._may_be_lost = first, most, may_be_lost
@@ -242,7 +242,7 @@ class _Chunk:
 
     @property
     def broken(self) -> bool:
-        """Whether it ends early, for the body is gone or lost."""
+        """Whether the segment ends, because the body is gone or lost."""
         return self.gone or (not self.full and self._may_be_lost and self._run_of(Status.LOST))
 
     @property
@@ -256,7 +256,7 @@ class _Chunk:
 
 
 class _Shown:
-    """What is given out of each frame: with joints in their places and rated, by what came before it."""
+    """The published tracks of each frame, with placed joint centres and confidence, from earlier frames only."""
 
     def __init__(self, run: LiveRunner):
         self._run = run
@@ -287,7 +287,7 @@ class _Shown:
         return scale_confidence(found, log_doubts(run.body, run.scene, alone.people, run.settings).right)
 
     def _placed(self, tracks: Tracks, frame: BodyObservation, number: int) -> Tracks:
-        """With joints moved by the bands of the frames until one not long ago, as PlaceJoints does online."""
+        """Places joint centres by the bands of earlier frames up to a recent one, as PlaceJoints does online."""
         self._rows.append(_for_bands(tracks))
         if tracks.body is not self._body:
             self._body, self._usual = tracks.body, persons_body(tracks.body)
@@ -303,13 +303,13 @@ class _Shown:
 
 
 def _for_bands(tracks: Tracks) -> Tracks:
-    """What bands are told by, without what takes memory."""
+    """The data for the stretch of bands, without large arrays."""
     none = {"limb_covariance": None, "joint_covariance": None, "beyond_limits": None, "depth_inside": None}
     return replace(tracks, **none)
 
 
 def joined_tracks(parts: list[Tracks]) -> Tracks:
-    """Successive frames of one body as one."""
+    """Joins tracks of successive frames of one body."""
     if len(parts) == 1:
         return parts[0]
     rows = [part.rows() for part in parts]

@@ -1,4 +1,4 @@
-"""How far a log as a whole is believed: what is wrong in it moves all joints alike. Host side, NumPy."""
+"""Reliability of a log as a whole: its errors affect all joints equally. Host side, NumPy."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from voodoo_jax.trackers.icp.right_scale import Scale, scale_of
 
 
 class LogDoubts(NamedTuple):
-    """What is thought of a log's distances and of its fixed frame."""
+    """Estimates about a log's distances and its fixed frame."""
 
     scale: Scale
     level: Level
@@ -23,6 +23,6 @@ class LogDoubts(NamedTuple):
 
 
 def log_doubts(body: Body, scene: Scene, people: list[BodyObservation], settings: Settings) -> LogDoubts:
-    """What is thought of a log by its main body and its floor; `body` of the size that was found. What a user says of
-    it settles it."""
+    """Estimates about a log from its main body and its floor; `body` with the estimated size. Settings by the user
+    override them."""
     return LogDoubts(scale_of(body, scene, people, settings), level_of(scene, people, settings))

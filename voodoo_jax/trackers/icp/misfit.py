@@ -1,8 +1,8 @@
-"""How badly tracked limbs fit what was seen: points beside them that no limb explains, and limbs where nothing is seen
-though nothing hides them. Host side, NumPy.
+"""Misfit of tracked limbs: points beside them that no limb explains, and visible limbs without points. Host side,
+NumPy.
 
-Covariances and residuals are of points that are near a limb already, and do not see that it is on something else.
-Nor do they see that an arm lies on the chest while the true one is hidden: its points are the chest's.
+Covariances and residuals use points near a limb, and do not show that the limb is on another object, or that an arm was
+fitted to points of the chest while the true one is hidden.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ def misfit(
     translation: Float[np.ndarray, "frame limb 3"],
     people: Sequence[BodyObservation],
 ) -> Misfit:
-    """How badly limbs fit the points of each frame.
+    """Misfits of limbs and the points of each frame.
 
     **Arguments:** poses T_fixed_limb of its limbs in the frame of the points, unit quaternions wxyz and metres.
     """
@@ -116,8 +116,8 @@ def _nearest(
     place: Float32[np.ndarray, "limb 3"],
     points: Float32[np.ndarray, "point 3"],
 ) -> tuple[Float32[np.ndarray, " point"], Int[np.ndarray, " point"], Float32[np.ndarray, " point"]]:
-    """How far each point is from the surface of the nearest limb, metres, which limb it is, and how far it is from
-    those that are not `joined` to that one; `turn` into the limbs' frames, `place` of these."""
+    """Distance of each point from the surface of the nearest limb, metres, the index of this limb, and the distance
+    from limbs not `joined` to it; `turn` into the limbs' frames, `place` of these."""
     local = turn @ points.T - np.sum(turn * place[:, None], -1, keepdims=True)  # [limb, 3, point]: fastest so
     off = np.abs(signed_distance(size[:, None], np.moveaxis(local, 1, -1)))
     off[np.isnan(off)] = np.inf  # a limb without a place
@@ -129,7 +129,8 @@ def _nearest(
 def _covered(
     sizes: np.ndarray, rotation: np.ndarray, translation: np.ndarray, clouds: list[BodyObservation]
 ) -> Float[np.ndarray, "2 frame limb"]:
-    """Shares of each limb's length that are seen, and that are bare; of several sensors by the one that sees most."""
+    """Shares of each limb's length that have points, and that are visible without points; by the sensor that sees
+    most."""
     share = ((np.arange(ALONG) + 0.5) / ALONG).astype(np.float32)
     axis = rotations(rotation).apply([0.0, 0.0, 1.0]).reshape(translation.shape).astype(np.float32)
     spots = translation[:, :, None] + axis[:, :, None] * (share * sizes[:, 4:])[None, :, :, None]
@@ -155,7 +156,7 @@ def _covered(
 
 
 def _before(cloud: BodyObservation, sensor: int) -> Float32[np.ndarray, "some 3"]:
-    """What is between a sensor and the body."""
+    """Points between a sensor and the body."""
     if cloud.before is None or cloud.before_sensor is None:
         return np.zeros((0, 3), np.float32)
     return cloud.before[cloud.before_sensor == sensor]
@@ -168,8 +169,8 @@ def _by_sensor(
     before: Float32[np.ndarray, "some 3"],
     origin: Float32[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, " limb"], Float[np.ndarray, " limb"]]:
-    """Shares of the limbs' places that a sensor sees points on, and that are bare: hidden neither by other points of
-    the body nor by what is `before` it."""
+    """Shares of the limbs' places on which a sensor sees points, and that are visible without points: hidden neither by
+    other points of the body nor by points `before` it."""
     to = spots.reshape(-1, 3) - origin
     away = np.linalg.norm(to, axis=1)
     ray, reach = to / away[:, None], radius.reshape(-1, 1)

@@ -1,7 +1,7 @@
-"""Whose features are whose: a face or a hand that a detector found is of one person, not of all in view. Host side.
+"""Assigns detected features, such as faces and hands, to one person each. Host side.
 
-A detector that finds two faces calls both "face". Which is whose is told by what was seen of each: a feature in space
-belongs to whom it is nearest to, a line of sight to who stands first in its way.
+A detector names two faces "face" alike. A 3D feature is assigned to the person with the nearest points, a line of sight
+to the first person along it.
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ IN_ITS_WAY = 0.1  # metres beside somebody's points: a line of sight meets them;
 
 
 def with_own_features(subjects: list[Subject]) -> list[Subject]:
-    """Each subject with only those features of each frame that are theirs; the same one where that is all of them."""
+    """Each subject with only their own features of each frame; unchanged if these are all."""
     frames = [list(subject.frames) for subject in subjects]
     for at, seen in enumerate(zip(*frames)):
         if not (seen[0].rays.names or seen[0].pairs.names) or not any(len(f.points) for f in seen):
@@ -29,19 +29,19 @@ def with_own_features(subjects: list[Subject]) -> list[Subject]:
 
 
 def owners_of_pairs(pairs: Pairs, seen: tuple[BodyObservation, ...]) -> Int[np.ndarray, " pair"]:
-    """Whose points each feature is nearest to."""
+    """The person with the nearest points, for each feature."""
     places = np.asarray(pairs.points, float).reshape(-1, 3)
     return np.argmin([[_least(np.linalg.norm(f.points - p, axis=1)) for p in places] for f in seen], 0).astype(int)
 
 
 def owners_of_rays(rays: Rays, seen: tuple[BodyObservation, ...]) -> Int[np.ndarray, " ray"]:
-    """Who is first in the way of each line of sight; whose points it passes by most closely if it meets nobody."""
+    """The first person along each line of sight; if it meets no person, the one whose points it passes most closely."""
     return np.argmin([_in_the_way(rays, f) for f in seen], 0).astype(int)
 
 
 def _in_the_way(rays: Rays, seen: BodyObservation) -> Float[np.ndarray, " ray"]:
-    """How far along each line somebody stands, metres; where they are not in its way, by how far it misses them, after
-    all who are."""
+    """Distance of a person along each line, metres; for people beside the line, its distance from them, ranked after
+    all others."""
     out = []
     for origin, direction in zip(np.asarray(rays.origins, float), np.asarray(rays.directions, float)):
         to = seen.points - origin

@@ -1,8 +1,8 @@
-"""Several people in one recording, each tracked by itself, and which of them owns a point decided by all. Host side.
+"""Tracks several people in one recording separately, and assigns points between them. Host side.
 
-People are told apart first by where they were in the frame before (detect/tracklets.py), which is wrong where they
-touch. Once each is tracked, a point that is near several goes to whom its nearest limb belongs to, as within one body,
-and who has gained or lost some is tracked anew.
+At first, points are assigned by people's places in the previous frame (detect/tracklets.py), which is wrong where they
+touch. Once all are tracked, a point near several people is assigned to the one with the nearest limb, and people whose
+points changed are tracked again.
 """
 
 from dataclasses import replace
@@ -29,8 +29,8 @@ ASKED_FRAMES = 10  # of a recording: by so many, evenly spread, it is told wheth
 # measured: somebody with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
 LONG = 4
 FUSED = (
-    "Points are on all sides of the body: clouds of several sensors were joined, and where these stood is not known. "
-    "Which side of a limb a sensor sees is not asked."
+    "Points are on all sides of the body: clouds of several sensors were merged, and their positions are unknown. "
+    "Points are matched to all sides of a limb."
 )
 ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; by hand
 NEAR = 0.25  # metres from somebody's surface: what is farther off is none of their points; by hand
@@ -43,7 +43,7 @@ WHOLE = 0.5  # of the area that is usually seen of somebody: who shows so much i
 
 
 def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
-    """Tracks a body through what was seen of each person, see find_people."""
+    """Tracks a body for each person, see find_people."""
     settings, visit = task.settings, task.visit
     frames, repeats = subjects[0].frames, settings.looks_ahead("track") and not settings.changes
     added = max(0, settings.start.frames - len(frames)) if frames and repeats else 0
@@ -91,7 +91,7 @@ def _rated(one: Unplaced) -> Tracks:
 
 
 def main_first(found: list[Tracks]) -> list[int]:
-    """The order of people: as they are, who is seen longest first, but last what was never surely a person."""
+    """The order of people: those seen longest first, but uncertain people last."""
     return sorted(range(len(found)), key=lambda k: not found[k].tracked.any())
 
 
@@ -101,26 +101,27 @@ def numbered(found: list[Tracks], order: list[int]) -> list[Tracks]:
 
 
 def held(frames: list[BodyObservation], count: int, interval: float) -> list[BodyObservation]:
-    """Frames after so many copies of the first one: a scan or two take as many steps as the start of a recording."""
+    """Frames after copies of the first one, so that one or two scans take as many steps as the start of a recording."""
     step = round(LONG * interval * 1e9)
     return [replace(f, time_ns=f.time_ns - k * step) for f in frames[:1] for k in range(count, 0, -1)] + frames
 
 
 def _again(now: Unplaced, before: Unplaced) -> Unplaced:
-    """Who was tracked anew, with the time that both took."""
+    """A person tracked again, with the time of both passes."""
     return now._replace(tracks=replace(now.tracks, seconds=now.tracks.seconds + before.tracks.seconds))
 
 
 def _doubted(subject: Subject, status: Int8[np.ndarray, " frame"]) -> Int8[np.ndarray, " frame"]:
-    """Status, LOST where only a sliver of somebody is seen, at the edge of the picture or beside who hides them."""
+    """Status, LOST where only a small part of a person is visible, at the edge of the image or beside an occluding
+    person."""
     area = np.array([_area(frame) for frame in subject.frames])
     usual = np.percentile(area[area > 0], 80) if (area > 0).any() else 0.0
     return np.where((status == Status.TRACKED) & (area < SLIVER * usual), Status.LOST, status).astype(np.int8)
 
 
 def in_view_from(subject: Subject) -> int:
-    """The first frame in which somebody is wholly in view, before they are out of it for the first time; the first one
-    in which they are seen at all if there is none."""
+    """The first frame in which a person is wholly in view, before they leave it for the first time; if there is none,
+    the first one in which they are visible."""
     area = np.array([_area(frame) for frame in subject.frames])
     there = np.flatnonzero(area > 0)
     if not len(there):
@@ -132,14 +133,14 @@ def in_view_from(subject: Subject) -> int:
 
 
 def _area(frame: BodyObservation) -> float:
-    """As large as what is seen of somebody, in square metres times points per steradian."""
+    """Visible area of a person, in square metres times points per steradian."""
     if len(frame.points) < 3 * FEW_POINTS:
         return 0.0
     return float(np.sum((frame.points - frame.origins[frame.sensor]) ** 2))
 
 
 def close_in(tracks: list[Tracks]) -> Bool[np.ndarray, "person frame"]:
-    """In which frames each of some people may be near to another one."""
+    """Frames in which people may be near each other, for each person."""
     close = np.zeros((len(tracks), len(tracks[0].status)), bool)
     for at in range(close.shape[1]):
         sure = [k for k, t in enumerate(tracks) if t.status[at] == Status.TRACKED]
@@ -152,8 +153,8 @@ def close_in(tracks: list[Tracks]) -> Bool[np.ndarray, "person frame"]:
 def touching_in(
     subjects: list[Subject], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"]
 ) -> Bool[np.ndarray, "person frame"]:
-    """In which of the frames in which people are `close` some points of theirs are so near to another one's limbs that
-    they may be mixed up."""
+    """Of the frames in which people are `close`, those in which points of a person are near enough to another one's
+    limbs to be mixed up."""
     touch = np.zeros_like(close)
     for at in np.flatnonzero(np.sum(close, 0) > 1).tolist():
         who = np.flatnonzero(close[:, at]).tolist()
@@ -167,7 +168,7 @@ def touching_in(
 def shared_out(
     frames: list[list[BodyObservation]], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"]
 ) -> list[list[BodyObservation]]:
-    """Everybody's frames with the points of those who are `close` to each other given to whom the nearest limb is."""
+    """All people's frames, with points of people who are `close` assigned to the person with the nearest limb."""
     frames = [list(own) for own in frames]
     for at in np.flatnonzero(np.sum(close, 0) > 1).tolist():
         who = np.flatnonzero(close[:, at]).tolist()
@@ -177,7 +178,7 @@ def shared_out(
 
 
 def _given(seen: list[BodyObservation], tracks: list[Tracks], at: int) -> list[BodyObservation]:
-    """What is seen of some people in a frame after they have given points away."""
+    """People's points in a frame, after points were reassigned to others."""
     owner = []
     for k, own in enumerate(seen):
         distance = np.stack([surface_distance(other, at, own.points, NEAR) for other in tracks])
@@ -191,7 +192,7 @@ def _given(seen: list[BodyObservation], tracks: list[Tracks], at: int) -> list[B
 
 
 def _exchanged(subjects: list[Subject], frames: list[list[BodyObservation]]) -> Bool[np.ndarray, " person"]:
-    """Who has gained or lost enough to be tracked anew. Where nothing changes hands the old frame stays."""
+    """People whose points changed enough to be tracked again. Frames without changes stay."""
     concerned = np.zeros(len(subjects), bool)
     for k, (subject, own) in enumerate(zip(subjects, frames)):
         count = 0  # of frames in which enough points change hands
@@ -213,13 +214,13 @@ def _rows(frame: BodyObservation) -> np.ndarray:
 def surface_distance(
     tracks: Tracks, at: int, points: Float32[np.ndarray, "point 3"], most: float = np.inf
 ) -> Float[np.ndarray, " point"]:
-    """How far points are from the surface of somebody's nearest limb in a frame, metres; `most` where it is more."""
+    """Distances of points from the surface of a person's nearest limb in a frame, metres; at most `most`."""
     sizes = np.asarray(tracks.body.sizes, np.float32)
     return body_distance(sizes, tracks.rotation[at], tracks.translation[at], points, most)
 
 
 def _box(tracks: Tracks, at: int) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
-    """Lower and upper corner of a box around somebody, metres."""
+    """Lower and upper corner of a box around a person, metres."""
     places = np.concatenate([tracks.translation[at], tracks.joints[at]])
     wide = float(np.max(np.asarray(tracks.body.sizes)[:, :4]))
     return np.nanmin(places, 0) - wide, np.nanmax(places, 0) + wide

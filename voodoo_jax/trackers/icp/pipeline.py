@@ -1,8 +1,8 @@
 """The stages of tracking, in the order in which they run.
 
 A segment begins by trials in all headings and the stages of START (see initialise.py). A new kind of start is a file in
-start/, a new correction one in refine/; each has a line in its list, a test file and a row of experiments/ablation of
-the same name.
+start/, a new refinement one in refine/; each has a line in its list here, and a test file and a row of
+experiments/ablation of the same name.
 """
 
 from voodoo_jax.trackers.icp.initialise import START

@@ -1,8 +1,8 @@
-"""Whether the fixed frame of a log stands level, by the floor that is seen in it. Host side, NumPy.
+"""Estimates whether the fixed frame of a log is level, by its visible floor. Host side, NumPy.
 
-The body is found by the floor, so that it is right in the log's own frame however that is turned. But where transforms
-say how the sensor is mounted, a floor that is not level tells that they turn it wrongly, unless it is a slope, and then
-all places are as wrong as they are: 12 degrees are 60 cm at 3 m. The odds of both are asked here by Bayes' rule.
+The body is found by the floor, so that it is right in the log's own frame, however that is rotated. But if transforms
+give the mounting of the sensor, a sloping visible floor means that either they are wrong, or the floor is a slope. If
+they are wrong, so are all positions: 12 degrees are 60 cm at 3 m. Bayes' rule gives the odds.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ MOUNTED = 0.01  # metres from the frame's origin: a sensor in it is the frame, w
 
 
 class Level(NamedTuple):
-    """What is thought of how level a fixed frame is."""
+    """Estimates about the level of a fixed frame."""
 
     right: float = 1.0  # probability that transforms turn the sensor rightly, 0..1; 1 where there is hardly a doubt
     degrees: float = 0.0  # from the floor's normal to its z-axis
@@ -33,8 +33,8 @@ NO_DOUBT = Level()
 
 
 def level_of(scene: Scene, people: list[BodyObservation], settings: Settings) -> Level:
-    """What is thought of the fixed frame, whose z-axis points up: nothing where a user has said which way is up, where
-    no transform places the sensor, or where sensors were seen to move."""
+    """Estimates about the fixed frame, whose z-axis points up: none if the user stated it, if no transform places the
+    sensor, or if sensors were found to move."""
     origins = [frame.origins for frame in people[:1]]
     mounted = bool(origins) and bool(np.any(np.linalg.norm(origins[0], axis=1) > MOUNTED))
     moved = any(frame.T_fixed_steady is not None for frame in people)
@@ -44,7 +44,8 @@ def level_of(scene: Scene, people: list[BodyObservation], settings: Settings) ->
 
 
 def level_odds(degrees: float) -> Level:
-    """What is thought of a fixed frame in which a floor slopes by so many degrees: two angles, each normal."""
+    """Estimates about a fixed frame in which the floor slopes by an angle in degrees; a model of two normal
+    distributions."""
     density = lambda spread: np.exp(-0.5 * (degrees / spread) ** 2) / spread**2  # noqa: E731
     right = (1 - WRONG) * ((1 - SLOPES) * density(LEVEL) + SLOPES * density(SLOPE))
     sure = float(right / (right + WRONG * density(SPREAD)))

@@ -1,12 +1,12 @@
-"""Whether the distances of a log are of the right scale, by the stature that they give somebody and by how far below
-the sensor the floor is. Host side, NumPy.
+"""Estimates whether the distances of a log have the right scale, by the stature of a person and the height of the
+sensor above the floor. Host side, NumPy.
 
-A body tells its own proportions and no scale: with all distances 1.2 times too large it fits as well, and every joint
-is where the log shows it. A power of ten is found when a log is read (detect/units.py). For what is left there are two
-explanations of an unusual stature, an unusual person and an unusual scale, and their odds are asked here, by Bayes'
-rule over all factors. Where transforms say how high the sensor is, the floor tells, too: of a sensor at 1.25 m and of
-distances that are 1.2 times too large it is seen at -0.25 m. Then either the scale is wrong, or the fixed frame does
-not stand on the floor, as that of a robot's body does not.
+A body determines its proportions, but no scale: with all distances 1.2 times too large it fits as well, and every joint
+is right in the log's distances. A power of ten is found when a log is read (detect/units.py). Other factors leave two
+explanations of an unusual stature, an unusual person and an unusual scale; Bayes' rule over all factors gives their
+odds. If transforms give the height of the sensor, the floor is evidence, too: with a sensor at 1.25 m and distances 1.2
+times too large it appears at -0.25 m. Then either the scale is wrong, or the fixed frame is not on the floor, such as
+that of a robot's body.
 """
 
 from typing import NamedTuple
@@ -33,7 +33,7 @@ FACTORS = np.exp(np.linspace(-1.0, 1.0, 401))  # by hand: of larger ones detect/
 
 
 class Scale(NamedTuple):
-    """What is thought of the scale of a log."""
+    """Estimates about the scale of a log."""
 
     right: float  # probability that it is, 0..1; 1 where there is hardly a doubt
     factor: float  # if it is not, distances are most likely so many times too large
@@ -43,8 +43,8 @@ NO_DOUBT = Scale(1.0, 1.0)
 
 
 def scale_of(body: Body, scene: Scene, people: list[BodyObservation], settings: Settings) -> Scale:
-    """What is thought of the scale of a log, by the size that was found of its main body: nothing where a user has said
-    the scale or the stature."""
+    """Estimates about the scale of a log by the size of its main body: none if the user stated the scale or the
+    stature."""
     given = settings.start.scale > 0 or bool(settings.read.scale)
     if given or not people or body.scale_name != "stature":
         return NO_DOUBT
@@ -55,10 +55,10 @@ def scale_of(body: Body, scene: Scene, people: list[BodyObservation], settings: 
 
 
 def scale_odds(stature: float, sensor: float = 0.0, floor: float = 0.0) -> Scale:
-    """What is thought of the scale of a log in which somebody has a stature (metres).
+    """Estimates about the scale of a log in which a person has a stature (metres).
 
-    **Arguments:** `sensor` how high it is in the fixed frame by the log's transforms, and `floor` where the floor is
-    seen, both along the floor's normal, metres; 0 where nothing is known.
+    **Arguments:** `sensor` height in the fixed frame by the log's transforms, and `floor` measured height of the floor,
+    both along its normal, metres; 0 if unknown.
     """
     prior = np.exp(-0.5 * (np.log(FACTORS) / SPREAD) ** 2)
     each = WRONG * prior / prior.sum() * _likelihood(FACTORS, stature, sensor, floor)
@@ -71,7 +71,7 @@ def scale_odds(stature: float, sensor: float = 0.0, floor: float = 0.0) -> Scale
 def _likelihood(
     factor: Float[np.ndarray, " factor"], stature: float, sensor: float, floor: float
 ) -> Float[np.ndarray, " factor"]:
-    """Density of a stature and of the floor's height if distances are so many times too large."""
+    """Density of a stature and of the floor's height for a factor on distances."""
     true = stature / factor
     grown = _normal(true - STATURE, float(np.hypot(STATURES, FOUND)))
     small = ((true > SMALLEST) & (true < GROWN)) / (GROWN - SMALLEST)

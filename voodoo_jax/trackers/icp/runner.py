@@ -1,4 +1,4 @@
-"""One recording of depth on its way through the compiled programs, and trials of how it may start. Host side."""
+"""Passes one recording of depth through the compiled programs, and runs trials for starts. Host side."""
 
 from functools import partial
 from typing import Any
@@ -21,7 +21,7 @@ THING_FRAMES = 2  # times the frames of a start: a held thing has few points to 
 
 
 class Runner(FrameRunner):
-    """Tracks the points on one body, and tries how it may start."""
+    """Tracks the points on one body, and runs trials for starts."""
 
     def __init__(self, *given: Any, **named: Any):
         super().__init__(*given, **named)
@@ -32,8 +32,8 @@ class Runner(FrameRunner):
         return any(len(f.points) >= FEW_POINTS for f in reach)
 
     def anew(self, people: list[BodyObservation]) -> "Runner":
-        """The same recording with other points on the body, before its first frame; segments that began in other
-        stances may do so again."""
+        """The same recording with other points on the body, before its first frame; segments may start in the same
+        other stances again."""
         body, changes = self._given
         other = Runner(body, self.options, people, self.scene, self.settings, changes, self.visit)
         other.stances = self.stances
@@ -41,14 +41,14 @@ class Runner(FrameRunner):
 
     @property
     def offers(self) -> frozenset[str]:
-        """What stages may need: "points", "one body" (that does not change on the way), "lag" (that results may
-        wait), and the body's joints."""
+        """Inputs that stages may need: "points", "one body" (without changes), "lag" (results may wait), and the body's
+        joints."""
         one_body = {"one body"} if not self.settings.changes else set()
         lag = {"lag"} if self.settings.online and self.settings.online_lag > 0 else set()
         return frozenset({"points", *one_body, *lag, *self.body.topology.joints})
 
     def look_for(self, thing: str, limbs: list[int], at: int, state: State) -> None:
-        """Lets a held thing point where the first frames from `at` on say it does: trials as at the start."""
+        """Finds the direction of a held object in the first frames from `at` on, by trials as at the start."""
         t = self.body.topology
         joint = t.children.index(t.limbs.index(thing))
         bodies = [pointing(self.body, joint, axis) for axis in directions(self.settings.start.directions)]

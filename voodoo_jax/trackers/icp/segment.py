@@ -1,4 +1,4 @@
-"""Segments tracked anew from other poses, and what they cost. Host side."""
+"""Tracks segments again from other poses, and computes their costs. Host side."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from voodoo_jax.trackers.shared.segment import Followed, segment_of
 
 
 class Pass(NamedTuple):
-    """Poses of consecutive frames, and how badly they explain what was measured."""
+    """Poses of consecutive frames, and their costs."""
 
     rotation: Float32[np.ndarray, "frame limb 4"]  # unit quaternions wxyz
     translation: Float32[np.ndarray, "frame limb 3"]  # metres
@@ -50,7 +50,7 @@ FREE_DEPTH, IN_ANOTHER = 0.04, 0.2
 
 
 def pass_of(run: Runner, segment: Segment) -> Pass:
-    """Poses of some frames, and what they cost; what is not plausible costs more."""
+    """Poses of some frames, and their costs, which are higher for implausible poses."""
     odds = implausible(run.body, segment.rotation, segment.translation, run.settings.track.chunk)
     return Pass(segment.rotation, segment.translation, segment.cost * odds)
 
@@ -61,10 +61,10 @@ def implausible(
     translation: Float32[np.ndarray, "frame limb 3"],
     chunk: int,
 ) -> Float[np.ndarray, " frame"]:
-    """Times as much as poses cost because joints are bent the wrong way, or limbs are in each other: points pull a limb
-    that nobody sees into one that is seen, and it explains them as well. At least 1.
+    """Factor on the cost of poses, at least 1, for joints bent the wrong way and limbs inside others: points pull an
+    invisible limb into a visible one, and it explains them as well.
 
-    **Arguments:** `chunk` so many frames are looked at at once.
+    **Arguments:** `chunk` number of frames per call.
     """
     depth = np.concatenate([np.zeros((0, rotation.shape[1])), *_depths(body, rotation, translation, chunk)])
     deep = np.sum(np.maximum(np.nan_to_num(depth) - FREE_DEPTH, 0.0), 1) / 2
@@ -72,7 +72,7 @@ def implausible(
 
 
 def _depths(body: Body, rotation: np.ndarray, translation: np.ndarray, chunk: int) -> list[np.ndarray]:
-    """How deep limbs are in others, of `chunk` frames after the other."""
+    """Depths of limbs inside others, `chunk` frames at a time."""
     found = []
     for at in range(0, len(rotation), chunk):
         some = rotation[at : at + chunk], translation[at : at + chunk]
@@ -83,10 +83,10 @@ def _depths(body: Body, rotation: np.ndarray, translation: np.ndarray, chunk: in
 
 @program
 def depths(body: Body, poses: Poses) -> Float[Array, "frame limb"]:
-    """How much deeper limbs are in others than in the rest pose, metres."""
+    """Depth of limbs inside others, beyond that of the rest pose, metres."""
     return jax.vmap(lambda some: check(body, some).depth)(poses)
 
 
 def bent(body: Body, rotation: Float32[np.ndarray, "frame limb 4"]) -> Float[np.ndarray, " frame"]:
-    """How far joints are bent the wrong way, mean over the joints, radians."""
+    """Angle by which joints are bent the wrong way, mean over the joints, radians."""
     return np.mean(np.maximum(wrong_bend(body, rotation) - FREE_BEND, 0.0), 1)

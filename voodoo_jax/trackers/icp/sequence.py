@@ -1,4 +1,4 @@
-"""A whole recording of depth, segment after segment, each through the stages of refinement."""
+"""Tracks a whole recording of depth, segment by segment, each through the stages of refinement."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -20,7 +20,7 @@ from voodoo_jax.trackers.shared.sequence import Method, Progress, follow
 
 @dataclass(frozen=True)
 class Stages(Method):
-    """How segments begin (see initialise.py), and through which stages they go."""
+    """Start of segments (see initialise.py), and their stages."""
 
     stages: tuple[Stage, ...]
 
@@ -39,7 +39,7 @@ class Stages(Method):
 
 @dataclass(frozen=True)
 class Whole:
-    """A recording that is tracked, on its way through the stages that look at all of it."""
+    """A tracked recording between the stages for whole recordings."""
 
     run: Runner
     segment: Followed  # all its frames
@@ -49,13 +49,13 @@ class Whole:
     notes: tuple[str, ...] = ()  # what stages want to be known
 
     def tracked_anew(self, people: list[BodyObservation], stages: tuple[Stage, ...]) -> "Whole":
-        """The recording tracked once more, with other points on the body."""
+        """The recording tracked again, with other points on the body."""
         return track_whole(self.run.anew(people), self.begin, self.enough, stages, first=self.first)
 
 
 @runtime_checkable
 class RecordingStage(Named, Protocol):
-    """One correction of a recording, once all of it is tracked."""
+    """A correction of a wholly tracked recording."""
 
     def __call__(self, whole: Whole) -> Whole: ...
 
@@ -68,8 +68,8 @@ def track_whole(
     progress: Progress | None = None,
     first: int | None = None,
 ) -> Whole:
-    """Tracks from frame `begin` on; each segment goes through the stages. Then from there back to frame `first`, if it
-    is an earlier one. `enough` see Whole."""
+    """Tracks from frame `begin` on; each segment goes through the stages. Then tracks backwards from there to frame
+    `first`, if it is earlier. `enough` see Whole."""
     segment = Followed.blank(len(run.people), run.body.limb_count)
     first = begin if first is None else first
     follow(run, begin, enough, segment, Stages(stages), progress)

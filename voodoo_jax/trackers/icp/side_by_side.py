@@ -1,8 +1,8 @@
-"""Who owns which points while people are close to each other: all are tracked frame by frame together. Host side.
+"""Assigns points while people are close to each other, by tracking all of them frame by frame together. Host side.
 
-By where points were in the frame before (detect/tracklets.py) an arm that swings in front of somebody becomes theirs,
-and they explain it well enough to keep it. Bodies know better: in each frame every point goes to whose predicted limb
-is nearest, and once these are solved, to whose solved limb is.
+By places in the previous frame (detect/tracklets.py), an arm that swings in front of another person would become
+theirs, and their body would explain it well enough to keep it. Here, in each frame, every point is assigned to the
+person with the nearest predicted limb, and after the solve to the one with the nearest solved limb.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 @dataclass
 class Walker:
-    """Somebody who is tracked frame by frame."""
+    """A person who is tracked frame by frame."""
 
     run: Runner
     state: State
@@ -33,12 +33,12 @@ class Walker:
 
     @property
     def predicted(self) -> Poses:
-        """Poses in the next frame, if all goes on."""
+        """Predicted poses in the next frame."""
         state = self.state
         return Poses(state.poses.rotation, state.poses.translation + np.float32(self.seconds) * state.velocity)
 
     def distance(self, poses: Poses, points: np.ndarray, most: float) -> np.ndarray:
-        """How far points are from the nearest limb's surface, metres; `most` where it is more."""
+        """Distances of points from the nearest limb's surface, metres; at most `most`."""
         sizes = np.asarray(self.run.body.sizes, np.float32)
         return body_distance(sizes, np.asarray(poses.rotation), np.asarray(poses.translation), points, most)
 
@@ -52,10 +52,10 @@ def owned_in_turn(
     subjects: list[Subject], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"], settings: Settings,
     near: float, visit: Visit | None = None,
 ) -> list[list[BodyObservation]]:  # fmt: skip
-    """Everybody's frames with the points of those who are `close` to each other given to whom they belong.
+    """All people's frames, with points of people who are `close` assigned anew.
 
     **Arguments:** `tracks` of the subjects so far, in whose poses each stretch of close frames begins; `near` metres: a
-    point that is farther from everybody's surface keeps its owner.
+    point farther from every surface keeps its owner.
     """
     frames = [list(subject.frames) for subject in subjects]
     for start, end in stretches(np.sum(close, 0) > 1):
@@ -76,7 +76,7 @@ def owned_in_turn(
 def _walker(
     subject: Subject, frames: list[BodyObservation], tracks: Tracks, settings: Settings, at: int, visit: Visit | None
 ) -> Walker:
-    """Somebody at rest where they were tracked in a frame."""
+    """A person at rest in the tracked poses of a frame."""
     options = options_from(settings.solve, settings.track, settings.features)
     # by points alone, which are what changes hands; nor does the body become another one on the way
     plain = [replace(f, rays=NO_RAYS, pairs=NO_PAIRS, other=False) for f in frames]
@@ -86,7 +86,7 @@ def _walker(
 
 
 def _walk(walkers: dict[int, Walker], frames: list[list[BodyObservation]], at: int, near: float | None) -> None:
-    """One frame further; points change hands where `near` is given. `frames` of everybody, changed in place."""
+    """Tracks the next frame; reassigns points if `near` is given. `frames` of all people, changed in place."""
     who = list(walkers)
     own = [frames[k][at] for k in who]
     everything = joined(own)
@@ -112,6 +112,6 @@ def _nearest(
     walkers: dict[int, Walker], poses: dict[int, Poses], seen: BodyObservation, owner: Int[np.ndarray, " point"],
     near: float,
 ) -> Int[np.ndarray, " point"]:  # fmt: skip
-    """Whose surface is nearest to each point; whose it was where none is near."""
+    """The person with the nearest surface, for each point; the previous owner if none is near."""
     distance = np.stack([w.distance(poses[k], seen.points, near) for k, w in walkers.items()])
     return np.where(np.min(distance, 0) < near, np.argmin(distance, 0), owner)

@@ -1,4 +1,4 @@
-"""What a refinement takes and gives, and how a list of refinements is gone through.
+"""Inputs and outputs of refinements, and how a list of them runs.
 
 The name of a stage is its file, its switch (`track.skip`), its test file and its row in experiments/ablation.
 """
@@ -12,7 +12,7 @@ from voodoo_jax.trackers.shared.segment import Followed
 
 @runtime_checkable
 class Named(Protocol):
-    """What every stage says of itself."""
+    """Attributes of every stage."""
 
     name: ClassVar[str]
     looks_ahead: ClassVar[bool]  # uses later frames: left out with Settings.online
@@ -21,13 +21,13 @@ class Named(Protocol):
 
 @runtime_checkable
 class Stage(Named, Protocol):
-    """One correction of a segment, once it is tracked. It gives back the same segment where it changes nothing."""
+    """A correction of a tracked segment. It returns the same segment if it changes nothing."""
 
     def __call__(self, run: Runner, segment: Followed) -> Followed: ...
 
 
 def is_active(run: Runner, stage: Named) -> bool:
-    """Whether a stage is neither switched off nor of no use for what is tracked."""
+    """Whether a stage is switched on and has its inputs."""
     skipped = run.settings.skips("track", stage.name, stage.looks_ahead)
     return not skipped and stage.needs <= run.offers
 

@@ -1,4 +1,4 @@
-"""A whole recording of depth: starts, tracks in chunks, starts anew where the body was lost. Host side."""
+"""Tracks a whole recording of depth: starts, tracks in chunks, starts again after the body was lost. Host side."""
 
 import time
 from dataclasses import replace
@@ -36,8 +36,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS, spans
 
 
 def prepare(task: Task) -> list[Thread]:
-    """Begins to compile or load, in the threads returned, what a recording of depth is tracked with: while it is
-    read."""
+    """Begins to compile or load, in the threads returned, the programs for a recording of depth, while it is read."""
     if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         return []  # that may be this thread's alone
     settings, source = task.settings, task.source
@@ -62,7 +61,7 @@ def prepare(task: Task) -> list[Thread]:
 
 
 class Unplaced(NamedTuple):
-    """A person whose poses stand, and whose joints are not in their places yet (the stages of PLACE)."""
+    """A person with final poses, before joint centres are placed (the stages of PLACE)."""
 
     run: Runner
     tracks: Tracks  # without what is said of joints, and without notes
@@ -71,8 +70,8 @@ class Unplaced(NamedTuple):
 
 
 def track_poses(task: Task, subject: Subject, begin: int = 0) -> Unplaced:
-    """Tracks a body through what was seen of somebody, before joints are put in their places: `placed` does that. It
-    starts in frame `begin` or later, and is tracked back from there, too."""
+    """Tracks a body through the frames of a person, before `placed` places joint centres. It starts in frame `begin` or
+    later, and also tracks backwards from there."""
     began, waited = time.perf_counter(), seconds_of_waiting()
     people, settings, named = with_names(task.body, subject.frames, task.settings)
     enough = np.array([len(f.points) >= 3 * FEW_POINTS for f in people], bool)
@@ -94,7 +93,7 @@ def track_poses(task: Task, subject: Subject, begin: int = 0) -> Unplaced:
 
 
 def placed(person: Unplaced) -> Tracks:
-    """Tracks with joints in their places, rate_joints, and what is to be said of them."""
+    """Tracks with placed joint centres, rate_joints, and notes."""
     began, run = time.perf_counter(), person.run
     tracks = in_places(run, person.tracks)
     notes = as_few((*person.notes, *notes_on(run, tracks, person.named)))
@@ -102,12 +101,12 @@ def placed(person: Unplaced) -> Tracks:
 
 
 def finished(run: Runner, segment: Segment, source: LogInfo) -> Tracks:
-    """Tracks of a whole recording, see tracks_of, with joints in their places and rate_joints."""
+    """Tracks of a whole recording, see tracks_of, with placed joint centres and rate_joints."""
     return in_places(run, with_passes(tracks_of(run, segment, source)))
 
 
 def in_places(run: Runner, tracks: Tracks) -> Tracks:
-    """Tracks with joints in their places (the stages of PLACE), rate_joints by those."""
+    """Tracks with placed joint centres (the stages of PLACE), and rate_joints with these."""
     for stage in PLACE:
         if is_active(run, stage):
             tracks = stage(run, tracks)
@@ -115,15 +114,15 @@ def in_places(run: Runner, tracks: Tracks) -> Tracks:
 
 
 def with_rating(run: Runner, tracks: Tracks) -> Tracks:
-    """Tracks with the confidence of their joints, and LOST where it is low; a log in doubt makes all joints less
-    sure, but nobody LOST."""
+    """Tracks with the confidence of their joints, and LOST where it is low; doubts about the log lower the confidence
+    of all joints, but do not make frames LOST."""
     settings = run.settings
     found = rate_joints(tracks, settings.track.lost_confidence, settings.looks_ahead("track"))
     return scale_confidence(found, log_doubts(run.body, run.scene, run.people, settings).right)
 
 
 def tracks_of(run: Runner, segment: Segment, source: LogInfo) -> Tracks:
-    """Tracks of a whole recording, see shared/report.py, with how badly limbs fit its points."""
+    """Tracks of a whole recording, see shared/report.py, with the misfits of limbs."""
     fit = _misfit(run, segment)  # before poses are moved to the fixed frame: points are where the poses are
     tracks = report.tracks_of(run, segment, source)
     if fit is None:
@@ -134,7 +133,7 @@ def tracks_of(run: Runner, segment: Segment, source: LogInfo) -> Tracks:
 
 
 def _misfit(run: Runner, segment: Segment) -> Misfit | None:
-    """How badly limbs fit the points, which are where the poses are."""
+    """Misfits of limbs and points, which are in the frame of the poses."""
     if not len(segment):
         return None
     found = [

@@ -1,4 +1,4 @@
-"""Finds size, place and pose at the beginning: trials with different headings, the best kept. Host side."""
+"""Finds size, position and pose at the start: the best of trials with different headings. Host side."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -34,7 +34,7 @@ def place(
 
 
 def _level_direction(foot: np.ndarray, origin: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Level unit vector from a place to a sensor; any one where the sensor is right above."""
+    """Horizontal unit vector from a place to a sensor; arbitrary if the sensor is right above."""
     towards = origin - foot
     towards = towards - (towards @ up) * up
     distance = np.linalg.norm(towards)
@@ -43,7 +43,7 @@ def _level_direction(foot: np.ndarray, origin: np.ndarray, up: np.ndarray) -> np
 
 
 def standing_places(body: Body, frames: list[BodyObservation], floor: Plane, headings: int) -> list[Poses]:
-    """Rest poses at the cloud's place in evenly spread headings, the first one facing the sensor that sees most."""
+    """Rest poses at the cloud's position in evenly spread headings, the first one facing the sensor that sees most."""
     cloud = np.concatenate([f.points for f in frames])
     up = floor.normal
     height = floor.height(cloud)
@@ -64,7 +64,7 @@ def standing_places(body: Body, frames: list[BodyObservation], floor: Plane, hea
 
 
 class Trial(NamedTuple):
-    """How the trials of one start went."""
+    """The results of the trials of one start."""
 
     state: State  # leading axis: trial
     cost: Float[np.ndarray, " trial"]  # mean of cost_of; lower is better
@@ -79,8 +79,8 @@ def run_trials(body: Body, starts: Poses, seen: Bool[np.ndarray, " frame"], trac
     """Tracks the first frames from every start pose (leading axis: trial); those without points (not `seen`) do not
     count.
 
-    The first frame from all of them, the others from fewer and fewer, the best of both ways to face (see FUNNEL); what
-    the rest would cost nobody knows (infinite).
+    Tracks the first frame from all of them, the others from fewer and fewer, the best of both facings (see FUNNEL); the
+    cost of the rest is infinite.
     """
     many, frames = len(starts.translation), np.flatnonzero(seen)
     state, cost, alive = at_rest(on_host(starts)), np.zeros(many), np.arange(many)
@@ -104,7 +104,7 @@ def run_trials(body: Body, starts: Poses, seen: Bool[np.ndarray, " frame"], trac
 
 
 def in_pieces(tracked: Callable[[State], tuple[State, Step]], states: State, most: int) -> tuple[State, Step]:
-    """`tracked` of any number of states (leading axis), so many of them at once."""
+    """`tracked` of any number of states (leading axis), in batches."""
     pieces = [jax.tree.map(lambda x, at=at: x[at : at + most], states) for at in range(0, len(states.seen), most)]
     return jax.tree.map(lambda *parts: np.concatenate(parts), *map(tracked, pieces))
 
@@ -118,7 +118,8 @@ def _with(whole: np.ndarray, at: Int[np.ndarray, " some"], some: np.ndarray) -> 
 def _promising(
     body: Body, rotation: Float[np.ndarray, "trial limb 4"], cost: Float[np.ndarray, " trial"], kept: int
 ) -> Int[np.ndarray, " kept"]:
-    """So many trials to go on with: those that cost least, the first half of them evenly from both ways to face."""
+    """Indices of the trials to continue: those with the lowest cost, the first half of them evenly from both
+    facings."""
     front = facing(on_host(body), rotation)
     turned = front @ front[np.argmin(cost)] < 0
     better = (cost[None] < cost[:, None]) & (turned[None] == turned[:, None])
@@ -127,13 +128,13 @@ def _promising(
 
 
 def facing(body: Body, rotation: Float[AnyArray, "*frame limb 4"]) -> Float[Any, "*frame 3"]:
-    """Unit vectors to where the body's first limb faces: the rest pose along x."""
+    """Unit vectors in the facing direction of the body's first limb: the rest pose along x."""
     ahead = unrotate(body.rest.rotation[0], np.array([1.0, 0.0, 0.0], np.float32))
     return rotate(rotation[..., 0, :], ahead)
 
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:
-    """The best trial, and the best of those that face the other way if it costs less than `near` times as much."""
+    """The best trial, and the best one with the opposite facing if it costs less than `near` times as much."""
     cost, front = trial.cost, facing(on_host(body), trial.state.poses.rotation)
     best = int(np.argmin(cost))
     rivals = np.flatnonzero((front @ front[best] < 0) & (cost < near * cost[best]))

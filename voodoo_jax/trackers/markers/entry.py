@@ -32,7 +32,7 @@ class MarkerTracker(Tracker):
         each = task.progress and (lambda count, tell=task.progress: tell(count / len(people)))
         tracks = []
         for one in people:
-            whose = [f"Named points of {several} people: these are the tracks of '{one.name}'."] if one.name else []
+            whose = [f"Named points of {several} people: these tracks are of '{one.name}'."] if one.name else []
             own = replace(task, progress=each, source=source.noted(*whose))
             tracks.append(replace(track_named(own, one), person=one.number, people=len(people)))
         return tracks if source.up_is_given else with_upward(tracks, source.up)

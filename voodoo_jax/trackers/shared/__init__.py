@@ -1,1 +1,1 @@
-"""What trackers of 3D points share: frames through the compiled programs, segment after segment, and their tracks."""
+"""Common parts of the trackers of 3D points: compiled programs, segments, and their tracks."""

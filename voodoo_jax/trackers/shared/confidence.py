@@ -1,15 +1,15 @@
-"""How far tracks can be trusted: the probability that a joint's centre is within 10 cm of the true one. Host side.
+"""Confidence: the probability that a joint centre is within 10 cm of the true one. Host side.
 
-A logistic function of what a frame says of itself, fitted to recordings with known truth, as they are and made harder
-(fewer frames, noise, coarse distances, begun midway), by experiments/trust. There, with the numbers of one half of the
-people, the other half's joints are right as often as is said.
+A logistic function of clues in a frame, fitted to recordings with ground truth, unchanged and degraded (fewer frames,
+noise, coarse distances, late start), by experiments/trust. There, fitted to one half of the people, it is calibrated
+for the other half.
 
-These are all recordings of people with nothing before or around them. A body that was fitted to a table or a coat, or
-that faces the wrong way, is as smooth and as near to its points: two more factors say whether it fits at all
-(misfits: points beside limbs, bare limbs, limbs in each other, joints bent too far, passes that once were apart, limbs
-whose points another limb explains as well), and
-whether it faces the right way. What a body faces is told by what it is fitted to: of those that fit, all
-of some two hundred decisions at odds of 0.1 and more (logarithms) were right, of those in skirts two of five.
+All these recordings show people without objects near them. A body that was fitted to a table or a coat, or that faces
+the wrong way, is as smooth and as near to its points. So there are two more factors. One is whether the body fits
+(misfits: points beside limbs, limbs without points, limbs inside others, joints bent too far, passes that differed,
+limbs whose points another limb explains as well). The other is whether it faces the right way. The odds of facing
+depend on the fit: with a good fit, all of some two hundred decisions at odds of 0.1 and more (logarithms) were right,
+with skirts two of five.
 """
 
 from typing import NamedTuple
@@ -50,7 +50,7 @@ SURELY, LESS_SURE = 18.8, (-2.98, -1.26)
 
 
 class Trust(NamedTuple):
-    """Numbers of the logistic function: of a change of a clue by one, see `clues`."""
+    """Coefficients of the logistic function, for a unit change of each clue, see `clues`."""
 
     constant: float
     slopes: tuple[float, ...]
@@ -71,13 +71,13 @@ MATCHED_FITS = Trust(0.330, (-1.279, -5.902, 0.0, -0.240, -2.113, -0.239, -0.022
 
 
 def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint clue"]:
-    """What tells of trouble, of each joint centre: logarithms of how far off it may be by its limb's covariance, of the
-    frame's residual and share of unexplained points, of how far it moves between frames and of how far the passes there
-    and back in time are apart (all in metres), and log(1 + weight) of what was measured of its limb.
+    """Clues for errors of each joint centre: logarithms of its standard deviation by its limb's covariance, of the
+    frame's residual and share of unexplained points, of its motion between frames and of the distance between the
+    forward and the backward pass (all in metres), and log(1 + weight) of the measurements of its limb.
 
-    **Arguments:** `ahead` whether the frame after each may be looked at, too.
+    **Arguments:** `ahead` whether the following frame may be used, too.
 
-    The last clue is NaN where there was one pass only.
+    The last clue is NaN if there was only one pass.
     """
     assert tracks.passes_apart is not None
     joints, limbs = tracks.joints, np.array(tracks.body.topology.centre_limbs, int)
@@ -100,8 +100,8 @@ def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint 
 
 
 def _spread(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
-    """How far off joint centres may be by what was measured of their limbs, metres: without what place_joints and the
-    other pass say of them, for that is a clue of its own."""
+    """Standard deviation of joint centres from the measurements of their limbs, metres, without the contributions of
+    place_joints and the other pass, which are separate clues."""
     t = tracks.body.topology
     assert tracks.limb_covariance is not None
     twist = tracks.limb_covariance[:, np.array(t.centre_limbs, int)].astype(float)
@@ -111,14 +111,14 @@ def _spread(tracks: Tracks) -> Float[np.ndarray, "frame joint"]:
 
 
 def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint misfit"]:
-    """What tells that a body is on something else, of each joint centre, averaged over a second.
+    """Clues that the body is fitted to something else, of each joint centre, averaged over a second.
 
-    Of its limb, the next one towards the trunk and the one that it meets there, the worst counts: the logarithm of the
-    share of unexplained points beside it; the share of its length that is bare (of the first two); log(1 + centimetres
-    in other limbs); how far joints are bent beyond their limits, in tens of degrees; and the logarithm of how far the
-    passes there and back in time were apart at most. Of its limb alone: by how much log(1 + weight) of the points that
-    no other limb explains falls short of PLENTY's. Of the body: the logarithm of how far points are from all limbs,
-    metres (see misfit.py), and how unusual the size is.
+    The worst of three limbs counts: its own, the next one towards the trunk and the one that it meets there. The clues
+    are: the logarithm of the share of unexplained points beside it; the share of its length without points (of the
+    first two); log(1 + centimetres inside other limbs); violations of joint limits, in tens of degrees; and the
+    logarithm of the largest distance between the passes. Of its own limb: the difference of log(1 + weight), of the
+    points that no other limb explains, to that of PLENTY. Of the body: the logarithm of the points' distance from all
+    limbs, metres (see misfit.py), and how unusual the size is.
 
     **Arguments:** `ahead` as for `clues`.
 
@@ -128,7 +128,7 @@ def misfits(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame join
 
 
 class Averages(NamedTuple):
-    """What tells that limbs do not fit, over a second around each frame."""
+    """Misfits of limbs, averaged over a second around each frame."""
 
     beside: Float32[np.ndarray, "frame limb"]  # means, see Tracks
     distance: Float32[np.ndarray, "frame limb"]
@@ -139,12 +139,12 @@ class Averages(NamedTuple):
     own: Float32[np.ndarray, "frame limb"]  # weight of points that no other limb explains, mean
 
     def some(self, span: slice) -> "Averages":
-        """Those of some frames."""
+        """The averages of some frames."""
         return Averages(*(each[span] for each in self))
 
 
 def _averages(tracks: Tracks, ahead: bool) -> Averages | None:
-    """None where it is not known how limbs fit."""
+    """None if misfits are unknown."""
     beside, distance, bare, own = tracks.limb_beside, tracks.limb_distance, tracks.limb_bare, tracks.limb_own
     if beside is None or distance is None or bare is None or own is None:
         return None
@@ -192,7 +192,7 @@ def _misfits(tracks: Tracks, averages: Averages | None) -> Float[np.ndarray, "fr
 
 
 def meeting_limbs(body: Body) -> Int[np.ndarray, " joint"]:
-    """The limb that meets a joint centre's limb there: of the joint that is nearest to the centre in the rest pose."""
+    """The other limb of the joint nearest to each joint centre in the rest pose."""
     t, body = body.topology, on_host(body)
     limbs, parents = np.array(t.centre_limbs, int), np.array(t.parents, int)
     if not len(parents):
@@ -205,7 +205,7 @@ def meeting_limbs(body: Body) -> Int[np.ndarray, " joint"]:
 
 
 def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float32[np.ndarray, "frame limb"]:
-    """Mean over the AROUND frames around each that tell something, or over those before if not `ahead`."""
+    """Mean over the known values of the AROUND frames around each, or of those before if not `ahead`."""
     origin = 0 if ahead else AROUND // 2  # the window ends with the frame
     mean = lambda x: uniform_filter1d(x.astype(float), AROUND, 0, mode="constant", origin=origin)  # noqa: E731
     out = np.full(found.shape, np.nan, np.float32)
@@ -219,7 +219,7 @@ def averaged(found: Float[np.ndarray, "frame limb"], ahead: bool) -> Float32[np.
 
 
 def _unusual(tracks: Tracks) -> float:
-    """How unusual the body's size is: the square of standard deviations beyond USUAL of them."""
+    """Unusualness of the body's size: the squared number of standard deviations beyond USUAL."""
     if tracks.body.scale_name != "stature":
         return 0.0
     off = (float(tracks.body.scale) - STATURE) / STATURES
@@ -227,10 +227,10 @@ def _unusual(tracks: Tracks) -> float:
 
 
 def facing_right(tracks: Tracks, ill: Float[np.ndarray, "frame 2"]) -> Float[np.ndarray, "frame joint"]:
-    """Probability that a joint is not off because the body faces the other way: 1 of joints in its middle.
+    """Probability that a joint is not wrong because of the body's facing: 1 for joints on the midline.
 
-    Of frames of which nobody has asked the last answer before holds, or the next one. The less the body fits, the less
-    its odds tell.
+    Frames without odds get those of the last frame before, or of the next one. The worse the body fits, the less the
+    odds count.
 
     **Arguments:** `ill` of `ill_fit`.
     """
@@ -246,9 +246,9 @@ def facing_right(tracks: Tracks, ill: Float[np.ndarray, "frame 2"]) -> Float[np.
 
 
 def ill_fit(found: Float[np.ndarray, "frame joint misfit"]) -> Float[np.ndarray, "frame 2"]:
-    """What tells that the odds of facing are of something else: the logarithm of the share of points beside limbs, over
-    what tells nothing, and the share of limbs that is bare; means over the body of `misfits`, 0 where these are not
-    known."""
+    """Clues that the odds of facing are meaningless: the logarithm of the share of points beside limbs, above a
+    harmless level, and the share of limbs without points; means of `misfits` over the body, 0 where these are
+    unknown."""
     whole = found[..., :2].mean(1) - [np.log(LEAST_SHARE), 0.0]
     return np.where(np.isfinite(whole), whole, 0.0)
 

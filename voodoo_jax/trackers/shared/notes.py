@@ -1,4 +1,4 @@
-"""What is not plausible about tracks, in sentences."""
+"""Notes on implausible poses in tracks."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ ODD = "Not plausible"  # sentences on the tracks themselves begin so
 
 
 def implausible(tracks: Tracks) -> list[str]:
-    """Sentences on joints beyond their limits and limbs in each other, where they are so in many tracked frames."""
+    """Notes on joints beyond their limits and limbs inside others, if in many tracked frames."""
     assert tracks.beyond_limits is not None and tracks.depth_inside is not None
     notes, tracked, t = [], tracks.tracked, tracks.body.topology
     for what, names, found, most in (
@@ -28,6 +28,6 @@ def implausible(tracks: Tracks) -> list[str]:
 
 
 def looked_at_again(tracks: Tracks) -> Tracks:
-    """Tracks whose poses are others now, with what the notes say of these."""
+    """Tracks after a change of poses, with their notes renewed."""
     kept = [note for note in tracks.notes if not note.startswith(ODD)]
     return replace(tracks, notes=(*implausible(tracks), *kept))

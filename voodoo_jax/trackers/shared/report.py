@@ -1,4 +1,4 @@
-"""Tracks of a whole recording from its segment: joints, covariances, and what is not plausible. Host side."""
+"""Tracks of a whole recording from its segment: joints, covariances, and measures of implausibility. Host side."""
 
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from voodoo_jax.trackers.shared.runner import FrameRunner, spans
 
 
 class Derived(NamedTuple):
-    """What follows from the poses of some frames. Leading axis: frame."""
+    """Values derived from the poses of some frames. Leading axis: frame."""
 
     joints: Float[Any, "frame joint 3"]  # joint centres `body.topology.centres`, metres
     beyond_limits: Float[Any, "frame bodyjoint"]  # of `body.topology.joints`, radians
@@ -31,16 +31,16 @@ class Derived(NamedTuple):
 
 @program
 def looked_at(body: Body, poses: Poses, twist: Float[Array, "frame limb 6 6"]) -> Derived:
-    """Joint centres of a chunk of frames, how sure they are, and what is not plausible."""
+    """Joint centres of a chunk of frames, their covariances, and measures of implausibility."""
     centres, odd = jax.vmap(lambda some: (joint_centres(body, some), check(body, some)))(poses)
     return Derived(centres, odd.beyond, odd.depth, *covariances(body, poses, twist))
 
 
 def tracks_of(run: FrameRunner, segment: Segment, source: LogInfo) -> Tracks:
-    """Tracks of a whole recording, with all that follows from its poses; these are moved to the fixed frame in place,
-    and covariances take the place of the segment's.
+    """Tracks of a whole recording, with all values derived from its poses. Moves the poses to the fixed frame in place;
+    covariances replace those of the segment.
 
-    **Arguments:** `segment` all frames of the recording; `source` what the log says of itself.
+    **Arguments:** `segment` all frames of the recording; `source` metadata of the log.
     """
     to_fixed(run.people, segment.rotation, segment.translation)
     segment.residual[segment.status == Status.NO_DATA] = np.nan
@@ -68,20 +68,20 @@ def tracks_of(run: FrameRunner, segment: Segment, source: LogInfo) -> Tracks:
 
 
 def _sensor_motion(people: list[BodyObservation]) -> Float64[np.ndarray, "frame 4 4"] | None:
-    """How sensors moved that the log has at rest, see Tracks; None if they did not."""
+    """Motion of sensors that are static in the log, see Tracks; None without motion."""
     motion = [np.eye(4) if frame.T_fixed_steady is None else frame.T_fixed_steady for frame in people]
     return np.stack(motion) if any(frame.T_fixed_steady is not None for frame in people) else None
 
 
 def _up(run: FrameRunner) -> Float32[np.ndarray, "3"]:
-    """Upwards in the fixed frame; of a camera that moves unknown to the log, in its first frame."""
+    """Upward direction in the fixed frame; for a camera with motion that the log lacks, in its first frame."""
     normal = np.asarray(run.scene.floor.normal, np.float32)
     T = run.people[0].T_fixed_steady if run.people else None
     return normal if T is None else (T[:3, :3] @ normal).astype(np.float32)
 
 
 def _room(body: Body, segment: Segment) -> Derived:
-    """Arrays for what follows from the poses of a segment, without their numbers; its own for covariances of limbs."""
+    """Empty arrays for the values derived from a segment's poses; those of the segment for covariances of limbs."""
     t = body.topology
     rows = (len(t.centres), 3), (len(t.joints),), (len(t.limbs),), (len(t.limbs), 6, 6), (len(t.centres), 3, 3)
     found = Derived(*(np.empty((len(segment), *row), np.float32) for row in rows))
@@ -89,7 +89,7 @@ def _room(body: Body, segment: Segment) -> Derived:
 
 
 def derived_from(body: Body, segment: Segment, chunk: int) -> Derived:
-    """What follows from the poses of up to `chunk` frames with one body; on the host, NaN where there is no pose."""
+    """Values derived from the poses of up to `chunk` frames with one body; on the host, NaN where there is no pose."""
     found = looked_at(body, *padded(segment, chunk))
     there = np.any(np.isfinite(segment.translation), (1, 2))
     each = (np.asarray(array, np.float32)[: len(segment)] for array in found)

@@ -1,4 +1,4 @@
-"""One recording on its way through the compiled programs: chunks of frames, changes of the body. Host side."""
+"""Passes one recording through the compiled programs: chunks of frames, changes of the body. Host side."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ def spans(bodies: Sequence[tuple[int, Body]], count: int) -> list[tuple[int, int
 
 
 class FrameRunner:
-    """Tracks one recording's person frames: chunks of frames, changes of the body on the way.
+    """Tracks the frames of one person: chunks of frames, with changes of the body between them.
 
     `changes` are those of the settings, loaded, and `body` is prepared for them (see model.attachments.prepared);
     `visit` runs the program, None: here and now.
@@ -83,14 +83,14 @@ class FrameRunner:
         self.named = few & self.table.enough(ENOUGH)  # frames that named points alone tell of
 
     def can_start(self, at: int) -> bool:
-        """Whether the frames from `at` on hold something to start from."""
+        """Whether the frames from `at` on have measurements to start from."""
         return True
 
     def look_for(self, thing: str, limbs: list[int], at: int, state: State) -> None:
-        """Finds out where a held thing points from frame `at` on; it stays as it is attached where nothing tells."""
+        """Finds the direction of a held object from frame `at` on; unchanged if it is undetermined."""
 
     def change(self, at: int, state: State | None) -> State | None:
-        """Makes the changes of the body that are due before frame `at`; the others' poses stay as they are."""
+        """Applies the changes of the body that are due before frame `at`; poses of other limbs are unchanged."""
         due = [change for frame, change in self.pending if frame <= at]
         for change in due:
             before, self.body = self.body, applied(self.body, change)
@@ -108,13 +108,13 @@ class FrameRunner:
         return state
 
     def another(self, at: int) -> None:
-        """From frame `at` on the body is something else, of another size."""
+        """Replaces the body from frame `at` on."""
         self.sized = False
         self.bodies.append((at, self.body))
         self.others = [k for k in self.others if k > at]
 
     def prepare(self) -> None:
-        """Makes the program that tracks, or loads it: for frames like those that there are."""
+        """Compiles or loads the program for frames like the present ones."""
         chunk, features = self._padded(self.people[: self.length], None)
         nobody = at_rest(jax.tree.map(lambda x: x[None], on_host(self.body.rest)))
         measured = chunk.points, chunk.seconds, features
@@ -148,7 +148,7 @@ class FrameRunner:
         states: State,
         sure: bool = True,
     ) -> tuple:
-        """What track_visits takes, always of the same shapes."""
+        """Arguments of track_visits, always of the same shapes."""
         count = len(states.seen)
         frame, track = np.zeros(self.length, np.int32), np.full(self.length, NOBODY, np.int32)
         used = slice(count * len(chosen))
@@ -158,8 +158,8 @@ class FrameRunner:
         return body, options, full, points, seconds, Visits(frame, track, np.array(sure)), features
 
     def chunk(self, state: State, at: int, most: int) -> tuple[State, Step, int]:
-        """Tracks up to one chunk of frames from `at`, at most so many, not past the next change of the body, or to
-        something else; the number tracked."""
+        """Tracks up to one chunk of frames from `at`, at most that many, up to the next change of the body; the number
+        tracked."""
         end = min([at + min(most, self.settings.track.chunk), *(frame for frame, _ in self.pending), *self.others])
         frames = self.people[at:end]
         previous = self.people[at - 1].time_ns if at else None
@@ -205,13 +205,13 @@ class FrameRunner:
         return *jax.tree.map(lambda x: x[0], found), chunk.left_out
 
     def _padded(self, frames: list[BodyObservation], previous_ns: int | None) -> tuple[Chunk, Features | None]:
-        """The frames as the one program takes them."""
+        """The frames padded for the compiled program."""
         most = self.settings.detect.points
         chunk = pad_frames(frames, self.capacity, self.length, previous_ns, self.sensors, most, self.parts)
         return chunk, pad_features(frames, self.length, self.feature_capacity, self.names, self.choices)
 
     def _with_named(self, step: Step, at: int, count: int) -> Step:
-        """The step with what named points say in frames that have no others."""
+        """The step with results of named points in frames that have no others."""
         frames = at + np.flatnonzero(self.named[at : at + count])
         if not len(frames):
             return step

@@ -15,7 +15,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS, FrameRunner
 
 @runtime_checkable
 class Start(Protocol):
-    """Where a segment begins."""
+    """The start of a segment."""
 
     @property
     def frame(self) -> int: ...
@@ -29,7 +29,7 @@ class Start(Protocol):
 
 @dataclass(frozen=True)
 class Followed(Segment):
-    """A segment, and what this tracker knows of it."""
+    """A segment, and the tracker's data about it."""
 
     start: Start | None = None  # that it was tracked from
     state: State | None = None  # after its last frame, where another start took the place of its own
@@ -58,7 +58,7 @@ def segment_of(run: FrameRunner, step: Step, first: int, count: int) -> Followed
 def status_of(
     step: Step, lost_explained: float, named: Bool[np.ndarray, " frame"], featured: Bool[np.ndarray, " frame"]
 ) -> Int8[np.ndarray, " frame"]:
-    """Status of each frame; `named` those that named points alone tell of, `featured` those that have some feature."""
+    """Status of each frame; `named` those with named points alone, `featured` those with some feature."""
     few = (np.asarray(step.points)[: len(named)] < FEW_POINTS) & ~named
     lost = np.asarray(step.explained)[: len(named)] < lost_explained
     status = np.where(lost, Status.LOST, Status.TRACKED)

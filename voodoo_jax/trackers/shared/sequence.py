@@ -1,7 +1,7 @@
-"""Segment after segment through a recording: starts, tracks chunk by chunk, and starts anew where the body was lost.
+"""Goes through a recording segment by segment: starts, tracks chunk by chunk, and starts again after the body was lost.
 
-Long segments are cut in spans, each tracked there and back in time before the next one: what is held in memory
-meanwhile does not grow with the length of a recording.
+Long segments are cut into spans, each tracked forwards and backwards before the next one, so that memory does not grow
+with the length of a recording.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ OVERLAP = 30  # frames of a span that the next one goes back over: a pass is not
 
 
 class KnownStart(NamedTuple):
-    """A start from poses that leave no doubt."""
+    """A start from certain poses."""
 
     frame: int
     poses: Poses
@@ -34,14 +34,14 @@ class KnownStart(NamedTuple):
 
 
 class Method:
-    """What a tracker does of its own: how segments begin, and how they are refined; by itself they are not."""
+    """The tracker's own methods for starting and refining segments; by default they are not refined."""
 
     def begin(self, run: Any, at: int, before: Poses | None) -> Start:
-        """The start in frame `at`; `before` the last poses before the body was lost: it may still be in them."""
+        """The start in frame `at`; `before` the last poses before the body was lost, which may still hold."""
         raise NotImplementedError
 
     def clearer(self, run: Any, at: int) -> Start | None:
-        """A start in frame `at` that leaves no doubt, if there is one: for one in doubt that may not look ahead."""
+        """A certain start in frame `at`, if there is one; for doubtful starts without later frames."""
 
     def refines(self, run: Any) -> bool:
         """Whether segments are refined."""
@@ -61,8 +61,8 @@ def follow(
     method: Method,
     progress: Progress | None,
 ) -> None:
-    """Tracks from frame `at` to the end and fills in `out`; `enough`: frames with points enough to look anew for a
-    body that was lost."""
+    """Tracks from frame `at` to the end and fills in `out`; `enough`: frames with enough points to search again for a
+    lost body."""
     ahead = run.settings.looks_ahead("track")  # whether later frames may be looked at
     refines = method.refines(run)
     count, patience = len(run.people), run.settings.track.patience
@@ -119,8 +119,8 @@ def follow(
 
 
 def _refined(run: FrameRunner, start: Start, until: int, at: int, out: Followed, method: Method) -> State | None:
-    """Fills in a span, tracked forwards to before frame `at`, with what refinements make of it up to `until`; the state
-    to go on with, where that is another one."""
+    """Fills in a span, tracked forwards to before frame `at`, with its refinement up to `until`; returns the state to
+    continue with, if it changed."""
     first = start.frame
     found = method.refine(run, replace(out[first:at], start=start))
     last = until if found.state is None else at  # another start's frames take the place of all

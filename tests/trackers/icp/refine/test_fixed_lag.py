@@ -64,7 +64,7 @@ def test_where_it_goes(demo, tmp_path, capsys):
     assert vj.online(Settings(), 0.0) == ONLINE and {f.name for f in fields(Settings)} >= {"online_lag"}
     log = str(files("voodoo_jax") / "data" / "demo.mcap")
     assert main(["replay", log, "--out", str(tmp_path), "--online.lag", "0.5"]) == 2
-    assert "goes with --online" in capsys.readouterr().err
+    assert "needs --online" in capsys.readouterr().err
     scene, people = demo
     with pytest.raises(SettingsError, match="online_lag"):
         LiveTracker(human(), vj.online(Settings(), LAG), people[:1], scene)

@@ -1,1 +1,1 @@
-"""How a segment begins: start hypotheses, and the stages that better the first one."""
+"""Start of a segment: start hypotheses, and the stages that improve the first one."""

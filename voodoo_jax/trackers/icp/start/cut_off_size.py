@@ -1,4 +1,4 @@
-"""Who is cut off below, over a floor that nobody sees: head and shoulders tell the size, not how high the head is.
+"""Size of people who are cut off below, without a visible floor: from head and shoulders, not from the head's height.
 
 Host side.
 """
@@ -17,9 +17,9 @@ from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
 @dataclass(frozen=True)
 class CutOffSize:
-    """Where the floor that is supposed would make somebody unusually tall or small: the best of starts in several
-    sizes, each on a floor so far below the head; unusual ones must explain more. Numbers were chosen by hand, but for
-    the usual stature."""
+    """If the assumed floor would make a person unusually tall or small: the best of starts in several sizes, each on a
+    floor at that distance below the head; unusual ones must explain more. Numbers were chosen by hand, but for the
+    usual stature."""
 
     name: ClassVar = "cut_off_size"
     looks_ahead: ClassVar = False
@@ -47,5 +47,5 @@ class CutOffSize:
         return search._replace(best=best, found=(best,))
 
     def _unlikely(self, size: float) -> float:
-        """What a start's cost is multiplied by for its size."""
+        """Factor on a start's cost for its size."""
         return float(np.exp(((size - self.usual) / self.spread) ** 2 / (2 * self.counts)))

@@ -1,4 +1,4 @@
-"""Where the pass back in time begins: a start of its own near a segment's end, if that explains more. Host side."""
+"""Start of the backward pass: a new one near a segment's end, if that explains more. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -26,9 +26,9 @@ class FreshEnd:
     def __call__(
         self, run: Runner, first: int, cost: Float[np.ndarray, " frame"], rotation: Float32[np.ndarray, "frame limb 4"]
     ) -> Poses | None:
-        """Poses in the last of some frames, the first of them `first`, from a start of its own shortly before, if that
-        explains more than the track with this `cost` and these `rotation`s, and is in no doubt: a wrong track is left
-        so."""
+        """Poses in the last of some frames, the first of them `first`, from a new start shortly before, if it is
+        certain and explains more than the track with this `cost` and these `rotation`s: so a wrong track can be
+        left."""
         count = 3 * run.settings.start.frames
         skip = max(0, len(cost) - count)
         at, end = first + skip, first + len(cost)

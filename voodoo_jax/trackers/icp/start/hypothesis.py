@@ -1,4 +1,4 @@
-"""A start hypothesis: the best of trials in all headings from one frame, and what it costs. Host side."""
+"""A start hypothesis: the best of trials in all headings from one frame, and its cost. Host side."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -38,7 +38,7 @@ class StartHypothesis(NamedTuple):
     rival: "StartHypothesis | None" = None  # faces the other way
 
     def clear(self, sure: float) -> bool:
-        """Whether neither what it costs nor noise leaves a doubt that it is right."""
+        """Whether it is certain, by its cost and the noise."""
         return self.unexplained <= sure and self.noise <= NOISY
 
     @property
@@ -48,7 +48,7 @@ class StartHypothesis(NamedTuple):
 
     @property
     def unexplained(self) -> float:
-        """What it costs beyond what noise would, square metres."""
+        """Its cost beyond that of noise, square metres."""
         return self.cost - self.noise**2
 
 
@@ -83,14 +83,14 @@ def best_from(run: Runner, at: int, body: Body, places: list[Poses]) -> StartHyp
 
 
 def sized_at(run: Runner, at: int, low: float = np.inf) -> Body:
-    """The body in the size that it is known to have, or else in the one that it seems to have, see measured_at."""
+    """The body in its known size, or else in the measured one, see measured_at."""
     return run.body if run.sized else measured_at(run, at, low)
 
 
 def measured_at(run: Runner, at: int, low: float = np.inf) -> Body:
-    """The body in the size that it seems to have from frame `at` on.
+    """The body in the size measured from frame `at` on.
 
-    `low` how high above the floor the lowest points are when it stands, metres: in the air it is as much lower."""
+    `low` height of the lowest points above the floor when it stands, metres, to correct for a body in the air."""
     s: StartSettings = run.settings.start
     frames, up = run.people[at : at + s.size_frames], run.scene.floor.normal
     lifts = (lowest(run, frame) - low for frame in frames)
@@ -99,7 +99,7 @@ def measured_at(run: Runner, at: int, low: float = np.inf) -> Body:
 
 
 def lowest(run: Runner, frame: BodyObservation) -> float:
-    """How high above the floor the lowest points are, metres."""
+    """Height of the lowest points above the floor, metres."""
     return float(np.percentile(run.scene.floor.height(frame.points), 1)) if len(frame.points) else -np.inf
 
 
@@ -110,12 +110,11 @@ def tried_on(run: Runner, at: int) -> list[BodyObservation]:
 
 
 def soon(frames: list[BodyObservation], s: StartSettings) -> list[BodyObservation]:
-    """As many of the frames, from the first on, as trials are compared by: over a longer time starts that are right
-    are lost, too."""
+    """The first frames, by which trials are compared; over a longer time correct starts are lost, too."""
     return [f for k, f in enumerate(frames[: s.frames]) if k < 3 or f.time_ns - frames[0].time_ns <= s.seconds * 1e9]
 
 
 def noise_of(frames: list[BodyObservation]) -> float:
-    """What noise a start from these frames is allowed, metres."""
+    """Noise that a start from these frames may have, metres."""
     # people are no cylinders: a quieter sensor does not come nearer to them
     return max(USUAL, float(np.median([f.noise for f in frames])))

@@ -1,4 +1,4 @@
-"""A start that is in doubt is compared with starts in later frames, where there may be more to see. Host side."""
+"""Compares a doubtful start with starts in later frames, which may show more. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,7 +13,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS, first_run
 
 @dataclass(frozen=True)
 class LaterStart:
-    """The best of starts at `start.later` seconds, where the first one is in doubt. Numbers were chosen by hand."""
+    """The best of starts at `start.later` seconds, if the first one is doubtful. Numbers were chosen by hand."""
 
     name: ClassVar = "later_start"
     looks_ahead: ClassVar = True
@@ -36,7 +36,7 @@ class LaterStart:
 
 
 def frames_after(run: Runner, at: int) -> list[int]:
-    """Frames after `at` to start from: with points on end until there, and before the body changes."""
+    """Frames after `at` to start from, without a gap in points before them, and before the body changes."""
     end = min([len(run.people), *(frame for frame, _ in run.pending)])
     seconds = np.array([f.time_ns - run.people[at].time_ns for f in run.people[at:end]]) / 1e9
     empty = np.array([len(f.points) < FEW_POINTS for f in run.people[at:end]], bool)

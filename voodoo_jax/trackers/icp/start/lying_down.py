@@ -1,4 +1,4 @@
-"""What is low and long is compared with starts in which the body lies. Host side."""
+"""Adds starts with a lying body for low, long objects. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -27,9 +27,9 @@ DEEP = 0.8  # of half a trunk's depth: so far behind what is seen of it its midd
 
 @dataclass(frozen=True)
 class LyingDown:
-    """The best of starts along the longest level extent of what is seen, head at either end, facing up, to both sides
-    and down. Only of what is low and long. Arms or feet may be what is at its ends, and legs may be hidden, or too near
-    to what they lie on: several sizes, of which unusual ones must explain more. Numbers were chosen by hand."""
+    """The best of starts along the longest level extent of the points, head at either end, facing up, to both sides and
+    down; only for low, long objects. Arms or feet may be at its ends, and legs may be hidden, or too near to the
+    surface below. So several sizes are tried, of which unusual ones must explain more. Numbers were chosen by hand."""
 
     name: ClassVar = "lying_down"
     looks_ahead: ClassVar = False
@@ -63,8 +63,8 @@ class LyingDown:
         return search._replace(best=best, found=(best,))
 
     def _turned(self, run: Runner, best: StartHypothesis, places: list[list[Poses]]) -> StartHypothesis:
-        """The best of the ways to lie over more frames, and with it the next one: a few frames hardly tell head from
-        feet, nor who lies on their side from behind."""
+        """The best orientation over more frames, and the next best: a few frames hardly distinguish head from feet, or
+        front from back of a person on the side."""
         each = [best_from(run, best.frame, best.body, list(some)) for some in zip(*places)]
         apart: list[StartHypothesis] = []
         for one in sorted((best, *each), key=lambda one: one.cost):
@@ -76,7 +76,7 @@ class LyingDown:
         return first._replace(rival=others[0] if others else None)
 
     def _over(self, run: Runner, starts: list[StartHypothesis]) -> list[float]:
-        """What starts cost over more frames; joints bent the wrong way and limbs in each other cost, too."""
+        """Cost of starts over more frames, including that of joints bent the wrong way and limbs inside others."""
         body, costs = run.body, []
         for start in starts:
             run.body = start.body
@@ -87,7 +87,7 @@ class LyingDown:
         return costs
 
     def _bodies(self, run: Runner, search: Search, seen: Extent) -> list[Body]:
-        """In all sizes that are tried."""
+        """The body in all sizes to try."""
         if run.sized or run.settings.start.scale > 0:
             return [search.best.body]
         usual = (STATURE + STATURES * k for k in self.usual)
@@ -95,19 +95,19 @@ class LyingDown:
         return [scaled(run.body, s) for s in (*sizes, *(s for s in usual if s > self.larger * seen.length))]
 
     def _unlikely(self, size: float) -> float:
-        """What a start's cost is multiplied by for its size."""
+        """Factor on a start's cost for its size."""
         return float(np.exp(((size - STATURE) / STATURES) ** 2 / (2 * TELLS)))
 
 
 def _alike(one: StartHypothesis, other: StartHypothesis) -> bool:
-    """Whether two lie about the same way: head at the same end, facing the same side."""
+    """Whether two have about the same orientation: head at the same end, facing the same side."""
     turns = rotations(np.stack([one.poses.rotation[0], other.poses.rotation[0]]))
     return bool((turns[0].inv() * turns[1]).magnitude() < SAME)
 
 
 def lying_places(body: Body, frame: BodyObservation, floor: Plane) -> list[list[Poses]]:
-    """Rest poses that lie where the points are, with the feet and with the head at either end: two lists of the same
-    ways to lie, with the head at either end and in WAYS turns about their length."""
+    """Lying rest poses at the points, aligned at the feet and at the head: two lists with the same orientations, the
+    head at either end and WAYS rotations about the long axis."""
     seen, height = extent(frame.points, floor), float(rest_box(body)[1][2])
     sight = seen.middle - frame.origins[int(np.bincount(frame.sensor).argmax())]
     middle = seen.middle + DEEP * float(np.max(np.asarray(body.sizes)[:, 0])) * sight / np.linalg.norm(sight)

@@ -1,4 +1,4 @@
-"""A start that is in doubt is compared with starts with arms raised or sitting. Host side."""
+"""Compares a doubtful start with starts with arms raised or sitting. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -15,9 +15,9 @@ from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
 @dataclass(frozen=True)
 class OtherStances:
-    """The best of starts in the stances of the pose library, for a body that can take them. A skirt looks much like
-    somebody who sits, and is far taller than they seem: the worse all starts fit, the less their costs tell, and a
-    stance that makes somebody unusually tall must explain the more. Numbers by hand, but for the usual stature."""
+    """The best of starts in the stances of the pose library, for a body that can take them. A skirt looks much like a
+    sitting person, which would have to be much taller. The worse all starts fit, the less their costs mean, so a stance
+    that makes a person unusually tall must explain more. Numbers by hand, but for the usual stature."""
 
     name: ClassVar = "other_stances"
     looks_ahead: ClassVar = False
@@ -50,13 +50,13 @@ class OtherStances:
         return search._replace(best=best, stance=stance)
 
     def _tall(self, body: Body) -> float:
-        """What speaks against a body that is taller than usual, as a logarithm of costs."""
+        """Penalty for a body taller than usual, as a logarithm of costs."""
         beyond = max(float(body.scale) - self.usual, 0.0) / self.spread if body.scale_name == "stature" else 0.0
         return beyond**2 / (2 * self.counts)
 
 
 def in_stances(run: Runner, at: int) -> list[tuple[StartHypothesis, Stance]]:
-    """Starts from frame `at` with arms raised or sitting; none for a body that can do neither."""
+    """Starts from frame `at` with arms raised or sitting; none for a body without these stances."""
     found, seen = [], sized_at(run, at)
     for stance in STANCES:
         # where the size is known, so is what the highest point is

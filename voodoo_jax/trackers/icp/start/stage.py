@@ -1,4 +1,4 @@
-"""What a stage of the start takes and gives.
+"""Inputs and outputs of a stage of the start.
 
 The name of a stage is its file, its switch (`track.skip`), its test file and its row in experiments/ablation.
 """
@@ -12,7 +12,7 @@ from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 
 
 class Search(NamedTuple):
-    """The search for how a segment begins."""
+    """The search for the start of a segment."""
 
     at: int  # frame in which it begins
     best: StartHypothesis  # may be of a later frame
@@ -22,6 +22,6 @@ class Search(NamedTuple):
 
 @runtime_checkable
 class StartStage(Named, Protocol):
-    """One more kind of start that is tried."""
+    """A further kind of start."""
 
     def __call__(self, run: Runner, search: Search) -> Search: ...

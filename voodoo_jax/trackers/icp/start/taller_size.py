@@ -1,4 +1,4 @@
-"""Who bends or walks is taller than they look: the size of another start is tried. Host side."""
+"""Tries the size of another start, since people who bend or walk are taller than they look. Host side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
