@@ -35,8 +35,6 @@ VARIANTS: dict[str, dict] = {
     "no depth in the weights": dict(depth_weight=0.0),
     "one layer": dict(layers=1),
     "two layers": dict(layers=2),
-    "no optical flow": dict(flow=False),
-    "no restarts": dict(restart=0.0),
     "no second pass": dict(backwards=False),
     "no skin": dict(skin_weight=0.0),
     "no edges, no colours": dict(edge_weight=0.0, surface_weight=0.0),
