@@ -43,10 +43,10 @@ VARIANTS: dict[str, dict] = {
     "no velocity": dict(velocity=0.0),
     "the paper's depth noise": dict(depth_noise=(0.15, 0.5, 1.0)),
     "80 % of the head's motion": dict(follow_level=0.8, follow_up=0.8),
-    "25 particles": dict(particles=25),
+    "one body": dict(hypotheses=1),
+    "8 bodies": dict(hypotheses=8),
     "50 particles": dict(particles=50),
-    "200 particles": dict(particles=200),
-    "400 particles": dict(particles=400),
+    "100 particles": dict(particles=100),
 }
 # on which settings and joint offsets were chosen
 CHOSEN_ON = ("stereo-bow-active", "stereo-guide-active", "stereo-call", "stereo-walk-right", "stereo-bow-wave")
