@@ -35,8 +35,6 @@ VARIANTS: dict[str, dict] = {
     "no depth in the weights": dict(depth_weight=0.0),
     "one layer": dict(layers=1),
     "two layers": dict(layers=2),
-    "no optical flow": dict(flow=False),
-    "no restarts": dict(restart=0.0),
     "no second pass": dict(backwards=False),
     "no skin": dict(skin_weight=0.0),
     "no edges, no colours": dict(edge_weight=0.0, surface_weight=0.0),
@@ -45,10 +43,10 @@ VARIANTS: dict[str, dict] = {
     "no velocity": dict(velocity=0.0),
     "the paper's depth noise": dict(depth_noise=(0.15, 0.5, 1.0)),
     "80 % of the head's motion": dict(follow_level=0.8, follow_up=0.8),
-    "25 particles": dict(particles=25),
+    "one body": dict(hypotheses=1),
+    "8 bodies": dict(hypotheses=8),
     "50 particles": dict(particles=50),
-    "200 particles": dict(particles=200),
-    "400 particles": dict(particles=400),
+    "100 particles": dict(particles=100),
 }
 # on which settings and joint offsets were chosen
 CHOSEN_ON = ("stereo-bow-active", "stereo-guide-active", "stereo-call", "stereo-walk-right", "stereo-bow-wave")

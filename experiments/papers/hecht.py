@@ -32,12 +32,15 @@ from voodoo_jax.trackers.flexible.observed import FeatureStore, Look, Observed, 
 from voodoo_jax.trackers.flexible.physics import frames, inverse_masses, relax, verlet
 from voodoo_jax.trackers.flexible.scores import LimbContext, limb_score
 from voodoo_jax.trackers.flexible.tracker import (
+    Begun,
+    Heads,
     camera_places,
+    chosen,
+    descent,
+    filtered,
     follow,
-    heads_of,
     nobody_of,
     numbers,
-    run_filters,
     shape_of,
     tracks_of,
 )
@@ -173,8 +176,12 @@ def followed(path: Path, seen: Seen, settings: Settings, stature: float, fixed_f
     score, first, x, begin = max(tried, key=lambda one: one[0])
     key, order = jax.random.PRNGKey(s.seed), range(first, len(observed.features))
     state = start(jax.random.fold_in(key, 2**30), model, x, shape_of(s))
-    heads = heads_of(observed, first, begin, skin, s)
-    found = run_filters(model, state, observed, heads, order, key, s, up, skin, None)[1]
+    states, heads = jax.tree.map(lambda a: a[None], state), Heads(observed, first, begin, skin, s)
+    for i in order:
+        heads.look(observed, i)
+    on = Begun(observed, skin, first, begin, heads, model, states, key)
+    every = filtered(on, states, observed, order, key, s)[1]
+    found = chosen(every, descent(every))
     camera = camera_places(observed, order)
     tracks = tracks_of(nobody_of(body, observed, str(path), fixed_frame, ()), begin, observed, first, found, camera)
     return Followed(tracks, first, score, score >= MATCHED)

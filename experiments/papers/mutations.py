@@ -128,7 +128,7 @@ INGREDIENTS = (
     _hecht("once learnt, colours are frozen", "III-B", "filters.py", "colours, learnt = lax.cond(given.learn > 0, more, lambda: (state.colours, state.learnt))\n", "colours, learnt = state.colours + 0.1, state.learnt\n", FRAME),
     _hecht("edges of gradients", "III-B", "image_features.py", "gradient * (0.5 + 0.5 * near)", "1.0 * near", EDGES),
     _hecht("moving edges score more", "III-B", "image_features.py", "gradient * (0.5 + 0.5 * near)", "gradient", EDGES),
-    _hecht("a blurred image of motion", "III-A", "image_features.py", "return edge, np.clip(motion * 255, 0, 255).astype(np.uint8), flow", "return edge, np.zeros_like(motion).astype(np.uint8), flow", EDGES),
+    _hecht("a blurred image of motion", "III-A", "image_features.py", "return edge, np.clip(motion * 255, 0, 255).astype(np.uint8)", "return edge, np.zeros_like(motion).astype(np.uint8)", EDGES),
     _hecht("particles are drawn by their weights", "III", "scores.py", "total = jnp.cumsum(weights)\n    places", "total = jnp.cumsum(jnp.ones_like(weights))\n    places", "test_particles_are_drawn_by_their_weights"),
     Ingredient("200 particles of a limb, 100 of the head", "2009, IV-A", "config/presets.py", "particles=200, head_particles=100", "particles=50, head_particles=100", f"{HECHT}::test_the_papers_numbers"),
 )  # fmt: skip

@@ -21,7 +21,7 @@ from experiments.stereo.takes import halves
 from experiments.trust.__main__ import fitted, rank
 from voodoo_jax.compile.cache_dir import users_cache
 from voodoo_jax.io.log_reader import open_log
-from voodoo_jax.trackers.flexible.confidence import clues
+from voodoo_jax.trackers.flexible.confidence import SLOPES, clues
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
 from voodoo_jax.trackers.flexible.observed import observe
 from voodoo_jax.trackers.flexible.tracker import followed
@@ -43,12 +43,12 @@ def told(log: Path) -> tuple[np.ndarray, np.ndarray]:
     found = followed(vj.human(), seen, settings, reader.path, reader.fixed_frame)
     seen.close()
     if found.found is None:
-        return np.zeros((0, 4)), np.zeros(0, bool)
+        return np.zeros((0, len(SLOPES))), np.zeros(0, bool)
     point = {centre: POINTS.index(name) for name, centre in CENTRES.items()}
-    each = np.full((len(found.tracks.status), len(known.names), 4), np.nan)
+    each = np.full((len(found.tracks.status), len(known.names), len(SLOPES)), np.nan)
     each[found.seen.row[found.first :]] = clues(found.found)[:, [point[name] for name in known.names]]
     frame, near = nearest(known, found.tracks)
-    return each[frame][near].reshape(-1, 4), (errors(known, found.tracks)[near] < CLOSE).ravel()
+    return each[frame][near].reshape(-1, len(SLOPES)), (errors(known, found.tracks)[near] < CLOSE).ravel()
 
 
 def flexible_numbers(logs: list[Path]) -> Trust:

@@ -13,12 +13,14 @@ from mcap.reader import make_reader
 
 from tests.support.helpers import wait_for
 from tests.support.small_logs import FLAGS, arrays_of, assert_same, small_log
+from tests.support.waving import SMALL, waving_log
 from voodoo_jax.cli.main import main
 from voodoo_jax.exporters.live import FoxgloveServer
 from voodoo_jax.exporters.npz import read_tracks_npz
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.live.sources import open_source
 
+VARIED = ("particles", "hypotheses", "layers", "refine", "points")  # as other tests do: one program for all
 FRAMES = 60  # at 20 Hz
 SHORT = [word if word != "16" else "4" for word in FLAGS]  # chunks as long as those of live: one program for both
 
@@ -39,6 +41,7 @@ def recorder(path: Path, data: bytes, seconds: float, then=lambda: None) -> thre
             time.sleep(seconds / 40)
         then()
 
+    path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"")
     thread = threading.Thread(target=record, daemon=True)
     thread.start()
@@ -92,6 +95,18 @@ def test_ctrl_c_ends_it_with_results(recorded, tmp_path, capsys):
     assert "ready; Ctrl-C ends it" in capsys.readouterr().err
 
 
+def test_images_are_tracked_as_their_replay_by_the_flexible_tracker(tmp_path, capsys):
+    path, _ = waving_log(tmp_path, 24)
+    flags = ["--tracker", "flexible", *(f"--flexible.{k}={getattr(SMALL, k)}" for k in VARIED)]
+    thread = recorder(tmp_path / "grows" / "waving.mcap", path.read_bytes(), 1.0)
+    assert main(["live", str(tmp_path / "grows" / "waving.mcap"), "--out", str(tmp_path / "live"), *flags]) == 0
+    thread.join()
+    replay = ["replay", str(path), "--out", str(tmp_path / "replay"), "--online", "--workers", "1", *flags]
+    assert main(replay) == 0
+    assert_same(arrays_of(tmp_path / "live"), arrays_of(tmp_path / "replay"))
+    assert read_tracks_npz(tmp_path / "live" / "waving.tracks.npz").tracked.mean() > 0.8
+
+
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [
@@ -99,7 +114,7 @@ def test_ctrl_c_ends_it_with_results(recorded, tmp_path, capsys):
         (("none.mcap",), 1, "no file"),
         (("none.mcap", "--serve", 70000), 2, "must be a port"),
         (("none.mcap", "--idle", 0), 2, "above 0"),
-        (("none.mcap", "--tracker", "flexible"), 2, "only the tracker icp"),
+        (("none.mcap", "--tracker", "both"), 2, "only the trackers icp and flexible"),
         (("none.mcap", "--read.skin"), 2, "read.skin"),
         (("none.mcap", "--read.pose-net", "mediapipe"), 2, "read.pose_net"),
         (("ws://127.0.0.1:9",), 1, "no connection"),

@@ -13,7 +13,7 @@ from voodoo_jax.simulate.sensor import NO_NOISE, Camera
 
 CAMERA = Camera(160, 120, 145.0, 145.0, 79.5, 59.5, (0.0, 0.0, 1.2), 0.08)
 # a program of its own size: few particles and rounds, for the test's time
-SMALL = FlexibleSettings(particles=30, layers=2, refine=4, points=128, backwards=False)
+SMALL = FlexibleSettings(particles=30, hypotheses=2, layers=2, refine=4, points=128, backwards=False)
 
 
 def waving_log(folder: Path, frames: int) -> tuple[Path, np.ndarray]:

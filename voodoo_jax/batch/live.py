@@ -29,7 +29,8 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.storage.atomic import made_folder
-from voodoo_jax.trackers.base import LogInfo, Unsuitable
+from voodoo_jax.trackers.base import LogInfo, Unsuitable, tracker_of
+from voodoo_jax.trackers.flexible.live import LiveFlexible
 from voodoo_jax.trackers.icp.live import LiveTracker
 
 CAUGHT_UP = 0.25  # seconds: from the first frame on that is given out so soon, latencies count; by hand
@@ -95,8 +96,8 @@ class LiveJob:
     names: str = ""  # of joints
 
     def __post_init__(self):
-        if self.settings.tracker != "icp":
-            raise SettingsError("live tracking supports only the tracker icp")
+        if self.settings.tracker == "both":
+            raise SettingsError("live tracking supports only the trackers icp and flexible")
         if self.settings.changes:
             raise SettingsError("[[change]] in the settings: live tracking does not support changes of the body")
         if self.settings.read.skin:
@@ -124,14 +125,18 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
     made_folder(job.out)
     with limited(settings.limits):
         body, build = on_device(job.body), build_of(job.body, settings.start.scale)
-        live = LiveLog(source, settings.read, lambda log, read: open_checked(log, read, build, settings.detect), say)
+        read = tracker_of(settings).reads(settings.read)
+        live = LiveLog(source, read, lambda log, read: open_checked(log, read, build, settings.detect), say)
         reader = live.open()
         if not reader.sensors:
             raise Unsuitable(
                 f"'{source.path}' has only named points or rays, but live tracking needs depth; use replay"
             )
         say(f"{', '.join(reader.sensors)}: in '{reader.fixed_frame}'. Programs are loaded, or compiled once ...")
-        tracker = LiveTracker(body, settings, _examples(reader), _nowhere(), bool(reader.features))
+        tracker = (
+            LiveFlexible(body, settings, source.path) if settings.tracker == "flexible"
+            else LiveTracker(body, settings, _examples(reader), _nowhere(), bool(reader.features))
+        )  # fmt: skip
         tracker.prepare()
         keep_compiled()
         say("ready; Ctrl-C ends it")
@@ -143,12 +148,18 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
 
 
 def _followed(
-    tracker: LiveTracker, live: LiveLog, reader: LogReader, job: LiveJob, publishers: list[Publisher], progress: Say
+    tracker: LiveTracker | LiveFlexible,
+    live: LiveLog,
+    reader: LogReader,
+    job: LiveJob,
+    publishers: list[Publisher],
+    progress: Say,
 ) -> Pace:
     """Tracks all frames and gives them out."""
     pace, said = Pace(), time.monotonic()
     times: dict[int, tuple[float | None, int | None]] = {}  # of frames that are not given out yet
-    tracklets, seen = watched(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
+    look = tracker.watched if isinstance(tracker, LiveFlexible) else watched
+    tracklets, seen = look(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
 
     def give(found: list[Tracks]) -> None:
         nonlocal said

@@ -7,10 +7,19 @@ from dataclasses import dataclass
 class FlexibleSettings:
     """The flexible tracker (Hecht, Azad, Dillmann 2009): masses and springs, particle filters on images."""
 
-    particles: int = 100
+    particles: int = 25
     """Particles of each of the four limbs' filters (the paper: 200)."""
-    head_particles: int = 100
+    head_particles: int = 25
     """Particles of the head's filter."""
+    hypotheses: int = 16
+    """Bodies that are followed at once, each by filters of its own, and drawn again by how well they fit; 1: one."""
+    turning: float = 4.0
+    """How much faster or slower than before each of them turns about the vertical, radians per second (standard
+    deviation)."""
+    leaning: float = 1.0
+    """And about any axis."""
+    sharpness: float = 0.3
+    """What the logarithm of a body's weight counts when they are drawn again: less keeps doubtful ones longer."""
     seed: int = 0
     """Seed of the random numbers: the same seed gives the same tracks."""
     layers: int = 3
@@ -48,10 +57,6 @@ class FlexibleSettings:
     unseen: float = 1.0
     """Score of the invisible length with seen_length, relative to that of hidden samples (0: none, so that limbs that
     point at the camera get the lowest score)."""
-    flow: bool = True
-    """Half of the particles follow the optical flow instead of their own velocity."""
-    restart: float = 0.1
-    """Share of the particles that restart at points that the rest of the body does not explain."""
     relaxations: int = 6
     """Rounds of springs and limits after each step."""
     refine: int = 8

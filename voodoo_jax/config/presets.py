@@ -62,7 +62,7 @@ def preset(name: str) -> Settings:
 
 def _hecht2009() -> FlexibleSettings:
     return FlexibleSettings(
-        particles=200, head_particles=100,  # sec. IV-A
+        particles=200, head_particles=100, hypotheses=1,  # sec. IV-A
         layers=1, velocity=0.65,  # sec. III-A: 50 % to 80 %
         depth_share=0.25, depth_noise=(0.15, 0.5, 1.0),  # sec. III-A
         # named there, without values: the best of some 20 choices on half of the stereo logs (experiments/flexible)
@@ -70,7 +70,7 @@ def _hecht2009() -> FlexibleSettings:
         edge_weight=12.0, surface_weight=12.0, depth_weight=0.0, points_weight=0.0,  # sec. III-B: two scores
         # "chosen carefully" there, to prefer neither what is seen nor what is not: below the scores of limbs in place
         hidden_edge=0.2, hidden_surface=0.3, unseen=0.0,
-        skin_weight=0.0, seen_length=False, flow=False, restart=0.0, refine=0,
+        skin_weight=0.0, seen_length=False, refine=0,
         follow_level=0.8, follow_up=0.8,  # sec. III: 80 %
         legs_apart=0.02, legs_cross=0.0,  # sec. IV-B: a plane that keeps natural cross-overs out
         backwards=False,

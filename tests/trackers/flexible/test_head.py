@@ -58,7 +58,7 @@ def test_depth_of_the_face_alone_needs_no_image_again(tmp_path):
     frames = read_log(write_colour(sim, tmp_path / "pair.mcap"), vj.preset("flexible").read).frames
     extract, skin = Extractor(), SkinModel()
     dense, sparse = (
-        extract(frame, frame.pictures[0], first, False) for first, frame in ((True, frames[0]), (False, frames[1]))
+        extract(frame, frame.pictures[0], first) for first, frame in ((True, frames[0]), (False, frames[1]))
     )
     assert dense.pair.size == 0 and not sparse.depth.any()
     points = depth_points(dense)[0]

@@ -6,10 +6,10 @@ import numpy as np
 
 import voodoo_jax as vj
 from voodoo_jax.config.options import FlexibleSettings
-from voodoo_jax.trackers.flexible.filters import Seen, start
-from voodoo_jax.trackers.flexible.flexible_body import OTHER_SIDE, flexible_body
+from voodoo_jax.trackers.flexible.filters import Seen, heading, start, turned_body
+from voodoo_jax.trackers.flexible.flexible_body import LIMBS, flexible_body
 from voodoo_jax.trackers.flexible.scores import Score
-from voodoo_jax.trackers.flexible.tracker import better, numbers, shape_of, smoothed, with_the_face
+from voodoo_jax.trackers.flexible.tracker import better, descent, numbers, shape_of, smoothed
 
 FRAMES = 12
 WEIGHING = numbers(FlexibleSettings()).weighing
@@ -21,7 +21,8 @@ def seen(x: np.ndarray, surface: float = 0.5, explained: float = 0.9) -> Seen:
     score = Score(of(limb), of(np.full((FRAMES, 4), surface)), of(limb), of(0.1 * limb), of(limb))
     return Seen(
         of(x), of(np.full((FRAMES, 4, 3), 0.02)), of(np.ones((FRAMES, 16))), score, of(np.full(FRAMES, explained)),
-        of(np.full(FRAMES, 0.02)), of(part), of(part),
+        of(np.full(FRAMES, 0.02)), of(part), of(part), of(np.zeros(FRAMES)), of(np.zeros((FRAMES, 16))),
+        jnp.zeros(FRAMES, jnp.int32),
     )  # fmt: skip
 
 
@@ -45,18 +46,21 @@ def test_passes_whose_trunks_are_elsewhere_are_not_mixed():
     np.testing.assert_allclose(better(seen(x), seen(back), WEIGHING).x[:, 10:], x[:, 10:], atol=1e-5)
 
 
-def test_a_seen_face_says_where_the_front_is():
-    rest = np.asarray(flexible_body(vj.human(), 1.75).rest)
-    x = rest[None].repeat(FRAMES, 0)
-    x[4:9] = rest[OTHER_SIDE]  # turned about for a while
-    spread = np.ones((FRAMES, 4, 3), np.float32) * np.arange(4)[:, None]
-    pass_ = seen(x)._replace(spread=jnp.asarray(spread))
-    camera, up = np.array([[3.0, 0.0, 1.2]]).repeat(FRAMES, 0), np.array([0, 0, 1], np.float32)
-    found = with_the_face(pass_, np.ones(FRAMES, bool), camera, up)
-    np.testing.assert_allclose(found.x, rest[None].repeat(FRAMES, 0), atol=1e-6)
-    assert found.spread[5, :, 0].tolist() == [1, 0, 3, 2] and found.spread[0, :, 0].tolist() == [0, 1, 2, 3]
-    np.testing.assert_array_equal(with_the_face(pass_, np.zeros(FRAMES, bool), camera, up).x, pass_.x)
-    np.testing.assert_array_equal(OTHER_SIDE[OTHER_SIDE], np.arange(16))
+def test_a_body_turns_about_the_middle_of_its_trunk():
+    body, up = flexible_body(vj.human(), 1.75), jnp.array([0.0, 0.0, 1.0])
+    state = start(jax.random.PRNGKey(0), body, body.rest, shape_of(FlexibleSettings()))
+    moved = turned_body(state, 0.5 * up)
+    np.testing.assert_allclose(heading(moved.x, up) - heading(state.x, up), 0.5, atol=1e-5)
+    np.testing.assert_allclose(moved.x[LIMBS[:, 0]].mean(0), state.x[LIMBS[:, 0]].mean(0), atol=1e-5)
+    apart = lambda s: jnp.linalg.norm(s.particles - s.x[0], axis=-1)  # noqa: E731
+    np.testing.assert_allclose(apart(moved), apart(state), atol=1e-5)  # limbs go along
+
+
+def test_hypotheses_are_followed_back_from_the_one_that_fits_last():
+    fit = jnp.array([[9.0, 0.0], [5.0, 0.0], [0.0, 1.0]])
+    every = seen(np.zeros((FRAMES, 16, 3)))._replace(fit=fit, follows=jnp.array([[1, 1], [0, 0], [0, 0]]))
+    np.testing.assert_array_equal(descent(every), [1, 0, 1])
+    np.testing.assert_array_equal(descent(every, online=True), [0, 0, 1])
 
 
 def test_smoothing_takes_noise_and_leaves_the_way():

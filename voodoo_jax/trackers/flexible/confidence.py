@@ -15,7 +15,7 @@ from voodoo_jax.trackers.flexible.filters import Seen
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
 
 # of the clues below, from experiments/stereo
-CONSTANT, SLOPES = -9.927, (-1.283, 0.037, -1.829, 0.619)
+CONSTANT, SLOPES = -14.226, (-0.775, 0.187, -2.032, 0.146, -0.753, 5.466)
 AROUND = 5  # frames over which clues are averaged: of single ones right is trusted above wrong less often, measured
 _FEW = 1e-3  # metres: less is not told from it, by hand
 
@@ -23,19 +23,21 @@ _FEW = 1e-3  # metres: less is not told from it, by hand
 def clues(found: Seen, ahead: bool = True) -> Float[np.ndarray, "frame point clue"]:
     """Of each point of the body, averaged over some frames: logarithms of the particles' spread, of the distance of
     the points around it to the surface, and of the share of points that nothing explains; log(1 + number) of the points
-    around it.
+    around it; logarithm of how far the hypotheses are apart there; how much of the limb is where depth is measured.
 
     **Arguments:** `ahead` whether later frames may be looked at.
     """
-    frames = len(found.x)
-    spread = np.empty((frames, 16))
-    spread[:] = np.asarray(found.spread)[:, :, 0].mean(1)[:, None]
+    frames, depth = len(found.x), np.asarray(found.score.depth)
+    spread, solid = np.empty((frames, 16)), np.empty((frames, 16))
+    spread[:], solid[:] = np.asarray(found.spread)[:, :, 0].mean(1)[:, None], depth.mean(1)[:, None]
     spread[:, LIMBS.ravel()] = np.asarray(found.spread).reshape(frames, 12)
+    solid[:, LIMBS.ravel()] = depth.repeat(3, 1)
     part = _parts()
     off, support = np.asarray(found.off)[:, part], np.asarray(found.support)[:, part]
     unexplained = np.broadcast_to(1 - np.asarray(found.explained)[:, None], spread.shape)
     log = lambda a, least: np.log(np.maximum(a, least))  # noqa: E731
-    each = np.stack([log(spread, _FEW), log(off, _FEW), log(unexplained, 0.01), np.log1p(support)], -1)
+    wide = log(np.asarray(found.wide), _FEW)
+    each = np.stack([log(spread, _FEW), log(off, _FEW), log(unexplained, 0.01), np.log1p(support), wide, solid], -1)
     return uniform_filter1d(each, AROUND, 0, mode="nearest", origin=0 if ahead else AROUND // 2)
 
 

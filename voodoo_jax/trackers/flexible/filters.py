@@ -3,24 +3,24 @@
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
+from scipy.special import ndtri
 
 from voodoo_jax.compile.executable import program
 from voodoo_jax.trackers.flexible.cylinders import PARTS, nearest_places, surface_distance
-from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, FlexibleBody, bone_lengths
+from voodoo_jax.trackers.flexible.flexible_body import HEAD, IS_ARM, LIMBS, NECK, FlexibleBody
 from voodoo_jax.trackers.flexible.image_features import COARSE
 from voodoo_jax.trackers.flexible.physics import (
     Limb,
     LimbSpace,
     frames,
     inverse_masses,
-    length,
     limb_spaces,
     project_limb,
     relax,
@@ -31,7 +31,6 @@ from voodoo_jax.trackers.flexible.scores import (
     LimbContext,
     Score,
     View,
-    drawn,
     learn,
     limb_score,
     log_weight,
@@ -42,7 +41,7 @@ from voodoo_jax.trackers.flexible.scores import (
     worthwhile,
 )
 from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
-from voodoo_jax.trackers.flexible.vectors import Vector, kept, turned, vector, vectors
+from voodoo_jax.trackers.flexible.vectors import Vector, kept, vectors
 
 _PROJECTIONS = 3  # sweeps over a particle's constraints: more change little, by hand
 _DAMPING = 0.6  # share of the dangling body's velocity lost in a frame: it is overwritten by the filters, by hand
@@ -55,9 +54,12 @@ _REACH = 0.25  # metres, by hand: points farther from the body than this pull no
 _NOT_CLOTHES = 0.3  # metres: more than what is told apart by distances, by hand
 _FACE = 0.11  # of the stature: skin so near the head point may be the face's, measured on rendered people
 _BARE_WEIGHT = 3.0  # points of skin weigh so much more for arms: a hand has few, by hand
-_ANKLE, _STANCE = 0.041, 0.1  # height of an ankle, share of stature (the study's rest pose); metres, by hand
 # share of a frame's points that a limb's particles look at: a leg has a fifth of a person's surface, by hand
 _WORTHWHILE = 1 / 3
+# of the hypotheses: share of a body's turning that is expected to go on, radians in a frame that count at most, and
+# what the logarithm of a weight loses where a face is seen of a body that looks away: chosen on half of
+# experiments/stereo
+_GOES_ON, _MOST, _FRONT = 0.7, 0.7, 3.0
 _EXPLAINED = 0.06  # metres, on real people's surface by cylinders: by hand; nearer points are no other part's
 
 
@@ -67,7 +69,7 @@ def start(key: Array, body: FlexibleBody, x: Float[Array, "16 3"], shape: Shape)
     p = x[LIMBS][:, None] + noise
     # with the types that a frame's state has: else the second chunk would be a program of its own
     full = lambda shape, value: jnp.full(shape, value, x.dtype)  # noqa: E731
-    return State(x, x, p, p, full((4, 3), 0.05), full((4, 2, 10, 3), 0.5), full((4, 2, 10), 0.0))
+    return State(x, x, p, p, full((4, 3), 0.05), full((4, 2, 10, 3), 0.5), full((4, 2, 10), 0.0), full((), 0.0))
 
 
 @program
@@ -77,17 +79,65 @@ def track_chunk(
     """Some frames, one after the other; leading axis of `inputs` and of what is seen: frame."""
 
     def one(state, given):
-        run = lambda: frame(body, state, given, jax.random.fold_in(key, given.index), numbers, shape)  # noqa: E731
-        return lax.cond(given.valid, run, lambda: (state, _nothing(state)))
+        run = lambda: hypotheses(body, state, given, jax.random.fold_in(key, given.index), numbers, shape)  # noqa: E731
+        return lax.cond(given.valid, run, lambda: (state, _nothing(len(state.x), state.x.dtype)))
 
     return lax.scan(one, state, inputs)
 
 
-def _nothing(state: State) -> Seen:
+def _nothing(count: int, dtype: Any) -> Seen:
     """What no frame says of itself: written down, for to ask `frame` for its shapes would trace it twice."""
-    none = lambda *shape: jnp.zeros(shape, state.x.dtype)  # noqa: E731
+    none = lambda *shape: jnp.zeros((count, *shape), dtype)  # noqa: E731
     score = Score(none(4), none(4), none(4), none(4), none(4))
-    return Seen(none(16, 3), none(4, 3), none(16), score, none(), none(), none(PARTS), none(PARTS))
+    return Seen(
+        none(16, 3), none(4, 3), none(16), score, none(), none(), none(PARTS), none(PARTS), none(), none(16),
+        jnp.zeros(count, jnp.int32),
+    )  # fmt: skip
+
+
+def hypotheses(
+    body: FlexibleBody, states: State, given: Inputs, key: Array, n: Numbers, shape: Shape
+) -> tuple[State, Seen]:
+    """One frame of several bodies, each turned a little otherwise; they are drawn again by how well they fit, like
+    particles of which each has filters of its own. Leading axis of `states` and of what is seen: hypothesis.
+
+    Limbs alone have filters in the paper: a trunk that turns by 30 degrees from one frame to the next is lost by it.
+    """
+    count, keys = shape.hypotheses, jax.random.split(key, 4)
+    apart = jax.random.permutation(keys[0], jnp.asarray(ndtri((np.arange(count) + 0.5) / count), jnp.float32))
+    angle = _GOES_ON * states.rate + n.turning[0] * apart
+    lean = n.turning[1] * jax.random.normal(keys[1], (count, 3))
+    ahead = jax.vmap(turned_body)(states, given.dt * (angle[:, None] * given.up + lean)) if count > 1 else states
+    run = lambda state, key: frame(body, state, given, key, n, shape)  # noqa: E731
+    after, seen = jax.vmap(run)(ahead, jax.random.split(keys[2], count))
+    step = jax.vmap(lambda x, before: heading(x, given.up) - heading(before, given.up))(after.x, states.x)
+    rate = jnp.clip((step + jnp.pi) % (2 * jnp.pi) - jnp.pi, -_MOST, _MOST) / given.dt
+    weight = jax.nn.softmax(n.sharpness * seen.fit)
+    mean = jnp.einsum("h,hpa->pa", weight, after.x)
+    wide = jnp.sqrt(jnp.einsum("h,hp->p", weight, jnp.sum((after.x - mean) ** 2, -1)))
+    pick = systematic(jax.random.uniform(keys[3]), weight)
+    goes_on = jax.tree.map(lambda a: a[pick], after._replace(rate=rate))
+    return goes_on, seen._replace(wide=jnp.broadcast_to(wide, seen.wide.shape), follows=pick)
+
+
+def heading(x: Float[Array, "16 3"], up: Float[Array, "3"]) -> Float[Array, ""]:
+    """Of the line from the right shoulder and hip to the left ones, about the vertical, radians."""
+    left = x[2] - x[5] + x[10] - x[13]
+    east = jnp.eye(3)[jnp.argmin(jnp.abs(up))]
+    east = unit(east - jnp.sum(east * up) * up)
+    return jnp.arctan2(jnp.sum(left * jnp.cross(up, east)), jnp.sum(left * east))
+
+
+def turned_body(state: State, by: Float[Array, "3"]) -> State:
+    """Turned about the middle of the trunk by a vector of rotation, radians."""
+    size = jnp.sqrt(jnp.sum(by**2) + 1e-12)
+    cross = jnp.cross(by / size, jnp.eye(3), axisb=0, axisc=0)
+    turn = jnp.eye(3) + jnp.sin(size) * cross + (1 - jnp.cos(size)) * (cross @ cross)
+    middle = state.x[LIMBS[:, 0]].mean(0)
+    x, before, p, previous = (
+        middle + (p - middle) @ turn.T for p in (state.x, state.before, state.particles, state.previous)
+    )
+    return state._replace(x=x, before=before, particles=p, previous=previous)
 
 
 def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, shape: Shape) -> tuple[State, Seen]:
@@ -118,7 +168,7 @@ def frame(body: FlexibleBody, state: State, given: Inputs, key: Array, n: Number
         return known
 
     colours, learnt = lax.cond(given.learn > 0, more, lambda: (state.colours, state.learnt))
-    after = State(x, state.x, p + shift, origin + shift, spread, colours, learnt)
+    after = State(x, state.x, p + shift, origin + shift, spread, colours, learnt, state.rate)
     return after, _seen(body, x, spread, masses, given, near, n)
 
 
@@ -141,20 +191,11 @@ def _filtered(
     body: FlexibleBody, state: State, given: Inputs, key: Array, n: Numbers, x: Float[Array, "16 3"], shape: Shape
 ) -> Filtered:
     """The filters of all limbs, of a body whose trunk stands."""
-    view, keys = given.view, jax.random.split(key, 3)
+    view = given.view
     space, context = limb_spaces(body, vectors(x), n.legs_apart, n.floor), _context(body, state, x, given, shape)
-    origin = state.particles
-    ahead = carried_on(state, view, n, shape)
-    if shape.restarts:
-        new = restarted(keys[1], body, x, context, given, n.floor, shape)
-        ahead = ahead.at[:, -shape.restarts :].set(
-            jnp.where(new[1][:, :, None, None], new[0], ahead[:, -shape.restarts :])
-        )
-        origin = origin.at[:, -shape.restarts :].set(
-            jnp.where(new[1][:, :, None, None], new[0], origin[:, -shape.restarts :])
-        )
+    ahead = carried_on(state, n)
     near = jax.vmap(lambda one: worthwhile(one, round(_WORTHWHILE * len(given.points)), n.weighing))(context)
-    p, origin, mean, spread = spread_and_drawn(keys[2], ahead, origin, state.spread, space, near, view, n, shape)
+    p, origin, mean, spread = spread_and_drawn(key, ahead, state.particles, state.spread, space, near, view, n, shape)
     masses = body.masses.at[LIMBS.ravel()].set((n.masses[0] + n.masses[1] * jnp.exp(-n.masses[2] * spread)).ravel())
     x = x.at[LIMBS.ravel()].set(mean.reshape(12, 3))
     return Filtered(x, masses, p, origin, mean, spread, near, context.hidden, context.more)
@@ -191,7 +232,7 @@ def settled(
 
 def _context(body: FlexibleBody, state: State, x: Float[Array, "16 3"], given: Inputs, shape: Shape) -> LimbContext:
     hidden = occlusion(body, x, given.view)
-    used = len(given.points) if shape.points or shape.restarts else 0
+    used = len(given.points) if shape.points else 0
     if shape.points:
         d = jnp.abs(surface_distance(body, x, vectors(given.points))) + clothed(given.bare)
         own = np.concatenate([np.repeat(np.eye(4, dtype=bool), 3, 1), np.zeros((4, 3), bool)], 1)
@@ -215,58 +256,9 @@ def clothed(bare: Float[Array, " point"]) -> Float[Array, "part point"]:
     return _NOT_CLOTHES * jnp.asarray(covered) * bare
 
 
-def carried_on(state: State, view: View, n: Numbers, shape: Shape) -> Float[Array, "4 particle 3 3"]:
-    """Where the particles are expected: damped constant velocity, every second one by the optical flow."""
-    p = state.particles
-    by_velocity = p + n.velocity * (p - state.previous)
-    if not shape.flow:
-        return by_velocity
-    at = project(view, vectors(p))
-    flow, inside = read(view.flow, at, COARSE)
-    u, v = (jnp.where(inside, flow[..., k], 0.0) / view.focal[k] * at.z for k in range(2))
-    by_flow = p + turned(view.turn.T, vector(u, v, 0.0)).stacked()
-    return jnp.where((jnp.arange(p.shape[1]) % 2 == 0)[:, None, None], by_flow, by_velocity)
-
-
-# 7 parameters: model, state and measurements, traced each
-def restarted(
-    key: Array, body: FlexibleBody, x: Float[Array, "16 3"], context: LimbContext, given: Inputs,
-    floor: Float[Array, "4"], shape: Shape,
-) -> tuple[Float[Array, "4 restart 3 3"], Bool[Array, "4 restart"]]:  # fmt: skip
-    """Limbs anew: their ends where points are that the rest of the body does not explain, their middles anywhere around
-    the line to it; of legs, every second one stands on the floor, for the points of a leg may be near the other one.
-    And whether there is such a place within reach."""
-    bones, up = bone_lengths(body), floor[:3]
-    second = jnp.arange(shape.restarts) % 2 == 0
-
-    def limb(key, root, bones, others, arm, tip):
-        keys = jax.random.split(key, 4)
-        far = length(given.points - root)[:, 0] / jnp.sum(bones)
-        weight = given.share * jnp.clip(others - _EXPLAINED, 0, 0.2) * jnp.where(far < 1.15, far**2, 0.0)
-        at = drawn(keys[0], weight + 1e-9, shape.restarts)
-        end = given.points[at] + 0.03 * jax.random.normal(keys[1], (shape.restarts, 3))
-        high = root @ up - floor[3] - _ANKLE * body.stature
-        foot = root - high * up + _STANCE * jax.random.normal(keys[1], end.shape)
-        stands = second & (arm == 0) & (high < 1.5 * jnp.sum(bones))
-        end = jnp.where(stands[:, None], foot, end)
-        # of an arm, the point may be anywhere on the hand
-        lower = bones[1] + arm * tip * jax.random.uniform(keys[3], (shape.restarts, 1))
-        line = end - root
-        whole = bones[0] + lower
-        reach = jnp.clip(length(line), 0.3 * whole, 0.999 * whole)
-        way = unit(line)
-        along = (bones[0] ** 2 - lower**2 + reach**2) / (2 * reach)
-        high = jnp.sqrt(jnp.maximum(bones[0] ** 2 - along**2, 0.0))
-        pole = jax.random.normal(keys[2], line.shape)
-        pole = jnp.where(arm > 0, pole, 0.3 * pole + 2 * context.forward[0])
-        pole = unit(pole - way * jnp.sum(pole * way, -1, keepdims=True))
-        middle = root + along * way + high * pole
-        last = middle + (root + reach * way - middle) * bones[1] / lower
-        p = jnp.stack([jnp.broadcast_to(root, line.shape), middle, last], 1)
-        return p, (weight[at] > 0) | stands
-
-    arms = jnp.asarray(IS_ARM, x.dtype)
-    return jax.vmap(limb)(jax.random.split(key, 4), x[LIMBS[:, 0]], bones, context.others, arms, body.tips)
+def carried_on(state: State, n: Numbers) -> Float[Array, "4 particle 3 3"]:
+    """Where the particles are expected: damped constant velocity."""
+    return state.particles + n.velocity * (state.particles - state.previous)
 
 
 # 9 parameters: model, state and measurements of a limb, traced each
@@ -376,4 +368,12 @@ def _seen(
     mine = jax.nn.one_hot(best, PARTS) * given.share[:, None]
     support = mine.sum(0)
     off = jnp.sqrt((mine * nearest[:, None] ** 2).sum(0) / jnp.maximum(support, 1e-6))
-    return Seen(x, spread, masses, score, jnp.sum(near) / total, residual, support, off)
+    cap, bare = n.weighing.cap, jnp.min(d + clothed(given.bare), 0)
+    far = jnp.sum(given.share * (jnp.minimum(bare, cap) / cap) ** 2) / total
+    image = jnp.sum(log_weight(score._replace(points=jnp.zeros(4)), n.weighing))
+    level = lambda v: unit(v - jnp.sum(v * given.up) * given.up)  # noqa: E731
+    toward = level(-given.view.shift @ given.view.turn - x[NECK])
+    facing = jnp.sum(level(frames(x).upper[0]) * toward)
+    fit = image - len(LIMBS) * n.weighing.points * far + _FRONT * given.head_seen * jnp.minimum(facing, 0.0)
+    explained = jnp.sum(near) / total
+    return Seen(x, spread, masses, score, explained, residual, support, off, fit, jnp.zeros(16), jnp.int32(0))

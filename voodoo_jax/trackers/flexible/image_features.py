@@ -1,4 +1,4 @@
-"""What the filters read from an image: edges, motion, flow, colour, depth (Hecht et al. 2009, sec. III). Host side.
+"""What the filters read from an image: edges, motion, colour, depth (Hecht et al. 2009, sec. III). Host side.
 
 Images are shrunk to WIDTH; depth is given on the same grid.
 """
@@ -14,7 +14,7 @@ from voodoo_jax.records.recording import Frame, Picture
 from voodoo_jax.sensors.quick_stereo import EVERY, quick_depth
 
 WIDTH = 320  # columns of all features: a forearm at 3 m is six pixels wide, set by hand
-COARSE = 4  # by hand: rows and columns of motion, flow and the map of occlusion are each so many of the features'
+COARSE = 4  # by hand: rows and columns of motion and the map of occlusion are each so many of the features'
 _GRADIENT, _DIFFERENCE = 18.0, 9.0  # grey levels above which there is an edge or a motion: noise of JPEG, measured
 _BINS = 64  # cells of Cr and Cb each in the skin model, by hand
 _CLOTHES, _ROOM = 2.0, 2.0  # how much more often than the face a colour has to be seen there, by hand
@@ -29,7 +29,6 @@ class Features(NamedTuple):
     cell: UInt16[np.ndarray, "row column"]  # of the skin model, by Cr and Cb
     edge: UInt8[np.ndarray, "row column"]  # 255: a moving edge
     motion: UInt8[np.ndarray, "coarse_row coarse_column"]  # 255: all around moves
-    flow: Float32[np.ndarray, "coarse_row coarse_column 2"]  # pixels of the features since the last image
     depth: Float32[np.ndarray, "row column"]  # along the optical axis, metres; 0: not known
     focal: Float32[np.ndarray, "4"]  # fx, fy, cx, cy, pixels
     turn: Float32[np.ndarray, "3 3"]  # from the fixed frame to the camera
@@ -104,12 +103,8 @@ class Extractor:
 
     def __init__(self):
         self._grey: np.ndarray | None = None
-        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
 
-    # 6 parameters with itself
-    def __call__(
-        self, frame: Frame, picture: Picture, dense: bool, with_flow: bool, near: Near | None = None
-    ) -> Features:
+    def __call__(self, frame: Frame, picture: Picture, dense: bool, near: Near | None = None) -> Features:
         """Features of one of a frame's pictures; `dense`: with the depth of all pixels, in pairs of those that may show
         what is `near` (None: of all). Raises ValueError for an image that is broken."""
         images = picture.unpack()
@@ -132,31 +127,27 @@ class Extractor:
         elif dense:
             depth = cloud_depth(_beside(frame, picture), K, inverse, size)
         grey = cv2.GaussianBlur(np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)), (0, 0), 0.8)
-        edge, motion, flow = self._moving(grey, with_flow)
+        edge, motion = self._moving(grey)
         return Features(
-            colour, cells(colour), edge, motion, flow, depth,
+            colour, cells(colour), edge, motion, depth,
             np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], np.float32),
             inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32), pair, rig,
         )  # fmt: skip
 
-    def _moving(self, grey: np.ndarray, with_flow: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _moving(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         dx, dy = (cv2.Sobel(grey, cv2.CV_32F, *d, ksize=3, scale=0.25) for d in ((1, 0), (0, 1)))
         gradient = (np.hypot(dx, dy) > _GRADIENT).astype(np.float32)
         small = grey.shape[1] // COARSE, grey.shape[0] // COARSE
-        flow = np.zeros((small[1], small[0], 2), np.float32)
         difference = np.zeros_like(gradient)
         if self._grey is not None and self._grey.shape == grey.shape:
             difference = (cv2.absdiff(grey, self._grey) > _DIFFERENCE).astype(np.float32)
-            if with_flow:
-                full = self._flow.calc(self._grey, grey, None)  # pyright: ignore[reportCallIssue, reportArgumentType]
-                flow = np.asarray(cv2.resize(full, small, interpolation=cv2.INTER_AREA), np.float32)
         self._grey = grey
         near = cv2.dilate(difference, np.ones((3, 3), np.uint8))
         # Hecht combines both; a still limb has no edges where both are asked for (measured), so motion doubles them
         edge = cv2.GaussianBlur(gradient * (0.5 + 0.5 * near), (0, 0), 1.5)
         edge = np.clip(edge / max(float(edge.max()), 0.25) * 255, 0, 255).astype(np.uint8)
         motion = cv2.GaussianBlur(np.asarray(cv2.resize(difference, small, interpolation=cv2.INTER_AREA)), (0, 0), 2.0)
-        return edge, np.clip(motion * 255, 0, 255).astype(np.uint8), flow
+        return edge, np.clip(motion * 255, 0, 255).astype(np.uint8)
 
 
 def _beside(frame: Frame, picture: Picture) -> Float32[np.ndarray, "point 3"]:

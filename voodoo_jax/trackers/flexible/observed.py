@@ -80,6 +80,10 @@ class FeatureStore:
         there = [k for k in range(len(self)) if self.has(k)]
         return self[min(there, key=lambda k: abs(k - i))], False
 
+    def forget(self) -> None:
+        """Lets go of what there is so far; where the camera was is still known."""
+        self._file.truncate(0)
+
     def rows(self, at: Sequence[int]) -> "FeatureStore":
         """Of some frames alone."""
         return FeatureStore(self._file, [self._at[i] for i in at])
@@ -100,7 +104,7 @@ def uses_dense(s: FlexibleSettings) -> bool:
 class Observed:
     """A recording as the filters take it. Rows are frames in which the first camera has an image."""
 
-    features: FeatureStore  # of the first camera: flow, motion and the head come from it
+    features: FeatureStore  # of the first camera: motion and the head come from it
     others: tuple[FeatureStore, ...]  # of further ones, which may have no image in some rows
     people: list[BodyObservation]
     scene: Scene
@@ -160,6 +164,14 @@ class Watching:
             elif self._given:
                 yield frame
 
+    def watched(
+        self, frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, up_is_given: bool
+    ) -> tuple[Tracklets, Iterator[BodyObservation]]:
+        """The person in each frame, as it comes, and what follows them: see `detect.pipeline.watched`."""
+        tracklets, found = watched(self(frames), up, body, settings, up_is_given)
+        self.near = partial(near, tracklets)
+        return tracklets, found
+
     def _looked_at(self, frame: Frame, near: Near | None) -> Frame:
         """The frame with the points that are measured; its features are kept."""
         s, found, shown = self._settings, dict[str, tuple[Features, bool]](), len(self.rows)
@@ -168,7 +180,7 @@ class Watching:
             picture = _left(picture) if given else picture
             dense = given or uses_dense(s) or shown < s.learn_frames
             extract = self._extract.setdefault(picture.topic, Extractor())
-            found[picture.topic] = extract(frame, picture, dense, s.flow, near), picture.baseline > 0
+            found[picture.topic] = extract(frame, picture, dense, near), picture.baseline > 0
             if picture.topic not in self._stores:
                 self._stores[picture.topic] = FeatureStore(at=[None] * shown)
         places = {picture.topic: picture.T_fixed_camera[:3, 3] for picture in frame.pictures}
@@ -191,9 +203,15 @@ class Watching:
         if not self.rows:
             raise self._without_images()
         first, *others = self._stores.values()
-        row, times = np.array(self.rows, int), np.array(self._times, np.int64)
+        row, times = np.array(self.rows[: len(people)], int), np.array(self._times, np.int64)
         whole = Observed(first, tuple(others), people, scene, times, row, len(times))
         return whole if all(first.has(i) for i in range(len(first))) else whole.from_camera(0)
+
+    def forget(self, rows: int) -> None:
+        """Lets go of the images so far, if so many rows are all that there are."""
+        for store in self._stores.values():
+            if rows == len(store):
+                store.forget()
 
     def close(self) -> None:
         """Gives the disk space back."""
@@ -208,14 +226,15 @@ class Watching:
         )
 
 
+# 6 parameters: those of what finds people, and the log's name
 def observe(
-    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, source: str
-) -> Observed:
+    frames: Iterable[Frame], up: Float32[np.ndarray, "3"], body: Body, settings: Settings, source: str,
+    up_is_given: bool = False,
+) -> Observed:  # fmt: skip
     """Reads features and finds the person's points. Raises Unsuitable."""
     watching = Watching(settings, source)
     try:
-        tracklets, found = watched(watching(frames), up, body, settings)
-        watching.near = partial(_near, tracklets)
+        tracklets, found = watching.watched(frames, up, body, settings, up_is_given)
         people = spilled(found)
         return watching.observed(people, tracklets.finder.scene)  # now, for the floor may have been found with the body
     except BaseException:
@@ -223,7 +242,7 @@ def observe(
         raise
 
 
-def _near(tracklets: Tracklets, time_ns: int) -> Near | None:
+def near(tracklets: Tracklets, time_ns: int) -> Near | None:
     """Where depth is needed in a frame of that time; None: everywhere."""
     points = tracklets.near_only(time_ns)
     seconds = (time_ns - tracklets.finder.last_ns) / 1e9
@@ -278,4 +297,4 @@ def view_of(look: Look) -> View:
     """What a program takes of features."""
     f = look.features
     pixels = np.asarray(cv2.merge((f.colour, f.edge))).view("<u4")[..., 0]
-    return View(pixels, f.motion, f.flow, f.depth, f.focal, f.turn, f.shift, look.bare, np.float32(float(look.there)))
+    return View(pixels, f.motion, f.depth, f.focal, f.turn, f.shift, look.bare, np.float32(float(look.there)))

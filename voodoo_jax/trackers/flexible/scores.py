@@ -28,14 +28,13 @@ class View(NamedTuple):
 
     pixels: UInt32[Any, "row column"]  # bytes, lowest first: blue, green, red, edge: looked up at once
     motion: UInt8[Any, "coarse_row coarse_column"]
-    flow: Float[Any, "coarse_row coarse_column 2"]
     depth: Float[Any, "row column"]
     focal: Float[Any, "4"]
     turn: Float[Any, "3 3"]
     shift: Float[Any, "3"]
     skin: UInt8[Any, "row column"]  # 255: surely, if it is the person's
     there: Float[Any, ""] = np.float32(1)  # 0: this camera has no image now
-    more: "tuple[View, ...]" = ()  # what further cameras see; motion and flow are of the first one
+    more: "tuple[View, ...]" = ()  # what further cameras see; motion is of the first one
 
 
 class Weighing(NamedTuple):
@@ -336,13 +335,6 @@ def learn(
     now = learnt + step
     share = (step / jnp.maximum(now, 1e-6))[..., None]
     return colours + share * (mean - colours), now
-
-
-def drawn(key: Array, weights: Float[Any, "n"], count: int) -> Int[Array, " count"]:
-    """Random indices in proportion to weights: cumulative sum and search; a categorical draw would make one random
-    number for every index and draw."""
-    total = jnp.cumsum(weights)
-    return jnp.searchsorted(total, jax.random.uniform(key, (count,)) * total[-1]).clip(0, len(weights) - 1)
 
 
 def systematic(offset: Float[Array, ""], weights: Float[Array, "n"]) -> Int[Array, " n"]:

@@ -14,8 +14,7 @@ class Shape(NamedTuple):
     layers: int
     relaxations: int
     refine: int
-    restarts: int
-    flow: bool
+    hypotheses: int  # bodies that are followed at once
     points: bool  # whether measured points are used at all
 
 
@@ -34,6 +33,8 @@ class Numbers(NamedTuple):
     masses: Float[Array, "3"]  # base, variable, falloff per metre
     legs_apart: Float[Array, ""]
     floor: Float[Array, "4"]  # normal upwards and offset, metres
+    turning: Float[Array, "2"]  # of a hypothesis, about the vertical and about any axis, radians per second
+    sharpness: Float[Array, ""]  # what the logarithm of a body's weight counts when hypotheses are drawn again
 
 
 class State(NamedTuple):
@@ -46,6 +47,7 @@ class State(NamedTuple):
     spread: Float[Array, "4 3"]  # standard deviation of the particles, metres
     colours: Float[Array, "4 2 ring 3"]
     learnt: Float[Array, "4 2 ring"]
+    rate: Float[Array, ""]  # of turning about the vertical, radians per second
 
 
 class Inputs(NamedTuple):
@@ -75,3 +77,6 @@ class Seen(NamedTuple):
     residual: Float[Array, ""]  # root mean square distance of these, metres
     support: Float[Array, " part"]  # points of each part, see cylinders
     off: Float[Array, " part"]  # root mean square distance of each part's points, metres
+    fit: Float[Array, ""]  # logarithm of the body's weight, not yet tempered
+    wide: Float[Array, "16"]  # how far the hypotheses are apart, standard deviation, metres
+    follows: Int[Array, ""]  # the hypothesis of this frame that the one in this place goes on from in the next frame

@@ -3,12 +3,12 @@
 import time
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Float, Float32, Float64, Int
 from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.compile.executable import seconds_of_waiting
@@ -17,7 +17,6 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.trackers.base import LogInfo, Progress, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rate_joints
@@ -25,8 +24,6 @@ from voodoo_jax.trackers.flexible.filters import start, track_chunk
 from voodoo_jax.trackers.flexible.flexible_body import (
     LIMBS,
     LOWER,
-    NECK,
-    OTHER_SIDE,
     UPPER,
     FlexibleBody,
     flexible_body,
@@ -36,20 +33,18 @@ from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, fir
 from voodoo_jax.trackers.flexible.image_features import SkinModel
 from voodoo_jax.trackers.flexible.observed import Observed, chosen_points, looks, observe, uses_dense, view_of
 from voodoo_jax.trackers.flexible.physics import NO_FLOOR
-from voodoo_jax.trackers.flexible.poses import centres_of, directions, limb_poses
+from voodoo_jax.trackers.flexible.poses import centres_of, limb_poses
 from voodoo_jax.trackers.flexible.scores import Weighing, log_weight
 from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
 
+NOBODY = "Nobody was found."
 CHUNK = 16  # frames per run of the program: what fits into memory as images, by hand
 _BELOW = 0.35  # share of the stature that a face is at most from the person's top: else it is a hand, by hand
 # frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
 # a weight): by hand
 _STRETCH, _EXPLAINS_MORE, _SCORES_MORE = 2.0, 0.02, 2.0
-_AWAY = -0.3  # cosine of the angle from the body's front to the camera, from which on it looks away, by hand
 _AGREE = 0.15  # metres between passes up to which their mean is taken: on the study's half of stereo logs, measured
 _SMOOTH = 0.047  # seconds, standard deviation: measured on the same ones
-_OTHER_LIMB = np.array([1, 0, 3, 2])  # of each of the paper's filters, that of the other side
-_OTHER_PART = np.array([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8, 12, 13, 14])  # of each of the paper's cylinders
 _TRUNK = np.unique([*UPPER, *LOWER])
 _LIMB_OF = np.array([next((n for n, rows in enumerate(LIMBS) if p in rows), -1) for p in range(16)])
 _FEWEST = 120  # points of a person from which on tracking starts, by hand
@@ -68,13 +63,14 @@ def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
         weighing, f(s.velocity), f(s.depth_share), f(s.depth_noise), f(s.base_noise), f(s.spread_noise),
         f(s.motion_noise), f([s.follow_level, s.follow_up]), f(s.gravity),
         f([s.mass_base, s.mass_variable, s.mass_falloff]), f(s.legs_apart - s.legs_cross), f(plane),
+        f([s.turning, s.leaning]), f(s.sharpness),
     )  # fmt: skip
 
 
 def shape_of(s: FlexibleSettings) -> Shape:
     """What of the settings a program is compiled for."""
-    restarts = round(s.restart * s.particles)
-    return Shape(s.particles, s.layers, s.relaxations, s.refine, restarts, s.flow, s.points_weight > 0 or s.refine > 0)
+    points = s.points_weight > 0 or s.refine > 0
+    return Shape(s.particles, s.layers, s.relaxations, s.refine, s.hypotheses, points)
 
 
 def check_suited(body: Body, settings: Settings) -> None:
@@ -90,7 +86,7 @@ def track_frames(
     """Tracks a person through frames with pictures. Raises Unsuitable."""
     check_suited(body, settings)
     began = time.perf_counter()
-    seen = observe(frames, source.up, body, settings, source.path)
+    seen = observe(frames, source.up, body, settings, source.path, source.up_is_given)
     try:
         return follow(body, seen, settings, source.path, source.fixed_frame, source.notes(), progress, began)
     finally:
@@ -124,36 +120,29 @@ def followed(
     """Tracks of what was observed, and what they were made of."""
     s, waited = settings.flexible, seconds_of_waiting()
     began = time.perf_counter() if began is None else began
-    seen, skin, first, begin = started(seen, settings.start.scale)
-    nobody = nobody_of(body, seen, source, fixed_frame, notes)
-    if begin is None:
-        return Followed(replace(nobody, notes=(*notes, "Nobody was found.")), None, first, skin, seen)
-    model = flexible_body(body, begin.stature)
-    floor_up = seen.scene.floor.normal.astype(np.float32)
-    x = first_pose(np.asarray(model.rest), begin, floor_up)
-    heads = heads_of(seen, first, begin, skin, s)
-    key = jax.random.PRNGKey(s.seed)
-    state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape_of(s))
-    order = range(first, len(seen.features))
-    state, found = run_filters(model, state, seen, heads, order, key, s, floor_up, skin, progress)
-    camera = camera_places(seen, order)
-    found = with_the_face(found, heads.seen[first:], camera, floor_up)
+    on = begun(body, seen, settings)
+    if on is None:
+        nobody = nobody_of(body, seen, source, fixed_frame, (*notes, NOBODY))
+        return Followed(nobody, None, 0, SkinModel(), seen)
+    seen, order, states = on.seen, range(on.first, len(on.seen.features)), on.states
+    for i in order:
+        on.heads.look(seen, i)
+    states, every = filtered(on, states, seen, order, on.key, s, progress)
+    at = descent(every, settings.online)
+    found = chosen(every, at)
     if s.backwards and not settings.online:
-        again = jax.random.fold_in(key, 2**30 + 1)
-        back = state._replace(before=state.x, previous=state.particles)
-        _, second = run_filters(model, back, seen, heads, order[::-1], again, s, floor_up, skin, progress)
-        second = with_the_face(jax.tree.map(lambda a: a[::-1], second), heads.seen[first:], camera, floor_up)
-        found = better(found, second, numbers(s).weighing)
-        found = found._replace(x=smoothed(np.asarray(found.x), seen.time_ns[seen.row[first:]]))
-    tracks = tracks_of(nobody, begin, seen, first, found, camera)
+        again = jax.random.fold_in(on.key, 2**30 + 1)
+        back = states._replace(before=states.x, previous=states.particles, rate=-states.rate)
+        last = int((every.follows[-1] == at[-1]).argmax())
+        back = jax.tree.map(lambda a: jnp.repeat(a[last : last + 1], len(a), 0), back)
+        _, every = filtered(on, back, seen, order[::-1], again, s, progress)
+        second = chosen(every, descent(every))
+        found = better(found, jax.tree.map(lambda a: a[::-1], second), numbers(s).weighing)
+        found = found._replace(x=smoothed(np.asarray(found.x), seen.time_ns[seen.row[on.first :]]))
+    tracks = finished(on, nobody_of(body, seen, source, fixed_frame, notes), found, settings)
     compiling = seconds_of_waiting() - waited
-    if not begin.face_seen:
-        tracks = replace(
-            tracks, notes=(*tracks.notes, "No face was seen at the start: it was taken to be turned here.")
-        )
-    tracks = rate_joints(tracks, found, seen.row[first:], s.lost_confidence, not settings.online)
     tracks = replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
-    return Followed(tracks, found, first, skin, seen)
+    return Followed(tracks, found, on.first, on.skin, seen)
 
 
 def started(seen: Observed, stature: float) -> tuple[Observed, SkinModel, int, Start | None]:
@@ -184,33 +173,69 @@ def _seen_by(person: BodyObservation, camera: Float64[np.ndarray, "3"]) -> Float
     return person.points[person.sensor == np.linalg.norm(person.origins - camera, axis=1).argmin()]
 
 
-class Heads(NamedTuple):
-    """The head in each frame, from its filter. Metres, fixed frame."""
+class Heads:
+    """The head in each frame so far, from its filter. Metres, fixed frame."""
 
-    place: Float32[np.ndarray, "frame 3"]
-    seen: Bool[np.ndarray, " frame"]  # whether a face is seen
+    def __init__(self, seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings):
+        self.place: dict[int, np.ndarray] = {}  # [3] by row; none: no face is seen
+        self._stature = begin.stature
+        self._filter = HeadFilter(skin, begin.stature, s.head_particles, np.random.default_rng(s.seed))
+        self._filter.begin(seen.features[first], begin.head, begin.face_seen)
+        self._blind = not begin.face_seen
 
-
-def heads_of(seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings) -> Heads:
-    count = len(seen.features)
-    out = Heads(np.zeros((count, 3), np.float32), np.zeros(count, bool))
-    if not begin.face_seen:
-        return out
-    head = HeadFilter(skin, begin.stature, s.head_particles, np.random.default_rng(s.seed))
-    head.begin(seen.features[first], begin.head, True)
-    for i in range(first, count):
+    def look(self, seen: Observed, i: int) -> None:
+        """In one more row, which follows the one before."""
+        if self._blind:
+            return
         f, points = seen.features[i], seen.people[i].points
-        found = head(f)
+        found = self._filter(f)
         if len(points) > 50:
             height = seen.scene.floor.height(points)
             top = np.median(points[height > np.percentile(height, 97)], 0).astype(np.float32)
-            if found is not None and np.linalg.norm(found - top) > _BELOW * begin.stature:
+            if found is not None and np.linalg.norm(found - top) > _BELOW * self._stature:
                 found = None  # skin somewhere else
             if found is None:
-                head.follow(f, top)
+                self._filter.follow(f, top)
         if found is not None:
-            out.place[i], out.seen[i] = found, True
-    return out
+            self.place[i] = found
+
+
+class Begun(NamedTuple):
+    """What the first row with a person says."""
+
+    seen: Observed  # with the camera first that sees the face
+    skin: SkinModel
+    first: int  # row
+    begin: Start
+    heads: Heads
+    model: FlexibleBody
+    states: State  # before the first row; leading axis: hypothesis
+    key: jax.Array
+
+
+def begun(body: Body, seen: Observed, settings: Settings) -> Begun | None:
+    """None: nobody is there yet."""
+    s = settings.flexible
+    seen, skin, first, begin = started(seen, settings.start.scale)
+    if begin is None:
+        return None
+    model, shape, key = flexible_body(body, begin.stature), shape_of(s), jax.random.PRNGKey(s.seed)
+    x = first_pose(np.asarray(model.rest), begin, seen.scene.floor.normal.astype(np.float32))
+    state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape)
+    states = jax.tree.map(lambda a: jnp.repeat(a[None], shape.hypotheses, 0), state)
+    return Begun(seen, skin, first, begin, Heads(seen, first, begin, skin, s), model, states, key)
+
+
+def finished(on: Begun, nobody: Tracks, found: Seen, settings: Settings) -> Tracks:
+    """The tracks of `nobody_of` with what was found, rated."""
+    rows = range(on.first, on.first + len(found.x))
+    tracks = tracks_of(nobody, on.begin, on.seen, on.first, found, camera_places(on.seen, rows))
+    if not on.begin.face_seen:
+        tracks = replace(
+            tracks, notes=(*tracks.notes, "No face was seen at the start: it was taken to be turned here.")
+        )
+    least = settings.flexible.lost_confidence
+    return rate_joints(tracks, found, on.seen.row[on.first :], least, not settings.online)
 
 
 # 7 parameters: what a chunk of frames is made of
@@ -224,80 +249,50 @@ def _inputs(
         points, share, bare = chosen_points(seen, i, s, views)
         dt = 1 / 15 if i == 0 else abs(int(seen.time_ns[seen.row[i]]) - int(seen.time_ns[seen.row[i - 1]])) / 1e9
         rows.append(Inputs(
-            view._replace(more=tuple(more)), points, share, bare, heads.place[i],
-            np.float32(float(heads.seen[i])), up, np.float32(min(dt, 0.2)), np.asarray(i, np.int32),
+            view._replace(more=tuple(more)), points, share, bare, heads.place.get(i, np.zeros(3, np.float32)),
+            np.float32(float(i in heads.place)), up, np.float32(min(dt, 0.2)), np.asarray(i, np.int32),
             np.float32(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
         ))  # fmt: skip
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
 
-# 10 parameters: a pass is run from two places
-def run_filters(
-    model: FlexibleBody, state: State, seen: Observed, heads: Heads, order: range, key: jax.Array, s: FlexibleSettings,
-    up: np.ndarray, skin: SkinModel, progress: Progress | None,
+# 7 parameters: a pass is run from two places
+def filtered(
+    on: Begun, states: State, seen: Observed, order: range, key: jax.Array, s: FlexibleSettings,
+    progress: Progress | None = None,
 ) -> tuple[State, Seen]:  # fmt: skip
-    """Filters over frames in the order given."""
+    """Filters over rows in the order given. Leading axes: hypothesis; of what is seen frame, hypothesis."""
     out, n, shape = [], numbers(s, seen.scene.floor), shape_of(s)
-    frames = list(order)
+    up, frames = seen.scene.floor.normal.astype(np.float32), list(order)
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
-        if heads.seen[at[0]] and _cosine(np.asarray(state.x)[None], camera_places(seen, at[:1]), up)[0] < _AWAY:
-            state = _turned(state)
-        state, found = track_chunk(
-            model, state, jax.device_put(_inputs(seen, heads, at + at[-1:] * pad, s, up, pad, skin)), key, n, shape
-        )
+        given = jax.device_put(_inputs(seen, on.heads, at + at[-1:] * pad, s, up, pad, on.skin))
+        states, found = track_chunk(on.model, states, given, key, n, shape)
         out.append(jax.tree.map(np.asarray, found))
         if progress is not None:
             progress(len(at))
-    return state, jax.tree.map(lambda *each: np.concatenate(each)[: len(frames)], *out)  # without what fills up
+    return states, jax.tree.map(lambda *each: np.concatenate(each)[: len(frames)], *out)  # without what fills up
 
 
-def with_the_face(
-    found: Seen, face_seen: Bool[np.ndarray, " frame"], camera: Float[np.ndarray, "frame 3"],
-    up: Float32[np.ndarray, "3"],
-) -> Seen:  # fmt: skip
-    """What a pass found, with left and right exchanged for as long as the body looks away from the camera though its
-    face is seen: a body that turned past its side fits the points as well."""
-    cosine = _cosine(np.asarray(found.x, float), camera, up)
-    wrong = np.zeros(len(cosine), bool)
-    for a, b in stretches(cosine < 0):
-        wrong[a:b] = cosine[a:b].min() < _AWAY and face_seen[a:b].mean() > 0.5
-
-    def exchanged(a: Any, order: np.ndarray) -> np.ndarray:
-        a = np.array(a)
-        a[wrong] = a[wrong][:, order]
-        return a
-
-    return found._replace(
-        x=exchanged(found.x, OTHER_SIDE), masses=exchanged(found.masses, OTHER_SIDE),
-        spread=exchanged(found.spread, _OTHER_LIMB),
-        score=jax.tree.map(lambda a: exchanged(a, _OTHER_LIMB), found.score),
-        support=exchanged(found.support, _OTHER_PART), off=exchanged(found.off, _OTHER_PART),
-    )  # fmt: skip
+def chosen(every: Seen, at: Int[np.ndarray, " frame"]) -> Seen:
+    """Of the hypotheses one in each frame."""
+    return jax.tree.map(lambda a: a[np.arange(len(at)), at], every)
 
 
-def _turned(state: State) -> State:
-    """With left and right exchanged."""
-    limbs = {
-        name: getattr(state, name)[_OTHER_LIMB] for name in ("particles", "previous", "spread", "colours", "learnt")
-    }
-    return state._replace(x=state.x[OTHER_SIDE], before=state.before[OTHER_SIDE], **limbs)
+def descent(every: Seen, online: bool = False) -> Int[np.ndarray, " frame"]:
+    """Of each frame the hypothesis from which the one comes that fits best in the last frame; `online`: the one that
+    fits best there."""
+    fit, follows = np.asarray(every.fit), np.asarray(every.follows)
+    at = fit.argmax(1)
+    for i in range(len(fit) - 1, 0, -1) if not online else ():
+        at[i - 1] = follows[i - 1, at[i]]
+    return at
 
 
 def camera_places(seen: Observed, at: Iterable[int]) -> Float[np.ndarray, "frame 3"]:
     """The camera's centres in some images, metres."""
     return np.array([seen.features.place(i) for i in at], float)
-
-
-def _cosine(
-    x: Float[np.ndarray, "frame 16 3"], camera: Float[np.ndarray, "frame 3"], up: Float32[np.ndarray, "3"]
-) -> Float[np.ndarray, " frame"]:
-    """Of the level angle from the body's front to the camera."""
-    front, toward = directions(x, True)[:, 0], camera - x[:, NECK]
-    front, toward = (v - (v @ up)[:, None] * up for v in (front, toward))
-    size = np.linalg.norm(front, axis=1) * np.linalg.norm(toward, axis=1)
-    return (front * toward).sum(1) / np.maximum(size, 1e-6)
 
 
 def better(ahead: Seen, back: Seen, weighing: Weighing) -> Seen:
