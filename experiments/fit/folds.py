@@ -57,17 +57,17 @@ def people(recordings: Path, seed: int) -> list[tuple[Path, Truth]]:
     return [(f, read_truth(f.with_suffix(".truth.npz"))) for f in of.values()]
 
 
-def dog(number: int) -> Simulation:
-    """A dog that turns or trots by."""
-    body, rng = scaled(load_body("dog"), SIZES[number % len(SIZES)]), np.random.default_rng(number)
+def dog(number: int, body: Body | None = None) -> Simulation:
+    """A dog that turns or trots by; with proportions of its own where a `body` is given."""
+    body, rng = scaled(body or load_body("dog"), SIZES[number % len(SIZES)]), np.random.default_rng(number)
     what = "trots by" if number % 4 == 2 else "turns"
     room = Room(boxes=(Box(4.2, 2.3, BOX, 0.3),))
     return simulate(body, moved(steps(body, EFFORT[what]), what, rng), CAMERA, room=room, seed=number)
 
 
-def arm(number: int) -> Simulation:
+def arm(number: int, body: Body | None = None) -> Simulation:
     """An arm that swings about all its joints."""
-    body, rng = load_body("arm"), np.random.default_rng(number)
+    body, rng = body or load_body("arm"), np.random.default_rng(number)
     time = np.arange(round(SECONDS * RATE)) / RATE
 
     def swing(size: float) -> np.ndarray:

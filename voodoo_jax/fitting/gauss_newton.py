@@ -111,7 +111,10 @@ def _height_off(body: Body, x, maps) -> tuple[Array, Array]:
 def height_misfit(
     body: Body, free: Parameters, x: Float64[np.ndarray, " free"]
 ) -> tuple[float, Float64[np.ndarray, " free"]]:
-    """How far a body changed by x is from the height that was measured, in standard deviations, and its slope."""
+    """How far a body changed by x is from the height that was measured, in standard deviations, and its slope; nothing
+    where what was measured is no height: an arm's reach."""
+    if body.scale_name != "stature":
+        return 0.0, np.zeros(len(x))
     maps = tuple(jnp.asarray(m, jnp.float32) for m in free.maps)
     off, slope = _height_off(body, jnp.asarray(x, jnp.float32), maps)
     return float(off) / HEIGHT, np.asarray(slope, np.float64) / HEIGHT

@@ -18,8 +18,6 @@ from voodoo_jax.kernels.points import ON_BODY as ON_BODY
 from voodoo_jax.kernels.points import Components, MatchOptions, Points, components
 from voodoo_jax.kernels.points import Sampling as Sampling
 
-AWAY = 0.3  # metres, by hand: where a point that counts nothing is put, off every limb's axis
-
 
 class Match(NamedTuple):
     """Correspondences in the frames of their limbs.
@@ -191,8 +189,8 @@ def _on_limb(
 ) -> tuple[Components, SurfacePoint]:
     """Points in their limb's frame, and where on it their pairs are."""
     x, y, z = cut(*into_limb(rotation, translation, *xyz))
-    if counts is not None:  # what counts nothing must not be a number that is none
-        x, y, z = (jnp.where(counts, k, AWAY) for k in (x, y, z))
+    if counts is not None:  # what counts nothing must not be a number that is none: it is put anywhere off the axis
+        x, y, z = (jnp.where(counts, k, 1.0) for k in (x, y, z))
     surface = closest_point(size, x, y, z, options.refine, options.caps, cut=cut, fixed=sides)
     if seen_from is not None:
         surface = near_side(size, x, y, surface, seen_from, cut=cut, fixed=sides)

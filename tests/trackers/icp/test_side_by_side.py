@@ -20,7 +20,8 @@ from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import in_one_picture, simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.limb_distance import body_distance
-from voodoo_jax.trackers.icp.people import NEAR, close_in, touching_in
+from voodoo_jax.trackers.icp.misfit import AROUND
+from voodoo_jax.trackers.icp.people import close_in, touching_in
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
 
 COUNT, RATE, STOLEN = 24, 15.0, 10
@@ -64,7 +65,7 @@ def shared(reaching, stolen: bool):
         given.append(mine)
     subjects = [Subject(k + 1, SCENE, [f.only(m == k) for f, m in zip(frames, given)]) for k in (0, 1)]
     tracks = [replace(truth_tracks(p), status=np.full(COUNT, Status.TRACKED, np.int8)) for p in people]
-    found = owned_in_turn(subjects, tracks, close_in(tracks), Settings(), NEAR)
+    found = owned_in_turn(subjects, tracks, close_in(tracks), Settings(), AROUND)
     right = []
     for at, frame in enumerate(frames):
         theirs = [set(map(bytes, own[at].points)) for own in found]
@@ -104,5 +105,5 @@ def test_who_is_far_from_the_other_is_left_alone(reaching):
     tracks = [one, replace(two, translation=two.translation + away, joints=two.joints + away)]
     close = close_in(tracks)
     assert not close.any()
-    found = owned_in_turn(subjects, tracks, close, Settings(), NEAR)
+    found = owned_in_turn(subjects, tracks, close, Settings(), AROUND)
     assert all(now is before for own, s in zip(found, subjects) for now, before in zip(own, s.frames))

@@ -138,14 +138,8 @@ def _covered(
     seen, bare = np.zeros(translation.shape[:2]), np.zeros(translation.shape[:2])
     for k, cloud in enumerate(clouds):
         found = [
-            _by_sensor(
-                spots[k],
-                radius,
-                cloud.points[mine][:: len(mine) // POINTS + 1],
-                _before(cloud, sensor),
-                cloud.origins[sensor],
-            )  # fmt: skip
-            for sensor in range(len(cloud.origins))
+            _by_sensor(spots[k], radius, cloud.points[mine][:: len(mine) // POINTS + 1], _before(cloud, sensor), origin)
+            for sensor, origin in enumerate(cloud.origins)
             if len(mine := np.flatnonzero(cloud.sensor == sensor)) >= FEW_POINTS
         ]
         if found:

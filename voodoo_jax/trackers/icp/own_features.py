@@ -60,7 +60,5 @@ def _some(features, keep: np.ndarray):
     """Pairs or rays, those to keep; the same object where that is all of them."""
     if keep.all():
         return features
-    arrays = {
-        name: value[keep] for name, value in vars(features).items() if name != "names" and value is not None
-    }  # weights may be None
+    arrays = {k: v[keep] for k, v in vars(features).items() if k != "names" and v is not None}  # weights may be None
     return replace(features, names=tuple(n for n, k in zip(features.names, keep) if k), **arrays)

@@ -19,6 +19,7 @@ from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.storage.cores import at_once
 from voodoo_jax.trackers.base import Task
 from voodoo_jax.trackers.icp.limb_distance import body_distance
+from voodoo_jax.trackers.icp.misfit import AROUND
 from voodoo_jax.trackers.icp.own_features import with_own_features
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
@@ -33,7 +34,6 @@ FUSED = (
     "Points are matched to all sides of a limb."
 )
 ROUNDS = 2  # in which points change hands and who is concerned is tracked anew; by hand
-NEAR = 0.25  # metres from somebody's surface: what is farther off is none of their points; by hand
 SOME = 4  # of somebody's points, one of so many tells whether they are near to somebody else; by hand
 CLEARLY = 0.02  # metres nearer to somebody else: who has a point keeps it else; about a depth camera's noise, by hand
 MOVED = 0.02  # of somebody's points that change hands in a frame: fewer make no difference; by hand
@@ -64,7 +64,7 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
         seen = each(_rated, people)
         close = close_in(seen)
         if turn == 0 and not settings.changes:
-            frames = owned_in_turn(subjects, seen, touching_in(subjects, seen, close), settings, NEAR, visit)
+            frames = owned_in_turn(subjects, seen, touching_in(subjects, seen, close), settings, AROUND, visit)
         else:
             frames = shared_out([s.frames for s in subjects], seen, close)
         concerned = _exchanged(subjects, frames)
@@ -181,9 +181,9 @@ def _given(seen: list[BodyObservation], tracks: list[Tracks], at: int) -> list[B
     """People's points in a frame, after points were reassigned to others."""
     owner = []
     for k, own in enumerate(seen):
-        distance = np.stack([surface_distance(other, at, own.points, NEAR) for other in tracks])
+        distance = np.stack([surface_distance(other, at, own.points, AROUND) for other in tracks])
         distance[k] -= CLEARLY
-        owner.append(np.where(np.min(distance, 0) < NEAR, np.argmin(distance, 0), k))
+        owner.append(np.where(np.min(distance, 0) < AROUND, np.argmin(distance, 0), k))
     everybody = range(len(seen))
     return [
         joined([own.only(owner[k] == k), *(seen[j].only(owner[j] == k) for j in everybody if j != k)])

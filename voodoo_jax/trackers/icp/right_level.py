@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from voodoo_jax.config.options import Settings
+from voodoo_jax.detect.scene import STEEPEST
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.trackers.icp.right_scale import ENOUGH
@@ -18,7 +19,6 @@ from voodoo_jax.trackers.icp.right_scale import ENOUGH
 LEVEL = 1.0
 SLOPES, SLOPE = 0.03, 4.0  # share of logs on a slope, and standard deviation of its angles, degrees; by hand
 WRONG, SPREAD = 0.05, 8.0  # the same of mounts that transforms turn wrongly; by hand
-STEEPEST = 40.0  # degrees: a frame that is turned by more has another axis for up, as in detect/scene.py; by hand
 MOUNTED = 0.01  # metres from the frame's origin: a sensor in it is the frame, which need not stand level; by hand
 
 
@@ -45,8 +45,8 @@ def level_of(scene: Scene, people: list[BodyObservation], settings: Settings) ->
 
 def level_odds(degrees: float) -> Level:
     """Estimates about a fixed frame in which the floor slopes by an angle in degrees; a model of two normal
-    distributions."""
+    distributions. Where it is steeper than a floor may be, up is another axis."""
     density = lambda spread: np.exp(-0.5 * (degrees / spread) ** 2) / spread**2  # noqa: E731
     right = (1 - WRONG) * ((1 - SLOPES) * density(LEVEL) + SLOPES * density(SLOPE))
     sure = float(right / (right + WRONG * density(SPREAD)))
-    return NO_DOUBT if sure >= ENOUGH or degrees > STEEPEST else Level(sure, degrees)
+    return NO_DOUBT if sure >= ENOUGH or np.cos(np.radians(degrees)) < STEEPEST else Level(sure, degrees)

@@ -29,7 +29,7 @@ STANDS, LEVEL, ELSEWHERE = 0.7, 0.03, 0.3
 LOWEST, HIGHEST = 0.2, 4.0  # metres above the fixed frame's zero, where a sensor stands or hangs; by hand
 # a probability of a right scale that is worth no word, and no doubt; by hand: 0.92 of 1.95 m, 0.90 of 1.3 m
 ENOUGH = 0.85
-FACTORS = np.exp(np.linspace(-1.0, 1.0, 401))  # by hand: of larger ones detect/units.py knows
+FACTORS = np.exp(SPREAD * np.linspace(-4, 4, 401))  # of larger ones detect/units.py knows
 
 
 class Scale(NamedTuple):

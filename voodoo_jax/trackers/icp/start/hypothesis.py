@@ -15,9 +15,8 @@ from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.trials import opposite, standing_places
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
-RIVAL = (
-    1.1  # a start that faces the other way is looked at where it costs less than so much more than the best; by hand
-)
+# a start that faces the other way is looked at where it costs less than so much more than the best; by hand
+RIVAL = 1.1
 FAR_RIVAL = 3.0  # and if it costs less than so much more where something else speaks for it; by hand
 OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher jumps; if even higher, feet are hidden
 # logarithms of the odds for each of a logarithm of costs: as the odds of facing had once (confidence.SURELY), fitted in

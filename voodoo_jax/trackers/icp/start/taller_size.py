@@ -17,9 +17,7 @@ class TallerSize:
     needs: ClassVar = frozenset({"points"})
 
     alike: float = 3.0  # starts that cost less than so much more than the best may tell the size
-    as_well: float = (
-        1.2  # times what it costs in the size that it seems to have, at most, where it is taken to be taller
-    )
+    as_well: float = 1.2  # times what it costs in the size that it seems to have, at most, where it is taken for taller
     most: int = 2  # sizes that are tried
 
     def __call__(self, run: Runner, search: Search) -> Search:
