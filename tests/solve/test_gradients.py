@@ -24,7 +24,7 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body_file import parse_body
 from voodoo_jax.solve.frame import Problem, choices, icp_step, solve_frame
-from voodoo_jax.solve.implicit import balance, balance_slope, moved, solution, weakest
+from voodoo_jax.solve.implicit import balance, balance_slope, moved, solution
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 
@@ -179,11 +179,8 @@ def test_nine_clouds_stay_finite(request, name, dtype):
     assert all_finite((gradient, found.poses, found.off))
 
 
-def test_says_when_it_is_not_at_rest_and_what_is_weak(x64):
+def test_says_when_it_is_not_at_rest(x64):
     world = scene(jnp.float64, max_steps=1)
     far = turned(np.random.default_rng(1), world[3], 0.1, 20)
     problem = built(parts_of(*world), *world)
     assert not jax.jit(lambda: solution(far, problem, newton=0, tolerance=1e-6).converged)()
-    loose = eqx.tree_at(lambda p: p.options.prior, problem, jnp.zeros(()))
-    at = world[0].rest
-    assert jax.jit(weakest)(at, loose) < 1e-4 < 1e-2 < jax.jit(weakest)(at, problem)

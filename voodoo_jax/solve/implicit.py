@@ -310,13 +310,3 @@ def with_derivatives(found: Rest, problem: Problem, tolerance: float = AT_REST) 
     weight = jnp.sum(matched(poses, problem, found.chosen).weight, 1)
     changing = found.chosen.differs(again)
     return Solution(poses, weight, found.chosen, changing, found.steps, found.off, found.off < tolerance)
-
-
-def weakest(poses: Poses, problem: Problem) -> Float[Array, ""]:
-    """Least singular value of the balance's slope over the frame's weight: how well the worst direction is determined.
-
-    Round limbs roll about their axes with nothing but the prior to hold them: expect about the prior's weight times the
-    square of its radius (docs/numerics.md#null-directions); zero means that derivatives are not to be believed.
-    """
-    slope, _ = balance_slope(poses, problem, choices(poses, problem))
-    return jnp.linalg.svd(slope, compute_uv=False)[-1] / total_weight(problem)
