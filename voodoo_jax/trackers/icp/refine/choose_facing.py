@@ -22,8 +22,7 @@ ALONE = 2 * float(np.log(FAR_RIVAL))  # logarithm of the odds of a start without
 @dataclass(frozen=True)
 class ChooseFacing(FacingOdds):
     """Where the start has a rival that costs hardly more, or the body goes backwards, bends its joints the wrong way or
-    has the posture of one turned round, the rival is tracked too, and taken if the odds are clearly for it. Numbers
-    were chosen by hand."""
+    has the posture of one turned round, the rival is tracked too, and taken if the odds are clearly for it."""
 
     name: ClassVar = "choose_facing"
     looks_ahead: ClassVar = True
