@@ -179,7 +179,7 @@ def test_nine_clouds_stay_finite(request, name, dtype):
     assert all_finite((gradient, found.poses, found.off))
 
 
-def test_says_when_it_is_not_at_rest_and_what_is_weak(x64):
+def test_says_when_it_is_not_at_rest(x64):
     world = scene(jnp.float64, max_steps=1)
     far = turned(np.random.default_rng(1), world[3], 0.1, 20)
     problem = built(parts_of(*world), *world)

@@ -299,7 +299,7 @@ class _Shown:
             self._until = stage.part_end(number, 0)
             self._rows = [joined_tracks([replace(t, body=tracks.body) for t in self._rows])]
             self._gaps = band_gaps(body, self._rows[0])
-        return stage.placed_by(body, tracks, eyes, self._gaps)
+        return stage.placed(body, tracks, eyes, self._gaps)
 
 
 def _for_bands(tracks: Tracks) -> Tracks:

@@ -10,9 +10,10 @@ from voodoo_jax.geometry.rigid import Poses, compose, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.trackers.icp.pipeline import SETTLE
-from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing, gone_ahead
+from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
 from voodoo_jax.trackers.icp.segment import forwards
 from voodoo_jax.trackers.icp.stage import refined
+from voodoo_jax.trackers.icp.start.facing_odds import gone_ahead
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.shared.sequence import KnownStart
 

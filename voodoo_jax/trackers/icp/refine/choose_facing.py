@@ -8,45 +8,27 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
 
-from voodoo_jax.geometry.rigid import Poses, on_host
-from voodoo_jax.model.body import Body
-from voodoo_jax.model.posture import faces_ahead
-from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import WRONG_WAY, bent
 from voodoo_jax.trackers.icp.stage import Stage, refined
+from voodoo_jax.trackers.icp.start.facing_odds import FacingOdds, gone, posture_of
 from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, RIVAL, StartHypothesis
-from voodoo_jax.trackers.icp.trials import facing
 from voodoo_jax.trackers.shared.segment import Followed, segment_of
 
 ALONE = 2 * float(np.log(FAR_RIVAL))  # logarithm of the odds of a start without a rival: none costs less than that
-WHILE, STRAIGHT = 0.3, 0.95  # seconds in which who goes ahead turns by no more than the angle of that cosine
 
 
 @dataclass(frozen=True)
-class ChooseFacing:
+class ChooseFacing(FacingOdds):
     """Where the start has a rival that costs hardly more, or the body goes backwards, bends its joints the wrong way or
-    has the posture of one turned round, the rival is tracked too, and taken if the odds are clearly for it. Numbers
-    were chosen by hand."""
+    has the posture of one turned round, the rival is tracked too, and taken if the odds are clearly for it."""
 
     name: ClassVar = "choose_facing"
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"points", "one body"})
 
     among: tuple[Stage, ...]  # stages that the rival goes through before it is compared
-    step: float = 0.5  # metres ahead or backwards that tell nothing; who goes farther backwards is looked at
-    stride: float = 0.5  # metres beyond which say all that going tells
-    # logarithm of the odds that somebody goes ahead, and of those that they do not go backwards: at 0.25 a skirt that
-    # walks is turned, at 0.37 a person who walks backwards
-    ahead: float = 0.3
-    # logarithm of the odds that posture tells (see model.posture) where one is plainly ahead and the other one turned
-    # round; who has less than this posture is looked at the other way round: all of 15 skirts that were turned have it
-    posture: float = 1.0
-    doubtful: float = 0.0
-    fits: float = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
-    clearly: float = 0.1  # logarithm of the odds for the rival, at least, if it is taken
 
     def __call__(self, run: Runner, segment: Followed) -> Followed:
         start = segment.start
@@ -58,7 +40,7 @@ class ChooseFacing:
             return _with_odds(segment, 2 * float(np.log(start.rival.cost / start.cost)))
         state, step = run.forwards(start.rival.poses, segment.first, segment.end)
         other = refined(run, segment_of(run, step, segment.first, len(segment)), self.among)
-        odds = self._odds(run, start, segment, other)
+        odds = self.odds(run, start, segment, other)
         if odds > -self.clearly:
             return _with_odds(segment, odds)
         return replace(_with_odds(other, -odds), start=start.rival, state=state)
@@ -67,50 +49,8 @@ class ChooseFacing:
         """Whether how a segment goes speaks for the start's rival, though that costs clearly more."""
         assert start.rival is not None
         bends = start.rival.cost < RIVAL * start.cost * np.exp(np.mean(bent(run.body, segment.rotation)) / WRONG_WAY)
-        return bool(bends) or _gone(run, segment) < -self.step or _posture(run, segment) < self.doubtful
-
-    def _odds(self, run: Runner, start: StartHypothesis, segment: Followed, other: Followed) -> float:
-        """Logarithm of the odds that a segment faces the right way and not another one, of the start's rival: by the
-        costs of their trials and their own and joints bent the wrong way as far as the body fits, by the posture,
-        and by where the body goes: people walk backwards, but seldom."""
-        assert start.rival is not None
-        # a few frames hardly tell front from back: all of them do
-        costs = float(np.mean(segment.cost)), float(np.mean(other.cost))
-        unexplained = max(min(costs) - start.noise**2, 1e-9)
-        fit = min(1.0, self.fits * run.settings.start.sure / unexplained)
-        bends = float(np.mean(bent(run.body, other.rotation)) - np.mean(bent(run.body, segment.rotation))) / WRONG_WAY
-        ahead = self._ahead(_gone(run, segment)) - self._ahead(_gone(run, other))
-        stands = self.posture * float(np.nan_to_num(_posture(run, segment) - _posture(run, other))) / 2
-        dearer = float(np.log(start.rival.cost / start.cost) + np.log(costs[1] / costs[0]))
-        return fit * (dearer + bends) + stands + ahead
-
-    def _ahead(self, gone: float) -> float:
-        return self.ahead * float(np.sign(gone) * np.clip((abs(gone) - self.step) / self.stride, 0, 1))
+        return bool(bends) or gone(run, segment) < -self.step or posture_of(run, segment) < self.doubtful
 
 
 def _with_odds(segment: Followed, odds: float) -> Followed:
     return replace(segment, facing_odds=np.full(len(segment), odds, np.float32))
-
-
-def _posture(run: Runner, segment: Segment) -> float:
-    return faces_ahead(run.body, segment.poses[segment.tracked], run.scene.floor.normal)
-
-
-def _gone(run: Runner, segment: Segment) -> float:
-    times = [f.time_ns for f in run.people[segment.first : segment.end]]
-    return gone_ahead(run.body, np.array(times) / 1e9, segment.poses)
-
-
-def gone_ahead(body: Body, time: Float[np.ndarray, " frame"], poses: Poses) -> float:
-    """How far a body goes to where it faces, metres; negative: backwards. Turning does not count, nor what is gone
-    meanwhile.
-
-    **Arguments:** `time` of the frames, seconds; `poses` [frame, limb] on the host.
-    """
-    later = np.searchsorted(time, time + WHILE)
-    now = np.flatnonzero(later < len(time))
-    later = later[now]
-    ahead, place = facing(on_host(body), poses.rotation), poses.translation
-    way = np.sum((place[later, 0] - place[now, 0]) * (ahead[now] + ahead[later]) / 2, -1)
-    straight = np.sum(ahead[now] * ahead[later], -1) > STRAIGHT
-    return float(np.nansum(np.where(straight, way / (later - now), 0.0)))

@@ -80,14 +80,9 @@ def plain(name: str) -> tuple[str, str]:
     return (name[:2], name[2:]) if name[:2] in SIDES else ("", name)
 
 
-def looked_at(centre: str) -> tuple[str, ...]:
-    """The joints whose bands tell of a joint centre."""
-    return LEGS if centre in ("hip", "knee", "talocrural") else UPPER
-
-
 def gaps_for(centre: str, gaps: dict[str, Gaps]) -> Gaps:
     """Those of band_gaps that tell of a joint centre."""
-    return gaps["legs" if looked_at(centre) is LEGS else "upper"]
+    return gaps["legs" if centre in ("hip", "knee", "talocrural") else "upper"]
 
 
 def band_gaps(body: Body, tracks: Tracks, among: slice = EVERY) -> dict[str, Gaps]:
@@ -217,7 +212,7 @@ class PlaceJoints:
         others = [k for k, frame in enumerate(run.people) if frame.other and k > 0]
         for first, last in zip([0, *others], [*others, len(run.people)]):  # bands of one body tell nothing of another
             for which, among in self.parts(first, last, run.settings.looks_ahead("track")):
-                tracks = self.placed(body, tracks, eyes, which, among)
+                tracks = self.placed(body, tracks, eyes, band_gaps(body, tracks, among), which)
         return tracks
 
     def parts(self, first: int, last: int, ahead: bool) -> list[tuple[slice, slice]]:
@@ -237,20 +232,13 @@ class PlaceJoints:
         return begin + max(1, int((self.again - 1) * (begin - first)))
 
     def placed(
-        self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"],
-        which: slice = EVERY, among: slice = EVERY,
-    ) -> Tracks:  # fmt: skip
-        """Tracks with the joints of frames `which` moved, by the bands in frames `among`.
-
-        **Arguments:** `body` in its usual proportions; `eyes` of sensor_places.
-        """
-        return self.placed_by(body, tracks, eyes, band_gaps(body, tracks, among), which)
-
-    def placed_by(
         self, body: Body, tracks: Tracks, eyes: Float64[np.ndarray, "frame 3"], gaps: dict[str, Gaps],
         which: slice = EVERY,
     ) -> Tracks:  # fmt: skip
-        """The same by bands that were looked at before."""
+        """Tracks with the joints of frames `which` moved.
+
+        **Arguments:** `body` in its usual proportions; `eyes` of sensor_places; `gaps` of the bands that tell of them.
+        """
         known = np.isfinite(tracks.rotation).all((1, 2)), np.isfinite(tracks.translation).all((1, 2))
         there = np.logical_and(*known)
         frames = np.arange(len(there))[which]
