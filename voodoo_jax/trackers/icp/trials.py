@@ -16,6 +16,7 @@ from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
 
 FUNNEL = ((1, 6), (2, 4))  # after so many frames so many of the starts go on
 STEPS = 15  # most steps of a frame until then
+FASTEST = 10.0  # radians per second: nobody turns about so fast; by hand
 
 
 def place(
@@ -131,6 +132,16 @@ def facing(body: Body, rotation: Float[AnyArray, "*frame limb 4"]) -> Float[Any,
     """Unit vectors in the facing direction of the body's first limb: the rest pose along x."""
     ahead = unrotate(body.rest.rotation[0], np.array([1.0, 0.0, 0.0], np.float32))
     return rotate(rotation[..., 0, :], ahead)
+
+
+def turns_about(
+    body: Body, rotation: Float[np.ndarray, "frame limb 4"], people: list[BodyObservation]
+) -> Bool[np.ndarray, " step"]:
+    """Whether the body faces the other way from a frame to the next, too fast for a turn; `people`: of the frames."""
+    front = facing(on_host(body), rotation)
+    cosine = np.sum(front[1:] * front[:-1], -1)
+    seconds = np.diff([frame.time_ns for frame in people]) / 1e9
+    return (cosine < 0) & (np.arccos(np.clip(cosine, -1.0, 1.0)) > FASTEST * seconds)
 
 
 def opposite(body: Body, trial: Trial, near: float) -> list[int]:

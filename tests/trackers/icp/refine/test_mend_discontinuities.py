@@ -11,8 +11,12 @@ from voodoo_jax.model.body_file import human
 from voodoo_jax.model.pose_library import HIPS, exchanged
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.tracks import Status
+from voodoo_jax.trackers.icp.refine import restart_limbs
+from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
+from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
 from voodoo_jax.trackers.icp.segment import forwards
+from voodoo_jax.trackers.icp.trials import turns_about
 
 BODY, COUNT = scaled(human(), 1.75), 30
 
@@ -72,6 +76,28 @@ def test_nobody_is_turned_round_from_one_frame_to_the_next(seen):
     assert error(sim, found).max() < 0.03 and mend.jumps(BODY, found) == []
     segment = put_together(good, wrong, 17)
     assert mend(run, segment) is segment
+
+
+class Middle(ForwardBackward):
+    """All that is tracked anew is better, but for the ends."""
+
+    def is_better(self, cost, other):
+        return (np.arange(len(cost)) > 5) & (np.arange(len(cost)) < len(cost) - 5)
+
+
+def test_a_stretch_that_is_tracked_anew_does_not_turn_the_body_round(seen, monkeypatch):
+    sim, run, good, wrong = seen
+    about, middle = np.array([0, 0, 0, 1], np.float32), np.asarray(sim.translation[0, 0]) * [1, 1, 0]
+    back = compose(Poses(about, (2 * middle).astype(np.float32)), Poses(sim.rotation, sim.translation)[0])
+    turned = forwards(run, on_host(back), 0, COUNT)
+    restart = RestartLimbs(better=np.inf, passes=Middle())
+    for anew, taken in ((good, True), (turned, False)):
+        monkeypatch.setattr(restart_limbs, "tracked_anew", lambda run, poses, first, at, end, x=anew: x[first:end])
+        found = restart._looked(run, wrong, 10, 20)
+        assert (found is not wrong) == taken
+        assert not turns_about(run.body, found.rotation, run.people).any()
+    both = put_together(good, turned, 10)
+    assert np.flatnonzero(turns_about(run.body, both.rotation, run.people)).tolist() == [9]
 
 
 @pytest.mark.parametrize("good_first", [True, False])

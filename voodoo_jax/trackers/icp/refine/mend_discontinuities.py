@@ -9,13 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.geometry.rigid import on_host
 from voodoo_jax.geometry.rotations import limb_ends
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import backwards, forwards, pass_of
-from voodoo_jax.trackers.icp.trials import facing
+from voodoo_jax.trackers.icp.trials import turns_about
 from voodoo_jax.trackers.shared.segment import Followed
 
 
@@ -32,8 +31,8 @@ class MendDiscontinuities:
     same: float = 0.06  # metres between limbs' ends of poses that are the same
     most: int = 60  # frames over which one side is carried on, at most
     better: float = 0.9  # it is kept where it costs less than this share
-    about: float = 10.0  # radians per second: nobody turns so fast, and one of the sides is turned back to front
-    anyway: float = 1.1  # then a side is carried on where that costs less than so much more
+    # where the body turns about, one of the sides is back to front: carried on where that costs less than so much more
+    anyway: float = 1.1
     every: int = 30  # frames of a segment for each of the jumps that are looked at
 
     def __call__(self, run: Runner, segment: Followed) -> Followed:
@@ -64,13 +63,6 @@ class MendDiscontinuities:
         found = 1 + np.flatnonzero(over > self.far)
         return found[np.argsort(-over[found - 1])].tolist()
 
-    def _turns_about(self, run: Runner, segment: Segment, at: int) -> bool:
-        """Whether the body faces the other way from the frame before frame `at` on, sooner than anybody turns."""
-        front = facing(on_host(run.body), segment.rotation[at - 1 : at + 1])
-        before, now = (run.people[segment.first + k].time_ns for k in (at - 1, at))
-        cosine = float(front[0] @ front[1])
-        return cosine < 0 and float(np.arccos(max(cosine, -1.0))) > self.about * (now - before) / 1e9
-
     def _mended(self, run: Runner, segment: Followed, at: int) -> Followed:
         """The segment with the cheaper one of the sides of the jump into its frame `at` carried on over the other one,
         up to where both are the same; the same segment if none explains more."""
@@ -78,7 +70,9 @@ class MendDiscontinuities:
         low, high = max(0, at - self.most), min(len(segment), at + self.most)
         ahead = forwards(run, segment.pose_at(at - 1), first + at - 1, first + high)
         back = backwards(run, segment.pose_at(at), first + low, first + at + 1)
-        found, least = segment, self.anyway if self._turns_about(run, segment, at) else self.better
+        step = slice(at - 1, at + 1)
+        turned = turns_about(run.body, segment.rotation[step], run.people[first + at - 1 : first + at + 1])
+        found, least = segment, self.anyway if turned.any() else self.better
         for other, begin, end, order in ((ahead[1:], at, high, 1), (back[:-1], low, at, -1)):
             both = segment[begin:end], other
             mine, theirs = (limb_ends(some.rotation, some.translation, lengths) for some in both)
