@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.support.colour_logs import ros_compressed, ros_info
 from tests.support.logs import PERIOD, START, Log, depth_log, ros_tf
@@ -94,3 +95,54 @@ def test_a_log_without_colour_images(tmp_path, net):
 def test_a_network_that_is_not_there_is_said_before_anything_is_read(tmp_path):
     with pytest.raises(SettingsError, match="read.pose_net: there is no 'nowhere.whl'"):
         open_log(tmp_path / "none.mcap", ReadSettings(pose_net="nowhere.whl"))
+
+
+CAMERAS = [(3.0, 0, 1.5), (-2.0, 2.5, 1.8), (-2.0, -2.5, 1.2)]  # in `room`, looking at its middle
+
+
+def turn_of(camera: int) -> Rotation:
+    """From the optical axes of a camera to `room`."""
+    ahead = np.array([0, 0, 1.0]) - CAMERAS[camera]
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    return Rotation.from_matrix(np.stack([right, np.cross(ahead, right), ahead], 1))
+
+
+def walker(i: int) -> np.ndarray:
+    return PLACES - [2.0, 0, 0] + [0, 0.02 * i, 0]
+
+
+class Sees(Knowing):
+    """Knows by the colours of an image which camera made it when; the second one's are half as large."""
+
+    def find(self, image):
+        camera, i, nobody = image[0, 0]
+        at = turn_of(camera).inv().apply(walker(i) - CAMERAS[camera])
+        pixels = (at[:, :2] / at[:, 2:]) @ K[:2, :2] + K[:2, 2]
+        if image.shape[0] == 120:
+            pixels = (pixels + 0.5) / 2 - 0.5
+        return None if nobody else KeyPoints(pixels, np.where(np.arange(33) == HIDDEN, 0.3, 0.9))
+
+
+def test_key_points_of_several_cameras_alone_are_triangulated(tmp_path, net, monkeypatch):
+    monkeypatch.setattr("voodoo_jax.io.camera_key_points.PoseNet", Sees)
+    monkeypatch.setattr("voodoo_jax.io.camera_key_points.pose_files", lambda place: (b"", b""))
+    log, count = Log(), 6
+    for c, place in enumerate(CAMERAS):
+        q = tuple(turn_of(c).as_quat().tolist())
+        log.add("/tf_static", START, ros_tf((START, "room", f"cam{c}", place, q)))
+        log.add(f"/cam{c}/camera_info", START, ros_info(f"cam{c}", K, (240, 320)))
+        for i in range(count):
+            stamp = START + i * PERIOD + 1_000_000 * c
+            picture = np.full((120, 160, 3) if c == 1 else (240, 320, 3), (c, i, 255 * (i == 3 and c == 2)), np.uint8)
+            log.add(f"/cam{c}/image/compressed", stamp, ros_compressed(stamp, f"cam{c}", picture, ".png", "png"))
+    recording = read_log(log.write(tmp_path / "a.mcap"), net)
+    assert len(recording) == count and recording.fixed_frame == "room" and Knowing.made == len(CAMERAS)
+    seen = [name for name in NAMES if name != "left_wrist"]
+    for i, frame in enumerate(recording):
+        assert sorted(frame.pairs.names) == sorted(seen)
+        truth = walker(i)[[KEY_POINTS.index(name) for name in frame.pairs.names]]
+        np.testing.assert_allclose(frame.pairs.points, truth, atol=2e-3)
+        assert len(frame.rays.names) == len(seen) * (2 if i == 3 else 3)
+    assert "1 message in which read.pose_net finds no person" in " ".join(recording.notes)

@@ -20,15 +20,12 @@ from voodoo_jax.config.options import (
 )
 from voodoo_jax.config.output_style import Names, Style
 
-BODY_HELP = (
-    "Body to track: human (the default), human10 (the papers' ten limbs), arm, dog, or the path of a body file (TOML)."
-)
+BODY_HELP = "Body to track: human, human10 (the papers' ten limbs), arm, dog, or a body file (TOML)."
 PRESET_BODIES = {
     "default": "human", "knoop2007": "human10", "flexible": "human", "both": "human", "hecht2009": "human",
 }  # fmt: skip
 PRESET_HELP = (
-    "Settings to start from: default; knoop2007: method and values of that paper (with its body of ten limbs); "
-    "flexible, both: for these trackers; hecht2009: method and values of that paper."
+    "Settings to start from; knoop2007 (with a body of ten limbs) and hecht2009: method and values of these papers."
 )
 Preset = Annotated[Literal["default", "knoop2007", "flexible", "both", "hecht2009"], arg(help=PRESET_HELP)]
 CONFIG_HELP = "Settings file (TOML; `voodoo-jax config` prints one); flags override it."
@@ -45,9 +42,9 @@ class Results(Style):
     out: str = "voodoo-out"
     """Folder for the results, or a URL."""
     picture: bool = False
-    """Also write <log>.png: image, cloud, tracked body."""
+    """Also write a picture, <log>.png."""
     html: bool = False
-    """Also write <log>.html, an offline page for a browser: cloud, bodies, angles and quality over time."""
+    """Also write <log>.html, an offline page for a browser."""
     report: bool = False
     """Also write report.html, with a row for each log."""
     export: Annotated[str, arg(help=EXPORT_HELP)] = ""
@@ -62,13 +59,13 @@ class Running:
     again: bool = False
     """Track finished logs again."""
     verbose: bool = False
-    """Print all notes, including those that need no action."""
+    """Print minor notes too."""
     workers: int = 0
     """Number of processes, each with one log at a time; 0: limited by cores, memory and logs."""
     shard: str = ""
     """Part of the logs, for array jobs: 2/8 is the second of eight. The parts are always the same."""
     engine: Literal["local", "batch", "ray"] = "local"
-    """local: processes on this machine; batch: many logs in one program, for GPUs; ray: a cluster (RAY_ADDRESS)."""
+    """local: processes; batch: many logs in one program (GPUs); ray: a cluster (RAY_ADDRESS)."""
     compile_cache: str = ""
     """Folder for compiled programs, or off; empty: the user's cache folder."""
     log_timeout: float = 0.0

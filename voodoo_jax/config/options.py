@@ -324,13 +324,13 @@ class Settings:
     flexible: FlexibleSettings = field(default_factory=FlexibleSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
     tracker: Literal["icp", "flexible", "both"] = "icp"
-    """icp: cylinders fitted to 3D points (Knoop et al. 2006, 2007); flexible: particle filters on images of stereo
-    pairs or of colour and depth cameras (Hecht et al. 2009); both: both trackers, merged limb by limb."""
+    """icp: cylinders on 3D points (Knoop et al. 2006, 2007); flexible: particle filters on images (Hecht et al. 2009);
+    both: both, merged."""
     changes: tuple[Change, ...] = ()
     online: bool = False
     """Use no later frames, as on a robot."""
     online_lag: float = 0.0
-    """With online: seconds by which results may be late; frames are tracked back in time from there."""
+    """Permitted delay of results with online, seconds."""
 
     def looks_ahead(self, section: Literal["detect", "track"]) -> bool:
         """Whether later frames may be used there."""

@@ -19,6 +19,7 @@ from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.as_shown import with_images_as_shown, with_settled_frames
 from voodoo_jax.io.calibrations import calibration_of
+from voodoo_jax.io.camera_key_points import with_key_points
 from voodoo_jax.io.container import UNPACKERS, LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
@@ -68,6 +69,8 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "Lo
     if settings.pose_net:
         check_pose_net(settings.pose_net)
     scan = Scan(path, settings)
+    if settings.pose_net:
+        scan = with_key_points(scan, settings)
     try:
         return with_images_as_shown(with_settled_frames(LogReader(scan, make_plan(scan, settings), settings)))
     except LogError as problem:

@@ -19,7 +19,7 @@ from voodoo_jax.io.pictures import PicturePlan, plan_pictures
 from voodoo_jax.io.point_labels import BODY, FREE, Parts
 from voodoo_jax.io.reference_sensors import dense
 from voodoo_jax.io.skin_rays import plan_skin
-from voodoo_jax.io.stereo_pairs import STEREO_USE
+from voodoo_jax.io.stereo_pairs import STEREO_USE, picture_of
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.records.messages import PAIRS, RAYS
 from voodoo_jax.records.recording import NO_RAYS, Pairs, Rays, joined_rays
@@ -134,7 +134,8 @@ def make_plan(
         features.rays |= {i: joined_rays([features.rays.get(i, NO_RAYS), rays]) for i, rays in skin.rays.items()}
         features.topics += tuple(name for name in skin.topics if name not in features.topics)
         notes += skin.notes
-    pictures = plan_pictures(scan, fixed, at) if settings.images or settings.pose_net else None
+    looked_at = any(picture_of(scan.topics[n].sample) is not None for n in cameras)  # see camera_key_points
+    pictures = plan_pictures(scan, fixed, at) if settings.images or (settings.pose_net and not looked_at) else None
     notes += pictures.notes if pictures else ()
     if settings.pose_net and pictures is not None and not pictures.cameras and not scan.stereo:
         notes.append("read.pose_net has no effect: the log has no calibrated colour images.")
