@@ -59,7 +59,7 @@ def test_topic_of_a_part(tmp_path):
     for frame in recording:
         assert parts_of(frame) == [""] * 60 + ["l_forearm"] * 7 and frame.parts == ("l_forearm",)
         np.testing.assert_allclose(frame.points[60:], HAND, atol=1e-6)
-    assert recording.notes[-1] == "read.parts does not count here: the log has no topic '/elsewhere'."
+    assert recording.notes[-1] == "read.parts has no effect: the log has no topic '/elsewhere'."
     assert uses(path, settings) == {"/all": "point cloud", "/hand": "point cloud, points of l_forearm"}
     both = read_log(path, ReadSettings(parts=("/hand=body", "/all=head"))).frames[0]
     assert parts_of(both) == ["head"] * 60 + ["body"] * 7
@@ -162,7 +162,7 @@ def test_no_such_field(tmp_path):
     log = Log().add("/p", START, second).add("/p", START + PERIOD, ros_cloud(START + PERIOD, "base", CLOUD))
     recording = read_log(log.write(tmp_path / "b.mcap"), ReadSettings(label_field="label"))
     assert parts_of(recording.frames[1]) == [""] * 60
-    assert "'/p': 1 message without the field 'label', so that all points are free." in recording.notes
+    assert "'/p': 1 message without the field 'label': all their points are free." in recording.notes
 
 
 def test_a_labelled_cloud_comes_before_the_image_of_its_camera(tmp_path):
@@ -197,8 +197,8 @@ def test_weights_per_source(tmp_path):
     assert first.rays.weights is not None and first.rays.weights.tolist() == [3]
     assert first.pairs.weights is not None and first.pairs.names == ("marker", "other")
     assert first.pairs.weights.tolist() == [2.5, 1]
-    assert "read.weights does not count here: the log has no topic '/gone'." in recording.notes
-    assert "read.weights does not count here: '/tf_static' is transforms." in recording.notes
+    assert "read.weights has no effect: the log has no topic '/gone'." in recording.notes
+    assert "read.weights has no effect: '/tf_static' is transforms." in recording.notes
     found = uses(path, settings)
     assert found["/cloud"] == "point cloud, weight 0.25" and found["/cam2/found"] == "2D features, weight 3"
     some = read_log(path, ReadSettings(weights=("/marker=2",))).frames[0]

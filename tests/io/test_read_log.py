@@ -369,7 +369,7 @@ def test_lens_of_a_depth_image_is_undone(tmp_path):
     rows, columns = np.nonzero(depth_metres())
     np.testing.assert_allclose(np.column_stack([u, v]), np.column_stack([columns, rows]), atol=1e-3)
     log.items[1] = ("/cam/info", START, ros_calibration("c", K, (1.0,), "catadioptric"))
-    with pytest.raises(LogError, match="lens model 'catadioptric' is not known"):
+    with pytest.raises(LogError, match="lens model 'catadioptric' is unknown"):
         read_log(log.write(tmp_path / "b.mcap"))
 
 

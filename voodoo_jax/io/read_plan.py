@@ -86,7 +86,7 @@ def make_plan(
         "a stereo pair, but the",
         "no message can be decoded",
         "its clock is",
-        "no depth, to judge",
+        "no depth, judged",
     )
     for name, use in scan.uses.items():
         if any(why in use for why in reported):
