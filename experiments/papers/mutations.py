@@ -111,7 +111,7 @@ INGREDIENTS = (
     _hecht("the body follows 80 % of the head's way", "III", "filters.py", "follow = n.follow[0] * (move - high) + n.follow[1] * high", "follow = move", MOVED),
     _hecht("filters' means overwrite the body's points", "III", "filters.py", "x = x.at[LIMBS.ravel()].set(mean.reshape(12, 3))", "x = x.at[LIMBS.ravel()].set(mean.reshape(12, 3) + 1.0)", FRAME),
     _hecht("masses by confidence", "III", "filters.py", "(n.masses[0] + n.masses[1] * jnp.exp(-n.masses[2] * spread)).ravel()", "(n.masses[0] + n.masses[1] + 0.0 * spread).ravel()", FRAME),
-    _hecht("damped constant velocity", "III-A", "filters.py", "by_velocity = p + n.velocity * (p - state.previous)", "by_velocity = p", "test_particles_go_on_with_a_share_of_their_velocity"),
+    _hecht("damped constant velocity", "III-A", "filters.py", "return state.particles + n.velocity * (state.particles - state.previous)", "return state.particles", "test_particles_go_on_with_a_share_of_their_velocity"),
     _hecht("base noise", "III-A", "filters.py", "sigma = n.base_noise + n.spread_noise", "sigma = 0.0 * n.base_noise + n.spread_noise", NOISE),
     _hecht("noise by the particles' spread", "III-A", "filters.py", "+ n.spread_noise * jnp.minimum(spread[i], 0.2)", "+ 0.0 * spread[i]", NOISE),
     _hecht("noise by the image's motion", "III-A", "filters.py", "+ n.motion_noise * motion", "+ 0.0 * motion", NOISE),
