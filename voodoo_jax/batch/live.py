@@ -14,7 +14,7 @@ from voodoo_jax.batch.replay import parameters_of
 from voodoo_jax.compile.cache_dir import keep_compiled
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.detect.opening import open_checked
-from voodoo_jax.detect.pipeline import build_of, watched
+from voodoo_jax.detect.pipeline import build_of
 from voodoo_jax.exporters.foxglove import write_tracks_mcap
 from voodoo_jax.exporters.live import Publisher
 from voodoo_jax.exporters.npz import write_tracks_npz
@@ -158,8 +158,7 @@ def _followed(
     """Tracks all frames and gives them out."""
     pace, said = Pace(), time.monotonic()
     times: dict[int, tuple[float | None, int | None]] = {}  # of frames that are not given out yet
-    look = tracker.watched if isinstance(tracker, LiveFlexible) else watched
-    tracklets, seen = look(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
+    tracklets, seen = tracker.watched(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
 
     def give(found: list[Tracks]) -> None:
         nonlocal said

@@ -13,13 +13,11 @@ from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.landmark_table import Gathered
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.pictures import camera_topics
-from voodoo_jax.io.pose_rays import NAMES, SEEN
+from voodoo_jax.io.pose_rays import ROWS, SEEN
 from voodoo_jax.io.stereo_pairs import picture_of
 from voodoo_jax.io.topic import DEPTH_USES, POSE_USE
 from voodoo_jax.records.messages import PAIRS, RAYS, many
 from voodoo_jax.sensors.pose_net import KEY_POINTS, PoseNet, pose_files
-
-ROWS = np.array([KEY_POINTS.index(name) for name in NAMES])
 
 
 def with_key_points(scan: Scan, settings: ReadSettings) -> Scan:

@@ -16,7 +16,7 @@ EARLY = SECOND // 10  # a stamp so long after the recorder got the message is of
 LATENCY = 2 * SECOND  # within which messages are delivered, usually: such a clock is the recorder's, too
 STEP = SECOND // 2  # between two successive messages of a topic: more is a step of the clock, if it stays
 FEWEST = 3  # messages between two steps: fewer are stamps gone wrong
-AROUND = 15  # messages on each side of a step by which it is told whose clock it was: their medians
+AROUND = 15  # messages on each side of a step, whose medians show whether the clock is the recorder's; by hand
 MOST_STEPS = 4  # more is no clock that was set
 EPOCH = 86400 * SECOND  # one day: a log with a longer pause holds two settings of a clock, not two recordings
 

@@ -15,7 +15,7 @@ NAMES = tuple(
     f"{side}_{joint}" for joint in ("shoulder", "elbow", "wrist", "knee", "ankle") for side in ("left", "right")
 )
 SEEN = 0.8  # least score; on these logs 0.5, MediaPipe's limit for what it draws, gave 3.60 cm, 0.8 3.55, 0.9 3.54
-_ROWS = np.array([KEY_POINTS.index(n) for n in NAMES])
+ROWS = np.array([KEY_POINTS.index(n) for n in NAMES])
 
 
 class PoseRays:
@@ -48,7 +48,7 @@ class PoseRays:
         if found is None:
             self._counted[picture.topic, "in which read.pose_net finds no person"] += 1
             return None
-        rows = _ROWS[found.scores[_ROWS] >= SEEN]
+        rows = ROWS[found.scores[ROWS] >= SEEN]
         K, pose = picture.K, picture.T_fixed_camera
         flat = (found.pixels[rows] - K[:2, 2]) / [K[0, 0], K[1, 1]]
         directions = np.column_stack([flat, np.ones(len(rows))]) @ pose[:3, :3].T

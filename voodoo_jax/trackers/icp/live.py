@@ -14,6 +14,7 @@ import numpy as np
 from voodoo_jax.compile.executable import seconds_of_waiting
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.detect.disk_buffer import Spill
+from voodoo_jax.detect.pipeline import watched
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.markers.own_sites import with_names
 from voodoo_jax.model.attachments import prepared
@@ -86,6 +87,8 @@ class LiveTracker:
     **Arguments:** `first` some frames of the recording, with the sensors and names of later ones; `features` whether
     other named features may come. Raises SettingsError for settings that need later frames.
     """
+
+    watched = staticmethod(watched)  # the person in each frame, and what follows them: see detect.pipeline
 
     def __init__(
         self, body: Body, settings: Settings, first: list[BodyObservation], scene: Scene, features: bool = False
