@@ -129,9 +129,14 @@ class LiveTracker:
         self._ended = True
         return self._settled()
 
+    @property
+    def people(self) -> list[BodyObservation]:
+        """The points on the person in each frame so far."""
+        return self._kept.frames()
+
     def whole(self, source: LogInfo) -> Tracks:
         """Tracks of all frames, as replay writes them."""
-        run, people = self.run, self._kept.frames()
+        run, people = self.run, self.people
         every = Runner(self._body, run.options, people, run.scene, self.settings)
         every.body, every.bodies, every.sized, every.left_out = run.body, run.bodies, run.sized, run.left_out
         tracks = finished(every, _joined_rows(self._rows, run.body.limb_count), source)
