@@ -62,8 +62,6 @@ class LiveFlexible:
         if seen.others:
             raise SettingsError("live tracking by the flexible tracker looks through one camera or pair: read.topics")
         self._on = begun(self._body, seen, self.settings) if self._on is None else self._on._replace(seen=seen)
-        nobody = nobody_of(self._body, seen, "", "", ())
-        out = nobody.only(slice(seen.row[row], seen.row[row] + 1))
         if self._on is not None:
             self._on.heads.look(seen, row)
             states, every = filtered(
@@ -71,10 +69,13 @@ class LiveFlexible:
             )
             self._on = self._on._replace(states=states)
             self._rows.append(chosen(every, descent(every, True)))
-            recent = _joined(self._rows[-AROUND:])
-            at = row + 1 - len(recent.x)
-            out = finished(self._on._replace(first=at), nobody, recent, self.settings)
-            out = out.only(slice(seen.row[row], seen.row[row] + 1))
+        # arrays of the last frames alone: those of a long recording would be made anew for each of its frames
+        recent = self._rows[-AROUND:]
+        seen = seen.since(row + 1 - max(1, len(recent)))
+        out = nobody_of(self._body, seen, "", "", ())
+        if self._on is not None:
+            out = finished(self._on._replace(seen=seen, first=0), out, _joined(recent), self.settings)
+        out = out.only(slice(seen.row[-1], seen.row[-1] + 1))
         self._watching.forget(row + 1)
         self.seconds += time.perf_counter() - began - (seconds_of_waiting() - waited)
         return [out]

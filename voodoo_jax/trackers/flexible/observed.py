@@ -127,6 +127,14 @@ class Observed:
             people=[self.people[i] for i in rows], row=self.row[rows],
         )  # fmt: skip
 
+    def since(self, first: int) -> "Observed":
+        """From row `first` on, of the first camera alone."""
+        at = int(self.row[first])
+        return replace(
+            self, features=self.features.rows(range(first, len(self.row))), others=(), people=self.people[first:],
+            time_ns=self.time_ns[at:], row=self.row[first:] - at, count=self.count - at,
+        )  # fmt: skip
+
 
 def _left(picture: Picture) -> Picture:
     """A pair's left image alone."""
