@@ -77,8 +77,8 @@ def merged(
     fit = misfit(icp.body, rotation, translation, people)
     status = np.where(choice.share.mean(1) > 0.5, flexible.status, icp.status)  # of whom most is taken
     beyond, depth = _implausible(icp.body, rotation, translation, chunk)
-    return replace(
-        out, joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
+    return out.having(
+        joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
         joint_covariance=joint_covariance, joint_confidence=choice.right, limb_beside=fit.beside,
         limb_distance=fit.distance, limb_bare=fit.bare, limb_own=fit.own, beyond_limits=beyond, depth_inside=depth,
         status=mark_lost(status.astype(np.int8), choice.right, least),

@@ -18,7 +18,7 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Evidence, Status, Tracks
 from voodoo_jax.trackers.base import LogInfo, Progress, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rate_joints
 from voodoo_jax.trackers.flexible.filters import start, track_chunk
@@ -335,9 +335,10 @@ def tracks_of(tracks: Tracks, begin: Start, seen: Observed, first: int, found: S
     tracks.rotation[rows], tracks.translation[rows] = limb_poses(body, x)
     tracks.joints[rows] = centres_of(body, x, begin.stature, camera)
     tracks.status[rows] = Status.TRACKED
-    tracks.residual[rows], tracks.explained[rows] = found.residual, found.explained
-    tracks.points[seen.row] = [len(p.points) for p in seen.people]
-    return replace(tracks, body=body, limb_weight=np.ones_like(tracks.limb_weight))
+    fit = tracks.evidence
+    fit.residual[rows], fit.explained[rows], fit.limb_weight[:] = found.residual, found.explained, 1
+    fit.points[seen.row] = [len(p.points) for p in seen.people]
+    return replace(tracks, body=body)
 
 
 # 6 parameters: what tracks are made of
@@ -350,7 +351,6 @@ def nobody_of(
     blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
     return Tracks(
         source, fixed_frame, body, time_ns, blank(limbs, 4), blank(limbs, 3), blank(centres, 3),
-        np.full(count, Status.NOT_STARTED, np.int8), blank(), np.zeros(count, np.float32), np.zeros(count, np.int32),
-        np.zeros(count, np.int32), np.zeros((count, limbs), np.float32), notes=notes,
+        np.full(count, Status.NOT_STARTED, np.int8), Evidence.blank(count, limbs), notes=notes,
         up=scene.floor.normal.astype(np.float32),
     )  # fmt: skip

@@ -312,8 +312,7 @@ class _Shown:
 
 def _for_bands(tracks: Tracks) -> Tracks:
     """The data for the stretch of bands, without large arrays."""
-    none = {"limb_covariance": None, "joint_covariance": None, "beyond_limits": None, "depth_inside": None}
-    return replace(tracks, **none)
+    return tracks.having(limb_covariance=None, joint_covariance=None, beyond_limits=None, depth_inside=None)
 
 
 def joined_tracks(parts: list[Tracks]) -> Tracks:
@@ -321,7 +320,7 @@ def joined_tracks(parts: list[Tracks]) -> Tracks:
     if len(parts) == 1:
         return parts[0]
     rows = [part.rows() for part in parts]
-    return replace(parts[-1], **{name: np.concatenate([each[name] for each in rows]) for name in rows[0]})
+    return parts[-1].having(**{name: np.concatenate([each[name] for each in rows]) for name in rows[0]})
 
 
 def _joined_rows(rows: list[Followed], limbs: int) -> Followed:
