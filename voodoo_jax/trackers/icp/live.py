@@ -43,7 +43,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 from voodoo_jax.trackers.shared.segment import Followed, segment_of
 from voodoo_jax.trackers.shared.sequence import DOUBT, SPAN, WRONG
 
-KEPT = 64  # frames whose points stay in memory: more than a start looks back or ahead; by hand
+KEPT = 64  # frames whose points stay in memory: any gives the same that is more than a start looks back or ahead
 
 
 class LiveRunner(Runner):
