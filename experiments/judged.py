@@ -130,7 +130,7 @@ def judge(recorded: Recorded, log: Log, tracks: Tracks) -> Verdict:
         honest=100 * honest,
         stature_cm=100 * abs(float(tracks.body.scale) - recorded.dims["stature"]),
         segments_cm=100 * float(np.mean(segments)) if segments else float("nan"),
-        steps=float(tracks.steps.mean()),
+        steps=float(tracks.evidence.steps.mean()),
         frames=len(tracks.time_ns),
         seconds=tracks.seconds,
     )

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from voodoo_jax.model.body_file import write_body as write_body
     from voodoo_jax.model.foreign.sources import body_from as body_from
     from voodoo_jax.records.recording import Recording as Recording
+    from voodoo_jax.records.tracks import Evidence as Evidence
     from voodoo_jax.records.tracks import Tracks as Tracks
     from voodoo_jax.trackers.front import track as track
     from voodoo_jax.trackers.front import track_people as track_people
@@ -60,6 +61,7 @@ _PUBLIC = {
     "Settings": ("config.options", "Settings"),
     "Style": ("config.output_style", "Style"),
     "Tracks": ("records.tracks", "Tracks"),
+    "Evidence": ("records.tracks", "Evidence"),
     "attach": ("model.attachments", "attach"),
     "body_from": ("model.foreign.sources", "body_from"),
     "export": ("exporters.formats", "export"),

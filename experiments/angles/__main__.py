@@ -97,7 +97,7 @@ def both(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         write_trc(trc, list(plain.values()), seconds, places[:, list(plain)])
         found = solved(model, trc, start_of(tracks), (float(seconds[0]), float(seconds[-1])))
     ours = tracks.angles()
-    arms = joint_angles(tracks.body, tracks.rotation, (tracks.limb_weight > 0) & tracks.tracked[:, None],
+    arms = joint_angles(tracks.body, tracks.rotation, (tracks.evidence.limb_weight > 0) & tracks.tracked[:, None],
                         conventions=CARDAN_ARM)  # fmt: skip
     out = {}
     for name in (side + n for n in ANGLES for side in (("",) if n.startswith("trunk") else ("l_", "r_"))):

@@ -19,9 +19,10 @@ import tyro
 from experiments.common import DEMO, human, load_log, log_files, table, write
 from voodoo_jax.config.options import Settings, SolveSettings
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.solve.frame import Problem, icp_step, solve_frame
+from voodoo_jax.solve.frame import icp_step, solve_frame
 from voodoo_jax.solve.implicit import solution
 from voodoo_jax.solve.padding import bucket, pad_frames
+from voodoo_jax.solve.pulls import Problem
 from voodoo_jax.solve.scan import options_from
 
 WAYS = IMPLICIT, CHECKPOINTED, _ = "implicit", "unrolled, checkpointed", "unrolled, all kept"

@@ -222,7 +222,7 @@ def main(
             f"{log.stem}: {len(started.frames)} frames, {native:.0f} points on the person (median); "
             f"reading and finding the person: {started.prepare_fps:.0f} frames/s\n"
             f"replay as it is, start included: {len(started.frames) / tracks.seconds:.0f} frames/s, "
-            f"{tracks.steps.mean():.1f} steps a frame{error}; now {steps} steps each:"
+            f"{tracks.evidence.steps.mean():.1f} steps a frame{error}; now {steps} steps each:"
         )
         rows += measure(started, log.stem, answer, points, solvers, steps, repeats)
     load = round(os.getloadavg()[0], 2)

@@ -30,8 +30,9 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.kernels.correspondences import closest_limbs, match, moments
 from voodoo_jax.kernels.points import Points
-from voodoo_jax.solve.frame import Problem, adjacency, icp_step
+from voodoo_jax.solve.frame import icp_step
 from voodoo_jax.solve.padding import bucket, pad_frames
+from voodoo_jax.solve.pulls import Problem, adjacency
 from voodoo_jax.trackers.base import LogInfo, Task
 from voodoo_jax.trackers.of_points import track_person
 

@@ -261,25 +261,21 @@ def streams(folder: Path) -> list[Sound]:
 
 def tracks_file(folder: Path) -> Path:
     """Tracks of the demo's first frames, all of them lost."""
-    from dataclasses import fields
 
     from voodoo_jax.exporters.npz import write_tracks_npz
     from voodoo_jax.model.body_file import load_on_host
-    from voodoo_jax.records.tracks import Tracks
+    from voodoo_jax.records.tracks import Evidence, Tracks
 
     body, n = load_on_host("human"), 4
     limbs, centres = body.limb_count, len(body.topology.centres)
     arrays: dict[str, Any] = {
         "rotation": np.tile(np.array([1, 0, 0, 0], np.float32), (n, limbs, 1)),
         "translation": np.random.default_rng(0).normal(0, 1, (n, limbs, 3)).astype(np.float32),
-        "joints": np.zeros((n, centres, 3), np.float32), "residual": np.full(n, 0.01, np.float32),
-        "explained": np.ones(n, np.float32), "limb_weight": np.ones((n, limbs), np.float32),
-        "status": np.zeros(n, np.int8), "steps": np.ones(n, np.int32),
-        "points": np.full(n, 500, np.int32), "time_ns": 10**18 + np.arange(n, dtype=np.int64) * 33_000_000,
+        "joints": np.zeros((n, centres, 3), np.float32), "status": np.zeros(n, np.int8),
+        "time_ns": 10**18 + np.arange(n, dtype=np.int64) * 33_000_000,
     }  # fmt: skip
-    known = {f.name for f in fields(Tracks)}
     tracks = Tracks(source="a.mcap", fixed_frame="world", body=body, seconds=1.0, notes=("a note",),
-                    **{k: v for k, v in arrays.items() if k in known})  # fmt: skip
+                    evidence=Evidence.blank(n, limbs), **arrays)  # fmt: skip
     path = folder / "a.tracks.npz"
     write_tracks_npz(tracks, path)
     return path

@@ -22,8 +22,8 @@ from voodoo_jax.fitting.parameters import Parameters, changed, changed_options, 
 from voodoo_jax.fitting.problem import Problem, problem
 from voodoo_jax.model.body import joint_centres
 from voodoo_jax.solve import frame as one_frame
-from voodoo_jax.solve.frame import Chosen
 from voodoo_jax.solve.implicit import solution
+from voodoo_jax.solve.pulls import Chosen
 
 # all that a frame's poses depend on but what tells of the frame before
 FREE = (

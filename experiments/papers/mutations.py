@@ -75,7 +75,7 @@ INGREDIENTS = (
     _knoop("a band of a joint without axes is one", "4.2", "model/body.py", "mask / mask.sum(-1, keepdims=True)", "mask", KINDS),
     _knoop("each band pulls both limbs", "4.3", "kernels/bands.py", ".at[links.first].add(there).at[links.second].add(back)", ".at[links.first].add(there)", BANDS),
     _knoop("bands are artificial pairs in the solve", "4.3", "solve/frame.py", "held = sum(link_moments(some, poses, pulls.strength) for some in pulls.links)", "held = 0.0 * sum(link_moments(some, poses, pulls.strength) for some in pulls.links)", "test_limbs_are_solved_each_by_itself_and_bands_pass_the_motion_on"),
-    _knoop("bands weigh by the limb's measurements", "4.3", "solve/frame.py", "strength = options.ratio * jnp.maximum(limb_weight, options.floor * total_weight(problem))", "strength = options.ratio * jnp.ones_like(limb_weight)", "test_bands_weigh_as_a_limbs_own_measurements_do"),
+    _knoop("bands weigh by the limb's measurements", "4.3", "solve/pulls.py", "strength = options.ratio * jnp.maximum(limb_weight, options.floor * total_weight(problem))", "strength = options.ratio * jnp.ones_like(limb_weight)", "test_bands_weigh_as_a_limbs_own_measurements_do"),
     _knoop("a point belongs to the closest limb", "3.2", "kernels/assignment.py", "closer = signed < nearest", "closer = (signed < jnp.inf) & (winner == limbs)", "test_a_point_is_a_measurement_of_the_closest_limb"),
     _knoop("pairs that are too long are discarded", "3.2", "kernels/correspondences.py", "keep = chosen & (d2 <= options.max_distance**2) if", "keep = chosen if", FAR),
     _knoop("box of the whole body", "5.2", "kernels/assignment.py", "near_body = in_box(low, high, points.xyz)", "near_body = in_box(low - 9.0, high + 9.0, points.xyz)", FAR),

@@ -51,9 +51,9 @@ def along(log: Log, runs: dict[float, Tracks], out: Path) -> None:
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(8, 4.2), sharex=True, layout="constrained")
     rows, text = [], ""
     for epsilon, tracks in runs.items():
-        steps = tracks.steps[2:]
+        steps = tracks.evidence.steps[2:]
         label = f"epsilon {epsilon:.0e} square metres"
-        upper.step((tracks.time_ns - first.time_ns[0]) / 1e9, tracks.steps, where="mid", lw=0.9, label=label)
+        upper.step((tracks.time_ns - first.time_ns[0]) / 1e9, tracks.evidence.steps, where="mid", lw=0.9, label=label)
         for name, part in parts.items():
             few = (now[part].mean(), steps[part].mean(), np.median(steps[part]), steps[part].max())
             rows.append([f"{epsilon:.0e}", name, *(f"{v:.{d}f}" for v, d in zip(few, (2, 1, 0, 0)))])

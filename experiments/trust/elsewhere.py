@@ -115,9 +115,12 @@ def facing(tracks: vj.Tracks) -> np.ndarray:
     """[frame, joint] Odds of facing, infinite where they make no difference."""
     sides = [name.startswith(("l_", "r_")) for name in tracks.body.topology.centres]
     odds = np.full((len(tracks.status), len(sides)), np.inf)
-    if tracks.facing_odds is not None and (known := np.flatnonzero(np.isfinite(tracks.facing_odds))).size:
+    if (
+        tracks.evidence.facing_odds is not None
+        and (known := np.flatnonzero(np.isfinite(tracks.evidence.facing_odds))).size
+    ):
         last = known[np.maximum(np.searchsorted(known, np.arange(len(odds)), "right") - 1, 0)]
-        odds[:, sides] = np.minimum(tracks.facing_odds[last], FAR)[:, None]
+        odds[:, sides] = np.minimum(tracks.evidence.facing_odds[last], FAR)[:, None]
     return odds
 
 

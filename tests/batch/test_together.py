@@ -30,7 +30,7 @@ def recordings(tmp_path_factory):
 
 def assert_equal_tracks(one: vj.Tracks, other: vj.Tracks) -> None:
     for name in ("joints", "rotation", "translation", "status", "residual", "steps", "limb_covariance"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+        np.testing.assert_array_equal(one.rows()[name], other.rows()[name], err_msg=name)
 
 
 def test_each_gets_what_it_gets_alone(recordings):
@@ -50,7 +50,7 @@ def test_one_recording_with_many_settings_and_bodies(recordings):
     body, recording = small_body(), recordings[1]
     several = [replace(SETTINGS, solve=replace(SETTINGS.solve, max_steps=n)) for n in (2, 9)]
     found = vj.track_many(body, recording, several, lanes=2)
-    assert [t.steps.max() <= n for t, n in zip(found, (2, 9))] == [True, True]
+    assert [t.evidence.steps.max() <= n for t, n in zip(found, (2, 9))] == [True, True]
     assert not np.array_equal(found[0].joints, found[1].joints)
     for one, settings in zip(found, several):
         assert_equal_tracks(one, vj.track(body, recording, settings))

@@ -47,10 +47,9 @@ def tracks_at(joints: np.ndarray, tracked=True, sure: float = 0.95) -> vj.Tracks
     count, body = len(joints), vj.human()
     limbs = np.zeros((count, body.limb_count, 4), np.float32)
     status = np.where(np.broadcast_to(tracked, count), Status.TRACKED, Status.LOST).astype(np.int8)
-    zeros, none = np.zeros(count, np.float32), np.zeros(count, np.int32)
     return vj.Tracks(
         "log", "base", body, START + STEP * np.arange(count), limbs, limbs[..., :3], joints.astype(np.float32), status,
-        zeros, zeros, none, none, limbs[..., 0], joint_confidence=np.full(joints.shape[:2], sure, np.float32),
+        vj.Evidence.blank(count, body.limb_count), joint_confidence=np.full(joints.shape[:2], sure, np.float32),
     )  # fmt: skip
 
 

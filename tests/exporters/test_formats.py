@@ -53,8 +53,7 @@ def loose_tracks(name: str = "human", frames: int = 24) -> Tracks:
     joints = np.stack([joint_centres(tracks.body, Poses(q, p)) for q, p in zip(turn, place)])
     # joints that are moved and poses that are not, as by place_joints
     joints = (joints + 0.01 + np.cumsum(rng.normal(0, 0.003, joints.shape), 0)).astype(np.float32)
-    cut = {k: v[part] for k, v in vars(tracks).items() if isinstance(v, np.ndarray) and len(v) == len(tracks.time_ns)}
-    return replace(tracks, **(cut | dict(rotation=turn, translation=place, joints=joints)))
+    return tracks.only(part).having(rotation=turn, translation=place, joints=joints)
 
 
 def bvh_positions(path) -> tuple[dict[str, np.ndarray], float]:
@@ -315,9 +314,9 @@ def test_trc_and_mot_and_csv(tmp_path):
     knee = np.degrees(tracks.angles()["r_knee_flexion"][tracks.tracked])
     np.testing.assert_allclose([float(row[names.index("knee_angle_r")]) for row in rows], knee, atol=1e-4)
     # a hidden shank's angle is that of the predicted pose, and this is said
-    weight = tracks.limb_weight.copy()
+    weight = tracks.evidence.limb_weight.copy()
     weight[20:40, tracks.body.topology.limbs.index("r_shank")] = 0
-    text = export(replace(tracks, limb_weight=weight), tmp_path / "b.mot").read_text()
+    text = export(tracks.having(limb_weight=weight), tmp_path / "b.mot").read_text()
     share = f"knee_angle_r {100 * float(tracks.tracked[20:40].sum() / tracks.tracked.sum()):.0f} %"
     assert "nan" not in text and share in text and text.split("\n")[-len(rows) - 1 :] == [*lines[end + 2 :]]
     hips = (tracks.joint("l_hip") + tracks.joint("r_hip"))[tracks.tracked] / 2
@@ -367,10 +366,9 @@ def test_every_format_takes_every_body(name, tmp_path):
 
 def test_every_format_takes_a_log_of_one_frame_and_refuses_none(tmp_path):
     tracks = make_tracks()
-    cut = lambda n: {k: v[3 : 3 + n] for k, v in vars(tracks).items() if isinstance(v, np.ndarray)}  # noqa: E731
     with pytest.raises(ExportError, match="no frame"):
-        export(replace(tracks, **cut(0)), tmp_path / "a.csv")
-    tracks = replace(tracks, **cut(1))
+        export(tracks.only(slice(0)), tmp_path / "a.csv")
+    tracks = tracks.only(slice(3, 4))
     for key, how in FORMATS.items():
         assert export(tracks, tmp_path / f"a{how.suffix}", key).stat().st_size > 100
 
@@ -389,7 +387,7 @@ def test_dropped_frames_are_interpolated_where_there_is_no_time():
     tracks = make_tracks()
     keep = np.ones(75, bool)
     keep[[20, 50, 51, 52, 53, 54]] = False
-    even, rate = evenly(replace(tracks, **{k: v[keep] for k, v in vars(tracks).items() if isinstance(v, np.ndarray)}))
+    even, rate = evenly(tracks.only(np.flatnonzero(keep)))
     assert rate == pytest.approx(30, rel=1e-3) and len(even.time_ns) == 75
     np.testing.assert_allclose(even.joints[20], (tracks.joints[19] + tracks.joints[21]) / 2, atol=1e-5)
     assert even.tracked[20] and not even.tracked[50:55].any() and np.isnan(even.joints[52]).all()

@@ -16,7 +16,7 @@ from voodoo_jax.exporters.npz import TracksFileError, read_tracks_npz, write_tra
 from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import load_body, parse_body
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Evidence, Status, Tracks
 
 FRAMES = 75
 START = 1_700_000_000_123_456_789
@@ -39,10 +39,14 @@ def make_tracks(name: str = "human") -> Tracks:
     return Tracks(
         source="logs/walk ä.mcap", fixed_frame="world", body=body,
         time_ns=START + np.arange(FRAMES, dtype=np.int64) * 33_333_333,
-        rotation=rotation, translation=translation, joints=joints, status=status, residual=residual,
-        explained=rng.uniform(0.8, 1, FRAMES).astype(np.float32), steps=np.full(FRAMES, 6, np.int32),
-        points=rng.integers(500, 900, FRAMES).astype(np.int32),
-        limb_weight=rng.uniform(0, 50, (FRAMES, body.limb_count)).astype(np.float32), seconds=1.25,
+        rotation=rotation, translation=translation, joints=joints, status=status,
+        evidence=Evidence(
+            residual, rng.uniform(0.8, 1, FRAMES).astype(np.float32), np.full(FRAMES, 6, np.int32),
+            rng.integers(500, 900, FRAMES).astype(np.int32),
+            rng.uniform(0, 50, (FRAMES, body.limb_count)).astype(np.float32),
+            depth_inside=np.zeros((FRAMES, body.limb_count), np.float32),
+        ),
+        seconds=1.25, marker_residual={"LASI": 0.01, "RASI": 0.02},
         joint_confidence=confidence, notes=("one log only", "no ground"),
     )  # fmt: skip
 
@@ -69,8 +73,10 @@ def test_npz_round_trip(name, tmp_path):
     write_tracks_npz(tracks, path)
     again = read_tracks_npz(path)
     assert [p.name for p in tmp_path.iterdir()] == ["a.tracks.npz"]
-    for field in tracks.__dataclass_fields__:
-        x, y = getattr(tracks, field), getattr(again, field)
+    assert {**again.marker_residual} == pytest.approx({**tracks.marker_residual}, abs=1e-7)
+    both = [vars(t) | vars(t.evidence) for t in (tracks, again)]
+    for field in both[0].keys() - {"evidence", "marker_residual"}:
+        x, y = (each[field] for each in both)
         if field == "body":
             assert x.topology == y.topology and x.name == y.name
             for u, v in zip(jax.tree.leaves(x), jax.tree.leaves(y)):
@@ -211,7 +217,7 @@ def test_mcap_quality_metadata_and_attachment(tmp_path):
     assert len(quality) == FRAMES and quality[0]["residual_m"] is None and not quality[0]["tracked"]
     assert quality[40]["status"] == Status.LOST and quality[5]["tracked"] is True and quality[5]["steps"] == 6
     assert quality[5]["confidence"] == pytest.approx(0.9) and quality[0]["confidence"] is None
-    assert quality[5]["residual_m"] == pytest.approx(float(tracks.residual[5]))
+    assert quality[5]["residual_m"] == pytest.approx(float(tracks.evidence.residual[5]))
     (record,) = meta
     assert record.name == "voodoo_jax" and set(record.metadata) == {"version", "source", "fixed_frame", "icp.steps"}
     assert record.metadata["source"] == "logs/walk ä.mcap" and record.metadata["fixed_frame"] == "world"

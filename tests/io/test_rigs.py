@@ -216,4 +216,4 @@ def test_a_log_of_assigned_points_only(tmp_path):
     tracks = track(load_body("human10"), recording)
     error = np.linalg.norm(tracks.joints - sim.joints, axis=-1)
     assert tracks.tracked.all() and error.mean() < 0.03
-    assert tracks.points.tolist() == [len(f.points) for f in recording]  # not one is lost on the way
+    assert tracks.evidence.points.tolist() == [len(f.points) for f in recording]  # not one is lost on the way

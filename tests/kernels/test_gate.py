@@ -9,7 +9,7 @@ from tests.support.helpers import frustum_mesh, random_rotations, scipy_rotation
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.bounding_boxes import body_box, in_box, in_limb_box, resolve_overlap
 from voodoo_jax.model.body_file import BUILT_IN, load_body
-from voodoo_jax.solve.frame import adjacency
+from voodoo_jax.solve.pulls import adjacency
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

@@ -13,7 +13,8 @@ from voodoo_jax.kernels.joint_limits import check, joint_angles, limit_links
 from voodoo_jax.kernels.self_collision import apart, contact_links, contacts
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.simulate.motion import pose_body
-from voodoo_jax.solve.frame import Problem, solve_frame
+from voodoo_jax.solve.frame import solve_frame
+from voodoo_jax.solve.pulls import Problem
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -88,7 +88,7 @@ def check(tracks, body, joints, mean=0.02, frames=slice(None)):
     error = np.linalg.norm(tracks.joints - joints, axis=-1)[frames]
     chosen = [i for i, n in enumerate(body.topology.centres) if n[2:] in {d[2:] for d in DRAWN}]
     assert error[:, chosen].mean() < mean and error[:, chosen].mean(1).max() < 0.03
-    assert tracks.tracked[frames].all() and tracks.explained[frames].mean() > 0.9
+    assert tracks.tracked[frames].all() and tracks.evidence.explained[frames].mean() > 0.9
     assert tracks.joint_confidence is not None and tracks.joint_confidence[frames][:, chosen].mean() > 0.9
     true, found = segment_lengths(body), segment_lengths(tracks.body)
     assert max(abs(found[k] - true[k]) for k in true) < 0.015
@@ -101,7 +101,7 @@ def test_markers_alone(moving, tmp_path, turn):
     turned = [{f"Subject:{n}": turn @ p for n, p in f.items()} for f in frames]
     tracks = track(human(), recorded(tmp_path, turned))
     check(tracks, body, joints @ turn.T)
-    assert tracks.residual.max() < 0.03 and tracks.limb_weight.sum(0).min() > 0
+    assert tracks.evidence.residual.max() < 0.03 and tracks.evidence.limb_weight.sum(0).min() > 0
     assert not any("arker" in note for note in tracks.notes)
 
 
@@ -228,15 +228,15 @@ def test_another_set_has_clusters_and_joints_between_two_markers(everywhere, tmp
             off = np.linalg.norm(tracks.joint(side + joint) - middle, axis=-1)
             assert off.mean() < 0.012 and off.max() < 0.025, (side + joint, off.mean(), off.max())
     assert tracks.tracked.all() and tracks.body.topology == human().topology
-    assert tracks.marker_residual is not None and len(tracks.marker_names) == len(frames[0]) - 2
-    assert tracks.marker_residual.max() < 0.015 and tracks.residual.max() < 0.015
+    assert len(tracks.marker_residual) == len(frames[0]) - 2
+    assert max(tracks.marker_residual.values()) < 0.015 and tracks.evidence.residual.max() < 0.015
     notes = "\n".join(tracks.notes)
     assert "OpenSim" in notes and "--features.names 'zebra=r_calcaneus_posterior'" in notes
     assert "1 unnamed points" in notes
     # the same by the setting that the note gives, and for a marker of which only the limb is known
     named = FeatureSettings(names=("zebra=r_calcaneus_posterior", "R.thigh1=r_thigh"))
     again = track(human(), recorded(tmp_path, frames), Settings(features=named))
-    assert "zebra" in again.marker_names and not any("zebra" in note for note in again.notes)
+    assert "zebra" in again.marker_residual and not any("zebra" in note for note in again.notes)
 
 
 def test_key_points_of_two_subjects(everywhere, tmp_path):

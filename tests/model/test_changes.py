@@ -183,7 +183,7 @@ def test_without_the_stick_being_added_its_points_are_left_over(stick_log):
     body = eqx.tree_at(lambda b: b.weights, human(), replace_fn=jnp.ones_like)
     tracks = track(body, read_log(path), Settings(start=StartSettings(scale=1.7), detect=STILL))
     with_it, without = present[:, -1], ~present[:, -1]
-    assert tracks.explained[with_it].mean() < tracks.explained[without].mean() - 0.02
+    assert tracks.evidence.explained[with_it].mean() < tracks.evidence.explained[without].mean() - 0.02
 
 
 def test_a_change_keeps_the_pose_of_the_rest(stick_log):

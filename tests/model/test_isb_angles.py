@@ -1,7 +1,5 @@
 """Joint angles: known turns are found again, and postures have the signs that the ISB gives them, on both sides."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -138,10 +136,10 @@ def tracks_of(name: str):
 
 def test_hidden_limbs_and_untracked_frames_are_nan():
     tracks = tracks_of("human")
-    weight, status = tracks.limb_weight.copy(), tracks.status.copy()
+    weight, status = tracks.evidence.limb_weight.copy(), tracks.status.copy()
     shank = tracks.body.topology.limbs.index("l_shank")
     weight[2, shank], status[5] = 0, 3
-    tracks = replace(tracks, limb_weight=weight, status=status)
+    tracks = tracks.having(limb_weight=weight, status=status)
     angles = tracks.angles()
     assert np.flatnonzero(np.isnan(angles["l_knee_flexion"])).tolist() == [2, 5]
     assert np.flatnonzero(np.isnan(angles["l_ankle_inversion"])).tolist() == [2, 5]

@@ -21,8 +21,8 @@ from tests.support.helpers import (
     two_limbs,
 )
 from voodoo_jax.kernels.correspondences import Points
-from voodoo_jax.solve.frame import Problem
 from voodoo_jax.solve.implicit import solution
+from voodoo_jax.solve.pulls import Problem
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -8,7 +8,8 @@ import pytest
 from tests.support.helpers import all_finite, cast, frame_points, icp_options, seen_points, turned
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.solve.frame import Problem, solve_frame
+from voodoo_jax.solve.frame import solve_frame
+from voodoo_jax.solve.pulls import Problem
 
 SENSOR = (1.5, 1.5, 0.9)
 

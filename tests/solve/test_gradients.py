@@ -23,8 +23,9 @@ from tests.support.helpers import (
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body_file import parse_body
-from voodoo_jax.solve.frame import Problem, choices, icp_step, solve_frame, total_weight
+from voodoo_jax.solve.frame import icp_step, solve_frame
 from voodoo_jax.solve.implicit import balance, balance_slope, moved, solution
+from voodoo_jax.solve.pulls import Problem, choices, total_weight
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -25,16 +25,8 @@ from voodoo_jax.geometry.rigid import Poses, apply
 from voodoo_jax.kernels.correspondences import Points, match
 from voodoo_jax.kernels.gauss_newton import stretched
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.solve.frame import (
-    Problem,
-    adjacency,
-    frame_normals,
-    icp_step,
-    pulls_of,
-    seen_at,
-    solve_and_measure,
-    solve_frame,
-)
+from voodoo_jax.solve.frame import icp_step, solve_and_measure, solve_frame
+from voodoo_jax.solve.pulls import Problem, adjacency, frame_normals, pulls_of, seen_at
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -14,7 +14,8 @@ from voodoo_jax.kernels.correspondences import FREE, ON_BODY, Points, match
 from voodoo_jax.kernels.landmarks import Features, named_points
 from voodoo_jax.model.body import joint_centres
 from voodoo_jax.model.body_file import human
-from voodoo_jax.solve.frame import Problem, adjacency, icp_step, solve_frame
+from voodoo_jax.solve.frame import icp_step, solve_frame
+from voodoo_jax.solve.pulls import Problem, adjacency
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

@@ -16,8 +16,9 @@ from voodoo_jax.kernels.frustum import closest_point
 from voodoo_jax.kernels.landmarks import Features, feature_sums
 from voodoo_jax.model.body import bands
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.solve.frame import Loop, Problem, adjacency, icp_step, pulls_of, seen_at, solve_frame
+from voodoo_jax.solve.frame import Loop, icp_step, solve_frame
 from voodoo_jax.solve.names import FeatureNames
+from voodoo_jax.solve.pulls import Problem, adjacency, pulls_of, seen_at
 from voodoo_jax.solve.scan import at_rest, options_from, predict
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")

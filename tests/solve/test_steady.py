@@ -18,7 +18,7 @@ from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import make_motion, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
-from voodoo_jax.solve.frame import Problem, pull_to_prediction
+from voodoo_jax.solve.pulls import Problem, pull_to_prediction
 from voodoo_jax.trackers.front import track
 
 

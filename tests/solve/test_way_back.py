@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from tests.support.helpers import cast, frame_points, icp_options, random_like, seen_points, turned, two_limbs
-from voodoo_jax.solve.frame import Problem, icp_step
+from voodoo_jax.solve.frame import icp_step
+from voodoo_jax.solve.pulls import Problem
 
 SENSOR = (2.0, 0.4, 0.5)
 

@@ -167,7 +167,7 @@ def a_tracks_file(tmp_path_factory) -> Path:
     """Tracks of two frames of a body that stands still."""
     from tests.support.helpers import two_limbs
     from voodoo_jax.exporters.npz import write_tracks_npz
-    from voodoo_jax.records.tracks import Tracks
+    from voodoo_jax.records.tracks import Evidence, Tracks
 
     body, path = two_limbs(), tmp_path_factory.mktemp("tracks") / "a.npz"
     limbs, numbers = body.limb_count, lambda *shape: np.ones((2, *shape), np.float32)
@@ -175,8 +175,7 @@ def a_tracks_file(tmp_path_factory) -> Path:
     tracks = Tracks(
         source="a.mcap", fixed_frame="base", body=body, time_ns=np.array([0, 33_000_000]), rotation=rotation,
         translation=numbers(limbs, 3), joints=numbers(len(body.topology.centres), 3), status=np.zeros(2, np.int8),
-        residual=numbers(), explained=numbers(), steps=np.ones(2, np.int32), points=np.ones(2, np.int32),
-        limb_weight=numbers(limbs), joint_confidence=numbers(len(body.topology.centres)),
+        evidence=Evidence.blank(2, limbs), joint_confidence=numbers(len(body.topology.centres)),
     )  # fmt: skip
     write_tracks_npz(tracks, path)
     assert len(read_tracks_npz(path).time_ns) == 2

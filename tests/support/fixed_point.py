@@ -3,7 +3,8 @@
 import optimistix as optx
 
 from voodoo_jax.geometry.rigid import Poses, quat_normalize
-from voodoo_jax.solve.frame import FrameResult, Problem, icp_step
+from voodoo_jax.solve.frame import FrameResult, icp_step
+from voodoo_jax.solve.pulls import Problem
 
 
 def _iterate(poses: Poses, problem: Problem) -> Poses:

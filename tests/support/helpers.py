@@ -15,7 +15,7 @@ from voodoo_jax.geometry.rigid import Poses, compose, quat_exp
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.solve.frame import IcpOptions
+from voodoo_jax.solve.pulls import IcpOptions
 from voodoo_jax.solve.scan import options_from
 
 TWO_LIMBS_SENSOR = np.array([[2.0, 0.4, 0.5]], np.float32)  # sees two_limb_frames

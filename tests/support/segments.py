@@ -7,7 +7,7 @@ import numpy as np
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Evidence, Status, Tracks
 
 
 def tracked_segment(poses: Poses, **arrays: np.ndarray) -> Segment:
@@ -23,13 +23,14 @@ def blank_tracks(body: Body, count: int, **arrays: np.ndarray) -> Tracks:
     """Tracks of so many frames in which nothing is tracked; other arrays as given."""
     s, t, nan = Segment.blank(count, body.limb_count), body.topology, np.float32(np.nan)
     known = {
+        "passes_apart": s.passes_apart,
         "joints": np.full((count, len(t.centres), 3), nan),
         "beyond_limits": np.full((count, len(t.joints)), nan),
         "depth_inside": np.full((count, body.limb_count), nan),
         "joint_covariance": np.full((count, len(t.centres), 3, 3), nan),
     }
     tracks = Tracks(
-        "log.mcap", "base", body, np.arange(count), s.rotation, s.translation, known["joints"], s.status, s.residual,
-        s.explained, s.steps, np.zeros(count, np.int32), s.limb_weight, passes_apart=s.passes_apart,
+        "log.mcap", "base", body, np.arange(count), s.rotation, s.translation, known["joints"], s.status,
+        Evidence.blank(count, body.limb_count),
     )  # fmt: skip
-    return replace(tracks, **known | arrays)
+    return tracks.having(**known | arrays)

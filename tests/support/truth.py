@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Evidence, Status, Tracks
 from voodoo_jax.simulate.recording import Simulation
 
 
@@ -21,9 +21,5 @@ def truth_tracks(simulation: Simulation, source: str = "simulation") -> Tracks:
         translation=s.translation,
         joints=s.joints,
         status=np.full(count, Status.TRACKED, np.int8),
-        residual=zeros,
-        explained=zeros + 1,
-        steps=steps,
-        points=points,
-        limb_weight=weight,
+        evidence=Evidence(zeros, zeros + 1, steps, points, weight),
     )

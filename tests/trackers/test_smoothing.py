@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.model.body_file import human
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Evidence, Status, Tracks
 from voodoo_jax.trackers.smoothing import smooth
 
 BODY = human()
@@ -18,13 +18,11 @@ def tracks_of(joints, angles, rate=30.0) -> Tracks:
     """Tracks with given joints and all limbs turned about x by `angles`, radians."""
     n = len(joints)
     q = Rotation.from_euler("x", np.asarray(angles)[:, None]).as_quat(scalar_first=True)
-    zeros = np.zeros(n, np.float32)
     return Tracks(
         source="", fixed_frame="base", body=BODY, time_ns=(10**18 + np.arange(n) * 1e9 / rate).astype(np.int64),
         rotation=np.repeat(q[:, None], LIMBS, 1).astype(np.float32),
         translation=np.repeat(joints[:, :1], LIMBS, 1).astype(np.float32), joints=joints.astype(np.float32),
-        status=np.full(n, Status.TRACKED, np.int8), residual=zeros, explained=zeros, steps=zeros.astype(np.int32),
-        points=zeros.astype(np.int32), limb_weight=np.zeros((n, LIMBS), np.float32),
+        status=np.full(n, Status.TRACKED, np.int8), evidence=Evidence.blank(n, LIMBS),
     )  # fmt: skip
 
 

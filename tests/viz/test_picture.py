@@ -47,9 +47,9 @@ def test_frames_without_pose_say_so():
     sim, tracks, recording = simulated()
     nowhere = np.full_like(tracks.translation, np.nan)
     status = np.full_like(tracks.status, Status.NOT_STARTED)
-    none = replace(
-        tracks, translation=nowhere, rotation=tracks.rotation * np.nan, joints=tracks.joints * np.nan,
-        status=status, residual=tracks.residual * np.nan,
+    none = tracks.having(
+        translation=nowhere, rotation=tracks.rotation * np.nan, joints=tracks.joints * np.nan,
+        status=status, residual=tracks.evidence.residual * np.nan,
     )  # fmt: skip
     figure = show(none, recording, frames=2)
     assert figure._repr_png_().startswith(b"\x89PNG")  # as a notebook asks for it

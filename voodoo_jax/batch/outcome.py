@@ -124,9 +124,8 @@ def outcome_of(path: str, npz: str, tracks: Tracks, **more: Any) -> Outcome:
     """The outcome of a log that was tracked; `more` are other fields of Outcome."""
     body, times = tracks.body, {"seconds": tracks.seconds, "compile_seconds": tracks.compile_seconds}
     size = f"{body.scale_name} {float(body.scale):.3f} m"
-    return _of(
-        path, npz, tracks.tracked, tracks.residual, size, notes=tracks.notes, person=tracks.person, **times, **more
-    )
+    more |= {"notes": tracks.notes, "person": tracks.person}
+    return _of(path, npz, tracks.tracked, tracks.evidence.residual, size, **times, **more)
 
 
 def outcome_of_arrays(path: str, npz: str, data: Mapping[str, np.ndarray], **more: Any) -> Outcome:

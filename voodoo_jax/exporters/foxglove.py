@@ -215,10 +215,10 @@ def _transforms(tracks: Tracks, frame: int, time: Timestamp, named: list[FrameTr
 def quality_of(tracks: Tracks, frame: int, confidence: float) -> bytes:
     number = lambda x: float(x) if math.isfinite(x) else None  # noqa: E731  (JSON has no NaN)
     scalars = {
-        "residual_m": number(tracks.residual[frame]),
-        "explained": number(tracks.explained[frame]),
+        "residual_m": number(tracks.evidence.residual[frame]),
+        "explained": number(tracks.evidence.explained[frame]),
         "confidence": number(confidence),
-        "steps": int(tracks.steps[frame]),
+        "steps": int(tracks.evidence.steps[frame]),
         "tracked": bool(tracks.status[frame] == Status.TRACKED),
         "status": int(tracks.status[frame]),
     }

@@ -1,7 +1,5 @@
 """What exporters share: which way is up, frames at an even rate, and which frames count."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
@@ -109,12 +107,10 @@ def _resampled(tracks: Tracks, time: np.ndarray, wanted: np.ndarray, usual: floa
     norm = np.linalg.norm(turn, axis=-1, keepdims=True)
     both = tracks.tracked[before] & tracks.tracked[after]
     alone = tracks.tracked[nearest] & ((share == 0) | (share == 1))
-    per_frame = {name: value[nearest] for name, value in tracks.rows().items()}
-    own = dict(
+    return tracks.only(nearest).having(
         time_ns=tracks.time_ns[0] + np.round(wanted * 1e9).astype(np.int64),
         rotation=(turn / np.where(norm > 0, norm, 1)).astype(np.float32),
         translation=between(tracks.translation).astype(np.float32),
         joints=between(tracks.joints).astype(np.float32),
         status=np.where((both | alone) & within, Status.TRACKED, Status.LOST).astype(np.int8),
     )
-    return replace(tracks, **(per_frame | own))

@@ -58,7 +58,7 @@ def coordinates(tracks: Tracks, hidden: bool = False) -> dict[str, np.ndarray]:
     if not any(name.endswith("hip_flexion") for name in degrees):
         return degrees
     found = _pelvis(tracks, body)
-    seen = ((tracks.limb_weight > 0) | hidden) & tracks.tracked[:, None]
+    seen = ((tracks.evidence.limb_weight > 0) | hidden) & tracks.tracked[:, None]
     arms = joint_angles(body, tracks.rotation, seen, conventions=(ARM,))
     for name, value in zip(arms.columns, np.degrees(arms.table).T):
         found[f"{name[2:]}_{name[0]}"] = value

@@ -4,7 +4,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from voodoo_jax.geometry.arrays_file import DIGEST, NotArrays, arrays_in, digest
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.model.body_file import BodyFileError, format_body, parse_body
-from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.records.tracks import Evidence, Tracks
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.storage.troubles import opened_file
 from voodoo_jax.storage.urls import person_place
@@ -27,9 +27,8 @@ FORMS = {
     "limb_distance": ("f", "fl"), "limb_bare": ("f", "fl"), "limb_own": ("f", "fl"), "facing_odds": ("f", "f"),
     "T_fixed_steady": ("f", "f44"),
 }  # fmt: skip
-# always there, and where they were found
-MORE_ARRAYS = tuple(f.name for f in fields(Tracks) if f.name in FORMS and f.default is None)
-FRAME_ARRAYS = tuple(name for name in FORMS if name not in MORE_ARRAYS)
+ALWAYS = tuple(f.name for f in (*fields(Tracks), *fields(Evidence)) if f.name in FORMS and f.default is MISSING)
+EVIDENCE = FORMS.keys() & {f.name for f in fields(Evidence)}
 FARTHEST = 1e30  # covariances are huge where nothing is known; not infinite
 LATEST = 1 << 62  # nanoseconds, as io.limits.TIME
 UNEVEN = 0.01  # of a unit quaternion's length: rounding
@@ -62,8 +61,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
         body.scale_name: float(body.scale),
         "segment_lengths": segment_lengths(body),
     }
-    arrays: dict[str, Any] = {name: getattr(tracks, name) for name in FRAME_ARRAYS}
-    arrays |= {name: value for name in MORE_ARRAYS if (value := getattr(tracks, name)) is not None}
+    arrays: dict[str, Any] = {name: value for name, value in tracks.rows().items() if name in FORMS}
     arrays |= {
         "tracked": tracks.tracked,
         "joint_names": np.array(tracks.joint_names, np.str_),
@@ -76,8 +74,11 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
         "seconds": np.array(tracks.seconds, np.float64),
         "notes": np.array(tracks.notes, np.str_),
     }
-    if tracks.marker_names:
-        arrays["marker_names"] = np.array(tracks.marker_names, np.str_)
+    if tracks.up is not None:
+        arrays["up"] = tracks.up
+    if tracks.marker_residual is not None:
+        arrays["marker_residual"] = np.array(list(tracks.marker_residual.values()), np.float32)
+        arrays["marker_names"] = np.array(list(tracks.marker_residual), np.str_)
     if tracks.people > 1:
         arrays |= {"person": np.array(tracks.person), "people": np.array(tracks.people)}
     if run_key:
@@ -91,7 +92,7 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
     """Reads what write_tracks_npz wrote. Raises TracksFileError if it is something else, OSError if it is not there."""
     with opened_file(path) as stream:
         data: dict[str, Any] = tracks_arrays(stream, path)
-    missing = [name for name in (*FRAME_ARRAYS, "body_toml", "fixed_frame", "source") if name not in data]
+    missing = [name for name in (*ALWAYS, "body_toml", "fixed_frame", "source") if name not in data]
     if missing:
         raise TracksFileError(f"{path}: not a tracks file of this version: it has no {', '.join(missing)}")
     try:
@@ -99,13 +100,14 @@ def read_tracks_npz(path: str | os.PathLike) -> Tracks:
     except BodyFileError as error:
         raise TracksFileError(f"{path}: its body cannot be read: {error}") from error
     _check(data, body, path)
+    off = data.pop("marker_residual", None)
     return Tracks(
         source=str(data["source"]),
         fixed_frame=str(data["fixed_frame"]),
         body=body,
-        **{name: data[name] for name in FRAME_ARRAYS},
-        **{name: data[name] for name in MORE_ARRAYS if name in data},
-        marker_names=tuple(str(name) for name in data.get("marker_names", ())),
+        evidence=Evidence(**{name: data[name] for name in EVIDENCE & data.keys()}),
+        **{name: data[name] for name in FORMS.keys() & data.keys() - EVIDENCE},
+        marker_residual=None if off is None else dict(zip(data.get("marker_names", off).tolist(), off.tolist())),
         seconds=float(data.get("seconds", 0.0)),
         notes=tuple(str(note) for note in data.get("notes", ())),
         person=int(data.get("person", 1)),

@@ -84,7 +84,7 @@ def chosen_frames(tracks: Tracks, points: Int[np.ndarray, " frame"], count: int)
 
     **Arguments:** `points` how many each frame has.
     """
-    residual = np.where(tracks.tracked, tracks.residual, np.inf)
+    residual = np.where(tracks.tracked, tracks.evidence.residual, np.inf)
     seen = (points >= 60) & ~held_back(len(points))
     good = (
         np.flatnonzero((residual <= WELL * np.median(residual[tracks.tracked])) & seen) if tracks.tracked.any() else []

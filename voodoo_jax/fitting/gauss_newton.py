@@ -23,7 +23,7 @@ from voodoo_jax.fitting.objective import POINT_SD, FitFrames, Normals, Objective
 from voodoo_jax.fitting.parameters import HEIGHT, Changes, Parameters, changed, height_of, height_ratio
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
-from voodoo_jax.solve.frame import IcpOptions
+from voodoo_jax.solve.pulls import IcpOptions
 
 GAIN, LEAST = 1e-4, 0.02  # a step that gains less of the loss, or less at all, is the last
 SURE = 2.0  # a size that moved by less than so many of its spreads between parts of the recordings stays

@@ -91,7 +91,7 @@ def judged_by(before: Tracks, after: Tracks, person: int, truth: Truth | None = 
 
     joints = [_off(tracks, truth) for tracks in (before, after)]
     held = np.arange(RUNS) % EVERY > 0
-    points = [np.sqrt(means(tracks.residual**2)) for tracks in (before, after)]
+    points = [np.sqrt(means(tracks.evidence.residual**2)) for tracks in (before, after)]
     lost = int(before.tracked.sum()) - int(after.tracked.sum())
     name = before.source.replace("\\", "/").rpartition("/")[2]
     return Judged(name, person, held, points[0], points[1], means(joints[0]), means(joints[1]), lost)

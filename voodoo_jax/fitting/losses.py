@@ -12,8 +12,8 @@ from voodoo_jax.fitting.objective import JOINT_NEAR, POINT_SD, FitFrames, as_dis
 from voodoo_jax.fitting.problem import Problem
 from voodoo_jax.model.body import Body
 from voodoo_jax.solve import frame as one_frame
-from voodoo_jax.solve.frame import IcpOptions
 from voodoo_jax.solve.implicit import solution
+from voodoo_jax.solve.pulls import IcpOptions
 from voodoo_jax.solve.through_time import Tracked
 
 

@@ -21,8 +21,8 @@ from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.kernels.correspondences import Points, closest_limbs, match_assigned
 from voodoo_jax.kernels.landmarks import Features, named_points
 from voodoo_jax.model.body import Body, joint_centres
-from voodoo_jax.solve.frame import IcpOptions, Problem
 from voodoo_jax.solve.implicit import Rest, carried, resting
+from voodoo_jax.solve.pulls import IcpOptions, Problem
 
 # Standard deviations of one measurement. Points: a person's surface is 2 cm from cylinders, and that error is
 # common to a patch of skin, not to a point; so a limb counts as so many measurements a frame, not as its points.

@@ -21,7 +21,7 @@ from voodoo_jax.geometry.rigid import matrix, on_device, on_host, quat_exp, rota
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.model.body import Body, Topology, scaled, with_rest_from_joints, without_side
 from voodoo_jax.model.marker_sets import V1_NAMES
-from voodoo_jax.solve.frame import IcpOptions
+from voodoo_jax.solve.pulls import IcpOptions
 from voodoo_jax.solve.scan import TrackOptions
 
 # Usual deviations. Adults of one stature differ by 4 to 5 % in the length of a limb (ANSUR II: standard deviation of

@@ -32,7 +32,7 @@ from voodoo_jax.io.recorder_clock import note_of
 from voodoo_jax.io.several_files import open_files
 from voodoo_jax.io.skin_rays import UNSEARCHED
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
-from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic
+from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic, Unused
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
 from voodoo_jax.io.unseen import without_held, without_placeholders
@@ -121,7 +121,7 @@ class Scan:
         for name in self._mirrors(settings).keys() - self.topics.keys():
             self.notes.append(f"read.mirror does not count here: the log has no topic '{name}'.")
         if known:
-            late = "not used: it came later than the beginning"
+            late = Unused.because("it came later than the beginning")
             self.uses = {name: known.uses.get(name, late) for name in self.topics}
             self.skin, self.stereo = known.skin, known.stereo
         else:
@@ -154,11 +154,11 @@ class Scan:
         self.uses = decide_uses(self.log.path, self.topics, settings, self.notes, pairs)
         self.skin, notes = camera_topics(self.topics, self.uses, UNSEARCHED, True) if settings.skin else ({}, [])
         self.notes += notes
-        self.uses |= {name: SKIN_USE for name in self.skin if self.uses[name].startswith("not used")}
+        self.uses |= {name: SKIN_USE for name in self.skin if isinstance(self.uses[name], Unused)}
         self.stereo = [pair for pair in pairs if self.uses[pair.left] == STEREO_USE]
         if settings.pose_net and not self.stereo:  # else the pairs' images are looked at
             cameras = camera_topics(self.topics, self.uses)[0]
-            self.uses |= {name: POSE_USE for name in cameras if self.uses[name].startswith("not used")}
+            self.uses |= {name: POSE_USE for name in cameras if isinstance(self.uses[name], Unused)}
 
     @property
     def damage(self) -> list[str]:

@@ -5,11 +5,9 @@ second decodes the depth messages one by one. So memory stays bounded, and a cal
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,34 +18,28 @@ from voodoo_jax.config.toml import check_pairs
 from voodoo_jax.io.as_shown import with_images_as_shown, with_settled_frames
 from voodoo_jax.io.calibrations import calibration_of
 from voodoo_jax.io.camera_key_points import with_key_points
-from voodoo_jax.io.container import UNPACKERS, LogError, LogFile, Place, guarded
+from voodoo_jax.io.container import LogError, LogFile, Place, guarded
 from voodoo_jax.io.decode.depth_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
-from voodoo_jax.io.frame_sync import clean_stamps
+from voodoo_jax.io.frame_pass import UNREADABLE, FramePass, Progress
 from voodoo_jax.io.given import given_transforms
 from voodoo_jax.io.image_fit import fitted, leeway
 from voodoo_jax.io.image_planes import TELLING
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
-from voodoo_jax.io.measuring import Measured, Measuring
-from voodoo_jax.io.pictures import PictureReader, shape_of
-from voodoo_jax.io.pose_rays import NAMES, PoseRays
+from voodoo_jax.io.measuring import Measuring
+from voodoo_jax.io.pictures import shape_of
+from voodoo_jax.io.pose_rays import NAMES
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.repeats import Repeats
-from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.io.transforms import Transform
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
-from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Picture, Rays, Recording, joined_rays
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Rays, Recording
 from voodoo_jax.sensors.pose_net import check_pose_net
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
-Progress = Callable[[int, int], None]
-AHEAD = 2 * UNPACKERS  # frames: so that no thread waits for the next pair of images
-Part = tuple[int, int, Measured | Future[Cloud]]  # number of a sensor, and of its message; a pair's is being matched
-UNREADABLE = "cannot be decoded, left out"
-STUCK = "left out, which repeat the previous image: the sensor, its driver or a relay was frozen"
 BEGAN = "which repeat the first image, at the beginning: the sensor or its driver was frozen"
 FEW_POINTS = 5000  # of a message that are looked at to see whether it shows something
 
@@ -108,12 +100,10 @@ class LogReader:
         self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
         self.origin, self.up_is_given = plan.origin, bool(settings.up)
         self.features, self.parts = plan.features, plan.parts.names
-        self._whole, self._stamps, self._plan = plan, plan.stamps, plan.frames
+        self._plan = plan
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
         self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
         self._decoder, self._repeats = Decoder(), Repeats()
-        self._pictures: dict[int, list[Picture]] = {}  # of frames that are not complete yet
-        self._pose: PoseRays | None = None  # of the run through the log
         self.sure = 1.0  # probability that places are right for which a calibration was assumed
         self.placed: tuple[str, ...] = ()  # transforms that were found, as read.transform says them
         scales = check_pairs("read.scale", settings.scale, numbers=True)
@@ -200,7 +190,7 @@ class LogReader:
     @property
     def cameras(self) -> tuple[str, ...]:
         """Topics whose colour images are used by themselves, not as pairs."""
-        return tuple(self._whole.pictures.cameras) if self._whole.pictures is not None else ()
+        return tuple(self._plan.pictures.cameras) if self._plan.pictures is not None else ()
 
     def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
         """See Measuring.depth."""
@@ -209,9 +199,9 @@ class LogReader:
     def continued(self, scan: Scan, plan: Plan) -> "LogReader":
         """The same log with later messages: a new scan and plan."""
         other = copy(self)
-        other.scan, other._whole, other._stamps, other._plan = scan, plan, plan.stamps, plan.frames
+        other.scan, other._plan = scan, replace(plan, up=self.up)
         other.sensors, other.features = plan.sensors, plan.features
-        other._notes, other._counted, other._pictures = [], Counter(), {}
+        other._notes, other._counted = [], Counter()
         # what was assumed is said already
         other.measuring = replace(self.measuring, topics=scan.topics, tree=scan.tree, parts=plan.parts, assumed={})
         return other
@@ -244,7 +234,7 @@ class LogReader:
 
     def stamps(self, topic: str) -> Int64[np.ndarray, " message"]:
         """Stamps of a depth topic's messages in the order of reading, nanoseconds."""
-        return self._stamps[self.sensors.index(topic)]
+        return self._plan.stamps[self.sensors.index(topic)]
 
     def say(self, note: str) -> None:
         """Adds a note."""
@@ -289,7 +279,7 @@ class LogReader:
 
     def frame_of(self, topic: str, sample: Sample) -> Frame | None:
         """A frame of one message, in the fixed frame; None without a transform."""
-        at = int(self._stamps[self.sensors.index(topic)][sample.number])
+        at = int(self.stamps(topic)[sample.number])
         measured = self.measuring.measured(topic, sample.content, at, self._counted)
         if measured is None:
             return None
@@ -311,12 +301,12 @@ class LogReader:
 
     def __len__(self) -> int:
         """Number of frames planned; fewer come out if messages turn out to be broken or have no transform."""
-        return len(self._plan)
+        return len(self._plan.frames)
 
     @property
     def named(self) -> list[tuple[Rays, Pairs]]:
         """The features of each frame that has any."""
-        rays, pairs = self._whole.rays, self._whole.pairs
+        rays, pairs = self._plan.rays, self._plan.pairs
         return [(rays.get(i, NO_RAYS), pairs.get(i, NO_PAIRS)) for i in rays.keys() | pairs.keys()]
 
     @property
@@ -346,9 +336,8 @@ class LogReader:
     def _losses(self) -> list[str]:
         counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
         counted += [f"'{topic}': {many(n)} {BEGAN}." for topic, n in self._repeats.began.items()]
-        return counted + self._whole.parts.losses()
+        return counted + self._plan.parts.losses()
 
-    # 75 lines: one pass over the messages, which share a dozen variables
     def frames(
         self, progress: Progress | None = None, origins: Float[np.ndarray, "sensor 3"] | None = None
     ) -> Iterator[Frame]:
@@ -357,175 +346,19 @@ class LogReader:
 
         Raises LogError if not one message can be used.
         """
-        scan, decoder = self.scan, self._decoder
-        scan.log.clock.restart()  # it goes by this thread, which may be another one than before
+        self.scan.log.clock.restart()  # it goes by this thread, which may be another one than before
         self._counted = Counter()
-        sensor_of = {name: i for i, name in enumerate(self.sensors)}
-        homes, wanted_count = self._homes()
-        missing = [len(members) for _, members in self._plan]
-        self._whole.parts.forget()
-        parts: dict[int, list[Part]] = {}
-        planned = self._whole.pictures
-        extra = planned.frame_of if planned is not None else {}
-        for i in extra.values():
-            missing[i] += 1
-        self._pictures.clear()
-        net = self._settings.pose_net
-        self._pose = PoseRays(net, self._whole.parts, self._counted) if net else None
-        reader = PictureReader(scan, self.fixed_frame, planned.cameras if planned is not None else {})
-        stereo = StereoReader(scan.topics, scan.tree, [p for p in scan.stereo if p.left in sensor_of], self._settings)
-        used = {*sensor_of, *stereo.rights, *(name for name, _ in extra)}
-        done, made, following, complete, self._error = 0, 0, 0, 0, ""
-        ahead = AHEAD if stereo.pairs else 0  # frames whose images are matched while those before are used
-        if origins is None:
-            origins = self.no_origins()
-        wanted = lambda s, c: c.topic in used and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
-        for topic, number, item, partner in stereo.items(guarded(scan.log, wanted)):
-            schema, channel, message = item
-            if (topic, number) in extra:
-                i = extra[topic, number]
-                missing[i] -= 1
-                self._keep(i, topic, partial(reader.single, item, self._picture_stamp(topic, number)))
-                continue
-            member = sensor_of.get(topic, -1), number
-            i = int(homes[member[0]][number]) if 0 <= member[0] and number < len(homes[member[0]]) else -1
-            if i < 0 or schema is None:
-                continue
-            done += 1
-            scan.log.clock.check()
-            if progress is not None:
-                progress(done, wanted_count)
-            missing[i] -= 1
-            try:
-                part = content = None
-                if topic not in stereo.pairs:
-                    content = decoder.message(schema, channel, message.data)
-                elif partner is not None:
-                    if planned is not None:
-                        stamp = int(self._stamps[member[0]][number])
-                        self._keep(i, topic, partial(reader.pair, item, partner, stereo.pairs[topic], stamp))
-                    if self._settings.matching == "none":
-                        parts.setdefault(i, [])
-                    else:
-                        part = stereo.begin(item, partner, self.fixed_frame, self.up)
-                else:
-                    self._counted[topic, "left out, without an image of the other camera at the same time"] += 1
-                if content is not None and self._is_new(topic, content):
-                    stamp = int(self._stamps[member[0]][number])
-                    part = self.measuring.measured(topic, content, stamp, self._counted)
-                if part is not None:
-                    parts.setdefault(i, []).append((*member, part))
-            except DECODE_ERRORS as problem:
-                self._broken(topic, problem)
-            while complete < len(self._plan) and missing[complete] == 0:
-                complete += 1
-            while following < complete - ahead:
-                if (found := self._measured(parts.pop(following, None))) is not None:
-                    yield self._frame(following, found, origins)
-                    made += 1
-                    scan.log.clock.restart()
-                following += 1
-        # What follows the last depth message; of frames with depth only if the file was changed between the passes.
-        for i in range(following, len(self._plan)):
-            if (found := self._measured(parts.pop(i, None))) is not None:
-                if progress is not None and not wanted_count:
-                    progress(i + 1, len(self._plan))
-                yield self._frame(i, found, origins)
-                made += 1
-        if not made:
-            why = [f"'{self.path}': no depth message can be used.", *self._losses(), self._error]
-            text = " ".join(why).strip()
+        made = FramePass(
+            self.scan, self._plan, self._settings, self.measuring, self._decoder, self._repeats, self._counted,
+            self.no_origins() if origins is None else origins,
+        )  # fmt: skip
+        yield from made.frames(progress)
+        if not made.made:
+            text = " ".join([f"'{self.path}': no depth message can be used.", *self._losses(), made.error]).strip()
             if any(what == UNREADABLE for _, what in self._counted):
                 text = f"{text}. It is damaged, or was written by another version: copy it again."
-            raise LogError(damaged(scan, LogError(text)))
-
-    def _measured(self, parts: list[Part] | None) -> list[tuple[int, Measured]] | None:
-        """What the sensors of a frame measured, once the images of stereo pairs are matched; None if the frame is left
-        out, for no depth message of it can be used."""
-        found = [] if parts == [] or not self._whole.led_by_points else None
-        for sensor, number, part in parts or ():
-            topic = self.sensors[sensor]
-            if isinstance(part, Future):
-                try:
-                    content, stamp = part.result(), int(self._stamps[sensor][number])
-                    new = self._is_new(topic, content)
-                    part = self.measuring.measured(topic, content, stamp, self._counted) if new else None
-                except DECODE_ERRORS as problem:
-                    self._broken(topic, problem)
-                    continue
-            if part is not None:
-                found = [*(found or ()), (sensor, part)]
-        return found
-
-    def _broken(self, topic: str, problem: Exception) -> None:
-        """Counts a message that cannot be read, and keeps why the first one cannot."""
-        self._error = self._error or f"{type(problem).__name__}: {problem}"
-        self._counted[topic, UNREADABLE] += 1
+            raise LogError(damaged(self.scan, LogError(text)))
 
     def no_origins(self) -> Float[np.ndarray, "sensor 3"]:
         """Positions of sensors before their first measurement: NaN."""
         return np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
-
-    def _homes(self) -> tuple[list[Int64[np.ndarray, " message"]], int]:
-        """Number of the frame that each message of each sensor goes to, -1 for none; how many go to one."""
-        homes = [np.full(len(stamps), -1, np.int64) for stamps in self._stamps]
-        for i, (_, members) in enumerate(self._plan):
-            for sensor, message in members:
-                homes[sensor][message] = i
-        return homes, sum(len(members) for _, members in self._plan)
-
-    def _frame(self, i: int, parts: list[tuple[int, Measured]], origins: np.ndarray) -> Frame:
-        time_ns = self._plan[i][0]
-        for sensor, measured in parts:
-            origins[sensor] = measured.origin
-        for sensor in np.flatnonzero(np.isnan(origins[:, 0])):  # sensors that have not measured yet
-            frame = self.scan.topics[self.sensors[sensor]].sample.frame
-            found = self.scan.tree.lookup(self.fixed_frame, frame, time_ns, hold_ns=None)
-            origins[sensor] = found[1] if found else 0.0
-        parts = sorted(parts, key=lambda part: part[0])
-        sizes = [len(m.points) for _, m in parts]
-        sensor = np.repeat(np.array([s for s, _ in parts], np.int32), sizes)
-        clouds = [m.points for _, m in parts] or [np.zeros((0, 3), np.float32)]
-        points = clouds[0] if len(clouds) == 1 else np.concatenate(clouds)
-        said = self._whole.parts
-        part = np.concatenate([np.zeros(0, np.int32), *(m.part for _, m in parts)]) if said.names else None
-        weights = np.array([said.weight(name) for name in self.sensors], np.float32)
-        rays, pictures = self._whole.rays.get(i, NO_RAYS), tuple(self._pictures.pop(i, ()))
-        if self._pose is not None:
-            rays = joined_rays([rays, self._pose.rays(pictures)])
-        return Frame(
-            time_ns=time_ns,
-            points=points.astype(np.float32, order="F", copy=False),  # by coordinate in memory, see Measuring
-            sensor=sensor,
-            origins=origins.astype(np.float32),
-            rays=rays,
-            pairs=self._whole.pairs.get(i, NO_PAIRS),
-            part=part,
-            parts=said.names,
-            weight=weights[sensor] if said.weighted(self.sensors) else None,
-            pictures=pictures if self._settings.images else (),
-            matched=bool(parts) and {self.sensors[k] for k, _ in parts} <= {pair.left for pair in self.scan.stereo},
-        )
-
-    def _picture_stamp(self, topic: str, number: int) -> int:
-        """When a message of a single camera was taken, nanoseconds."""
-        found = self.scan.topics[topic]
-        return int(clean_stamps(topic, found.stamps, found.log_times, [])[number])
-
-    def _keep(self, frame: int, topic: str, make: Callable[[], Picture | None]) -> None:
-        """Puts a picture into its frame, or counts why there is none."""
-        try:
-            picture = make()
-        except DECODE_ERRORS:
-            self._counted[topic, "with an image that cannot be decoded, which is left out"] += 1
-            return
-        if picture is None:
-            self._counted[topic, "with an image left out, for which there is no transform"] += 1
-        else:
-            self._pictures.setdefault(frame, []).append(picture)
-
-    def _is_new(self, topic: str, content: Cloud | Image) -> bool:
-        """Whether a message shows something else than the one before it; counts those that do not."""
-        if again := self._repeats.again(topic, content):
-            self._counted[topic, STUCK] += 1
-        return not again

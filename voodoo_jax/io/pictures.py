@@ -13,10 +13,11 @@ from jaxtyping import Float, Int64
 
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import calibration_of, lens_of, rectified
+from voodoo_jax.io.container import Item
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
 from voodoo_jax.io.image_fit import fitted
-from voodoo_jax.io.stereo_pairs import STEREO_USE, Item, make_rig, picture_of
+from voodoo_jax.io.stereo_pairs import STEREO_USE, make_rig, picture_of
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Calibration, Colour, Image
 from voodoo_jax.records.recording import Picture

@@ -1,7 +1,7 @@
 """The plan for reading a log: the fixed frame, the sensors connected to it, and the messages of each frame."""
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from voodoo_jax.io.point_labels import BODY, FREE, Parts
 from voodoo_jax.io.reference_sensors import dense
 from voodoo_jax.io.skin_rays import plan_skin
 from voodoo_jax.io.stereo_pairs import STEREO_USE, picture_of
-from voodoo_jax.io.topic import DEPTH_USES
+from voodoo_jax.io.topic import DEPTH_USES, Problem, Unused
 from voodoo_jax.records.messages import PAIRS, RAYS
 from voodoo_jax.records.recording import NO_RAYS, Pairs, Rays, joined_rays
 
@@ -79,20 +79,9 @@ def make_plan(
     sources = depth + lasers if depth else lasers + of[PAIRS] or of[RAYS]
     if not sources:
         raise LogError(_no_depth(scan, settings.features))
-    notes = []
-    reported = (
-        "a depth image w",
-        "2D features w",
-        "a stereo pair, but the",
-        "no message can be decoded",
-        "its clock is",
-        "no depth, judged",
-    )
-    for name, use in scan.uses.items():
-        if any(why in use for why in reported):
-            notes.append(f"'{name}' is left out: {use.removeprefix('not used: ')}.")
-        elif not depth and use.startswith("not used: none of its"):
-            notes.append(f"'{name}' is left out: {use.removeprefix('not used: ')}.")
+    silent = (None, Problem.JPEG, Problem.LOST) if depth else (None, Problem.JPEG)
+    unused = {name: use for name, use in scan.uses.items() if isinstance(use, Unused)}
+    notes = [f"'{name}' is left out: {use.reason}." for name, use in unused.items() if use.problem not in silent]
     if not depth:
         kinds = " and ".join(sorted({scan.uses[name] for name in sources}))
         notes.append(f"The log has no depth data that can be used; its frames come from {kinds}.")
@@ -170,26 +159,24 @@ def _gaps(times: Int64[np.ndarray, " frame"]) -> list[str]:
 
 def _no_depth(scan: Scan, features: bool) -> str:
     """Why a log has no depth data, and what to do about it."""
-    blind = [name for name, use in scan.uses.items() if "a depth image w" in use]
-    if blind:
-        uses = "; ".join(f"'{name}' is {scan.uses[name].removeprefix('not used: ')}" for name in blind)
+    of: dict[Problem | None, dict[str, Unused]] = defaultdict(dict)
+    for name, use in scan.uses.items():
+        if isinstance(use, Unused):
+            of[use.problem][name] = use
+    said = lambda unused: "; ".join(f"'{name}' is {use.reason}" for name, use in unused.items())  # noqa: E731
+    if blind := of[Problem.CALIBRATION]:
         return (
-            f"'{scan.log.path}' has no depth image that can be used: {uses}. "
+            f"'{scan.log.path}' has no depth image that can be used: {said(blind)}. "
             "Record the camera's calibration (sensor_msgs/msg/CameraInfo or foxglove.CameraCalibration) with it, or "
             "give it: --read.camera FILE, a camera_info as YAML, TOML or JSON."
         )
-    lossy = [name for name, use in scan.uses.items() if "JPEG" in use]
-    if lossy:
-        uses = "; ".join(f"'{name}' is {scan.uses[name].removeprefix('not used: ')}" for name in lossy)
-        return f"'{scan.log.path}' has no depth that can be used: {uses}."
-    uses_of_depth = {n: scan.uses[n] for n in scan.uses if scan.topics[n].kind in DEPTH_KINDS}
-    dead = [name for name, use in uses_of_depth.items() if "no message can be decoded" in use]
-    if dead:
+    if lossy := of[Problem.JPEG]:
+        return f"'{scan.log.path}' has no depth that can be used: {said(lossy)}."
+    if dead := [name for name in of[Problem.BROKEN] if scan.topics[name].kind in DEPTH_KINDS]:
         uses = "; ".join(f"'{name}': {scan.topics[name].error}" for name in dead)
         return f"'{scan.log.path}': no depth message can be decoded ({uses}). Was it written by another version?"
     damage = " ".join(["", *scan.log.damage])
-    lost = [f"'{name}'" for name, use in uses_of_depth.items() if use.startswith("not used: none of its")]
-    if lost:
+    if lost := [f"'{name}'" for name in of[Problem.LOST] if scan.topics[name].kind in DEPTH_KINDS]:
         return (
             f"'{scan.log.path}' is damaged: no message of {', '.join(lost)} can be read.{damage} Copy the file again."
         )

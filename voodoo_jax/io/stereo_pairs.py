@@ -10,11 +10,10 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mcap.records import Channel, Message, Schema
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.calibrations import calibration_of, rectified
-from voodoo_jax.io.container import UNPACKERS
+from voodoo_jax.io.container import UNPACKERS, Item
 from voodoo_jax.io.decode.registry import Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.image_fit import fitted
@@ -112,9 +111,6 @@ def partners(left: np.ndarray, right: np.ndarray) -> dict[int, int]:
         if gap[i] <= 0.2 * period:
             found.setdefault(int(order[nearest[i]]), i)
     return {i: j for j, i in found.items()}
-
-
-Item = tuple[Schema | None, Channel, Message]
 
 
 class StereoReader:

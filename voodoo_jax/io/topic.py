@@ -1,6 +1,7 @@
 """Data on each topic from the first pass over a log."""
 
 from dataclasses import dataclass, field
+from enum import Enum, auto
 from typing import Any
 
 from voodoo_jax.io.landmark_table import Gathered
@@ -8,6 +9,35 @@ from voodoo_jax.records.messages import Calibration, Features
 
 DEPTH_USES = ("depth image", "point cloud", "stereo pair", "laser scan")
 SKIN_USE, POSE_USE = "skin colour", "key points"  # of images that read.skin and read.pose_net look at
+
+
+class Problem(Enum):
+    """Why a topic gives nothing, where the user is told."""
+
+    CALIBRATION = auto()  # a depth image without a calibration that can be used
+    FEATURES = auto()  # 2D features, likewise
+    STEREO = auto()  # the calibrations of a pair
+    BROKEN = auto()  # no message can be decoded
+    LOST = auto()  # no message can be read
+    CLOCK = auto()  # it differs from the others' by an unknown time
+    NO_DEPTH = auto()  # an image whose content is no depth
+    JPEG = auto()  # depth that was packed as a photograph
+
+
+class Unused(str):
+    """The use of a topic that gives nothing: "not used: <reason>"."""
+
+    problem: Problem | None
+
+    @classmethod
+    def because(cls, reason: str, problem: Problem | None = None) -> "Unused":
+        use = cls(f"not used: {reason}")
+        use.problem = problem
+        return use
+
+    @property
+    def reason(self) -> str:
+        return self.removeprefix("not used: ")
 
 
 @dataclass

@@ -9,7 +9,7 @@ from voodoo_jax.io.decode.registry import DEPTH_KINDS, FEATURE_KINDS
 from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import label_field
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
-from voodoo_jax.io.topic import DEPTH_USES, Topic
+from voodoo_jax.io.topic import DEPTH_USES, Problem, Topic, Unused
 from voodoo_jax.io.which_depth import compared
 from voodoo_jax.records.messages import DEPTH_ENCODINGS, RAYS, Colour, Image
 
@@ -23,19 +23,20 @@ def decide_uses(
     """
     uses = {}
     for name, topic in topics.items():
-        uses[name] = topic.kind if topic.kind in ("calibration", "transforms") else f"not used: {topic.why_not}"
+        uses[name] = topic.kind if topic.kind in ("calibration", "transforms") else Unused.because(topic.why_not)
         if topic.kind in DEPTH_KINDS:
             uses[name] = _depth_use(topics, name)
         elif topic.kind == COLOUR_KIND:
-            uses[name] = _empty(topic) or f"not used: {_picture(name, topic)}"
+            uses[name] = _empty(topic) or _picture(name, topic)
     none, place = compared(topics, [n for n, use in uses.items() if use == "depth image"])
-    uses |= {name: f"not used: {why}" for name, why in none.items() if name not in settings.topics}
+    uses |= {name: Unused.because(why, Problem.NO_DEPTH) for name, why in none.items() if name not in settings.topics}
     for pair in pairs:
         rig = [n for n, use in uses.items() if use in ("depth image", "point cloud") and n.startswith(pair.rig)]
         if pair.problem:
-            uses[pair.left] = f"not used: a stereo pair, but {pair.problem}"
+            known = all(calibration_of(topics, name) for name in (pair.left, pair.right))
+            uses[pair.left] = Unused.because(f"a stereo pair, but {pair.problem}", Problem.STEREO if known else None)
         elif rig and pair.left not in settings.topics:
-            uses[pair.left] = f"not used: a stereo pair, but '{rig[0]}' gives the depth of its rig"
+            uses[pair.left] = Unused.because(f"a stereo pair, but '{rig[0]}' gives the depth of its rig")
         else:
             uses[pair.left], uses[pair.right] = STEREO_USE, f"right image of '{pair.left}'"
     for name, topic in topics.items():  # after the depth sensors, whose calibrations are not for features
@@ -47,7 +48,7 @@ def decide_uses(
             if name not in depth:
                 why = f" ({uses[name]})" if name in uses else ""
                 raise LogError(f"'{path}' has no depth topic '{name}'{why}. It has: {', '.join(depth) or 'none'}.")
-        return {n: "not used: not in read.topics" if n in depth and n not in settings.topics else use
+        return {n: Unused.because("not in read.topics") if n in depth and n not in settings.topics else use
                 for n, use in uses.items()}  # fmt: skip
     order = {"depth image": 0, "point cloud": 1}  # a laser scanner shadows nothing
     seen: dict[str, str] = {}
@@ -61,22 +62,23 @@ def decide_uses(
         first = seen.get(frame)
         doubled = first in labelled and uses[name] == "depth image"  # the labels say more
         if first and (doubled or uses[first] == "depth image" or _is_mono(topics, name)):
-            uses[name] = f"not used: the same camera as '{first}' (frame '{frame}')"
+            uses[name] = Unused.because(f"the same camera as '{first}' (frame '{frame}')")
             notes.append(f"'{name}' is left out: it is the same camera as '{first}' (frame '{frame}').")
         seen.setdefault(frame, name)
     return uses
 
 
-def _picture(name: str, topic: Topic) -> str:
+def _picture(name: str, topic: Topic) -> Unused:
     """What a compressed image without depth is."""
     encoding = topic.sample.encoding if isinstance(topic.sample, Colour) else ""
     depth = encoding.upper().startswith(tuple(DEPTH_ENCODINGS)) or "depth" in name.lower()
     if depth and ("jpeg" in encoding or "jpg" in encoding):
-        return (
+        return Unused.because(
             "depth packed as JPEG, which keeps 8 of its 16 bits and changes these: it cannot be restored. Record "
-            f"'{bare(name)}/compressedDepth' or '{bare(name)}' itself"
+            f"'{bare(name)}/compressedDepth' or '{bare(name)}' itself",
+            Problem.JPEG,
         )
-    return "a colour image"
+    return Unused.because("a colour image")
 
 
 def _is_mono(topics: dict[str, Topic], name: str) -> bool:
@@ -84,15 +86,15 @@ def _is_mono(topics: dict[str, Topic], name: str) -> bool:
     return isinstance(sample, Image) and sample.encoding.upper() == "MONO16"
 
 
-def _empty(topic: Topic) -> str:
-    """Why nothing of a topic can be read; "" if something can."""
+def _empty(topic: Topic) -> Unused | None:
+    """Why nothing of a topic can be read; None if something can."""
     if topic.count == 0:
         if topic.stated:
-            return f"not used: none of its {topic.stated} messages can be read"
-        return "not used: no messages"
+            return Unused.because(f"none of its {topic.stated} messages can be read", Problem.LOST)
+        return Unused.because("no messages")
     if topic.sample is None:
-        return f"not used: no message can be decoded ({topic.error})"
-    return f"not used: {topic.foreign}" if topic.foreign else ""
+        return Unused.because(f"no message can be decoded ({topic.error})", Problem.BROKEN)
+    return Unused.because(topic.foreign, Problem.CLOCK) if topic.foreign else None
 
 
 def _feature_use(topics: dict[str, Topic], name: str) -> str:
@@ -100,17 +102,17 @@ def _feature_use(topics: dict[str, Topic], name: str) -> str:
     if empty := _empty(topic):
         return empty
     if found is None or not found.names:
-        return "not used: its messages have no names"
+        return Unused.because("its messages have no names")
     if topic.kind == RAYS:
         cameras = {frame: camera_of(topics, name, frame) for frame in sorted(set(found.frames))}
         if not any(cameras.values()):
             frames = ", ".join(f"frame '{f}'" if f else "its topic" for f in cameras)
-            return f"not used: 2D features without calibration (none for {frames})"
+            return Unused.because(f"2D features without calibration (none for {frames})", Problem.FEATURES)
         for c in filter(None, cameras.values()):
             try:
                 lens.pixel_rays(c.K, c.D, c.model, 2, 2)
             except ValueError as error:
-                return f"not used: 2D features whose calibration is unusable: {error}"
+                return Unused.because(f"2D features whose calibration is unusable: {error}", Problem.FEATURES)
     return topic.kind
 
 
@@ -121,17 +123,18 @@ def _depth_use(topics: dict[str, Topic], name: str) -> str:
     if topic.kind in ("point cloud", "laser scan"):
         return topic.kind
     if topic.sample.raw is None and topic.sample.packed is None:
-        return f"not used: encoding {topic.sample.encoding} is not a depth image"
+        return Unused.because(f"encoding {topic.sample.encoding} is not a depth image")
     tokens = name.lower().replace("/", "_").split("_")
     if _is_mono(topics, name) and {"ir", "infra", "infra1", "infra2", "infrared", "amplitude", "intensity"} & {*tokens}:
-        return "not used: brightness, by its name"
+        return Unused.because("brightness, by its name")
     calibration = calibration_of(topics, name)
     if calibration is None:
-        return f"not used: a depth image without calibration (none for frame '{topic.sample.frame}')"
+        why = f"a depth image without calibration (none for frame '{topic.sample.frame}')"
+        return Unused.because(why, Problem.CALIBRATION)
     try:
         # A small part is enough to learn whether the lens model is known.
         lens.pixel_rays(calibration.K, calibration.D, calibration.model, 2, 2)
         fitted(calibration, topic.sample.shape)
     except ValueError as error:
-        return f"not used: a depth image whose calibration is unusable: {error}"
+        return Unused.because(f"a depth image whose calibration is unusable: {error}", Problem.CALIBRATION)
     return "depth image"

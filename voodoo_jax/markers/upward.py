@@ -96,7 +96,7 @@ def _way(tracks: Tracks) -> _Way:
     trunk, legs = unit(neck - hips), unit(hips - (la + ra) / 2)
     bends = [(trunk, legs), (unit(lh - lk), unit(lk - la)), (unit(rh - rk), unit(rk - ra))]
     shanks = [t.centre_limbs[t.centres.index(name)] for name in SIDES]
-    seen = (tracks.limb_weight[there][:, shanks] > 0).all(1)
+    seen = (tracks.evidence.limb_weight[there][:, shanks] > 0).all(1)
     straight = np.all([(a * b).sum(1) > angle for (a, b), angle in zip(bends, (STRAIGHT, KNEES, KNEES))], 0)
     return _Way(unit(trunk + legs), straight & seen, hips)
 

@@ -16,7 +16,7 @@ def track_columns(tracks: "Tracks") -> dict[str, np.ndarray]:
         "time_ns": stamps,
         "time_s": (stamps - stamps[:1]) / 1e9,
         "tracked": np.asarray(tracks.tracked),
-        "residual_m": np.asarray(tracks.residual, float),
+        "residual_m": np.asarray(tracks.evidence.residual, float),
     }
     names = tracks.joint_names
     for i, name in enumerate(names):

@@ -1,11 +1,12 @@
 """The result of tracking one recording, on the host: NumPy arrays and the body they belong to."""
 
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int8, Int32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int, Int8, Int32, Int64
 
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.isb_angles import Angles, joint_angles
@@ -34,6 +35,38 @@ def expected_share(confidence: Float32[np.ndarray, "frame joint"]) -> Float32[np
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """What the measurements say of poses, and the poses of each other. Leading axis: frame; NaN where there is none."""
+
+    residual: Float32[np.ndarray, " frame"]  # root mean square distance of the used points, metres
+    explained: Float32[np.ndarray, " frame"]  # share of the person's points that the body explains, 0..1
+    steps: Int32[np.ndarray, " frame"]  # ICP steps taken
+    points: Int32[np.ndarray, " frame"]  # points given to the tracker
+    limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
+    # see trackers/icp/refine/forward_backward.py; metres; NaN: one pass only
+    passes_apart: Float32[np.ndarray, "frame limb"] | None = None
+    beyond_limits: Float32[np.ndarray, "frame bodyjoint"] | None = None  # of `body.topology.joints`, radians; 0: within
+    depth_inside: Float32[np.ndarray, "frame limb"] | None = None  # in another limb, more than in the rest pose; metres
+    # see trackers/icp/misfit.py: unexplained share of a limb's nearest points; their mean distance from it beyond
+    # noise, metres; share of its length that is bare though nothing hides it; share of its explained points that no
+    # other limb explains
+    limb_beside: Float32[np.ndarray, "frame limb"] | None = None
+    limb_distance: Float32[np.ndarray, "frame limb"] | None = None
+    limb_bare: Float32[np.ndarray, "frame limb"] | None = None
+    limb_own: Float32[np.ndarray, "frame limb"] | None = None
+    # logarithm of the odds that the body does not face the other way; see trackers/icp/refine/choose_facing.py
+    facing_odds: Float32[np.ndarray, " frame"] | None = None
+    matched: bool = False  # all points were measured by matching images, which errs otherwise than a depth sensor
+
+    @classmethod
+    def blank(cls, count: int, limbs: int) -> "Evidence":
+        """Of frames without points."""
+        none = np.zeros(count, np.int32)
+        weight = np.zeros((count, limbs), np.float32)
+        return cls(np.full(count, np.nan, np.float32), np.zeros(count, np.float32), none, none.copy(), weight)
+
+
+@dataclass(frozen=True)
 class Tracks:
     """Poses of a body over a recording, in the recording's fixed frame. NaN where there is none."""
 
@@ -45,37 +78,19 @@ class Tracks:
     translation: Float[np.ndarray, "frame limb 3"]  # metres; float64 where coordinates are large, as in UTM
     joints: Float[np.ndarray, "frame joint 3"]  # joint centres `body.topology.centres`, metres
     status: Int8[np.ndarray, " frame"]  # values of Status
-    residual: Float32[np.ndarray, " frame"]  # root mean square distance of the used points, metres
-    explained: Float32[np.ndarray, " frame"]  # share of the person's points that the body explains, 0..1
-    steps: Int32[np.ndarray, " frame"]  # ICP steps taken
-    points: Int32[np.ndarray, " frame"]  # points given to the tracker
-    limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
-    # see trackers/icp/refine/forward_backward.py; metres; NaN: one pass only
-    passes_apart: Float32[np.ndarray, "frame limb"] | None = None
-    beyond_limits: Float32[np.ndarray, "frame bodyjoint"] | None = None  # of `body.topology.joints`, radians; 0: within
-    depth_inside: Float32[np.ndarray, "frame limb"] | None = None  # in another limb, more than in the rest pose; metres
+    evidence: Evidence  # residuals, weights and misfits
     limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None  # turn (rad), shift (m) in the limb's frame
     # of `joints`, square metres; solve/covariance.py
     joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None
-    # see trackers/icp/misfit.py: unexplained share of a limb's nearest points; their mean distance from it beyond
-    # noise, metres; share of its length that is bare though nothing hides it; share of its explained points that no
-    # other limb explains
-    limb_beside: Float32[np.ndarray, "frame limb"] | None = None
-    limb_distance: Float32[np.ndarray, "frame limb"] | None = None
-    limb_bare: Float32[np.ndarray, "frame limb"] | None = None
-    limb_own: Float32[np.ndarray, "frame limb"] | None = None
-    # logarithm of the odds that the body does not face the other way; see trackers/icp/refine/choose_facing.py
-    facing_odds: Float32[np.ndarray, " frame"] | None = None
     # of `joints`: within 10 cm? 0..1; see trackers/shared/confidence.py
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
     # motion of sensors that the log describes as static, found by floor and walls: from places as if they were static
     # to the fixed frame; None: they are static. See detect/camera_motion.py
     T_fixed_steady: Float64[np.ndarray, "frame 4 4"] | None = None
-    matched: bool = False  # all points were measured by matching images, which errs otherwise than a depth sensor
     up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
-    marker_names: tuple[str, ...] = ()  # named 3D points that the body was tracked by, where there was no depth
-    # root mean square distance of each from its place on the body, tracked frames, metres
-    marker_residual: Float32[np.ndarray, " marker"] | None = None
+    # named 3D points that the body was tracked by, where there was no depth: root mean square distance of each from its
+    # place on the body, tracked frames, metres
+    marker_residual: Mapping[str, float] | None = None
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
     notes: tuple[str, ...] = field(default=())
@@ -113,13 +128,18 @@ class Tracks:
         return self.only(slice(first, None)) if first else self
 
     def rows(self) -> dict[str, np.ndarray]:
-        """Its arrays that have a row for each frame, by name."""
-        each = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("up", "marker_residual")}
-        return {name: value for name, value in each.items() if isinstance(value, np.ndarray)}
+        """Its arrays that have a row for each frame, those of the evidence among them, by name."""
+        each = vars(self) | vars(self.evidence)
+        return {name: value for name, value in each.items() if isinstance(value, np.ndarray) and name != "up"}
 
-    def only(self, frames: slice) -> "Tracks":
-        """Some successive frames."""
-        return replace(self, **{name: value[frames] for name, value in self.rows().items()})
+    def having(self, **rows: np.ndarray | None) -> "Tracks":
+        """The same with other arrays, which may be those of the evidence."""
+        theirs = {name: rows.pop(name) for name in vars(self.evidence) if name in rows}
+        return replace(self, evidence=replace(self.evidence, **theirs), **rows)
+
+    def only(self, frames: slice | Int[np.ndarray, " chosen"]) -> "Tracks":
+        """Some of the frames, by a slice or their rows."""
+        return self.having(**{name: value[frames] for name, value in self.rows().items()})
 
     def joint(self, name: str) -> Float[np.ndarray, "frame 3"]:
         """Positions of one joint centre over time, metres.
@@ -153,7 +173,8 @@ class Tracks:
     def _summary(self) -> list[tuple[str, str]]:
         count, body = len(self.time_ns), self.body
         seconds = (int(self.time_ns[-1]) - int(self.time_ns[0])) / 1e9 if count else 0.0
-        known = self.residual[np.isfinite(self.residual)]
+        residual = self.evidence.residual
+        known = residual[np.isfinite(residual)]
         found = [
             ("source", self.source),
             ("frames", f"{count} frames in {seconds:.2f} s"),
@@ -168,7 +189,7 @@ class Tracks:
 
         NaN in frames that are not tracked and, unless `hidden`, where nothing was seen of one of a joint's limbs.
         """
-        seen = np.ones(self.limb_weight.shape, bool) if hidden else self.limb_weight > 0
+        seen = (self.evidence.limb_weight > 0) | hidden
         return joint_angles(self.body, self.rotation, seen & self.tracked[:, None], self.limb_covariance)
 
 

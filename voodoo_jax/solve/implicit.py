@@ -22,7 +22,8 @@ from voodoo_jax.kernels.gauss_newton import add_links, pair_normals
 from voodoo_jax.kernels.joint_limits import corrections
 from voodoo_jax.kernels.landmarks import feature_sums
 from voodoo_jax.model.body import Links
-from voodoo_jax.solve.frame import (
+from voodoo_jax.solve.frame import solve_frame
+from voodoo_jax.solve.pulls import (
     Chosen,
     Problem,
     choices,
@@ -31,7 +32,6 @@ from voodoo_jax.solve.frame import (
     pull_to_prediction,
     pulls_of,
     seen_at,
-    solve_frame,
     total_weight,
 )
 

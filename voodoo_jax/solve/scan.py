@@ -27,7 +27,8 @@ from voodoo_jax.kernels.gauss_newton import tree_covariance, twist_covariance
 from voodoo_jax.kernels.joint_limits import PlausibleOptions
 from voodoo_jax.kernels.landmarks import FeatureOptions, Features, feature_sums
 from voodoo_jax.model.body import Body, Topology, tree_order
-from voodoo_jax.solve.frame import IcpOptions, Problem, solve_and_measure
+from voodoo_jax.solve.frame import solve_and_measure
+from voodoo_jax.solve.pulls import IcpOptions, Problem
 
 FAR = 1.5  # times prior_interval: after longer intervals a prediction may be far off
 FEW = 60  # points of which the mean tells where the body is

@@ -18,8 +18,8 @@ from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.kernels.correspondences import Points
 from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body import Body, joint_centres
-from voodoo_jax.solve.frame import Chosen, anything_measured
 from voodoo_jax.solve.implicit import AT_REST, resting, with_derivatives
+from voodoo_jax.solve.pulls import Chosen, anything_measured
 from voodoo_jax.solve.scan import State, TrackOptions, frame_problem, state_after
 
 

@@ -205,7 +205,7 @@ def _draw_tracked(ax: "Axes", tracks: Tracks, i: int, drawing: Drawing, colours,
 def _title(tracks: Tracks, i: int, start: int) -> str:
     status = int(tracks.status[i])
     words = STATUS_WORDS.get(status, f"status {status}")
-    residual = tracks.residual[i]
+    residual = tracks.evidence.residual[i]
     error = f"residual {1000 * residual:.0f} mm" if np.isfinite(residual) else "no residual"
     return f"{(int(tracks.time_ns[i]) - start) / 1e9:.2f} s, {words}\n{error}"
 

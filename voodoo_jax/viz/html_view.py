@@ -174,7 +174,7 @@ def _person(tracks: Tracks, stamps: np.ndarray, turn: np.ndarray, blob: _Blob) -
         "status": [str(int(s)) if ok else "1" for s, ok in zip(tracks.status[at], there)],
         "poses": blob.add(poses),
         "sure": blob.add(sure),
-        "residual": blob.add(np.where(there, tracks.residual[at], np.nan).astype(np.float32)),
+        "residual": blob.add(np.where(there, tracks.evidence.residual[at], np.nan).astype(np.float32)),
         "confidence": blob.add(np.where(there, tracks.confidence[at], np.nan).astype(np.float32)),
         "tracked": blob.add((tracks.tracked[at] & there).astype(np.uint8)),
         "angles": {name: blob.add(values) for name, values in _angles(tracks, at, there).items()},

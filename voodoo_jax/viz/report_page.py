@@ -72,7 +72,8 @@ def _row(row: Row) -> Html:
 def _found(tracks: Tracks) -> list[tuple[str, str]]:
     """Names and values of what was found."""
     time, body = seconds(tracks), tracks.body
-    known = tracks.residual[np.isfinite(tracks.residual)]
+    residual = tracks.evidence.residual
+    known = residual[np.isfinite(residual)]
     length = float(time[-1]) if len(time) else 0.0
     found = [
         ("frames", f"{len(time)} in {length:.1f} s"),

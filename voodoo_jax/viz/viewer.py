@@ -110,7 +110,8 @@ class Viewer:
                 mesh.color = self._colour(person, tracks, row, limb)
         if row < 0:
             return "not here"
-        residual = f", residual {1000 * tracks.residual[row]:.0f} mm" if np.isfinite(tracks.residual[row]) else ""
+        off = tracks.evidence.residual[row]
+        residual = f", residual {1000 * off:.0f} mm" if np.isfinite(off) else ""
         return f"{'tracked' if tracks.tracked[row] else 'not tracked'}{residual}"
 
     def _colour(self, person: int, tracks: Tracks, row: int, limb: int) -> tuple[int, int, int]:

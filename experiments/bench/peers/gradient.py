@@ -11,7 +11,8 @@ import numpy as np
 from experiments.bench.peers.library import body_of, links_of, options, start_of
 from experiments.bench.work import STEPS, Work
 from voodoo_jax.kernels.correspondences import Points
-from voodoo_jax.solve.frame import Problem, icp_step
+from voodoo_jax.solve.frame import icp_step
+from voodoo_jax.solve.pulls import Problem
 
 
 @dataclass(frozen=True)

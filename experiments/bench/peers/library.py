@@ -17,7 +17,8 @@ from voodoo_jax.geometry.rigid import Poses, matrix
 from voodoo_jax.kernels.points import Points
 from voodoo_jax.model.body import Body, Links
 from voodoo_jax.model.body_file import load_body
-from voodoo_jax.solve.frame import IcpOptions, Problem, icp_step
+from voodoo_jax.solve.frame import icp_step
+from voodoo_jax.solve.pulls import IcpOptions, Problem
 from voodoo_jax.solve.scan import options_from
 
 Solver = Literal["per_limb", "coupled"]

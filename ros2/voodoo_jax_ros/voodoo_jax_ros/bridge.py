@@ -159,7 +159,11 @@ class Given:
     def _status(self, tracks: Tracks) -> dict[str, Any]:
         sure, tracked = float(tracks.confidence[0]), bool(tracks.tracked[0])
         level, text = (OK, "tracked") if tracked else (WARN, "not tracked")
-        values = {"residual_m": float(tracks.residual[0]), "explained": float(tracks.explained[0]), "confidence": sure}
+        values = {
+            "residual_m": float(tracks.evidence.residual[0]),
+            "explained": float(tracks.evidence.explained[0]),
+            "confidence": sure,
+        }
         pairs = [
             self._make("diagnostic_msgs/msg/KeyValue", key=key, value=f"{value:.4f}") for key, value in values.items()
         ]

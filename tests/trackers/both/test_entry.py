@@ -37,8 +37,8 @@ def test_both_together_are_between_the_two_and_say_what_they_are(waving):
     assert error(both).mean() < np.mean(means) and error(both).mean() < 0.05
     assert both.tracked.all() and both.joint_confidence is not None and both.joint_covariance is not None
     assert abs(both.joint_confidence[3:].mean() - (error(both) < 0.1).mean()) < 0.1
-    assert both.limb_distance is not None and both.depth_inside is not None and both.beyond_limits is not None
-    for each in (both.limb_distance, both.depth_inside, both.beyond_limits, both.rotation, both.translation):
+    for name in ("limb_distance", "depth_inside", "beyond_limits", "rotation", "translation"):
+        each = both.rows()[name]
         assert np.isfinite(each).all() and len(each) == len(recording.frames)
     assert both.seconds > alone[0].seconds / 2 and both.body.scale == alone[0].body.scale
 

@@ -9,7 +9,7 @@ import voodoo_jax as vj
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Evidence, Status, Tracks
 from voodoo_jax.trackers.both.merge import CHAINS, ERRS, THEIRS, chosen, hung, merged, posed
 
 FRAMES = 40
@@ -20,11 +20,10 @@ def tracks_at_rest(sure: float = 0.9) -> Tracks:
     body = scaled(vj.human(), 1.75)
     rest, limbs, centres = body.rest, body.limb_count, len(body.topology.centres)
     each = lambda a: np.repeat(np.asarray(a, np.float32)[None], FRAMES, 0)  # noqa: E731
-    ones = np.ones(FRAMES, np.float32)
     return Tracks(
         "", "world", body, np.arange(FRAMES) * 66_666_667, each(rest.rotation), each(rest.translation),
-        each(joint_centres(body, rest)), np.full(FRAMES, Status.TRACKED, np.int8), 0.01 * ones, ones,
-        np.zeros(FRAMES, np.int32), np.full(FRAMES, 500, np.int32), np.ones((FRAMES, limbs), np.float32),
+        each(joint_centres(body, rest)), np.full(FRAMES, Status.TRACKED, np.int8),
+        Evidence.blank(FRAMES, limbs),
         limb_covariance=each(np.broadcast_to(1e-4 * np.eye(6), (limbs, 6, 6))),
         joint_covariance=each(np.broadcast_to(1e-4 * np.eye(3), (centres, 3, 3))),
         joint_confidence=np.full((FRAMES, centres), sure, np.float32),

@@ -1,7 +1,5 @@
 """Joint covariances that know how far apart the passes there and back in time are."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from tests.support.segments import blank_tracks
@@ -34,9 +32,9 @@ def test_passes_that_differ_widen_what_was_measured():
 def test_one_pass_leaves_a_limb_as_it_is():
     before = tracks(0.05)
     limb = BODY.topology.limbs.index("l_forearm")
-    apart = before.passes_apart.copy()
+    apart = before.evidence.passes_apart.copy()
     apart[:, limb] = np.nan
-    after = with_passes(replace(before, passes_apart=apart))
+    after = with_passes(before.having(passes_apart=apart))
     mine = np.array(BODY.topology.centre_limbs) == limb
     assert mine.any()
     np.testing.assert_array_equal(after.joint_covariance[:, mine], before.joint_covariance[:, mine])

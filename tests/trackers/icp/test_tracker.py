@@ -110,7 +110,7 @@ def test_a_frame_without_points(recording, standing):
     hole = replace(frames[5], points=frames[5].points[:0], sensor=frames[5].sensor[:0])
     tracks = track(human(), joined(recording, frames[:5], [hole], frames[6:]))
     check(tracks, [YES] * 5 + [GONE] + [YES] * (len(frames) - 6), standing)
-    assert tracks.points[5] == 0 and tracks.explained[5] == 0
+    assert tracks.evidence.points[5] == 0 and tracks.evidence.explained[5] == 0
     # the prediction stands in: nobody jumps in a tenth of a second
     assert np.linalg.norm(tracks.joints[5] - standing.joints[5], axis=-1).max() < 0.06
 

@@ -55,8 +55,7 @@ def test_long_tracks_are_rated_in_batches():
     at = BATCH - 40
     part = np.s_[at : at + 80]
     said = joint_confidence(found)
-    arrays = {name: array[part] for name, array in vars(found).items() if np.shape(array)[:1] == (count,)}
-    np.testing.assert_array_equal(joint_confidence(replace(found, **arrays))[20:60], said[part][20:60])
+    np.testing.assert_array_equal(joint_confidence(found.only(part))[20:60], said[part][20:60])
     peaks = []
     for frames in (count, 2 * count):
         tracks = fitting(frames)
@@ -79,20 +78,20 @@ def test_every_sign_of_trouble_counts(worse):
     if worse == "moved":
         changed = good_tracks(step=0.1)
     elif worse == "limb_weight":
-        changed = replace(good_tracks(), limb_weight=np.zeros((6, LIMBS), np.float32))
+        changed = good_tracks().having(limb_weight=np.zeros((6, LIMBS), np.float32))
     else:
-        changed = replace(good_tracks(), **{worse: getattr(good_tracks(scale=3.0), worse)})
+        changed = good_tracks().having(**{worse: good_tracks(scale=3.0).rows()[worse]})
     assert (joint_confidence(changed) < fine).all()
 
 
 def test_one_pass_is_enough_and_nothing_measured_says_nothing():
-    found = replace(good_tracks(), passes_apart=np.full((6, LIMBS), np.nan, np.float32))
+    found = good_tracks().having(passes_apart=np.full((6, LIMBS), np.nan, np.float32))
     once = joint_confidence(found)
     expected = probability(ONE_PASS, clues(found))
     np.testing.assert_allclose(once, expected, rtol=1e-6)
     assert len(ONE_PASS.slopes) == len(THERE_AND_BACK.slopes) - 1
     found.status[2:4] = Status.NO_DATA, Status.FEATURES
-    found.residual[2] = np.nan
+    found.evidence.residual[2] = np.nan
     some = joint_confidence(found)
     assert np.isnan(some[2:4]).all() and np.isfinite(some[[0, 1, 4, 5]]).all()
     assert np.isnan(expected_share(some)[2:4]).all()
@@ -100,8 +99,8 @@ def test_one_pass_is_enough_and_nothing_measured_says_nothing():
 
 def test_little_is_said_of_joints_on_limbs_without_a_marker():
     bare = TOPOLOGY.limbs.index("l_shank")
-    found = replace(good_tracks(), limb_weight=np.full((6, LIMBS), 2.0, np.float32))
-    found.limb_weight[3:, bare] = 0.0
+    found = good_tracks().having(limb_weight=np.full((6, LIMBS), 2.0, np.float32))
+    found.evidence.limb_weight[3:, bare] = 0.0
     found.status[5] = Status.NO_DATA
     plain, said = joint_confidence(found), marker_confidence(found)
     on = np.array(TOPOLOGY.centre_limbs) == bare
@@ -117,7 +116,7 @@ def fitting(frames: int = 6, scale: float = 1.0) -> Tracks:
     shape = (frames, LIMBS)
     known = {"limb_beside": 0.02, "limb_distance": 0.008, "limb_bare": 0.03}
     fit = {name: np.full(shape, scale * value, np.float32) for name, value in known.items()}
-    return replace(good_tracks(frames), limb_own=np.ones(shape, np.float32), **fit)
+    return good_tracks(frames).having(limb_own=np.ones(shape, np.float32), **fit)
 
 
 @pytest.mark.parametrize("worse", ["limb_beside", "limb_distance", "limb_bare", "size"])
@@ -128,7 +127,7 @@ def test_what_does_not_fit_is_not_trusted(worse):
     if worse == "size":
         changed = replace(fine, body=scaled(BODY, 1.25))
     else:
-        changed = replace(fine, **{worse: getattr(bad, worse)})
+        changed = fine.having(**{worse: bad.rows()[worse]})
     assert (joint_confidence(changed) < said - 0.005).all()
     assert joint_confidence(bad).max() < 0.1
 
@@ -142,11 +141,11 @@ def test_a_child_is_no_misfit_and_a_giant_is():
 @pytest.mark.parametrize("worse", ["limb_beside", "depth_inside", "passes_apart"])
 def test_what_is_wrong_with_a_thigh_is_said_of_the_joints_where_it_ends(worse):
     """Of its hip, too, whose centre is the pelvis'; points apart are so for half a second before and after."""
-    found = replace(fitting(40), depth_inside=np.zeros((40, LIMBS), np.float32))
+    found = fitting(40).having(depth_inside=np.zeros((40, LIMBS), np.float32))
     said = joint_confidence(found)
-    changed = getattr(found, worse).copy()
+    changed = found.rows()[worse].copy()
     changed[:4, TOPOLOGY.limbs.index("l_thigh")] = 0.9
-    lower = joint_confidence(replace(found, **{worse: changed})) < said - 0.01
+    lower = joint_confidence(found.having(**{worse: changed})) < said - 0.01
     first = dict(zip(TOPOLOGY.centres, lower[:4].all(0)))
     assert first["l_hip"] and first["l_knee"] and not first["r_hip"] and not first["l_elbow"]
     assert not lower[20:].any()
@@ -154,7 +153,7 @@ def test_what_is_wrong_with_a_thigh_is_said_of_the_joints_where_it_ends(worse):
 
 def test_joints_beyond_their_limits_are_doubted():
     beyond = np.zeros((6, len(TOPOLOGY.joints)), np.float32)
-    found = replace(fitting(), beyond_limits=beyond)
+    found = fitting().having(beyond_limits=beyond)
     said = joint_confidence(found)[3]
     beyond[:, TOPOLOGY.joints.index("r_elbow")] = np.radians(40)
     lower = dict(zip(TOPOLOGY.centres, joint_confidence(found)[3] < said - 0.005))
@@ -163,7 +162,7 @@ def test_joints_beyond_their_limits_are_doubted():
 
 def test_a_limb_alone_that_is_bare_is_doubted_alone():
     found = fitting()
-    found.limb_bare[:, TOPOLOGY.limbs.index("l_shank")] = 1.0
+    found.evidence.limb_bare[:, TOPOLOGY.limbs.index("l_shank")] = 1.0
     said, fine = joint_confidence(found)[3], joint_confidence(fitting())[3]
     lower = dict(zip(TOPOLOGY.centres, said < fine - 0.05))
     assert lower["l_talocrural"] and not lower["r_talocrural"] and not lower["l_elbow"] and not lower["skullbase"]
@@ -174,7 +173,7 @@ def test_a_limb_whose_points_are_another_ones_is_doubted_alone():
     forearm, fine = TOPOLOGY.limbs.index("r_forearm"), joint_confidence(fitting())[3]
     for own in (0.0, np.nan):
         found = fitting()
-        found.limb_own[:, forearm] = own
+        found.evidence.limb_own[:, forearm] = own
         lower = dict(zip(TOPOLOGY.centres, joint_confidence(found)[3] < fine - 0.005))
         assert lower["r_elbow"] and lower["r_radiocarpal"] and sum(lower.values()) == 2
 
@@ -191,20 +190,20 @@ def test_misfit_is_averaged_over_a_second_and_online_over_what_was_before():
 def test_who_may_face_the_other_way_is_not_trusted_but_for_joints_in_the_middle():
     odds = np.array([np.nan, 0.0, np.nan, 2.0, np.nan, np.nan], np.float32)
     unknown = ill_fit(np.full((6, CENTRES, 4), np.nan))
-    right = facing_right(replace(good_tracks(), facing_odds=odds), unknown)
+    right = facing_right(good_tracks().having(facing_odds=odds), unknown)
     sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
     np.testing.assert_allclose(right[:3][:, sides], 0.5)  # the next answer, and the last one
     assert (right[3:][:, sides] > 0.99).all() and (right[:, ~sides] == 1).all() and (~sides).sum() == 2
     assert (facing_right(good_tracks(), unknown) == 1).all()
-    doubtful = joint_confidence(replace(fitting(), facing_odds=odds))
+    doubtful = joint_confidence(fitting().having(facing_odds=odds))
     assert (doubtful[1, sides] < 0.51).all() and (doubtful[1, ~sides] > 0.9).all()
 
 
 @pytest.mark.parametrize("worse", ["limb_beside", "limb_bare"])
 def test_odds_of_facing_tell_little_of_a_body_that_fits_badly(worse):
     odds = {"facing_odds": np.full(6, 0.2, np.float32)}
-    fine = replace(fitting(), **odds)
-    badly = replace(fine, **{worse: np.full((6, LIMBS), 0.3, np.float32)})
+    fine = fitting().having(**odds)
+    badly = fine.having(**{worse: np.full((6, LIMBS), 0.3, np.float32)})
     good, bad = (facing_right(tracks, ill_fit(misfits(tracks))) for tracks in (fine, badly))
     sides = np.array([name[:2] in ("l_", "r_") for name in TOPOLOGY.centres])
     assert (good[:, sides] > 0.95).all() and (bad[:, sides] > 0.5).all()

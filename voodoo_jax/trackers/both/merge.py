@@ -10,7 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int64
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -60,11 +60,13 @@ def merged(
     Confidence, covariances, misfits and what is not plausible are of the merged poses; residual, explained and
     limb_weight remain of the ICP tracker's fit.
 
-    **Arguments:** `people` points of the person in each frame; `least` share of the joints that must be expected to be
-    right, or the frame is LOST; `chunk` so many frames are looked at at once; `ahead` whether later frames may be
-    looked at.
+    **Arguments:** `people` points of the person in each frame, or in the last ones, which alone are merged then;
+    `least` share of the joints that must be expected to be right, or the frame is LOST; `chunk` so many frames are
+    looked at at once; `ahead` whether later frames may be looked at.
     """
-    choice = chosen(icp, flexible, ahead)
+    last = slice(len(icp.time_ns) - len(people), None)
+    choice = Choice(*(each[last] for each in chosen(icp, flexible, ahead)))
+    icp, flexible = icp.only(last), flexible.only(last)
     waited = icp.compile_seconds + flexible.compile_seconds
     out = replace(icp, seconds=icp.seconds + flexible.seconds, compile_seconds=waited)
     if not choice.share.any():
@@ -75,8 +77,8 @@ def merged(
     fit = misfit(icp.body, rotation, translation, people)
     status = np.where(choice.share.mean(1) > 0.5, flexible.status, icp.status)  # of whom most is taken
     beyond, depth = _implausible(icp.body, rotation, translation, chunk)
-    return replace(
-        out, joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
+    return out.having(
+        joints=joints, rotation=rotation, translation=translation, limb_covariance=limb_covariance,
         joint_covariance=joint_covariance, joint_confidence=choice.right, limb_beside=fit.beside,
         limb_distance=fit.distance, limb_bare=fit.bare, limb_own=fit.own, beyond_limits=beyond, depth_inside=depth,
         status=mark_lost(status.astype(np.int8), choice.right, least),
@@ -86,8 +88,7 @@ def merged(
 def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
     """What is taken of whom; arguments as for `merged`."""
     names = icp.body.topology.centres
-    between = float(np.median(np.diff(icp.time_ns))) / 1e9 if len(icp.time_ns) > 1 else STEADY
-    half = round(STEADY / max(between, 1e-3) / 2)
+    half = compared_frames(icp.time_ns) // 2
     steady = partial(uniform_filter1d, size=2 * half + 1, axis=-1, mode="nearest", origin=0 if ahead else half)
     known = np.isfinite(icp.joints).all(-1) & np.isfinite(flexible.joints).all(-1)
     usable = known.sum(1) == known.sum(1).max(initial=0)  # frames in which both have all that they ever have
@@ -122,6 +123,12 @@ def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
             out[:, row], right[:, row] = much, p[0] + (1 - much) * p[1] + much * p[2]
     taken = known & usable[:, None]
     return Choice(np.where(taken, out, 0.0), np.where(taken, right, _said(icp)).astype(np.float32), apart)
+
+
+def compared_frames(time_ns: Int64[np.ndarray, " frame"]) -> int:
+    """Number of frames over which both are compared, odd."""
+    between = float(np.median(np.diff(time_ns))) / 1e9 if len(time_ns) > 1 else STEADY
+    return 2 * round(STEADY / max(between, 1e-3) / 2) + 1
 
 
 def hung(icp: Tracks, flexible: Tracks, share: Float[np.ndarray, "frame joint"]) -> Float[np.ndarray, "frame joint 3"]:

@@ -53,7 +53,7 @@ def _of_level(run: Runner, level: Level) -> str:
 def notes_on(run: Runner, tracks: Tracks, named: Named) -> tuple[str, ...]:
     """Notes on a tracked recording; `named` whose named points these are."""
     notes = implausible(tracks) + name_notes(named)
-    if not tracks.points.any() and any(len(frame.pairs.names) for frame in run.people):
+    if not tracks.evidence.points.any() and any(len(frame.pairs.names) for frame in run.people):
         return (*notes, FEW)
     notes += run.scene.notes
     if not run.scene.floor_seen:
@@ -77,7 +77,7 @@ def notes_on(run: Runner, tracks: Tracks, named: Named) -> tuple[str, ...]:
         notes.append("No object of the body's height was found: no frame is tracked.")
     if np.any(tracks.status == Status.LOST) and not tracks.tracked.any() and tracks.joint_confidence is not None:
         notes.append("The tracker was never certain of a person: no frame is tracked.")
-    total = int(tracks.points.sum())
+    total = int(tracks.evidence.points.sum())
     if run.left_out:
         share, most = 100 * run.left_out / (run.left_out + total), run.settings.detect.points
         notes.append(remark(f"{share:.0f} % of the body's points were left out (detect.points = {most} per frame)."))

@@ -25,11 +25,12 @@ MOVED = 0.008
 def with_passes(tracks: Tracks) -> Tracks:
     """Tracks with the distance between forward and backward pass in the joint covariances; unchanged where there was
     one pass."""
-    assert tracks.joint_covariance is not None and tracks.passes_apart is not None
+    passes = tracks.evidence.passes_apart
+    assert tracks.joint_covariance is not None and passes is not None
     limbs, out = np.array(tracks.body.topology.centre_limbs, int), np.empty_like(tracks.joint_covariance)
     for at in range(0, len(out), BATCH):
         span = slice(at, at + BATCH)
-        plain, apart = tracks.joint_covariance[span].astype(float), tracks.passes_apart[span][:, limbs].astype(float)
+        plain, apart = tracks.joint_covariance[span].astype(float), passes[span][:, limbs].astype(float)
         measured = (NOISE / covariance.NOISE) ** 2 * (plain - covariance.SHAPE**2 * np.eye(3))
         found = measured + (SHAPE**2 + (APART * apart) ** 2)[..., None, None] * np.eye(3)
         out[span] = np.where(np.isfinite(apart)[..., None, None], found, plain)

@@ -129,9 +129,14 @@ class LiveTracker:
         self._ended = True
         return self._settled()
 
+    @property
+    def people(self) -> list[BodyObservation]:
+        """The points on the person in each frame so far."""
+        return self._kept.frames()
+
     def whole(self, source: LogInfo) -> Tracks:
         """Tracks of all frames, as replay writes them."""
-        run, people = self.run, self._kept.frames()
+        run, people = self.run, self.people
         every = Runner(self._body, run.options, people, run.scene, self.settings)
         every.body, every.bodies, every.sized, every.left_out = run.body, run.bodies, run.sized, run.left_out
         tracks = finished(every, _joined_rows(self._rows, run.body.limb_count), source)
@@ -307,8 +312,7 @@ class _Shown:
 
 def _for_bands(tracks: Tracks) -> Tracks:
     """The data for the stretch of bands, without large arrays."""
-    none = {"limb_covariance": None, "joint_covariance": None, "beyond_limits": None, "depth_inside": None}
-    return replace(tracks, **none)
+    return tracks.having(limb_covariance=None, joint_covariance=None, beyond_limits=None, depth_inside=None)
 
 
 def joined_tracks(parts: list[Tracks]) -> Tracks:
@@ -316,7 +320,7 @@ def joined_tracks(parts: list[Tracks]) -> Tracks:
     if len(parts) == 1:
         return parts[0]
     rows = [part.rows() for part in parts]
-    return replace(parts[-1], **{name: np.concatenate([each[name] for each in rows]) for name in rows[0]})
+    return parts[-1].having(**{name: np.concatenate([each[name] for each in rows]) for name in rows[0]})
 
 
 def _joined_rows(rows: list[Followed], limbs: int) -> Followed:

@@ -127,9 +127,7 @@ def tracks_of(run: Runner, segment: Segment, source: LogInfo) -> Tracks:
     tracks = report.tracks_of(run, segment, source)
     if fit is None:
         return tracks
-    return replace(
-        tracks, limb_beside=fit.beside, limb_distance=fit.distance, limb_bare=fit.bare, limb_own=fit.own
-    )  # fmt: skip
+    return tracks.having(limb_beside=fit.beside, limb_distance=fit.distance, limb_bare=fit.bare, limb_own=fit.own)
 
 
 def _misfit(run: Runner, segment: Segment) -> Misfit | None:

@@ -113,8 +113,7 @@ def track_named(task: Task, subject: Subject) -> Tracks:
     tracks = report.tracks_of(run, segment, task.source)
     poses = Poses(tracks.rotation, tracks.translation)
     found = residuals(run.body, run.table.markers, poses, tracks.tracked)
-    residual = np.array(list(found.values()), np.float32)
-    tracks = replace(tracks, body=without_own_sites(tracks.body), marker_names=tuple(found), marker_residual=residual)
+    tracks = replace(tracks, body=without_own_sites(tracks.body), marker_residual=found)
     tracks = replace(tracks, joint_confidence=marker_confidence(tracks, settings.looks_ahead("track")))
     tracks = scale_confidence(tracks, MISNAMED if mirrored and not settings.read.mirror else 1.0)
     notes = [*task.source.notes(), *implausible(tracks), *name_notes(named)]
@@ -134,6 +133,6 @@ def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray,
     whose own limb has none in the frame, even if a neighbour's markers hold it.
     """
     found = joint_confidence(tracks, ahead)
-    unmarked = tracks.limb_weight[:, np.array(tracks.body.topology.centre_limbs, int)] <= 0
+    unmarked = tracks.evidence.limb_weight[:, np.array(tracks.body.topology.centre_limbs, int)] <= 0
     # not np.fmin: where there is none, there is none
     return np.where(unmarked, np.minimum(found, np.float32(UNMARKED)), found)

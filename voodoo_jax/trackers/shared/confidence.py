@@ -79,7 +79,8 @@ def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint 
 
     The last clue is NaN if there was only one pass.
     """
-    assert tracks.passes_apart is not None
+    seen = tracks.evidence
+    assert seen.passes_apart is not None
     joints, limbs = tracks.joints, np.array(tracks.body.topology.centre_limbs, int)
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
     still = np.zeros((1, joints.shape[1]))
@@ -90,11 +91,11 @@ def clues(tracks: Tracks, ahead: bool = True) -> Float[np.ndarray, "frame joint 
     each = lambda row: np.broadcast_to(row[:, None], moved.shape)  # noqa: E731
     found = (
         log(spread, 1e-3, 10.0),
-        each(log(tracks.residual, 0.003, 1.0)),
-        each(log(1 - tracks.explained, 0.003, 1.0)),
+        each(log(seen.residual, 0.003, 1.0)),
+        each(log(1 - seen.explained, 0.003, 1.0)),
         log(moved, 0.003, 1.0),
-        np.log1p(tracks.limb_weight[:, limbs]),
-        log(tracks.passes_apart[:, limbs], 0.005, 1.0),
+        np.log1p(seen.limb_weight[:, limbs]),
+        log(seen.passes_apart[:, limbs], 0.005, 1.0),
     )
     return np.stack(found, -1)
 
@@ -145,22 +146,23 @@ class Averages(NamedTuple):
 
 def _averages(tracks: Tracks, ahead: bool) -> Averages | None:
     """None if misfits are unknown."""
-    beside, distance, bare, own = tracks.limb_beside, tracks.limb_distance, tracks.limb_bare, tracks.limb_own
+    seen = tracks.evidence
+    beside, distance, bare, own = seen.limb_beside, seen.limb_distance, seen.limb_bare, seen.limb_own
     if beside is None or distance is None or bare is None or own is None:
         return None
     nothing = np.zeros(beside.shape, np.float32)
     known = lambda found: nothing if found is None else np.nan_to_num(found)  # noqa: E731
-    beyond, apart = nothing.copy(), known(tracks.passes_apart)
-    if tracks.beyond_limits is not None:
-        beyond[:, np.array(tracks.body.topology.children, int)] = np.nan_to_num(tracks.beyond_limits)
+    beyond, apart = nothing.copy(), known(seen.passes_apart)
+    if seen.beyond_limits is not None:
+        beyond[:, np.array(tracks.body.topology.children, int)] = np.nan_to_num(seen.beyond_limits)
     return Averages(
         averaged(beside, ahead),
         averaged(distance, ahead),
         averaged(bare, ahead),
-        averaged(known(tracks.depth_inside), ahead),
+        averaged(known(seen.depth_inside), ahead),
         averaged(beyond, ahead),
         maximum_filter1d(apart, AROUND, 0) if len(apart) else apart,
-        averaged(tracks.limb_weight * np.nan_to_num(own), ahead),
+        averaged(seen.limb_weight * np.nan_to_num(own), ahead),
     )
 
 
@@ -236,11 +238,12 @@ def facing_right(tracks: Tracks, ill: Float[np.ndarray, "frame 2"]) -> Float[np.
     """
     sides = np.array([name.startswith(("l_", "r_")) for name in tracks.body.topology.centres])
     out = np.ones((len(tracks.status), len(sides)))
-    if tracks.facing_odds is None or not np.isfinite(tracks.facing_odds).any():
+    facing = tracks.evidence.facing_odds
+    if facing is None or not np.isfinite(facing).any():
         return out
-    known = np.flatnonzero(np.isfinite(tracks.facing_odds))
+    known = np.flatnonzero(np.isfinite(facing))
     at = known[np.maximum(np.searchsorted(known, np.arange(len(out)), "right") - 1, 0)]
-    odds = tracks.facing_odds[at].astype(float)
+    odds = facing[at].astype(float)
     out[:, sides] = expit(SURELY * np.exp(ill @ np.array(LESS_SURE)) * odds)[:, None]
     return out
 
@@ -272,8 +275,8 @@ def joint_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, 
         found = clues(tracks.only(around), ahead)[inner]
         twice, once = probability(THERE_AND_BACK, found), probability(ONE_PASS, found)
         misfit = _misfits(tracks.only(span), averages and averages.some(span))
-        fits = probability(MATCHED_FITS if tracks.matched else FITS, misfit)
-        ill[span] = 0.0 if tracks.matched else ill_fit(misfit)
+        fits = probability(MATCHED_FITS if tracks.evidence.matched else FITS, misfit)
+        ill[span] = 0.0 if tracks.evidence.matched else ill_fit(misfit)
         sure[span] = np.where(np.isfinite(twice), twice, once) * np.where(np.isfinite(fits), fits, 1.0)
     told = np.isin(tracks.status, (Status.TRACKED, Status.LOST))
     return np.where(told[:, None], sure * facing_right(tracks, ill), np.nan).astype(np.float32)

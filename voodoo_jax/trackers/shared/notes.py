@@ -12,12 +12,13 @@ ODD = "Not plausible"  # sentences on the tracks themselves begin so
 
 def implausible(tracks: Tracks) -> list[str]:
     """Notes on joints beyond their limits and limbs inside others, if in many tracked frames."""
-    assert tracks.beyond_limits is not None and tracks.depth_inside is not None
+    beyond, depth = tracks.evidence.beyond_limits, tracks.evidence.depth_inside
+    assert beyond is not None and depth is not None
     notes, tracked, t = [], tracks.tracked, tracks.body.topology
     for what, names, found, most in (
         (f"bent more than {FAR_BEYOND:.0f} degrees beyond their limits", t.joints,
-         np.degrees(tracks.beyond_limits), FAR_BEYOND),
-        (f"more than {100 * DEEP:.0f} cm inside other limbs", t.limbs, tracks.depth_inside, DEEP),
+         np.degrees(beyond), FAR_BEYOND),
+        (f"more than {100 * DEEP:.0f} cm inside other limbs", t.limbs, depth, DEEP),
     ):  # fmt: skip
         with np.errstate(invalid="ignore"):
             share = (found[tracked] > most).mean(0) if tracked.any() else np.zeros(len(names))

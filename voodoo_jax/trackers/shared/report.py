@@ -13,7 +13,7 @@ from voodoo_jax.kernels.joint_limits import check
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.records.tracks import Evidence, Status, Tracks
 from voodoo_jax.solve.covariance import covariances
 from voodoo_jax.trackers.base import LogInfo
 from voodoo_jax.trackers.shared.runner import FrameRunner, spans
@@ -58,12 +58,13 @@ def tracks_of(run: FrameRunner, segment: Segment, source: LogInfo) -> Tracks:
         source.path, source.fixed_frame, run.body,
         time_ns=np.array([f.time_ns for f in run.people], np.int64),
         rotation=segment.rotation, translation=segment.translation, joints=derived.joints, status=segment.status,
-        residual=segment.residual, explained=segment.explained, steps=segment.steps,
-        points=np.array([len(f.points) for f in run.people], np.int32),
-        limb_weight=segment.limb_weight, passes_apart=segment.passes_apart, beyond_limits=derived.beyond_limits,
-        depth_inside=derived.depth_inside, limb_covariance=derived.limb_covariance,
-        joint_covariance=derived.joint_covariance, up=_up(run), facing_odds=segment.facing_odds,
-        T_fixed_steady=_sensor_motion(run.people), matched=any(f.matched for f in run.people),
+        evidence=Evidence(
+            segment.residual, segment.explained, segment.steps, np.array([len(f.points) for f in run.people], np.int32),
+            segment.limb_weight, segment.passes_apart, derived.beyond_limits, derived.depth_inside,
+            facing_odds=segment.facing_odds, matched=any(f.matched for f in run.people),
+        ),
+        limb_covariance=derived.limb_covariance, joint_covariance=derived.joint_covariance, up=_up(run),
+        T_fixed_steady=_sensor_motion(run.people),
     )  # fmt: skip
 
 

@@ -40,8 +40,8 @@ def across(rng) -> tuple[Tracks, np.ndarray]:
     joints = np.asarray(apply(poses[:, np.array(T.centre_limbs, int)], np.asarray(BODY.centres)), np.float32)
     own = np.ones((FRAMES, len(T.limbs)), np.float32)
     own[:, ARM] = 0.0
-    tracks = replace(
-        blank_tracks(BODY, FRAMES), rotation=poses.rotation, translation=poses.translation, joints=joints,
+    tracks = blank_tracks(BODY, FRAMES).having(
+        rotation=poses.rotation, translation=poses.translation, joints=joints,
         limb_weight=np.full((FRAMES, len(T.limbs)), 20.0, np.float32), limb_own=own,
         time_ns=10**18 + 50_000_000 * np.arange(FRAMES),
     )  # fmt: skip
@@ -72,7 +72,7 @@ def test_an_arm_that_lies_on_the_trunk_hangs_where_a_thing_hides_it(rng, across)
     assert fit.bare[0, ARM].max() < 0.1
     others = [k for k in range(len(T.limbs)) if k not in ARM]
     np.testing.assert_array_equal(hung.rotation[:, others], tracks.rotation[:, others])
-    assert (hung.limb_weight[:, ARM] == 0).all() and (hung.limb_weight[:, others] == 20).all()
+    assert (hung.evidence.limb_weight[:, ARM] == 0).all() and (hung.evidence.limb_weight[:, others] == 20).all()
     top = hung.joints[50, T.centres.index("r_shoulder")]
     np.testing.assert_allclose(top, tracks.joints[50, T.centres.index("r_shoulder")], atol=0.02)
 
@@ -87,9 +87,9 @@ def test_it_stays_where_it_would_be_seen_if_it_hung(rng, across):
 
 def test_it_stays_near_frames_in_which_it_has_points_of_its_own(rng, across):
     tracks, seen = across
-    own = tracks.limb_own.copy()
+    own = tracks.evidence.limb_own.copy()
     own[:20, ARM] = 1.0
-    hung = with_hung_arms(replace(tracks, limb_own=own), looked_at(rng, seen, hidden=True))
+    hung = with_hung_arms(tracks.having(limb_own=own), looked_at(rng, seen, hidden=True))
     moved = np.linalg.norm(hung.joints - tracks.joints, axis=-1).max(1)
     assert (moved[:45] == 0).all() and (moved[90:] > 0.25).all() and 0.01 < moved[71] < 0.6
     assert (np.diff(moved) > -1e-3).all() and np.diff(moved).max() < 0.2  # in half a second
@@ -99,7 +99,7 @@ def test_it_stays_near_frames_in_which_it_has_points_of_its_own(rng, across):
 def test_without_what_it_needs_nothing_changes(rng, across, missing):
     tracks, seen = across
     if missing == "limb_own":
-        tracks = replace(tracks, limb_own=None)
+        tracks = tracks.having(limb_own=None)
     else:
         limbs = tuple(name.replace("forearm", "wing") for name in T.limbs)
         tracks = replace(tracks, body=replace(BODY, topology=T._replace(limbs=limbs)))

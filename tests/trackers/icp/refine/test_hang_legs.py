@@ -1,7 +1,5 @@
 """Legs that nobody saw: under somebody who leans, not in line with what leans."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -30,8 +28,8 @@ def leaning(degrees: float, seen: list[str], heading: float = 0.0) -> Tracks:
     weight = np.tile([100.0 * (name in seen) for name in T.limbs], (FRAMES, 1)).astype(np.float32)
     joints = np.asarray(apply(poses[:, np.array(T.centre_limbs, int)], np.asarray(BODY.centres)), np.float32)
     time = 10**18 + 50_000_000 * np.arange(FRAMES)
-    return replace(
-        blank_tracks(BODY, FRAMES), rotation=poses.rotation, translation=poses.translation, joints=joints,
+    return blank_tracks(BODY, FRAMES).having(
+        rotation=poses.rotation, translation=poses.translation, joints=joints,
         limb_weight=weight, time_ns=time, up=UP,
     )  # fmt: skip
 

@@ -116,7 +116,7 @@ def test_bands_say_where_knees_are():
 
 def test_what_nobody_saw_says_nothing():
     tracks, told = standing(0.01), learned()["knee"]
-    tracks.limb_weight[
+    tracks.evidence.limb_weight[
         :, [BODY.topology.limbs.index(f"{side}_{limb}") for side in "lr" for limb in ("thigh", "foot")]
     ] = 0
     gaps = band_gaps(BODY, tracks)["legs"]

@@ -4,7 +4,7 @@ Nothing calls such an arm back: the trunk's points hold it, and it explains them
 (`limb_own`), for long. Where nothing would be seen of it if it hung, it hangs.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -49,7 +49,7 @@ def with_hung_arms(tracks: Tracks, people: list[BodyObservation]) -> Tracks:
     """
     t = tracks.body.topology
     there = {"chest", *(f"{side}_{name}" for side in "lr" for name in ARM)} <= {*t.limbs}
-    if tracks.limb_own is None or not there:
+    if tracks.evidence.limb_own is None or not there:
         return tracks
     known = np.isfinite(np.concatenate([tracks.rotation, tracks.translation], 2)).all((1, 2))
     for side in "lr":
@@ -63,16 +63,17 @@ def with_hung_arms(tracks: Tracks, people: list[BodyObservation]) -> Tracks:
         some = some[hides & _elsewhere(tracks, hung, arm[-1], some)]
         if len(some):
             tracks = with_limbs(tracks, _hung(tracks, arm, some, much[some]), some, arm)
-            weight = tracks.limb_weight.copy()
+            weight = tracks.evidence.limb_weight.copy()
             weight[some[:, None], arm] = 0.0  # their points were the trunk's
-            tracks = replace(tracks, limb_weight=weight)
+            tracks = tracks.having(limb_weight=weight)
     return tracks
 
 
 def _seen(tracks: Tracks, arm: list[int]) -> Bool[np.ndarray, " frame"]:
     """In which frames forearm or hand have points that no other limb explains, over a second."""
-    assert tracks.limb_own is not None
-    weight, own = tracks.limb_weight, tracks.limb_weight * np.nan_to_num(tracks.limb_own)
+    weight, share = tracks.evidence.limb_weight, tracks.evidence.limb_own
+    assert share is not None
+    own = weight * np.nan_to_num(share)
     whole = averaged(weight.sum(1, keepdims=True), True)[:, 0]
     of_arm, of_own = (averaged(each[:, arm[1:]].sum(1, keepdims=True), True)[:, 0] for each in (weight, own))
     return (of_own > OWN * of_arm) & (of_arm > SOME * whole)

@@ -45,7 +45,7 @@ def with_hung_legs(tracks: Tracks, settings: TrackSettings) -> Tracks:
     there = {f"{side}_{name}" for side in "lr" for name in LEG} <= {*t.limbs} and {"l_knee", "r_knee"} <= {*t.joints}
     if tracks.up is None or rest <= 0 or not there:
         return tracks
-    share = tracks.limb_weight.astype(float) ** 2
+    share = tracks.evidence.limb_weight.astype(float) ** 2
     shown = share / (share + settings.hidden_weight**2)
     poses = Poses(tracks.rotation.astype(float), tracks.translation.astype(float))
     known = np.isfinite(np.concatenate([poses.rotation, poses.translation], 2)).all((1, 2))

@@ -96,7 +96,7 @@ def band_gaps(body: Body, tracks: Tracks, among: slice = EVERY) -> dict[str, Gap
     found: dict[str, tuple[np.ndarray, int]] = {}
     for j, joint in enumerate(t.joints):
         pair = [t.parents[j], t.children[j]]
-        frames = seen[(tracks.limb_weight[seen][:, pair] > 0).all(1)]
+        frames = seen[(tracks.evidence.limb_weight[seen][:, pair] > 0).all(1)]
         ends = [
             apply(Poses(tracks.rotation[frames, limb], tracks.translation[frames, limb]), anchor.translation[j])
             for limb, anchor in zip(pair, (body.parent_anchor, body.child_anchor))
@@ -273,8 +273,9 @@ class PlaceJoints:
 
 def _smaller(body: Body, tracks: Tracks, frames: np.ndarray) -> np.ndarray:
     """Covariances of some frames' joints once they are moved: smaller where there were two passes."""
-    assert tracks.joint_covariance is not None and tracks.passes_apart is not None
-    both = np.isfinite(tracks.passes_apart[frames][:, np.array(body.topology.centre_limbs, int)])[..., None, None]
+    passes = tracks.evidence.passes_apart
+    assert tracks.joint_covariance is not None and passes is not None
+    both = np.isfinite(passes[frames][:, np.array(body.topology.centre_limbs, int)])[..., None, None]
     return tracks.joint_covariance[frames] + both * np.float32(MOVED**2 - SHAPE**2) * np.eye(3, dtype=np.float32)
 
 
