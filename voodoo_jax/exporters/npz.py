@@ -56,11 +56,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
-    summary = {
-        "name": body.name,
-        body.scale_name: float(body.scale),
-        "segment_lengths": segment_lengths(body),
-    }
+    summary = {"name": body.name, body.scale_name: float(body.scale), "segment_lengths": segment_lengths(body)}
     arrays: dict[str, Any] = {name: value for name, value in tracks.rows().items() if name in FORMS}
     arrays |= {
         "tracked": tracks.tracked,

@@ -42,10 +42,7 @@ class Stamps:
 
 
 def shifts(
-    topics: Sequence[Stamps],
-    delays: dict[str, float],
-    notes: list[str],
-    set_backs: Sequence[tuple[int, int]] = (),
+    topics: Sequence[Stamps], delays: dict[str, float], notes: list[str], set_backs: Sequence[tuple[int, int]] = ()
 ) -> tuple[dict[str, Int64[np.ndarray, " message"]], dict[str, str]]:
     """What is to be added to the stamps of each topic, nanoseconds, so that all are of one clock, and why some topics
     cannot be brought to it; says in `notes` what was done.

@@ -241,12 +241,7 @@ class LogReader:
         self._notes.append(note)
 
     def sampled(
-        self,
-        topic: str,
-        count: int,
-        spread: bool = False,
-        step: int = 1,
-        at: Int64[np.ndarray, " time"] | None = None,
+        self, topic: str, count: int, spread: bool = False, step: int = 1, at: Int64[np.ndarray, " time"] | None = None
     ) -> list[Sample]:
         """Some non-empty messages of a depth topic: the first ones (subsampled), or `spread` over the log, or those
         nearest to some times (nanoseconds)."""

@@ -191,11 +191,7 @@ def bands(body: Body) -> Links:
     weight = body.weights * (body.present[parents] & body.present[children])
     weights = weight[:, None] * mask / mask.sum(-1, keepdims=True)
     return Links(
-        parents,
-        children,
-        apply(body.parent_anchor[:, None], ends),
-        apply(body.child_anchor[:, None], ends),
-        weights,
+        parents, children, apply(body.parent_anchor[:, None], ends), apply(body.child_anchor[:, None], ends), weights
     )
 
 

@@ -262,11 +262,7 @@ def _limits(table: Table) -> np.ndarray:
 
 
 def _check_tree(
-    limbs: list[Table],
-    joints: list[Table],
-    names: tuple[str, ...],
-    parents: tuple[int, ...],
-    children: tuple[int, ...],
+    limbs: list[Table], joints: list[Table], names: tuple[str, ...], parents: tuple[int, ...], children: tuple[int, ...]
 ) -> None:
     above: dict[int, int] = {}
     for table, parent, child in zip(joints, parents, children):
