@@ -1,4 +1,4 @@
-"""Many logs: which are to be done, by whom, and what became of them; a log that fails does not stop the others."""
+"""Many logs: selects and distributes them and collects the outcomes; a log that fails does not stop the others."""
 
 import os
 import time
@@ -37,7 +37,7 @@ SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being d
 
 
 def check_changes(body: Body, settings: Settings) -> None:
-    """Raises SettingsError for changes that cannot be made to a body: before the logs, not once for each."""
+    """Raises SettingsError for changes that cannot be made to a body: once, before the logs are read."""
     if settings.changes and (problem := in_a_copy(_trouble_of_changes, body, settings)):
         raise SettingsError(problem)
 
@@ -54,7 +54,7 @@ def _trouble_of_changes(body: Body, settings: Settings) -> str:
 
 
 class NotSummedUp(NotWritten):
-    """All logs are done, but replay.jsonl or report.html could not be written; `outcomes` are those of the logs."""
+    """All logs are finished, but replay.jsonl or report.html could not be written; `outcomes` has the results."""
 
     def __init__(self, text: str, outcomes: list[Outcome]):
         super().__init__(text)
@@ -204,7 +204,7 @@ def replay(
 
 
 def _trouble_of(write: Callable[[], object], place: str) -> list[str]:
-    """Writes a file that sums up the logs; why that did not work, which does not stop them and is said at their end."""
+    """Writes a summary file. Returns why that failed, which is reported at the end and does not stop the logs."""
     try:
         write()
     except Exception as problem:  # every store has its own errors
@@ -217,7 +217,7 @@ def _trouble_of(write: Callable[[], object], place: str) -> list[str]:
 def _engine(
     jobs: list[Job], report: Report, engine: Literal["local", "batch", "ray"], workers: int, ray: RayTasks
 ) -> Results:
-    """Number and outcome of each job as it is done."""
+    """Number and outcome of each finished job."""
     if engine == "ray":
         from voodoo_jax.batch.ray_cluster import on_ray
 
@@ -235,7 +235,7 @@ def _engine(
 
 
 def _finished(job: Job, again: bool, elsewhere: dict[str, str]) -> Outcome | None:
-    """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run.
+    """The outcome of an earlier run, its `picture` "due" if it is wanted and missing or old; None: no such run.
     `elsewhere`: see keys_elsewhere."""
     from voodoo_jax.batch.extra_files import VIEW, exported_name
     from voodoo_jax.batch.resume import finished_arrays
@@ -259,7 +259,7 @@ def _finished(job: Job, again: bool, elsewhere: dict[str, str]) -> Outcome | Non
 
 
 def _changed(place: str) -> float:
-    """When a file was written, seconds; 0 if it is not there, or its store does not say."""
+    """Modification time of a file in seconds; 0 if it does not exist, or its store does not say."""
     try:
         if not is_url(place):
             return os.stat(place).st_mtime
@@ -270,7 +270,7 @@ def _changed(place: str) -> float:
 
 
 def _absolute(place: str | os.PathLike[str]) -> str:
-    """A place as other processes understand it; file:// URLs as paths. Raises ValueError if fsspec lacks something."""
+    """An absolute place for other processes; file:// URLs as paths. Raises ValueError if fsspec lacks a package."""
     place = os.fspath(place)
     if is_url(place):
         path = file_system(place)[1]

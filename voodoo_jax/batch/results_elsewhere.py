@@ -1,4 +1,4 @@
-"""Results that an earlier run has written elsewhere in the folder, where logs were named or laid out in another way."""
+"""Results of an earlier run that lie elsewhere in the folder, because logs had other names or folders."""
 
 import os
 import shutil
@@ -14,8 +14,8 @@ from voodoo_jax.storage.urls import NPZ, TRACKS, is_url, opened, person_place
 
 
 def keys_elsewhere(folder: str, expected: Collection[str]) -> dict[str, str]:
-    """The tracks of main persons in a folder and those below it, by the keys of their runs, but for those that are
-    where they are `expected`; none of a URL."""
+    """Tracks of main persons in a folder and its subfolders, by the keys of their runs, except those at their
+    `expected` place; empty for a URL."""
     found: dict[str, str] = {}
     for place in sorted(Path(folder).rglob(f"*{NPZ}")) if not is_url(folder) else ():
         if str(place) in expected:
