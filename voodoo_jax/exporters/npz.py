@@ -1,4 +1,4 @@
-"""Tracks as one `.npz` file: what score.py and notebooks read, and all that is needed to have the Tracks again."""
+"""Tracks as one `.npz` file, which holds all of a Tracks and is read by score.py and notebooks."""
 
 import json
 import math
@@ -85,7 +85,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
 
 
 def read_tracks_npz(path: str | os.PathLike) -> Tracks:
-    """Reads what write_tracks_npz wrote. Raises TracksFileError if it is something else, OSError if it is not there."""
+    """Reads a file of write_tracks_npz. Raises TracksFileError for any other, OSError if it does not exist."""
     with opened_file(path) as stream:
         data: dict[str, Any] = tracks_arrays(stream, path)
     missing = [name for name in (*ALWAYS, "body_toml", "fixed_frame", "source") if name not in data]
@@ -118,7 +118,7 @@ def _other_names(data: Mapping[str, np.ndarray], body: Body) -> tuple[str, ...]:
 
 
 def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) -> None:
-    """Raises TracksFileError for arrays that no tracks of a body have."""
+    """Raises TracksFileError for arrays that do not fit the body."""
     t = body.topology
     sizes = {"f": len(data["time_ns"]) if data["time_ns"].ndim else 0, "l": body.limb_count, "j": len(t.centres)}
     sizes |= {"b": len(t.joints), "m": data["marker_names"].size if "marker_names" in data else 0}
@@ -141,8 +141,8 @@ def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) 
 
 
 def tracks_arrays(stream: Any, path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The arrays of an open tracks file by name, of which those are checked that are of no body. Raises
-    TracksFileError, which calls the file `path`."""
+    """The arrays of an open tracks file by name; checks those that do not depend on the body. Raises TracksFileError,
+    which calls the file `path`."""
     try:
         data = arrays_in(stream)
         _check_plain(data)
@@ -152,7 +152,7 @@ def tracks_arrays(stream: Any, path: str | os.PathLike[str]) -> dict[str, np.nda
 
 
 def scale_of(data: Mapping[str, np.ndarray]) -> tuple[str, float]:
-    """What the scale of a body is called, and its value in metres, of the arrays of a tracks file. Raises NotArrays."""
+    """Name and value (metres) of a body's scale, from the arrays of a tracks file. Raises NotArrays."""
     try:
         body = json.loads(str(data["body_json"]))
         ((name, value),) = [item for item in body.items() if item[0] not in ("name", "segment_lengths")]
@@ -164,7 +164,7 @@ def scale_of(data: Mapping[str, np.ndarray]) -> tuple[str, float]:
 
 
 def _check_plain(data: Mapping[str, np.ndarray]) -> None:
-    """Raises NotArrays for what no tracks file has beside its arrays of a body."""
+    """Raises NotArrays for invalid values of the entries that are not arrays of a body."""
     for name in ("person", "people"):
         if name in data and not (data[name].dtype.kind in "iu" and data[name].shape == () and 1 <= data[name] <= MOST):
             raise NotArrays(f"'{name}' is not a number of people")
@@ -187,7 +187,7 @@ def _check_plain(data: Mapping[str, np.ndarray]) -> None:
 
 
 def read_everybody(path: str | os.PathLike) -> list[Tracks]:
-    """Tracks of the main person of a log, and those of its other people, whose files lie beside theirs. Raises what
+    """Tracks of the main person of a log, and those of its other people, from files beside it. Raises what
     read_tracks_npz raises."""
     main = read_tracks_npz(path)
     return [main, *(read_tracks_npz(person_place(os.fspath(path), k)) for k in range(2, main.people + 1))]
