@@ -183,7 +183,9 @@ def followed(path: Path, seen: Seen, settings: Settings, stature: float, fixed_f
     every = filtered(on, states, observed, order, key, s)[1]
     found = chosen(every, descent(every))
     camera = camera_places(observed, order)
-    tracks = tracks_of(nobody_of(body, observed, str(path), fixed_frame, ()), begin, observed, first, found, camera)
+    tracks = tracks_of(
+        nobody_of(body, observed.time_ns, observed.scene, str(path), fixed_frame), begin, observed, first, found, camera
+    )
     return Followed(tracks, first, score, score >= MATCHED)
 
 

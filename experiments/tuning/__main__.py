@@ -33,8 +33,9 @@ FREE = {
     "prediction": ("solve.prior*", "solve.robust_scale", "solve.steady*", "track.*", "features.*.weight"),
     "template": ("lengths.*", "radii.*", "anchors.*"),
     "girths": ("radii.*",),
+    "body": ("bands.*.weight", "radii.*", "anchors.*"),
 }
-Part = Literal["curves", "weights", "prediction", "template", "girths"]
+Part = Literal["curves", "weights", "prediction", "template", "girths", "body"]
 AT = (-1.0, -0.5, 0.5, 1.0)  # of a parameter's usual deviation
 FIRST = 16  # frames that are not scored: half a second, see common.SKIP
 

@@ -93,9 +93,10 @@ def test_ctrl_c_ends_it_with_results(recorded, tmp_path, capsys):
     assert "ready; Ctrl-C ends it" in capsys.readouterr().err
 
 
-def test_images_are_tracked_as_their_replay_by_the_flexible_tracker(tmp_path, capsys):
+@pytest.mark.parametrize("tracker", ["flexible", "both"])
+def test_images_are_tracked_as_in_their_replay(tracker, tmp_path, capsys):
     path, _ = waving_log(tmp_path, 24)
-    flags = ["--tracker", "flexible", *(f"--flexible.{k}={getattr(SMALL, k)}" for k in VARIED)]
+    flags = ["--tracker", tracker, *(f"--flexible.{k}={getattr(SMALL, k)}" for k in VARIED)]
     thread = recorder(tmp_path / "grows" / "waving.mcap", path.read_bytes(), 1.0)
     assert main(["live", str(tmp_path / "grows" / "waving.mcap"), "--out", str(tmp_path / "live"), *flags]) == 0
     thread.join()
@@ -112,7 +113,6 @@ def test_images_are_tracked_as_their_replay_by_the_flexible_tracker(tmp_path, ca
         (("none.mcap",), 1, "no file"),
         (("none.mcap", "--serve", 70000), 2, "must be a port"),
         (("none.mcap", "--idle", 0), 2, "above 0"),
-        (("none.mcap", "--tracker", "both"), 2, "only the trackers icp and flexible"),
         (("none.mcap", "--read.skin"), 2, "read.skin"),
         (("none.mcap", "--read.pose-net", "mediapipe"), 2, "read.pose_net"),
         (("ws://127.0.0.1:9",), 1, "no connection"),

@@ -1,11 +1,12 @@
 """Fitting a body to recordings: parameters, search, files, the command."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import pytest
 
 from experiments.fit.__main__ import exercise
@@ -17,7 +18,16 @@ from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.folds import check_common, folds_of, with_bands
 from voodoo_jax.fitting.frames import TruthError, held_back, read_truth
 from voodoo_jax.fitting.front import all_shared, fit
-from voodoo_jax.fitting.gauss_newton import FitError, undetermined
+from voodoo_jax.fitting.gauss_newton import (
+    FitError,
+    Place,
+    Search,
+    Step,
+    along,
+    covariance,
+    run_search,
+    undetermined,
+)
 from voodoo_jax.fitting.judge import ERROR, Judged, verdict_on, weakly_determined
 from voodoo_jax.fitting.objective import as_distances
 from voodoo_jax.fitting.parameters import Changes, changed, height_of, parameters, usual_lengths
@@ -338,9 +348,45 @@ def test_no_batch_of_matrices_goes_to_lapack():
     np.testing.assert_allclose(inverses(matrices), np.linalg.inv(matrices), rtol=1e-5)
 
 
+@dataclass(frozen=True)
+class Decay:
+    """Three numbers of a curve that falls, in place of a body's: analytic residuals, priors beside them."""
+
+    time: np.ndarray
+    seen: np.ndarray  # in deviations
+    sd = np.array([1.0, 0.5, 0.3])
+    held = np.zeros(3, bool)
+
+    def residuals(self, x):
+        return jnp.concatenate([(x[0] * jnp.exp(-x[1] * self.time) + x[2] - self.seen) * 100.0, x / self.sd])
+
+    def place(self, x, starts=()):
+        return Place(0.5 * float(jnp.sum(self.residuals(jnp.asarray(x)) ** 2)), (), (), (), ())
+
+    def step(self, x, here, without=-1):
+        r, by_x = self.residuals(jnp.asarray(x)), np.asarray(jax.jacfwd(self.residuals)(jnp.asarray(x)))
+        return Step(by_x.T @ np.asarray(r), by_x.T @ by_x - np.diag(1 / self.sd**2))
+
+    def gain(self, x, other, here, there):
+        return here.loss - there.loss
+
+
+def test_the_search_ends_where_optimistix_does(x64, rng):
+    """Gauss-Newton of a fit beside least_squares' Levenberg-Marquardt, on the same residuals with the same priors."""
+    time = np.linspace(0.0, 4.0, 30)
+    one = Decay(time, 1.5 * np.exp(-0.8 * time) + 0.2 + 0.01 * rng.standard_normal(30))
+    solver = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
+    wanted = np.asarray(optx.least_squares(lambda x, _: one.residuals(x), solver, jnp.zeros(3)).value)
+    found, place = run_search(one, Progress(np.zeros(3)), 30)
+    assert found.done and found.step < 15
+    np.testing.assert_allclose(found.x, wanted, atol=1e-3)
+    assert place.loss - one.place(wanted).loss < 1e-2 < found.losses[0]
+    spreads = np.linalg.inv(one.step(wanted, place).curve + np.diag(1 / one.sd**2))
+    np.testing.assert_allclose(covariance(one, found.x, place), spreads, rtol=0.02)
+
+
 def test_a_body_that_nothing_rests_with_gains_nothing():
     """A step is taken as far as frames come to rest, and the fit goes on."""
-    from voodoo_jax.fitting.gauss_newton import Place, Search, along
 
     class Slope(Search):
         """Falls for ever; beyond 1.5 no frame comes to rest."""

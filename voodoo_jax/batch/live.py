@@ -30,6 +30,7 @@ from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.storage.atomic import made_folder
 from voodoo_jax.trackers.base import LogInfo, Unsuitable, tracker_of
+from voodoo_jax.trackers.both.live import LiveBoth
 from voodoo_jax.trackers.flexible.live import LiveFlexible
 from voodoo_jax.trackers.icp.live import LiveTracker
 
@@ -96,8 +97,6 @@ class LiveJob:
     names: str = ""  # of joints
 
     def __post_init__(self):
-        if self.settings.tracker == "both":
-            raise SettingsError("live tracking supports only the trackers icp and flexible")
         if self.settings.changes:
             raise SettingsError("[[change]] in the settings: live tracking does not support changes of the body")
         if self.settings.read.skin:
@@ -133,9 +132,11 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
                 f"'{source.path}' has only named points or rays, but live tracking needs depth; use replay"
             )
         say(f"{', '.join(reader.sensors)}: in '{reader.fixed_frame}'. Programs are loaded, or compiled once ...")
+        first = _examples(reader), _nowhere(), bool(reader.features)
         tracker = (
             LiveFlexible(body, settings, source.path) if settings.tracker == "flexible"
-            else LiveTracker(body, settings, _examples(reader), _nowhere(), bool(reader.features))
+            else LiveBoth(body, settings, source.path, *first) if settings.tracker == "both"
+            else LiveTracker(body, settings, *first)
         )  # fmt: skip
         tracker.prepare()
         keep_compiled()
@@ -148,7 +149,7 @@ def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: S
 
 
 def _followed(
-    tracker: LiveTracker | LiveFlexible,
+    tracker: LiveTracker | LiveFlexible | LiveBoth,
     live: LiveLog,
     reader: LogReader,
     job: LiveJob,

@@ -2,7 +2,7 @@
 
 Every step solves all frames anew from where the last step left them and takes one tangent per parameter through the
 implicit solution. optimistix' Levenberg-Marquardt would solve them twice a step and from their first poses; its
-minimisers tune what is no least squares (fitting.tuning).
+minimisers tune what is no least squares (fitting.tuning). Both end at the same place (tests/fitting/test_fit.py).
 """
 
 from collections.abc import Callable

@@ -2,8 +2,9 @@
 
 Where the ICP step rests, the forces and torques that all pairs exert on every limb add up to zero, with either solver.
 That balance is differentiated instead of the step: the measured part of a limb depends on that limb's own motion alone,
-so six directions for all limbs at once give its whole derivative, and bands are few. Matches between points and limbs
-are held fixed (docs/numerics.md#matches).
+so six directions for all limbs at once give its whole derivative, and bands are few; optimistix' ImplicitAdjoint takes
+96, for the same gradient (tests/solve/test_fixed_point.py) in 1.3 times the time. Matches between points and limbs are
+held fixed (docs/numerics.md#matches).
 """
 
 from typing import NamedTuple

@@ -55,16 +55,16 @@ class BothTrackers(Tracker):
         finally:
             watching.close()
         main, *others = numbered(icp, order)
-        return [self._together(main, flexible, person, settings), *others]
+        return [together(main, flexible, person, settings), *others]
 
-    def _together(self, icp: Tracks, flexible: Tracks, person: Subject, settings: Settings) -> Tracks:
-        if not flexible.tracked.any() or any(f.T_fixed_steady is not None for f in person.frames):
-            note = MOVING if flexible.tracked.any() else NOBODY
-            return replace(icp, notes=as_few((*icp.notes, note)))
-        track = settings.track
-        found = merged(
-            icp, flexible, person.frames, track.lost_confidence, track.chunk, settings.looks_ahead("track")
-        )  # fmt: skip
-        doubts = log_doubts(icp.body, person.scene, person.frames, settings)
-        found = scale_confidence(looked_at_again(found), doubts.right)
-        return replace(found, notes=as_few((*found.notes, *flexible.notes)))
+
+def together(icp: Tracks, flexible: Tracks, person: Subject, settings: Settings) -> Tracks:
+    """Tracks of both trackers merged, with the doubts about the log: of the last frames, as many as `person` has."""
+    if not flexible.tracked.any() or any(f.T_fixed_steady is not None for f in person.frames):
+        note = MOVING if flexible.tracked.any() else NOBODY
+        return replace(icp.since(-len(person.frames)), notes=as_few((*icp.notes, note)))
+    track = settings.track
+    found = merged(icp, flexible, person.frames, track.lost_confidence, track.chunk, settings.looks_ahead("track"))
+    doubts = log_doubts(icp.body, person.scene, person.frames, settings)
+    found = scale_confidence(looked_at_again(found), doubts.right)
+    return replace(found, notes=as_few((*found.notes, *flexible.notes)))

@@ -10,7 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int64
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -36,7 +36,7 @@ PARTS = tuple(
 # of 0.2 and 0.3 the better there
 ERRS, ELSE = (0.021, 0.027), 0.2
 THEIRS = ERRS[0] ** 2 / (ERRS[0] ** 2 + ERRS[1] ** 2)  # of the flexible tracker's where both are right, as measured
-STEADY = 0.45  # seconds over which both are compared; by hand: 0 to 0.9 are alike
+STEADY = 0.45  # seconds over which both are compared; measured: 0 to 0.9 are alike
 # metres: of a joint by the flexible tracker alone, and what a metre that both are apart counts for, standard deviations
 # along each axis; measured: 95 % of the truth of five rendered stereo logs is inside
 SPREAD, APART = 0.01, 0.25
@@ -60,11 +60,13 @@ def merged(
     Confidence, covariances, misfits and what is not plausible are of the merged poses; residual, explained and
     limb_weight remain of the ICP tracker's fit.
 
-    **Arguments:** `people` points of the person in each frame; `least` share of the joints that must be expected to be
-    right, or the frame is LOST; `chunk` so many frames are looked at at once; `ahead` whether later frames may be
-    looked at.
+    **Arguments:** `people` points of the person in each frame, or in the last ones, which alone are merged then;
+    `least` share of the joints that must be expected to be right, or the frame is LOST; `chunk` so many frames are
+    looked at at once; `ahead` whether later frames may be looked at.
     """
-    choice = chosen(icp, flexible, ahead)
+    last = slice(len(icp.time_ns) - len(people), None)
+    choice = Choice(*(each[last] for each in chosen(icp, flexible, ahead)))
+    icp, flexible = icp.only(last), flexible.only(last)
     waited = icp.compile_seconds + flexible.compile_seconds
     out = replace(icp, seconds=icp.seconds + flexible.seconds, compile_seconds=waited)
     if not choice.share.any():
@@ -86,8 +88,7 @@ def merged(
 def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
     """What is taken of whom; arguments as for `merged`."""
     names = icp.body.topology.centres
-    between = float(np.median(np.diff(icp.time_ns))) / 1e9 if len(icp.time_ns) > 1 else STEADY
-    half = round(STEADY / max(between, 1e-3) / 2)
+    half = compared_frames(icp.time_ns) // 2
     steady = partial(uniform_filter1d, size=2 * half + 1, axis=-1, mode="nearest", origin=0 if ahead else half)
     known = np.isfinite(icp.joints).all(-1) & np.isfinite(flexible.joints).all(-1)
     usable = known.sum(1) == known.sum(1).max(initial=0)  # frames in which both have all that they ever have
@@ -122,6 +123,12 @@ def chosen(icp: Tracks, flexible: Tracks, ahead: bool = True) -> Choice:
             out[:, row], right[:, row] = much, p[0] + (1 - much) * p[1] + much * p[2]
     taken = known & usable[:, None]
     return Choice(np.where(taken, out, 0.0), np.where(taken, right, _said(icp)).astype(np.float32), apart)
+
+
+def compared_frames(time_ns: Int64[np.ndarray, " frame"]) -> int:
+    """Number of frames over which both are compared, odd."""
+    between = float(np.median(np.diff(time_ns))) / 1e9 if len(time_ns) > 1 else STEADY
+    return 2 * round(STEADY / max(between, 1e-3) / 2) + 1
 
 
 def hung(icp: Tracks, flexible: Tracks, share: Float[np.ndarray, "frame joint"]) -> Float[np.ndarray, "frame joint 3"]:

@@ -33,21 +33,22 @@ from voodoo_jax.trackers.flexible.tracker import (
 class LiveFlexible:
     """Follows the main person through frames with pictures of one camera or pair, as they come.
 
-    **Arguments:** `source` what the log is called. Raises Unsuitable, and SettingsError for settings that need later
-    frames.
+    **Arguments:** `source` what the log is called; `given` see Watching: then there may be frames without images.
+    Raises Unsuitable, and SettingsError for settings that need later frames.
     """
 
-    def __init__(self, body: Body, settings: Settings, source: str):
+    def __init__(self, body: Body, settings: Settings, source: str, given: bool = False):
         check_suited(body, settings)
         if not settings.online:
             raise SettingsError("live tracking needs settings.online")
         self._body, self.settings, self.seconds = body, settings, 0.0
-        self._watching, self._kept = Watching(settings, source), Spill()
+        self._watching, self._kept = Watching(settings, source, given), Spill()
         self.watched = self._watching.watched  # the person in each frame
         self._people: list[BodyObservation] = []  # without points, but for the last one
         self._on: Begun | None = None
         self._rows: list[Seen] = []
         self._scene: Scene | None = None
+        self._number = -1  # of the frame
 
     def prepare(self) -> None:
         """Nothing is known yet of the images that the program is compiled for."""
@@ -55,9 +56,11 @@ class LiveFlexible:
     def add(self, frame: BodyObservation, scene: Scene) -> list[Tracks]:
         """Takes one frame; its tracks."""
         began, waited = time.perf_counter(), seconds_of_waiting()
+        self._scene, self._number = scene, self._number + 1
+        if self._number not in self._watching.rows[len(self._people) :]:
+            return [nobody_of(self._body, np.array([frame.time_ns], np.int64), scene)]
         self._kept.append(frame)
         self._people[-1:] = [*(p.only(np.zeros(0, int)) for p in self._people[-1:]), frame]
-        self._scene = scene
         seen, row = self._watching.observed(self._people, scene), len(self._people) - 1
         if seen.others:
             raise SettingsError("live tracking by the flexible tracker looks through one camera or pair: read.topics")
@@ -72,7 +75,7 @@ class LiveFlexible:
         # arrays of the last frames alone: those of a long recording would be made anew for each of its frames
         recent = self._rows[-AROUND:]
         seen = seen.since(row + 1 - max(1, len(recent)))
-        out = nobody_of(self._body, seen, "", "", ())
+        out = nobody_of(self._body, seen.time_ns, scene)
         if self._on is not None:
             out = finished(self._on._replace(seen=seen, first=0), out, _joined(recent), self.settings)
         out = out.only(slice(seen.row[-1], seen.row[-1] + 1))
@@ -89,7 +92,7 @@ class LiveFlexible:
         people, scene = self._kept.frames(), self._scene
         assert scene is not None
         seen = self._watching.observed(people, scene)
-        nobody = nobody_of(self._body, seen, source.path, source.fixed_frame, source.notes())
+        nobody = nobody_of(self._body, seen.time_ns, seen.scene, source.path, source.fixed_frame, source.notes())
         self._watching.close()
         if self._on is None:
             return replace(nobody, notes=(*nobody.notes, NOBODY))

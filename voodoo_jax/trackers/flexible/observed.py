@@ -110,7 +110,6 @@ class Observed:
     scene: Scene
     time_ns: np.ndarray
     row: np.ndarray  # which frame of the recording each is
-    count: int  # frames of the recording
 
     def close(self) -> None:
         """Gives the disk space back."""
@@ -132,7 +131,7 @@ class Observed:
         at = int(self.row[first])
         return replace(
             self, features=self.features.rows(range(first, len(self.row))), others=(), people=self.people[first:],
-            time_ns=self.time_ns[at:], row=self.row[first:] - at, count=self.count - at,
+            time_ns=self.time_ns[at:], row=self.row[first:] - at,
         )  # fmt: skip
 
 
@@ -212,7 +211,7 @@ class Watching:
             raise self._without_images()
         first, *others = self._stores.values()
         row, times = np.array(self.rows[: len(people)], int), np.array(self._times, np.int64)
-        whole = Observed(first, tuple(others), people, scene, times, row, len(times))
+        whole = Observed(first, tuple(others), people, scene, times, row)
         return whole if all(first.has(i) for i in range(len(first))) else whole.from_camera(0)
 
     def forget(self, rows: int) -> None:

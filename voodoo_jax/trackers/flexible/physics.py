@@ -41,7 +41,7 @@ _BOWED = 0.92
 # who stand, walk, run and bow (knees 0.072 and more, ankles 0.053)
 LEGS_NEAR = np.array([0.075, 0.058], np.float32)
 _OVER = 0.035  # share of the stature that an ankle is above the floor, measured on the built-in body
-NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # by hand: a kilometre down
+NO_FLOOR = np.array([0.0, 0.0, 1.0, -1e3], np.float32)  # a kilometre down: any gives the same that is below feet
 _TINY = 1e-9  # square metres: float32 has no smaller distances here
 
 

@@ -20,7 +20,7 @@ ALONG, ACROSS = 6, 3  # samples of a cylinder's surface: set by hand, the study'
 _BEHIND = 0.12  # metres: what is so much farther than a surface ought to be is not it; cylinders are no people, by hand
 _HAND_SAMPLES = 5  # along a hand, by hand
 _HIDDEN_SKIN = 0.3  # score of a sample of a hand that is not seen, by hand
-_NEVER = 1e6  # metres, by hand: nothing is so far
+_NEVER = 1e6  # metres, nothing is so far: any gives the same that is more than rooms have
 
 
 class View(NamedTuple):

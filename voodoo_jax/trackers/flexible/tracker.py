@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int
+from jaxtyping import Float, Float32, Float64, Int, Int64
 from scipy.ndimage import gaussian_filter1d
 
 from voodoo_jax.compile.executable import seconds_of_waiting
@@ -17,6 +17,7 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
+from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Evidence, Status, Tracks
 from voodoo_jax.trackers.base import LogInfo, Progress, Unsuitable
 from voodoo_jax.trackers.flexible.confidence import rate_joints
@@ -38,7 +39,7 @@ from voodoo_jax.trackers.flexible.scores import Weighing, log_weight
 from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
 
 NOBODY = "Nobody was found."
-CHUNK = 16  # frames per run of the program: what fits into memory as images, by hand
+CHUNK = 16  # frames per run of the program, whose images fit into memory: any gives the same
 _BELOW = 0.35  # share of the stature that a face is at most from the person's top: else it is a hand, by hand
 # frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
 # a weight): by hand
@@ -122,7 +123,7 @@ def followed(
     began = time.perf_counter() if began is None else began
     on = begun(body, seen, settings)
     if on is None:
-        nobody = nobody_of(body, seen, source, fixed_frame, (*notes, NOBODY))
+        nobody = nobody_of(body, seen.time_ns, seen.scene, source, fixed_frame, (*notes, NOBODY))
         return Followed(nobody, None, 0, SkinModel(), seen)
     seen, order, states = on.seen, range(on.first, len(on.seen.features)), on.states
     for i in order:
@@ -139,7 +140,8 @@ def followed(
         second = chosen(every, descent(every))
         found = better(found, jax.tree.map(lambda a: a[::-1], second), numbers(s).weighing)
         found = found._replace(x=smoothed(np.asarray(found.x), seen.time_ns[seen.row[on.first :]]))
-    tracks = finished(on, nobody_of(body, seen, source, fixed_frame, notes), found, settings)
+    nobody = nobody_of(body, seen.time_ns, seen.scene, source, fixed_frame, notes)
+    tracks = finished(on, nobody, found, settings)
     compiling = seconds_of_waiting() - waited
     tracks = replace(tracks, seconds=time.perf_counter() - began - compiling, compile_seconds=compiling)
     return Followed(tracks, found, on.first, on.skin, seen)
@@ -339,12 +341,16 @@ def tracks_of(tracks: Tracks, begin: Start, seen: Observed, first: int, found: S
     return replace(tracks, body=body)
 
 
-def nobody_of(body: Body, seen: Observed, source: str, fixed_frame: str, notes: tuple[str, ...]) -> Tracks:
+# 6 parameters: what tracks are made of
+def nobody_of(
+    body: Body, time_ns: Int64[np.ndarray, " frame"], scene: Scene, source: str = "", fixed_frame: str = "",
+    notes: tuple[str, ...] = (),
+) -> Tracks:  # fmt: skip
     """Tracks of a recording in which nobody is found."""
-    count, limbs, centres = seen.count, body.limb_count, len(body.topology.centres)
+    count, limbs, centres = len(time_ns), body.limb_count, len(body.topology.centres)
     blank = lambda *shape: np.full((count, *shape), np.nan, np.float32)  # noqa: E731
     return Tracks(
-        source, fixed_frame, body, seen.time_ns, blank(limbs, 4), blank(limbs, 3), blank(centres, 3),
+        source, fixed_frame, body, time_ns, blank(limbs, 4), blank(limbs, 3), blank(centres, 3),
         np.full(count, Status.NOT_STARTED, np.int8), Evidence.blank(count, limbs), notes=notes,
-        up=seen.scene.floor.normal.astype(np.float32),
+        up=scene.floor.normal.astype(np.float32),
     )  # fmt: skip

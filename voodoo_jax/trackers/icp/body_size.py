@@ -8,8 +8,12 @@ from voodoo_jax.geometry.point_cloud import point_gap, point_spacing
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.rest_shape import rest_height
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
 TALL, TALLER = 2.0, 0.1  # metres: stature of which hardly anybody is, and how much more makes one e times as unlikely
+# logarithms of the odds for each of a logarithm of costs: as the odds of facing had once (confidence.SURELY), fitted in
+# experiments/trust
+TELLS = 19.0
 HEAD_REACH = 0.2  # level distance of the top of a head from the middle of the upper body, metres
 
 
@@ -58,6 +62,11 @@ def unlikely(body: Body) -> float:
     """Factor on a start's cost for an unlikely size, at least 1: a body of 2.4 m may explain points as well as a
     smaller one with an arm raised."""
     return float(np.exp(max(0.0, float(body.scale) - TALL) / TALLER)) if body.scale_name == "stature" else 1.0
+
+
+def rarity(stature: float) -> float:
+    """Logarithm of the factor on a start's cost for an unusual stature (metres): as its odds say."""
+    return ((stature - STATURE) / STATURES) ** 2 / (2 * TELLS)
 
 
 def sized(body: Body, frames: list[BodyObservation], floor: Plane, settings: StartSettings) -> Body:

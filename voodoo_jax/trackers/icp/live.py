@@ -43,7 +43,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 from voodoo_jax.trackers.shared.segment import Followed, segment_of
 from voodoo_jax.trackers.shared.sequence import DOUBT, SPAN, WRONG
 
-KEPT = 64  # frames whose points stay in memory: more than a start looks back or ahead; by hand
+KEPT = 64  # frames whose points stay in memory: any gives the same that is more than a start looks back or ahead
 
 
 class LiveRunner(Runner):
@@ -129,9 +129,14 @@ class LiveTracker:
         self._ended = True
         return self._settled()
 
+    @property
+    def people(self) -> list[BodyObservation]:
+        """The points on the person in each frame so far."""
+        return self._kept.frames()
+
     def whole(self, source: LogInfo) -> Tracks:
         """Tracks of all frames, as replay writes them."""
-        run, people = self.run, self._kept.frames()
+        run, people = self.run, self.people
         every = Runner(self._body, run.options, people, run.scene, self.settings)
         every.body, every.bodies, every.sized, every.left_out = run.body, run.bodies, run.sized, run.left_out
         tracks = finished(every, _joined_rows(self._rows, run.body.limb_count), source)

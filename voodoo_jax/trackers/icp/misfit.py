@@ -28,7 +28,7 @@ ALONG = 4  # places along a limb's axis that are looked at; by hand
 WIDER = 0.025  # metres that a line of sight may pass a limb's surface by, half the distance of so few points; by hand
 NEARER = 0.1  # metres by which a point is nearer than a limb's surface, and hides it; by hand
 FARTHER = 0.12  # metres by which it is behind the limb's axis: the sensor sees through the limb; by hand
-BATCH = 100  # frames that are looked at at once; by hand
+BATCH = 100  # frames that are looked at at once: any gives the same
 
 
 class Misfit(NamedTuple):

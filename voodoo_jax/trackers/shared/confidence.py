@@ -24,7 +24,7 @@ from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.records.tracks import Status, Tracks
 
 CLOSE = 0.10  # metres
-BATCH = 4096  # frames of a recording that are looked at at once, by hand: 1 to 5 kB each
+BATCH = 4096  # frames of a recording that are looked at at once, 1 to 5 kB each: any gives the same
 CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
 # of a joint whose limb nothing tells of: nothing of a frame shows how far it hangs off. Of knees and ankles in a walk
 # on a treadmill 12 % were within 10 cm, of joints of a recording without its legs', arms' or shanks' markers 39 %

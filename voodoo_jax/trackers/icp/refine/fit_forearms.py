@@ -88,11 +88,11 @@ def stretch(
     """
     body, t = on_host(body), body.topology
     limbs = (*t.site_limbs, *t.centre_limbs)  # as in kernels.landmarks.named_points
-    tracked = np.flatnonzero(segment.tracked)
+    tracked, measured = np.flatnonzero(segment.tracked), segment.evidence if isinstance(segment, Tracks) else segment
     gaps, named = [], []
     for side in "lr":
         joint, hand = t.joints.index(f"{side}_wrist"), t.limbs.index(f"{side}_hand")
-        frames = tracked[segment.limb_weight[tracked, hand] > 0]
+        frames = tracked[measured.limb_weight[tracked, hand] > 0]
         gaps.append(_gap(body, Poses(segment.rotation[frames], segment.translation[frames]), joint))
         # surely on the hand, that is
         on_hand = lambda name, hand=hand: {limbs[point] for point in names.look_up(name) or ()} == {hand}  # noqa: E731

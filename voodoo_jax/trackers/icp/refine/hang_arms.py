@@ -24,7 +24,7 @@ ARM = ("upper_arm", "forearm", "hand")
 # shares by hand: of a forearm's and hand's weight, that of points that no other limb explains; of the body's weight,
 # the same; of the hung arm's length, that would be seen. More than the first two: the arm is seen
 OWN, SOME, BARE = 0.2, 0.003, 0.1
-# seconds from frames in which an arm is seen: less, it stays; more, it hangs. By hand: some arms that are right lie on
+# seconds from frames in which an arm is seen: less, it stays; more, it hangs. Measured: some arms that are right lie on
 # the trunk and are 1 s from such frames, none is 2 s
 STAYS, HANGS = 1.5, 2.0
 APART = 0.15  # metres, of the hand: one that is nearer to where it would hang hangs, and is seen or not; by hand

@@ -13,9 +13,10 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import CURLED, in_stance
 from voodoo_jax.model.rest_shape import rest_box
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.trackers.icp.body_size import rarity
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import forwards, pass_of
-from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, TELLS, StartHypothesis, best_from, tried_on
+from voodoo_jax.trackers.icp.start.hypothesis import FAR_RIVAL, StartHypothesis, best_from, tried_on
 from voodoo_jax.trackers.icp.start.stage import Search
 from voodoo_jax.trackers.icp.trials import place
 from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
@@ -54,7 +55,7 @@ class LyingDown:
             for rest in filter(None, (body, in_stance(body, CURLED))):
                 places = lying_places(rest, frames[-1], run.scene.floor)
                 tried = best_from(run, at, body, [*places[0], *places[1]])
-                found.append((tried.cost * self._unlikely(float(body.scale)), tried, places))
+                found.append((tried.cost * np.exp(rarity(float(body.scale))), tried, places))
         cost, best, places = min(found, key=lambda one: one[0])
         if cost >= search.best.cost:
             return search
@@ -93,10 +94,6 @@ class LyingDown:
         usual = (STATURE + STATURES * k for k in self.usual)
         sizes = [max(self.smallest, k * seen.length) for k in self.lengths]
         return [scaled(run.body, s) for s in (*sizes, *(s for s in usual if s > self.larger * seen.length))]
-
-    def _unlikely(self, size: float) -> float:
-        """Factor on a start's cost for its size."""
-        return float(np.exp(((size - STATURE) / STATURES) ** 2 / (2 * TELLS)))
 
 
 def _alike(one: StartHypothesis, other: StartHypothesis) -> bool:

@@ -7,10 +7,11 @@ import numpy as np
 
 from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
+from voodoo_jax.trackers.icp.body_size import rarity
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.start.hypothesis import TELLS, StartHypothesis, sized_at, trial
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
-from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
+from voodoo_jax.trackers.shared.confidence import STATURE
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,6 @@ class OtherStances:
 
     likelier: float = 0.8  # to stand, or what was found before, is left where another costs less than this share of it
     fits: float = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
-    usual: float = STATURE  # metres and ...
-    spread: float = STATURES  # ... its standard deviation
-    counts: float = TELLS  # odds for each of a cost
 
     def __call__(self, run: Runner, search: Search) -> Search:
         # who sat before what is at rest was taken away did not stand up by that; else people stand
@@ -42,17 +40,17 @@ class OtherStances:
             cost = fit * float(np.log(found.cost * (self.likelier if stance is None is earlier else 1.0)))
             if stance is not None and stance is earlier:  # it has been asked how tall they are
                 return cost + float(np.log(self.likelier))
-            return cost + max(self._tall(found.body) - self._tall(search.best.body), 0.0)
+            return cost + max(_tall(found.body) - _tall(search.best.body), 0.0)
 
         best, stance = min(every, key=against)
         if stance is not None:
             run.stances[search.at] = stance
         return search._replace(best=best, stance=stance)
 
-    def _tall(self, body: Body) -> float:
-        """Penalty for a body taller than usual, as a logarithm of costs."""
-        beyond = max(float(body.scale) - self.usual, 0.0) / self.spread if body.scale_name == "stature" else 0.0
-        return beyond**2 / (2 * self.counts)
+
+def _tall(body: Body) -> float:
+    """Penalty for a body taller than usual, as a logarithm of costs."""
+    return rarity(max(float(body.scale), STATURE)) if body.scale_name == "stature" else 0.0
 
 
 def in_stances(run: Runner, at: int) -> list[tuple[StartHypothesis, Stance]]:
