@@ -15,7 +15,6 @@ from voodoo_jax.batch.log_job import Job, draw, output_paths, output_places, tra
 from voodoo_jax.batch.outcome import Outcome, outcome_of_arrays
 from voodoo_jax.batch.output_paths import folders_within, logs_of
 from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers, may_have_gpu
-from voodoo_jax.batch.results_elsewhere import brought, keys_elsewhere
 from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.batch.worker_start import can_copy, in_a_copy
 from voodoo_jax.compile.cache_dir import safe_folder
@@ -155,12 +154,10 @@ def replay(
         timeout=log_timeout,
     )
     jobs = {log: replace(job, log=log, out=joined(out, within[log]), size=max(1, byte_size(log))) for log in places}
-    expected = {output_places(log, joined(out, folder))[0] for log, folder in within.items()}
-    elsewhere = {} if again else keys_elsewhere(out, expected)
     done: dict[str, Outcome] = {}
     save = partial(_trouble_of, lambda: write_summary(done.values(), out, summary), joined(out, summary))
     with ThreadPoolExecutor(8) as several:  # a store's answers take long
-        for log, found in zip(places, several.map(partial(_finished, again=again, elsewhere=elsewhere), jobs.values())):
+        for log, found in zip(places, several.map(partial(_finished, again=again), jobs.values())):
             if found is not None and found.picture == "due":
                 jobs[log] = replace(jobs[log], only_picture=True)
             elif found is not None:
@@ -234,16 +231,13 @@ def _engine(
     return in_process(jobs, report) if alone or within else in_workers(jobs, report, count)
 
 
-def _finished(job: Job, again: bool, elsewhere: dict[str, str]) -> Outcome | None:
-    """The outcome of an earlier run, its `picture` "due" if it is wanted and missing or old; None: no such run.
-    `elsewhere`: see keys_elsewhere."""
+def _finished(job: Job, again: bool) -> Outcome | None:
+    """The outcome of an earlier run, its `picture` "due" if it is wanted and missing or old; None: no such run."""
     from voodoo_jax.batch.extra_files import VIEW, exported_name
     from voodoo_jax.batch.resume import finished_arrays
 
     npz, mcap, png = output_places(job.log, job.out)
     arrays = None if again else finished_arrays(job.log, npz, mcap, job.recipe)
-    if arrays is None and elsewhere and brought(job, elsewhere):
-        arrays = finished_arrays(job.log, npz, mcap, job.recipe)
     if arrays is None:
         return None
     wanted = [png] if job.picture else []
