@@ -5,6 +5,7 @@ import os
 import stat
 from typing import BinaryIO
 
+FilePath = str | os.PathLike[str]
 ROOM = "make room, or name another folder for results; the same command then continues"
 RIGHTS = "you have no permission to write there", "name another folder for results"
 READ_ONLY = "the disk is read-only", "name another folder for results"
@@ -39,7 +40,7 @@ class NotReadable(OSError):
     """Something that is not a file, or is too large for its kind."""
 
 
-def not_written(problem: OSError, place: str | os.PathLike[str]) -> NotWritten:
+def not_written(problem: OSError, place: FilePath) -> NotWritten:
     """The exception to raise if `place` cannot be written."""
     if isinstance(problem, NotWritten):
         return problem
@@ -49,7 +50,7 @@ def not_written(problem: OSError, place: str | os.PathLike[str]) -> NotWritten:
     return found
 
 
-def check_text(place: str | os.PathLike[str], what: str) -> None:
+def check_text(place: FilePath, what: str) -> None:
     """Raises ValueError for a path with bytes that are not UTF-8: formats and libraries cannot store it."""
     if not (text := os.fspath(place)).isascii():
         try:
@@ -61,7 +62,7 @@ def check_text(place: str | os.PathLike[str], what: str) -> None:
             ) from problem
 
 
-def opened_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None) -> BinaryIO:
+def opened_file(path: FilePath, inside: FilePath | None = None) -> BinaryIO:
     """Opens a file for reading. Raises NotReadable for pipes and devices, which may block forever, and for files
     outside of the folder `inside`, also by a link; OSError."""
     place = os.path.realpath(path) if inside is not None else os.fspath(path)
@@ -77,7 +78,7 @@ def opened_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | N
     return stream
 
 
-def small_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None, most: int = SMALL) -> bytes:
+def small_file(path: FilePath, inside: FilePath | None = None, most: int = SMALL) -> bytes:
     """Content of a file of at most this many bytes, for files beside logs: settings, a body, a calibration. Raises
     NotReadable for others, and as opened_file; OSError."""
     with opened_file(path, inside) as stream:
@@ -87,17 +88,12 @@ def small_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | No
         return stream.read(most + 1)
 
 
-def small_text(
-    path: str | os.PathLike[str],
-    errors: str = "strict",
-    inside: str | os.PathLike[str] | None = None,
-    most: int = SMALL,
-) -> str:
+def small_text(path: FilePath, errors: str = "strict", inside: FilePath | None = None) -> str:
     """The same as UTF-8 text with universal line ends. Also raises UnicodeDecodeError."""
-    return small_file(path, inside, most).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
+    return small_file(path, inside).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
-def check_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None) -> None:
+def check_file(path: FilePath, inside: FilePath | None = None) -> None:
     """Raises what opened_file raises, for files that a library opens; folders pass if no `inside` is given."""
     if inside is not None or os.path.exists(path) and not os.path.isdir(path):
         opened_file(path, inside).close()
