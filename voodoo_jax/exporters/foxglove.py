@@ -152,7 +152,7 @@ class BodyMessages:
         return update
 
 
-def registered(writer: Writer, said: BodyMessages) -> dict[str, int]:
+def register_channels(writer: Writer, said: BodyMessages) -> dict[str, int]:
     """Numbers of a person's channels in a file, by content."""
     numbers = {}
     for name, topic in said.channels().items():
@@ -167,7 +167,7 @@ def registered(writer: Writer, said: BodyMessages) -> dict[str, int]:
 def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, bytes, int]]]:
     """Channel, stamp, content and number of the messages of each frame."""
     said = BodyMessages(tracks.person)
-    channel, confidence = registered(writer, said), tracks.confidence.tolist()
+    channel, confidence = register_channels(writer, said), tracks.confidence.tolist()
     for i, stamp in enumerate(tracks.time_ns.tolist()):
         yield [(channel[name], stamp, data, i) for name, data in said.of(tracks, i, confidence[i]).items()]
 

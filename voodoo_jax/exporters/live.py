@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from voodoo_jax.exporters.foxglove import QUALITY_SCHEMA, TOPICS, BodyMessages, registered
+from voodoo_jax.exporters.foxglove import QUALITY_SCHEMA, TOPICS, BodyMessages, register_channels
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import begun, moved
 
@@ -34,7 +34,7 @@ class GrowingTracks:
         self._file = open(self._partial, "wb")
         self._writer, self._said, self._count = Writer(self._file, chunk_size=CHUNK), BodyMessages(), 0
         self._writer.start(profile="", library="voodoo_jax live")
-        self._channel = registered(self._writer, self._said)
+        self._channel = register_channels(self._writer, self._said)
 
     def frame(self, tracks: Tracks) -> None:
         """Takes one more frame."""

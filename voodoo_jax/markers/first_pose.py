@@ -110,7 +110,7 @@ def first_pose(
     return q, out_at, factor
 
 
-# 10 parameters: what limbs before this one have told
+# 10 parameters: results of the limbs before this one
 def _limb_turn(model, data, limb, trust, own, children, factor, turn, shift, pin=None):
     """A limb's rotation and translation from the rest pose: by its own points, weakly by its children's, held by the
     joint and weakly by the parent's rotation (root: by the whole body's)."""

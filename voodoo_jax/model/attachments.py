@@ -163,7 +163,7 @@ def prepared(body: Body, changes: Sequence[Change]) -> Body:
                 body = with_limbs(body, thing.topology.limbs, False)
     after = body
     for change in changes:
-        after = applied(after, change)  # what cannot be done is told at the beginning
+        after = applied(after, change)  # what cannot be done raises at the beginning
     return body
 
 

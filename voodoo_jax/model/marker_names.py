@@ -271,7 +271,7 @@ def human_points() -> tuple[tuple[str, ...], tuple[str, ...]]:
     return (*names("site"), *names("centre")), names("limb")
 
 
-def told_names(names: Iterable[str], settings: FeatureSettings) -> list[str]:
+def describe_names(names: Iterable[str], settings: FeatureSettings) -> list[str]:
     """Sentences on the meanings of a log's names for the default body, and the setting for the unknown ones."""
     given = check_pairs("features.names", settings.names, numbers=False)
     points, limbs = human_points()

@@ -50,8 +50,8 @@ def usable_cores() -> int:
 
 def own_cores() -> int:
     """Cores that this process may keep busy: its share if it is one of several workers."""
-    told = os.environ.get("OMP_NUM_THREADS", "")
-    return min(usable_cores(), int(told)) if told.isdigit() and int(told) > 0 else usable_cores()
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return min(usable_cores(), int(asked)) if asked.isdigit() and int(asked) > 0 else usable_cores()
 
 
 def text_of(path: str) -> str:

@@ -9,7 +9,7 @@ from voodoo_jax.model.body_text import TextOfBody
 from voodoo_jax.model.checked_toml import BodyFileError
 from voodoo_jax.model.foreign.frustum_fit import Frustum, fit_frustum
 
-ROUGH = 0.01  # metres of a surface from its frustum of which is told
+ROUGH = 0.01  # metres of a surface from its frustum that are worth a note
 LEVER = 0.02  # metres: hinges are held at least so far to both sides
 STRAIGHT = 0.99  # cosine: axes that are nearer to a direction do not tell what is across
 HALF_TURN = 180.0  # degrees: limits beyond say nothing
