@@ -43,16 +43,10 @@ class TracksFileError(ValueError):
 def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "") -> None:
     """Writes `.tracks.npz`: arrays in metres and nanoseconds, in the tracks' fixed frame; no pickled objects.
 
-    Keys: time_ns, joint_names, joints, tracked, body_json (name, stature or what the body's scale is called,
-    segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
-    body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
-    limb frame), joint_covariance (square metres, fixed frame; see solve/covariance.py), joint_confidence (0 to 1; see
-    trackers/shared/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
-    fixed frame), limb_beside, limb_distance (metres), limb_bare and limb_own (see trackers/icp/misfit.py), facing_odds
-    (logarithm; see trackers/icp/refine/choose_facing.py), T_fixed_steady where sensors moved though the log says
-    they stand (4 x 4; see records/tracks.py), fixed_frame, source, seconds, notes, body_toml; marker_names
-    and marker_residual (metres) where markers alone were tracked; person and people (which of how many) where there are
-    several; run_key if one is given (see batch/resume.py); digest of all others.
+    Keys are the names of the arrays of Tracks and Evidence, with their units, and: tracked; joint_names, limb_names,
+    body_joint_names; body_json (name, the scale under its own name, segment_lengths), body_toml; fixed_frame, source,
+    seconds, notes; marker_names beside marker_residual; person and people if there are several; run_key if one is given
+    (see batch/resume.py); digest of all others.
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
