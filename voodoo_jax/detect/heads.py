@@ -1,4 +1,4 @@
-"""Heads separate people who touch each other, and identify upper bodies. Host side, NumPy.
+"""Heads separate people who touch each other. Host side, NumPy.
 
 A connected component may be several people who stand shoulder to shoulder, hold hands or embrace. Seen from above,
 heads are local maxima of height with lower points between them; below a head there is a body, unlike below a raised
@@ -20,10 +20,6 @@ APART = 0.28  # metres, level, at least, between two heads: people are deeper th
 COLUMN = 0.16  # metres, level, around the middle of a head: what is under it; half as wide as shoulders, by hand
 BAND, LOWEST, FILLED = 0.1, 0.45, 0.85  # metres; of its top; share of the bands: how much of a body is there; by hand
 WIDE = 0.33  # of its height: what is not even so wide is one; by hand
-# metres: shoulders are broader than a head is, and so broad at least, also from the side; of the body's height below
-# its top: where they are (0.18 in ANSUR II, where nobody lifts them); by hand
-BROADER, SHOULDERS, BELOW = 1.25, 0.26, (0.16, 0.26)
-BESIDE = 0.35  # metres, level: what is so near to the middle of a head may be its shoulders and upper arms; by hand
 MOST = 4.5  # metres: what is wider is a room; by hand
 
 
@@ -51,29 +47,6 @@ def parted(
         return np.zeros(len(height), int)
     off = np.stack([np.hypot(*(level - spot[:2, None])) for spot in far])
     return np.argmin(off, 0)
-
-
-def has_shoulders(height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
-    """Whether an object has a head and, right below, broader shoulders, as an upper body seen from the front, the back
-    or obliquely. Exactly from the side, some people's shoulders are as narrow as their head.
-
-    **Arguments:** `height` and `level` coordinates, metres; from any reference height.
-    """
-    if body.loose or np.hypot(*np.ptp(level, axis=1)) > MOST:
-        return False
-    for spot in summits(height, level, DROP * body.height):
-        below = (spot[2] - height) / body.height
-        off = np.hypot(*(level - spot[:2, None]))
-        head = _width(level[:, (below < DROP) & (off < BESIDE)])
-        shoulders = _width(level[:, (below > BELOW[0]) & (below < BELOW[1]) & (off < BESIDE)])
-        if shoulders > max(SHOULDERS, BROADER * head):
-            return True
-    return False
-
-
-def _width(level: np.ndarray) -> float:
-    """Width from end to end, metres, without points at the edge of the grid."""
-    return float(np.hypot(*np.ptp(np.percentile(level, [2, 98], axis=1), axis=0))) if level.shape[1] else 0.0
 
 
 def summits(

@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import FEWEST, LEAST, Build, candidate
+from voodoo_jax.detect.body_likelihood import FEWEST, TELLING, Build, candidate
 from voodoo_jax.detect.clearing import USUAL_SPACING, Cleared, Clearing, distances
 from voodoo_jax.detect.cut_in_two import joined_labels
-from voodoo_jax.detect.heads import has_shoulders, may_be_several, parted
+from voodoo_jax.detect.heads import may_be_several, parted
 from voodoo_jax.detect.in_the_way import in_the_way
 from voodoo_jax.detect.lying import who_lies
 from voodoo_jax.geometry.plane import Plane
@@ -31,8 +31,7 @@ CELL = 0.08  # metres, of the grid in which the background is kept
 LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
 WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
-CUT_OFF = 0.5  # of its height: so much must be in the picture then, or an upper body
-TELLING = 30  # points of somebody in a frame, at least: fewer are not them; by hand
+CUT_OFF = 0.5  # of its height: so much must be in the picture then
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
 SPEED = 3.0  # metres per second: so fast the body may be where it was not seen for a moment ...
 FARTHEST = 1.5  # metres, but not farther
@@ -244,7 +243,7 @@ class BodySegmenter:
         most = np.zeros(len(count), bool)
         if len(sure):
             touched = KDTree(sure).query(points, distance_upper_bound=self.settings.link)[0] < np.inf
-            touched = np.bincount(label, touched) * (count >= 30)
+            touched = np.bincount(label, touched) * (count >= TELLING)
             most[np.argmax(touched)] = touched.any()
         if near is None or self.last is None:
             if most.any():
@@ -316,11 +315,7 @@ class BodySegmenter:
                 self._background.add(cells_of(mine, CELL), LONG)  # so it was all the time
         for k in np.flatnonzero(doubtful & (beside >= APART * count)):
             mine = points[label == k]
-            apart = (
-                within(mine, last, STILL).sum() < 0.5 * len(mine)
-                if k == main
-                else not self._is_head(mine, points[label == main])
-            )
+            apart = k != main or within(mine, last, STILL).sum() < 0.5 * len(mine)
             taken[k] = not (apart and within(mine, self.others, STILL).sum() >= APART * len(mine))
         return taken
 
@@ -333,17 +328,10 @@ class BodySegmenter:
 
     def _gone(self, taken) -> bool:
         """Whether the remaining points were never the body: suddenly fewer and far lower, such as a chair."""
-        if self.last is None or self.hidden or len(taken) < 30 or len(taken) > 0.8 * len(self.last):
+        if self.last is None or self.hidden or len(taken) < TELLING or len(taken) > 0.8 * len(self.last):
             return False
         floor = self.scene.floor
         return floor.top(taken) < GONE * floor.top(self.last)
-
-    def _is_head(self, thing, body) -> bool:
-        """Whether an object is right above a body: a head whose neck is hidden or narrow, not a chair."""
-        floor = self.scene.floor
-        apart = np.median(thing, 0) - np.median(body, 0)
-        apart -= (apart @ floor.normal) * floor.normal
-        return bool(floor.height(thing).min() > HEADS * self.body.height and np.linalg.norm(apart) < 0.3)
 
     def _parted(self, points, label) -> Int[np.ndarray, " point"]:
         """The labels of objects, with one for each of several connected people."""
@@ -371,28 +359,18 @@ class BodySegmenter:
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
         places = self.clearing.places(points)
 
-        def likeliest(some, least: float) -> tuple[int, float, float]:
-            return candidate(points[some], label[some], area[some], distance[some], places[:, some], self.body, least)
-
         if self.lies:
             best = who_lies(points, label, area, self.scene.floor, self.body.height)
             self.likely = float(best >= 0)
             if best >= 0 or self.scene is not self._given:
                 return best
-        best, top, self.likely = likeliest(slice(None), least)
-        if best < 0 and self.scene.floor_open:
-            upper = [k for k in range(label.max() + 1) if self._is_upper_body(places[:, label == k])]
-            best, top, self.likely = likeliest(np.isin(label, upper), LEAST / self.body.height)
+        best, top, self.likely = candidate(points, label, area, distance, places, self.body, least)
         if self.scene.floor_open and 0 < top < WHOLE * self.body.height:
             # the feet of who seems so small are not in the picture
             floor = self.scene.floor
             floor = replace(floor, offset=floor.offset - (self.body.height - top))
             self.clearing.take(replace(self.scene, floor=floor, floor_open=False))
         return best
-
-    def _is_upper_body(self, places) -> bool:
-        """Whether an object whose lower end is invisible looks like an upper body."""
-        return places.shape[1] >= FEWEST and has_shoulders(places[0], places[1:], self.body)
 
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
         """A function of points: whether they are at places where an object was seen apart from the body for some
