@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from voodoo_jax.detect.body_likelihood import TELLING
-from voodoo_jax.detect.clearing import GAPS
+from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build
+from voodoo_jax.detect.clearing import GAPS, USUAL_SPACING, Clearing
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import within
@@ -27,6 +27,25 @@ NEARER = 0.1  # metres: what hides the gap is so much nearer; the noise of depth
 # of the lower piece is under the upper one, and of the places between them is hidden: flying pixels and holes leave
 # some; by hand
 MOST = 0.8
+
+
+def joined(
+    seen: BodyObservation, label: Int[np.ndarray, " point"], whole: BodyObservation, clearing: Clearing, body: Build
+) -> Int[np.ndarray, " point"]:
+    """The labels of objects, joined for pieces of one that is cut in two, and for a head and shoulders near it: a neck
+    is thin, and the grid of `components` is coarse. For an animal of unknown size, no width distinguishes furniture
+    beside it. Arguments as below."""
+    if body.loose:
+        return label
+    points, count, out, floor = seen.points, np.bincount(label), np.array(label), clearing.scene.floor
+    lowest = np.full(len(count), np.inf, np.float32)
+    np.minimum.at(lowest, label, floor.height(points))
+    for k in np.flatnonzero((lowest > HEADS * body.height) & (count >= TELLING)):
+        for j in np.flatnonzero((count > count[k]) & (lowest < lowest[k])):
+            if within(points[label == k], points[label == j], clearing.link(seen)).any():
+                out[out == out[label == k][0]] = out[label == j][0]
+    gap = max(clearing.of_sensors(clearing.gap, seen), default=USUAL_SPACING)
+    return joined_labels(seen, out, whole, floor, body.height, gap)
 
 
 # 6 parameters: what is seen, how it hangs together, and what is known of body and sensor

@@ -8,8 +8,9 @@ hand.
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.detect.body_likelihood import FEWEST, TALLEST, Build
-from voodoo_jax.geometry.voxels import spread
+from voodoo_jax.detect.body_likelihood import FEWEST, HEADS, TALLEST, Build
+from voodoo_jax.detect.clearing import Clearing
+from voodoo_jax.geometry.voxels import cells_of, spread, touching
 
 CELL = 0.05  # metres, of the map of heights; as wide as a hand, by hand
 BRIDGED = 2  # cells: ground that is no farther from other ground hangs together with it; by hand
@@ -23,17 +24,32 @@ WIDE = 0.33  # of its height: what is not even so wide is one; by hand
 MOST = 4.5  # metres: what is wider is a room; by hand
 
 
-def may_be_several(level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
-    """Whether an object with these level coordinates is as wide as several people, and much smaller than a room."""
-    wide = float(np.hypot(*np.ptp(level, axis=1))) if level.shape[1] >= 2 * FEWEST else 0.0
-    return not body.loose and WIDE * body.height <= wide <= MOST
+def each_person(
+    points: Float32[np.ndarray, "point 3"], label: Int[np.ndarray, " point"], clearing: Clearing, body: Build
+) -> Int[np.ndarray, " point"]:
+    """The labels of objects, with one for each of several connected people."""
+    out = np.array(label)
+    if body.loose:
+        return out
+    height, *level = clearing.places(points)
+    level, flat = np.stack(level), clearing.scene.floor.level
+    for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
+        mine = np.flatnonzero(label == k)
+        if not WIDE * body.height <= np.hypot(*np.ptp(level[:, mine], axis=1)) <= MOST:
+            continue
+        # a head hangs together with its body by a neck that may not be seen
+        high = (label != k) & (height > HEADS * body.height)
+        above = np.flatnonzero(high)[touching(*(cells_of(flat(points[some]), BRIDGED * CELL) for some in (high, mine)))]
+        both = np.concatenate([mine, above])
+        who = parted(height[both], level[:, both], body, clearing.settings.min_height)
+        out[both[who > 0]] = out.max() + who[who > 0]
+    return out
 
 
 def parted(
     height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], body: Build, least: float
 ) -> Int[np.ndarray, " point"]:
-    """Number of the person that each point of an object belongs to: all 0 unless there are several heads. For objects
-    that `may_be_several`.
+    """Number of the person that each point of an object belongs to: all 0 unless there are several heads.
 
     **Arguments:** `height` above the floor and `level` coordinates, metres; `least` the lowest top of a person, as a
     share of the body's height.

@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import FEWEST, TELLING, Build, candidate
-from voodoo_jax.detect.clearing import USUAL_SPACING, Cleared, Clearing, distances
-from voodoo_jax.detect.cut_in_two import joined_labels
-from voodoo_jax.detect.heads import may_be_several, parted
+from voodoo_jax.detect.body_likelihood import TELLING, Build, candidate
+from voodoo_jax.detect.clearing import Cleared, Clearing, distances
+from voodoo_jax.detect.cut_in_two import joined
+from voodoo_jax.detect.heads import each_person
 from voodoo_jax.detect.in_the_way import in_the_way
 from voodoo_jax.detect.lying import who_lies
 from voodoo_jax.geometry.plane import Plane
@@ -38,7 +38,6 @@ FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
-HEADS = 0.6  # of its height: what is above somebody and higher is their head, if it is alone; by hand
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
 # a thing is a part of the body if more points of it than this share of the body's are near where the body was, or than
 # these: of a sparse sensor a hand that hides its arm has no more; by hand
@@ -248,7 +247,8 @@ class BodySegmenter:
         if near is None or self.last is None:
             if most.any():
                 return most[label]
-            label = self._joined(seen, self._parted(points, label), frame)
+            label = each_person(points, label, self.clearing, self.body)
+            label = joined(seen, label, frame, self.clearing, self.body)
             return label == self._candidate(seen, label)
         beside = np.bincount(label, grid.near(cells_of(self.others, cell)))
         taken = most | self._followed(points, label, (count, np.bincount(label, near), beside), self.last)
@@ -256,26 +256,6 @@ class BodySegmenter:
         if far > 0 and np.sum(count[taken]) < ALIKE * len(self.last):
             taken |= self._elsewhere(points, label, count, self.last, self.settings.move + far)
         return taken[label]
-
-    def _joined(self, seen: BodyObservation, label, frame: BodyObservation) -> Int[np.ndarray, " point"]:
-        """The labels of objects, joined for pieces of one that is cut in two, and for a head and shoulders near it: a
-        neck is thin, and the grid of `components` is coarse. For an animal of unknown size, no width distinguishes
-        furniture beside it."""
-        if self.body.loose:
-            return label
-        points, count, out = seen.points, np.bincount(label), np.array(label)
-        lowest = np.full(len(count), np.inf, np.float32)
-        np.minimum.at(lowest, label, self.scene.floor.height(points))
-        for k in np.flatnonzero((lowest > HEADS * self.body.height) & (count >= TELLING)):
-            for j in np.flatnonzero(count > count[k]):
-                if (
-                    lowest[j] < lowest[k]
-                    and within(points[label == k], points[label == j], self.clearing.link(seen)).any()
-                ):
-                    out[out == out[label == k][0]] = out[label == j][0]
-        label = out
-        gap = max(self.clearing.of_sensors(self.clearing.gap, seen), default=USUAL_SPACING)
-        return joined_labels(seen, label, frame, self.scene.floor, self.body.height, gap)
 
     def _gone_by(self, time_ns: int) -> float:
         """Additional distance that the body may have moved since it was last seen, metres."""
@@ -332,23 +312,6 @@ class BodySegmenter:
             return False
         floor = self.scene.floor
         return floor.top(taken) < GONE * floor.top(self.last)
-
-    def _parted(self, points, label) -> Int[np.ndarray, " point"]:
-        """The labels of objects, with one for each of several connected people."""
-        out = np.array(label)
-        height, *level = self.clearing.places(points)
-        level, flat = np.stack(level), self.scene.floor.level
-        for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
-            mine = np.flatnonzero(label == k)
-            if not may_be_several(level[:, mine], self.body):
-                continue
-            # a head hangs together with its body by a neck that may not be seen
-            high = (label != k) & (height > HEADS * self.body.height)
-            above = np.flatnonzero(high)[touching(*(cells_of(flat(points[some]), CELL) for some in (high, mine)))]
-            both = np.concatenate([mine, above])
-            who = parted(height[both], level[:, both], self.body, self.settings.min_height)
-            out[both[who > 0]] = out.max() + who[who > 0]
-        return out
 
     def _candidate(self, seen: BodyObservation, label) -> int:
         """Label of the likeliest object to be the body, or -1; determines the floor, too, if it is unknown."""
