@@ -270,6 +270,7 @@ def mechanisms() -> Off:
         "following: points in the way": (segmentation, "in_the_way", lambda *given: (none, np.zeros(0, np.int8))),
         "following: some points of things beside": (segmentation, "MANY_BESIDE", 0),
         "tracklets: hidden places": (tracklets.Tracklet, "keep_hidden", lambda *given: None),
+        "tracklets: walking on behind somebody": (tracklets.Tracklet, "_velocity", lambda self: np.zeros(3, np.float32)),
         "tracklets: idle ones end": (tracklets, "IDLE_NS", 1 << 62),
         "tracklets: points nearest to": (tracklets, "_owners", lambda seen, *g: np.full(len(seen.points), -1, np.int8)),
         "tracklets: a child beside an adult": (tracklets, "LIKELY", 0.0),

@@ -3,13 +3,15 @@
 People who were hidden or away for a while are re-identified by height and place.
 """
 
+from collections import deque
+
 import numpy as np
 from jaxtyping import Float32
 
 from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.detect.disk_buffer import Spill
 from voodoo_jax.detect.motion import Motion
-from voodoo_jax.detect.segmentation import STILL, BodySegmenter
+from voodoo_jax.detect.segmentation import SPEED, STILL, BodySegmenter
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.point_cloud import quantile
 from voodoo_jax.geometry.voxels import cells_of, touching
@@ -21,6 +23,9 @@ AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
 LIKE = 0.07  # metres of height: who differs by more is somebody else; by hand
 WATCHED = 150  # frames, the last ones, by which it is asked whether somebody sways; five seconds, by hand
 HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
+BLIND = 1.5  # seconds for which somebody whom nobody sees is thought to walk on; by hand
+SLOW = 0.3  # metres per second: who is slower stands; by hand
+WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
 
 
 class Tracklet:
@@ -38,6 +43,7 @@ class Tracklet:
         self.now: BodyObservation | None = None  # what was seen of it in the last frame
         self._tops: list[float] = []  # heights above the floor, of each frame in which it was seen
         self.places: list[np.ndarray] = []  # of the first and last of these: where it was
+        self._way: deque[tuple[float, np.ndarray]] = deque()  # time in seconds, and place, while nothing hid it
 
     @property
     def seen(self) -> int:
@@ -68,7 +74,12 @@ class Tracklet:
             self.since, self.born_ns = number, frame.time_ns
         self.last = number
         self._tops.append(floor.top(frame.points))
-        self.places = [*self.places[:1], quantile(floor.level(frame.points), 0.5)]
+        place = quantile(floor.level(frame.points), 0.5)
+        self.places = [*self.places[:1], place]
+        if not self.finder.hidden:
+            self._way.append((frame.time_ns / 1e9, place))
+            while self._way[-1][0] - self._way[0][0] > WAY:
+                self._way.popleft()
 
     def forget(self) -> None:
         """Deletes frames that are no longer needed, once there are many."""
@@ -78,9 +89,9 @@ class Tracklet:
             for frame in frames:
                 self.frames.append(frame)
 
-    def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest) -> None:
-        """Keeps its hidden places, to assign them when they reappear: places where it was seen `before`, in the last
-        frame, which no sensor sees now."""
+    def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
+        """Keeps its hidden places, to assign them when they reappear: places where it was seen `before`, that many
+        seconds ago, which no sensor sees now."""
         finder = self.finder
         finder.hidden = False
         if before is None or finder.last is None:
@@ -90,11 +101,23 @@ class Tracklet:
         for sensor in range(len(others.origins)):
             hidden &= others.hides(some, np.full(len(some), sensor))
         finder.hidden = bool(hidden.mean() > HIDDEN)
-        if finder.hidden and not finder.unseen:
-            some = some[hidden]
-            finder.last = np.concatenate(
-                [finder.last, some[~touching(cells_of(some, STILL), cells_of(finder.last, STILL))]]
-            )
+        if finder.hidden:
+            # who walks on does so behind somebody, too
+            some = some[hidden] + self._velocity() * np.float32(seconds)
+            if not finder.unseen:
+                some = some[~touching(cells_of(some, STILL), cells_of(finder.last, STILL))]
+                finder.last = np.concatenate([finder.last, some])
+            elif finder.unseen * seconds < BLIND:
+                finder.last = np.concatenate([some, before[:: len(before) // SOME + 1][~hidden]])
+
+    def _velocity(self) -> Float32[np.ndarray, "3"]:
+        """Horizontal velocity when it was last wholly visible, metres per second."""
+        if not self._way:
+            return np.zeros(3, np.float32)
+        (began, first), (ended, last) = self._way[0], self._way[-1]
+        speed = (last - first) / max(ended - began, 1e-3)
+        walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
+        return (speed if walks else 0 * speed).astype(np.float32)
 
 
 def some_of(points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "some 3"]:

@@ -69,7 +69,7 @@ class Tracklets:
         self.main = Tracklet(BodySegmenter(scene, body, settings), 0)  # what is taken for the main one by now
         self.followed, self._ended = [self.main], list[Tracklet]()
         self.known = False  # which one is the main one
-        self._number = 0  # of the frame
+        self._number = self._last_ns = 0  # of the frame
         self._waiting: list[BodyObservation] = []  # frames that were not given yet, without points
         self._given: BodySegmenter | None = None  # of what was last given
         self._things: list[np.ndarray] = []  # points of what has not moved for long
@@ -126,7 +126,9 @@ class Tracklets:
     def _follow(self, clear: Cleared) -> None:
         """Assigns the points to the tracklets, those nearer to the sensors first."""
         self.followed.sort(key=lambda t: t.finder.unseen)
-        seen, alone = clear.seen, len(self.followed) == 1
+        seen, seconds = clear.seen, max(0.0, (clear.time_ns - self._last_ns) / 1e9)
+        self._last_ns = clear.time_ns
+        alone = len(self.followed) == 1
         before = [t.finder.last for t in self.followed]
         nobody = np.full(len(seen.points), -1, np.int8)
         owner = nobody if alone else _owners(seen, [t.finder for t in self.followed], self.settings.move)
@@ -138,22 +140,23 @@ class Tracklets:
                 apart = not alone and before[k] is not None  # by an arm alone somebody is known who stands still else
                 tracklet.motion.note(found, clear.frame, apart, finder.scene.floor if finder.lies else None)
         if not alone:
-            self._hide(seen, owner, before)
+            self._hide(seen, owner, before, seconds)
         self._leave(clear.time_ns)
         people = all(t.is_person for t in self.followed)
         # of fewer points it cannot be told who sways
         self._thin(len(seen.origins) == 1 and people and len(self.followed) > 1)
 
     def _hide(
-        self, seen: BodyObservation, owner: Int8[np.ndarray, " point"], before: Sequence[np.ndarray | None]
-    ) -> None:
+        self, seen: BodyObservation, owner: Int8[np.ndarray, " point"], before: Sequence[np.ndarray | None],
+        seconds: float,
+    ) -> None:  # fmt: skip
         """Updates the hidden places of all tracklets."""
         owned = np.flatnonzero(owner >= 0)
         owned = owned[:: len(owned) // (SOME * len(before)) + 1]
         whose, points = owner[owned], picked(seen.points, owned)
         nearest = Nearest.shared(points, seen.sensor[owned], seen.origins)
         for k, tracklet in enumerate(self.followed):
-            tracklet.keep_hidden(before[k], nearest(whose != k))
+            tracklet.keep_hidden(before[k], nearest(whose != k), seconds)
 
     def _leave(self, time_ns: int) -> None:
         """Ends tracklets that are lost or have not moved for long."""
