@@ -85,9 +85,7 @@ def watched(stage: Any, acted: set[str]) -> Callable:
             if known(before) != known(after):
                 acted.add(name)
             return replace(after, frames=_moving(after.frames, acted)) if name == "steady_sensors" else after
-        if name == "fresh_end":
-            changed = after is not None
-        elif hasattr(after, "best"):
+        if hasattr(after, "best"):
             changed = after.best is not given[1].best
         else:
             changed = after is not given[-1] or name == "fit_forearms"

@@ -11,7 +11,7 @@ from voodoo_jax.trackers.icp import pipeline as icp
 
 ROOT = Path(__file__).parents[3]
 PLACES = [("detect", s) for s in detection.stages()]
-PLACES += [(f"trackers/icp/{'start' if s in (*icp.START, icp.END) else 'refine'}", s) for s in icp.stages()]
+PLACES += [(f"trackers/icp/{'start' if s in icp.START else 'refine'}", s) for s in icp.stages()]
 
 
 @pytest.mark.parametrize("folder, stage", PLACES, ids=[stage.name for _, stage in PLACES])

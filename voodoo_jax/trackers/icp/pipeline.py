@@ -14,21 +14,15 @@ from voodoo_jax.trackers.icp.refine.fixed_lag import FixedLag
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.refine.hang_arms import HangArms
 from voodoo_jax.trackers.icp.refine.hang_legs import HangLegs
-from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
 from voodoo_jax.trackers.icp.refine.place_joints import PlaceJoints
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
 from voodoo_jax.trackers.icp.sequence import RecordingStage
 from voodoo_jax.trackers.icp.stage import Named, Stage
-from voodoo_jax.trackers.icp.start.fresh_end import FreshEnd
 
-# where the pass back in time begins
-END = FreshEnd()
 # of every segment, and of each that competes with it
-SETTLE: tuple[Stage, ...] = (ForwardBackward(end=END),)
+SETTLE: tuple[Stage, ...] = (ForwardBackward(),)
 # of every segment
-REFINE: tuple[Stage, ...] = (
-    *SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities(), FixedLag(),
-)  # fmt: skip
+REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), FixedLag())
 # of the recording
 FINISH: tuple[RecordingStage, ...] = (DropCarried(among=REFINE), DropUnexplained(among=REFINE), FitForearms())
 # of the tracks, once their poses stand
@@ -37,4 +31,4 @@ PLACE = (PlaceJoints(), HangLegs(), HangArms())
 
 def stages() -> tuple[Named, ...]:
     """All stages of tracking."""
-    return (*START, END, *REFINE, *FINISH, *PLACE)
+    return (*START, *REFINE, *FINISH, *PLACE)

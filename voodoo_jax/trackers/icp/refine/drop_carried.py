@@ -21,7 +21,7 @@ from voodoo_jax.records.notes import remark
 from voodoo_jax.records.observation import BodyObservation, assigned
 from voodoo_jax.trackers.icp.sequence import Whole
 from voodoo_jax.trackers.icp.stage import Stage
-from voodoo_jax.trackers.icp.start.hypothesis import USUAL
+from voodoo_jax.trackers.icp.start.hypothesis import BADLY, USUAL
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 CARRIED_NOTE = remark("The person carries or pushes something: its points were removed, and the log tracked again.")
@@ -37,7 +37,6 @@ class DropCarried:
     needs: ClassVar = frozenset({"points", "one body", "neck", "l_shoulder", "l_knee"})  # people
 
     among: tuple[Stage, ...]  # stages that segments go through when they are tracked anew
-    fits: float = 2.0  # times what a sure start leaves unexplained: who is explained better carries nothing
     better: float = 0.5  # times what was unexplained is left without what is carried, at most
     head: float = 0.08  # so far from the top down there is nothing but the head, and hands
     radius: float = 0.06  # level: of a head, which has more points than a hand
@@ -55,7 +54,7 @@ class DropCarried:
 
     def __call__(self, whole: Whole) -> Whole:
         before = unexplained(whole)
-        if before <= self.fits * whole.run.settings.start.sure:
+        if before <= BADLY * whole.run.settings.start.sure:
             return whole
         left = self.without(whole.run.people, whole.run.scene.floor)
         if left is None:

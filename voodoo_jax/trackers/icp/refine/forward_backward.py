@@ -14,8 +14,6 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.geometry.rotations import axis_of, half_turn, limb_ends, rotations
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import Pass, backwards, pass_of
-from voodoo_jax.trackers.icp.stage import is_active
-from voodoo_jax.trackers.icp.start.fresh_end import FreshEnd
 from voodoo_jax.trackers.shared.segment import Followed
 
 
@@ -35,7 +33,6 @@ class ForwardBackward:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"points", "one body"})
 
-    end: FreshEnd = FreshEnd()
     agree: float = 0.12  # metres between the passes' places of a limb's ends, below which they are averaged
     window: int = 7  # frames over which costs are compared: single frames decide by noise
     better: float = 0.97  # the backward pass is taken where it costs less than this share of the forward one
@@ -46,10 +43,7 @@ class ForwardBackward:
             return segment
         count = int(good[-1]) + 1
         forth = segment[:count]
-        poses = self.end(run, forth.first, forth.cost, forth.rotation) if is_active(run, self.end) else None
-        if poses is None:
-            poses = forth.pose_at(-1)
-        back = backwards(run, poses, forth.first, forth.end)
+        back = backwards(run, forth.pose_at(-1), forth.first, forth.end)
         passes = pass_of(run, forth), pass_of(run, back)
         taken = self.is_better(passes[1].cost, passes[0].cost)
         both = combined(*passes, taken, np.asarray(run.body.sizes)[:, 4], self.agree)

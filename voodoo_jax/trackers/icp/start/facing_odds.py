@@ -11,7 +11,7 @@ from voodoo_jax.model.posture import faces_ahead
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import WRONG_WAY, bent
-from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
+from voodoo_jax.trackers.icp.start.hypothesis import BADLY, StartHypothesis
 from voodoo_jax.trackers.icp.trials import facing
 from voodoo_jax.trackers.shared.segment import Followed
 
@@ -31,7 +31,6 @@ class FacingOdds:
     # round; who has less than this posture is looked at the other way round: all of 15 skirts that were turned have it
     posture: float = 1.0
     doubtful: float = 0.0
-    fits: float = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
     clearly: float = 0.1  # logarithm of the odds for the rival, at least, if it is taken
 
     def odds(self, run: Runner, start: StartHypothesis, segment: Followed, other: Followed) -> float:
@@ -42,7 +41,7 @@ class FacingOdds:
         # a few frames hardly tell front from back: all of them do
         costs = float(np.mean(segment.cost)), float(np.mean(other.cost))
         unexplained = max(min(costs) - start.noise**2, 1e-9)
-        fit = min(1.0, self.fits * run.settings.start.sure / unexplained)
+        fit = min(1.0, BADLY * run.settings.start.sure / unexplained)
         bends = float(np.mean(bent(run.body, other.rotation)) - np.mean(bent(run.body, segment.rotation))) / WRONG_WAY
         ahead = self._ahead(gone(run, segment)) - self._ahead(gone(run, other))
         stands = self.posture * float(np.nan_to_num(posture_of(run, segment) - posture_of(run, other))) / 2

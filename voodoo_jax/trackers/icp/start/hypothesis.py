@@ -19,6 +19,7 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 RIVAL = 1.1
 FAR_RIVAL = 3.0  # and if it costs less than so much more where something else speaks for it; by hand
 OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher jumps; if even higher, feet are hidden
+BADLY = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly; by hand
 USUAL = 0.018  # metres of noise that a start is allowed in any case; by hand
 NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is; by hand
 

@@ -40,8 +40,7 @@ class LyingDown:
     usual: tuple[float, ...] = (-2.0, -0.7, 0.7, 2.0)  # sizes where those are smaller, in standard deviations
     larger: float = 1.12  # of what is seen: such sizes are at least so large
     smallest: float = 0.9  # metres: as for who stands
-    ways: int = 4  # to lie are compared over ...
-    frames: int = 90  # ... so many frames
+    frames: int = 90  # over which ways to lie are compared
 
     def __call__(self, run: Runner, search: Search) -> Search:
         at, frames = search.best.frame, tried_on(run, search.best.frame)
@@ -71,7 +70,7 @@ class LyingDown:
         for one in sorted((best, *each), key=lambda one: one.cost):
             if one.cost < FAR_RIVAL * best.cost and all(not _alike(one, other) for other in apart):
                 apart.append(one._replace(rival=None))
-        costs = self._over(run, apart[: self.ways])
+        costs = self._over(run, apart[:WAYS])
         order = sorted(range(len(costs)), key=costs.__getitem__)
         first, *others = (apart[k]._replace(cost=best.cost * costs[k] / costs[order[0]]) for k in order)
         return first._replace(rival=others[0] if others else None)

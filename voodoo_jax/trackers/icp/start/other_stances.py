@@ -9,7 +9,7 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.pose_library import STANCES, Stance, in_stance
 from voodoo_jax.trackers.icp.body_size import rarity
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, sized_at, trial
+from voodoo_jax.trackers.icp.start.hypothesis import BADLY, StartHypothesis, sized_at, trial
 from voodoo_jax.trackers.icp.start.stage import Search
 from voodoo_jax.trackers.shared.confidence import STATURE
 
@@ -25,7 +25,6 @@ class OtherStances:
     needs: ClassVar = frozenset({"points"})
 
     likelier: float = 0.8  # to stand, or what was found before, is left where another costs less than this share of it
-    fits: float = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly
 
     def __call__(self, run: Runner, search: Search) -> Search:
         # who sat before what is at rest was taken away did not stand up by that; else people stand
@@ -33,7 +32,7 @@ class OtherStances:
         posed = in_stances(run, search.best.frame) if search.best.unexplained > run.settings.start.sure else []
         every = [(search.best, None), *posed]
         unexplained = max(min(found.unexplained for found, _ in every), 1e-9)
-        fit = min(1.0, self.fits * run.settings.start.sure / unexplained)
+        fit = min(1.0, BADLY * run.settings.start.sure / unexplained)
 
         def against(one: tuple[StartHypothesis, Stance | None]) -> float:
             found, stance = one
