@@ -42,7 +42,6 @@ from voodoo_jax.detect import (
     raise_floor,
     scene,
     segmentation,
-    stage,
     stillness,
     tracklets,
     weigh_by_noise,
@@ -269,7 +268,6 @@ def mechanisms() -> Off:
         "following: thinned": (finder, "_thin", lambda *given: None),
         "following: where nothing was found": (finder, "passed", property(lambda self: none, lambda self, value: None)),
         "following: points in the way": (segmentation, "in_the_way", lambda *given: (none, np.zeros(0, np.int8))),
-        "following: some points of things beside": (segmentation, "MANY_BESIDE", 0),
         "tracklets: hidden places": (tracklets.Tracklet, "keep_hidden", lambda *given: None),
         "tracklets: walking on behind somebody": (tracklets.Tracklet, "_velocity", lambda self: np.zeros(3, "f4")),
         "tracklets: idle ones end": (tracklets, "IDLE_NS", 1 << 62),
@@ -295,7 +293,6 @@ def mechanisms() -> Off:
         "wide: things beside": (finder, "beside", lambda self: none),
         "apart: what remains": (drop_seen_apart, "_remains", lambda points, *given: np.zeros(len(points), bool)),
         "planes: found anew in steady frames": (camera_motion, "TIMES", 0),
-        "likely: lying in most frames": (stage, "mostly_lie", lambda *given: False),
     }  # fmt: skip
     return off
 
