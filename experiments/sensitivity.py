@@ -42,7 +42,6 @@ from voodoo_jax.detect import (
     raise_floor,
     scene,
     segmentation,
-    stage,
     stillness,
     tracklets,
     weigh_by_noise,
@@ -262,15 +261,15 @@ def mechanisms() -> Off:
         "following: the whole room again and again": (finder, "surveys", lambda self, time_ns: False),
         "following: what comes near stays apart": (finder, "_followed", _near_alone),
         "following: a low thing that is left": (finder, "_is_left", lambda *given: False),
+        "following: a head that was seen apart": (finder, "_is_head", lambda *given: False),
         "following: somewhere else after a moment": (finder, "_elsewhere", _nowhere),
         "following: a low thing counts less": (segmentation, "LOW", 1.0),
         "following: suddenly much lower": (finder, "_gone", lambda *given: False),
         "following: thinned": (finder, "_thin", lambda *given: None),
         "following: where nothing was found": (finder, "passed", property(lambda self: none, lambda self, value: None)),
         "following: points in the way": (segmentation, "in_the_way", lambda *given: (none, np.zeros(0, np.int8))),
-        "following: some points of things beside": (segmentation, "MANY_BESIDE", 0),
         "tracklets: hidden places": (tracklets.Tracklet, "keep_hidden", lambda *given: None),
-        "tracklets: walking on behind somebody": (tracklets.Tracklet, "_velocity", lambda self: np.zeros(3, np.float32)),
+        "tracklets: walking on behind somebody": (tracklets.Tracklet, "_velocity", lambda self: np.zeros(3, "f4")),
         "tracklets: idle ones end": (tracklets, "IDLE_NS", 1 << 62),
         "tracklets: points nearest to": (tracklets, "_owners", lambda seen, *g: np.full(len(seen.points), -1, np.int8)),
         "tracklets: a child beside an adult": (tracklets, "LIKELY", 0.0),
@@ -294,7 +293,6 @@ def mechanisms() -> Off:
         "wide: things beside": (finder, "beside", lambda self: none),
         "apart: what remains": (drop_seen_apart, "_remains", lambda points, *given: np.zeros(len(points), bool)),
         "planes: found anew in steady frames": (camera_motion, "TIMES", 0),
-        "likely: lying in most frames": (stage, "mostly_lie", lambda *given: False),
     }  # fmt: skip
     return off
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import TELLING, Build, candidate
+from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build, candidate
 from voodoo_jax.detect.clearing import Cleared, Clearing, distances
 from voodoo_jax.detect.cut_in_two import joined
 from voodoo_jax.detect.heads import each_person
@@ -295,7 +295,11 @@ class BodySegmenter:
                 self._background.add(cells_of(mine, CELL), LONG)  # so it was all the time
         for k in np.flatnonzero(doubtful & (beside >= APART * count)):
             mine = points[label == k]
-            apart = k != main or within(mine, last, STILL).sum() < 0.5 * len(mine)
+            apart = (
+                within(mine, last, STILL).sum() < 0.5 * len(mine)
+                if k == main
+                else not self._is_head(mine, points[label == main])
+            )
             taken[k] = not (apart and within(mine, self.others, STILL).sum() >= APART * len(mine))
         return taken
 
@@ -312,6 +316,13 @@ class BodySegmenter:
             return False
         floor = self.scene.floor
         return floor.top(taken) < GONE * floor.top(self.last)
+
+    def _is_head(self, thing, body) -> bool:
+        """Whether an object is right above a body: a head whose neck is hidden or narrow, not a chair."""
+        floor = self.scene.floor
+        apart = np.median(thing, 0) - np.median(body, 0)
+        apart -= (apart @ floor.normal) * floor.normal
+        return bool(floor.height(thing).min() > HEADS * self.body.height and np.linalg.norm(apart) < 0.3)
 
     def _candidate(self, seen: BodyObservation, label) -> int:
         """Label of the likeliest object to be the body, or -1; determines the floor, too, if it is unknown."""
