@@ -1,7 +1,7 @@
 """Do weights, options and the template gain by gradients, on people left out? python -m experiments.tuning RECORDINGS
 
-Parts: `curves` the loss along each number, one at a time; `weights` and `template` tuned on some people, scored on the
-others, by folds of people. Writes a table for each part, and a figure of the curves.
+Parts: `curves` the loss along each number, one at a time; `weights`, `template`, `body` and so on (see FREE) tuned on
+some people, scored on the others, by folds of people. Writes a table for each part, and a figure of the curves.
 """
 
 from dataclasses import dataclass
