@@ -137,31 +137,6 @@ def test_finished_logs_are_skipped_and_others_done(some_logs, reference, tmp_pat
     assert outcomes[0].status == "failed" and "from an earlier run" in outcomes[0].error
 
 
-def test_what_was_done_elsewhere_is_not_done_twice(some_logs, reference, tmp_path):
-    """The same log by itself, beside another of its name, and in a folder: tracked once."""
-    mine, theirs = tmp_path / "in" / "mine" / "b.mcap", tmp_path / "in" / "theirs" / "b.mcap"
-    for log, number in ((mine, 1), (theirs, 0)):
-        log.parent.mkdir(parents=True)
-        log.write_bytes(some_logs[number].read_bytes())
-    out = tmp_path / "out"
-    out.mkdir()
-    for file in reference.glob("b.*"):
-        (out / file.name).write_bytes(file.read_bytes())
-
-    def skipped(*logs: Path) -> dict[str, bool]:
-        return {
-            str(Path(o.npz).relative_to(out)): o.skipped for o in replay(logs, out, small_body(), SETTINGS, quiet=True)
-        }
-
-    assert skipped(mine, theirs) == {"mine/b.tracks.npz": True, "theirs/b.tracks.npz": False}
-    assert skipped(theirs) == {"b.tracks.npz": True}
-    assert skipped(mine, tmp_path / "in") == {"mine/b.tracks.npz": True, "theirs/b.tracks.npz": True}
-    (out / "b.tracks.npz").write_bytes(b"cut")
-    (out / "mine" / "b.tracks.npz").write_bytes(b"cut")
-    assert skipped(mine) == {"b.tracks.npz": False}
-    assert_same(arrays_of(out), {"b.tracks.npz": arrays_of(reference)["b.tracks.npz"]})
-
-
 def test_other_settings_and_again_do_logs_anew(some_logs, reference, tmp_path):
     log, out = some_logs[1], tmp_path
     for file in reference.glob("b.*"):

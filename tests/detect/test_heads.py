@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from voodoo_jax.detect.body_likelihood import Build
-from voodoo_jax.detect.heads import has_shoulders, parted, summits
+from voodoo_jax.detect.heads import parted, summits
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.simulate.motion import motion_of_turns, placed
@@ -80,35 +80,3 @@ def test_summits_are_told_by_the_ground_between():
     found = summits(height, level.astype(np.float32), 0.12)
     assert len(found) >= 2 and np.isclose(found[1][0], 0.5, atol=0.06) or np.isclose(found[0][0], 0.5, atol=0.06)
     assert len(summits(height, level.astype(np.float32), 0.45)) == 1
-
-
-@pytest.mark.parametrize("turns", [{}, ARMS_ASIDE, RAISED], ids=["hang", "aside", "raised"])
-@pytest.mark.parametrize("yaw", [0.0, 0.8, 2.4, 3.14])
-def test_an_upper_body_has_shoulders_below_its_head(turns, yaw):
-    for stature in (1.6, 1.85):
-        points = cloud((stature, 0.0, yaw, turns))
-        upper = points[points[:, 2] > 0.55 * stature]
-        assert has_shoulders(upper[:, 2] - 1.0, upper[:, :2].T, BUILD)
-
-
-def test_things_have_no_shoulders():
-    def box(width: float, depth: float, height: float, low: float = 0.0) -> np.ndarray:
-        return (
-            np.random.default_rng(0)
-            .uniform([-depth / 2, -width / 2, low], [depth / 2, width / 2, low + height], (4000, 3))
-            .astype(np.float32)
-        )
-
-    things = {
-        "box": box(0.4, 0.3, 0.7),
-        "monitor": np.vstack([box(0.6, 0.05, 0.35, 0.3), box(0.06, 0.06, 0.3), box(0.3, 0.2, 0.02)]),
-        "broom": box(0.04, 0.04, 1.2),
-        "chair": np.vstack([box(0.45, 0.45, 0.05, 0.4), box(0.42, 0.05, 0.5, 0.45)]),
-        "wall": box(3.0, 0.1, 2.0),
-        "floor lamp": np.vstack([box(0.35, 0.35, 0.3, 1.3), box(0.03, 0.03, 1.3)]),
-    }
-    for name, points in things.items():
-        assert not has_shoulders(points[:, 2], points[:, :2].T, BUILD), name
-    dog = BUILD._replace(loose=0.5)
-    person = cloud((1.75, 0.0, 0.0, {}))
-    assert not has_shoulders(person[:, 2], person[:, :2].T, dog)

@@ -1,14 +1,12 @@
-"""Who lies is found by how low and long they are, if they move or breathe, and do not slide; beds and dogs are not."""
+"""Who lies is found by how low and long they are, if they move, and do not slide; beds and dogs are not."""
 
 import numpy as np
 import pytest
 
 from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame, grid, room
-from tests.support.still_things import sway, watched
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.lying import extent, mostly_lie, who_lies
 from voodoo_jax.detect.raise_floor import with_beds
-from voodoo_jax.detect.stillness import breathes
 from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.records.observation import whole
 from voodoo_jax.records.scene import Scene
@@ -101,9 +99,3 @@ def test_each_top_may_be_a_bed_and_the_back_of_a_sofa_is_a_wall(rng):
     assert last is SCENE and bare.walls == () and bare.floor.offset == pytest.approx(0.42, abs=0.02)
     (back,) = backed.walls
     assert back.height(ORIGIN)[0] > 0 and abs(back.offset + 3.2) < 0.03
-
-
-@pytest.mark.parametrize("moving, alive", [(0.0, False), (0.006, True)])
-def test_who_breathes_is_told_from_noise(rng, moving, alive):
-    chest, legs = lying(0.5, 0.3), lying(0.9, 0.3) + [0, -0.8, 0]
-    assert breathes(watched(rng, [(chest, sway(moving)), (legs, sway(0.0))]), 0.8) is alive

@@ -114,7 +114,7 @@ def test_left_handed_coordinates_or_names_on_the_wrong_sides(moving, tmp_path):
     doubted = track(human(), log)
     assert len([note for note in doubted.notes if "read.mirror" in note]) == 1
     assert doubted.joint_confidence is not None and doubted.joint_confidence.max() <= 0.2 and doubted.tracked.all()
-    assert float(np.median(doubted.residual)) < 0.02  # it fits all the same
+    assert float(np.median(doubted.evidence.residual)) < 0.02  # it fits all the same
     settings = Settings(read=ReadSettings(mirror=("/markers=x",)))
     tracks = track(human(), read_log(log.path, settings.read), settings)
     error = np.linalg.norm(tracks.joints - joints @ (np.diag([-1.0, 1, 1]) @ unity).T, axis=-1)

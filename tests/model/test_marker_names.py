@@ -5,6 +5,7 @@ import pytest
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.model.body_file import human
 from voodoo_jax.model.marker_names import (
+    describe_names,
     human_points,
     marker_sets,
     net_key_points,
@@ -12,7 +13,6 @@ from voodoo_jax.model.marker_names import (
     places_of,
     split_place,
     subjects,
-    told_names,
 )
 
 T = human().topology
@@ -159,8 +159,8 @@ def test_points_that_nobody_named():
 
 
 def test_what_info_says():
-    (said,) = told_names([s + n for n in CAST.split() for s in "LR"], FeatureSettings())
+    (said,) = describe_names([s + n for n in CAST.split() for s in "LR"], FeatureSettings())
     assert "34 of 34" in said and "CAST" in said
-    asked = told_names([*(s + n for n in CAST.split() for s in "LR"), "zebra", "*3", "face"], FeatureSettings())[1]
+    asked = describe_names([*(s + n for n in CAST.split() for s in "LR"), "zebra", "*3", "face"], FeatureSettings())[1]
     assert asked.endswith("--features.names 'zebra=...'")
-    assert not told_names(["l_wrist", "face", "skullbase"], FeatureSettings())
+    assert not describe_names(["l_wrist", "face", "skullbase"], FeatureSettings())

@@ -1,4 +1,4 @@
-"""Many logs: which, by whom, resumed, each on its own.
+"""Many logs: chosen, distributed and resumed; failures are isolated.
 
 Public: `replay.replay`, `track_many.track_many`, `outcome.Outcome`.
 """

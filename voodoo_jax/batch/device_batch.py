@@ -11,7 +11,7 @@ from voodoo_jax.batch.process_pool import Report, Results
 
 
 def in_batch(jobs: list[Job], report: Report) -> Results:
-    """Does the jobs. Gives number and outcome of each as it is done; they are read in turns, on one core."""
+    """Runs the jobs. Yields number and outcome of each when it is finished; logs are read in turns, on one core."""
 
     def task(number: int, job: Job) -> Callable[[Visit], Outcome]:
         return lambda visit: do_job(job, lambda share: report(number, share), visit)

@@ -1,4 +1,4 @@
-"""What is made of a log's tracks besides them: exports to other formats, a view in a browser."""
+"""Files made from a log's tracks: exports to other formats, a view in a browser."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,19 +16,19 @@ MOST = 9  # people beside the main one of whom a killed run's files are looked f
 
 
 def exported_name(npz: str | Path, format: str) -> str:
-    """Name of the file that tracks are exported to."""
+    """Name of an exported file of tracks."""
     return Path(npz).name.removesuffix(NPZ) + FORMATS[format].suffix
 
 
 def extra_files(npz: Path, formats: Sequence[str]) -> list[Path]:
-    """Files that are written beside the tracks of a log, those of other people in it included."""
+    """Files beside the tracks of a log, also those of its other people."""
     people = [npz, *(Path(person_place(str(npz), person)) for person in range(2, 2 + MOST))]
     exported = [path.with_name(exported_name(path, name)) for path in people for name in formats]
     return [npz.with_name(npz.name.removesuffix(NPZ) + VIEW), *people[1:], *exported]
 
 
 def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str], style: Style) -> list[str]:
-    """Exports the tracks of all people of a log, beside `npz`, the file of the first one's.
+    """Exports the tracks of all people of a log, beside `npz`, the main person's file.
 
     **Returns:** what a user should know: frames that are not tracked, and what could not be written and why.
     """
@@ -42,7 +42,7 @@ def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str], s
 
 
 def write_view(people: Sequence[Tracks], npz: Path, settings: Settings, log: str) -> list[str]:
-    """Writes `<log>.html` beside the tracks, reading the log once more; why that did not work, or nothing."""
+    """Writes `<log>.html` beside the tracks, which reads the log once more. Returns why that failed, or nothing."""
     from voodoo_jax.io.log_reader import open_log
     from voodoo_jax.records.tracks import given_from
     from voodoo_jax.viz.html_view import write_html
@@ -57,7 +57,7 @@ def write_view(people: Sequence[Tracks], npz: Path, settings: Settings, log: str
 
 
 def attempted(what: str, make: Callable[[], object]) -> list[str]:
-    """Makes something of the tracks, which are there all the same; why that did not work, in a sentence, or nothing."""
+    """Makes a file from tracks that exist already. Returns why that failed, as a sentence, or nothing."""
     from voodoo_jax.io.container import LogError
 
     try:

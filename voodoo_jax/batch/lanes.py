@@ -1,4 +1,5 @@
-"""The tracker's program for many recordings at once, each in a lane of its own, lanes shared out among all devices."""
+"""The tracker's program for many recordings at once, each in a lane of its own; lanes are distributed over all
+devices."""
 
 from collections.abc import Callable, Generator, Sequence
 from functools import cache, partial
@@ -38,8 +39,8 @@ def usual_lanes() -> int:
 
 
 def in_lanes(tasks: Sequence[Callable[[Visit], T]], lanes: int) -> Generator[tuple[int, T]]:
-    """Number and result of each task as it is done, `lanes` of them under way at once; a task is given what it runs
-    instead of `track_visits`. Raises what a task raises."""
+    """Yields number and result of each finished task, with `lanes` of them at once; each task gets a function that
+    replaces `track_visits`. Raises what a task raises."""
 
     def answer(asked: list[tuple]) -> list[Any]:
         before = seconds_of_waiting()

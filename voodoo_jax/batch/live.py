@@ -1,4 +1,4 @@
-"""A log that is still being recorded: tracked as it comes, given out frame by frame, and written as replay does."""
+"""Tracks a log while it is recorded, publishes each frame, and writes the results as replay does."""
 
 import os
 import time
@@ -42,7 +42,7 @@ Say = Callable[[str], None]
 
 @dataclass
 class Pace:
-    """How soon frames are given out."""
+    """Delay with which frames are published."""
 
     latencies: list[float] = field(default_factory=list)  # seconds from the frame's last message to its poses
     behind: list[float] = field(default_factory=list)  # seconds by the recorder's clock, if it is this machine's
@@ -53,7 +53,7 @@ class Pace:
     processor: float = 0.0  # seconds, at that frame
 
     def note(self, arrived: float | None, log_time_ns: int | None) -> None:
-        """One more frame was given out."""
+        """Counts one more published frame."""
         now = time.monotonic()
         late = now - arrived if arrived is not None else float("nan")
         if self.caught_up < 0 and late < CAUGHT_UP:
@@ -63,7 +63,7 @@ class Pace:
         self.behind.append(time.time() - log_time_ns / 1e9 if log_time_ns is not None else float("nan"))
 
     def __str__(self) -> str:
-        """In a sentence."""
+        """As a sentence."""
         late = np.array(self.latencies[max(self.caught_up, 0) :])
         late = late[np.isfinite(late)]
         if not len(late):
@@ -88,7 +88,7 @@ def _seconds(x: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class LiveJob:
-    """A source and all that is to be done with it."""
+    """A source and what is to be done with it."""
 
     place: str  # of the source
     out: str  # folder
@@ -106,7 +106,7 @@ class LiveJob:
 
     @property
     def targets(self) -> tuple[Path, Path]:
-        """Tracks and .voodoo.mcap."""
+        """Paths of the tracks and .voodoo.mcap."""
         name = self.place
         for scheme in URLS:
             if name.startswith(scheme):
@@ -156,7 +156,7 @@ def _followed(
     publishers: list[Publisher],
     progress: Say,
 ) -> Pace:
-    """Tracks all frames and gives them out."""
+    """Tracks and publishes all frames."""
     pace, said = Pace(), time.monotonic()
     times: dict[int, tuple[float | None, int | None]] = {}  # of frames that are not given out yet
     tracklets, seen = tracker.watched(live.frames(), reader.up, on_device(job.body), job.settings, reader.up_is_given)
@@ -193,12 +193,12 @@ def _written(job: LiveJob, tracks: Tracks) -> Outcome:
 
 
 def _nowhere() -> Scene:
-    """A scene before any is known."""
+    """A scene before the first frame."""
     return Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
 
 
 def _examples(reader: LogReader) -> list[BodyObservation]:
-    """Frames without points like those that will come."""
+    """Frames without points, shaped like those to come."""
     nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
     origins, part = np.zeros((len(reader.sensors), 3), np.float32), none if reader.parts else None
     blank = BodyObservation(0, nothing, none, origins, part=part, parts=reader.parts)

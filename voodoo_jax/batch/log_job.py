@@ -31,7 +31,7 @@ Visit = Callable[..., Any]  # solve.scan.Visit, which takes long to import
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A log and all that is to be done with it. Can be sent to other processes."""
+    """A log and what is to be done with it. Can be sent to other processes."""
 
     log: str  # absolute path or URL
     out: str  # folder: absolute path or URL
@@ -51,7 +51,7 @@ class Job:
 
 
 def output_paths(log: str | os.PathLike[str], out: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Where the tracks of a log go: `<stem>.tracks.npz` and `<stem>.voodoo.mcap` in `out`."""
+    """Paths of a log's tracks: `<stem>.tracks.npz` and `<stem>.voodoo.mcap` in `out`."""
     stem = log_name(os.fspath(log))
     return Path(out) / f"{stem}.tracks.npz", Path(out) / f"{stem}{TRACKS}"
 
@@ -132,8 +132,8 @@ def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4,
 
 
 def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = None) -> Outcome:
-    """Tracks one log and writes its results; `visit` runs the program, None: here and now. Whatever goes wrong with it
-    is told in the outcome."""
+    """Tracks one log and writes its results; `visit` runs the program, None: in this process. Errors are reported in
+    the outcome."""
     from voodoo_jax.io.container import LogError
     from voodoo_jax.io.limits import limited
     from voodoo_jax.trackers.base import Unsuitable
@@ -217,8 +217,8 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
 
 
 def check_names(place: str, count: int) -> None:
-    """Raises LogError where a file that is to be written is another log's: of a log `a.2`, which has the name of the
-    second person in `a`. `place` of the main person's tracks."""
+    """Raises LogError if a result file belongs to another log: a log `a.2` has the name of the second person in `a`.
+    `place` of the main person's tracks."""
     from voodoo_jax.io.container import LogError
 
     for person in range(1, count + 1):
@@ -228,7 +228,7 @@ def check_names(place: str, count: int) -> None:
 
 
 def remove_others(place: str, count: int) -> None:
-    """Removes tracks of people whom an earlier run has found in this log beyond so many."""
+    """Removes tracks of people beyond this number, which an earlier run found in this log."""
     person = count + 1
     while _person_in(person_place(place, person)) == person:
         removed(person_place(place, person))
@@ -236,7 +236,7 @@ def remove_others(place: str, count: int) -> None:
 
 
 def _person_in(place: str) -> int | None:
-    """Whose tracks a file holds, 1 where there is one person alone; None: no such file, or no tracks."""
+    """Number of the person in a tracks file, 1 if alone; None: no such file, or no tracks."""
     from voodoo_jax.batch.resume import BROKEN
 
     try:
@@ -247,7 +247,7 @@ def _person_in(place: str) -> int | None:
 
 
 def remove_partials(target: Path) -> None:
-    """Removes half-written files of this name whose process does not run any more: see atomic.replacing."""
+    """Removes half-written files of this name whose process has ended: see atomic.replacing."""
     with suppress(OSError):
         for partial in target.parent.glob(f".{escape(target.name)}.*.tmp*"):
             pid = partial.name.rpartition(".tmp")[0].rsplit(".", 1)[-1]

@@ -1,4 +1,4 @@
-"""What became of a log, as replay reports it: small, so that thousands fit in memory; the tracks stay in their file."""
+"""The result of one log as replay reports it: small, so that thousands fit in memory; the tracks stay in their file."""
 
 import math
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from voodoo_jax.storage.urls import fetched, joined
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one log."""
+    """The result of one log."""
 
     path: str  # of the log, or its URL
     npz: str = ""  # where its tracks are; empty: failed
@@ -37,12 +37,12 @@ class Outcome:
 
     @property
     def name(self) -> str:
-        """What the log is called among those that were done with it."""
+        """The log's name among all logs."""
         return joined(self.folder, Path(self.path).name)
 
     @property
     def ok(self) -> bool:
-        """Whether the log was read and somebody was tracked in it."""
+        """Whether the log was read and a person was tracked in it."""
         return bool(self.npz) and self.tracked > 0
 
     @property
@@ -52,7 +52,7 @@ class Outcome:
 
     @property
     def status(self) -> str:
-        """In a word or two."""
+        """In one or two words."""
         return "failed" if not self.npz else "tracked" if self.ok else "nothing tracked"
 
     @property
@@ -67,14 +67,14 @@ class Outcome:
 
     @property
     def people(self) -> tuple["Outcome", ...]:
-        """Of everybody in the log, who is seen longest first."""
+        """Outcomes of everybody in the log, the person seen longest first."""
         return (replace(self, others=()), *self.others)
 
     def __str__(self) -> str:
         return self.words()
 
     def words(self, remarks: bool = True) -> str:
-        """The outcome in lines, with or without notes that ask for nothing."""
+        """The outcome in lines, with or without notes that need no action."""
         return "\n".join(one._lines(bool(self.others), remarks) for one in self.people)
 
     def _lines(self, numbered: bool, remarks: bool) -> str:
@@ -101,7 +101,7 @@ class Outcome:
         return [one.row() for one in self.people]
 
     def row(self) -> dict[str, Any]:
-        """The outcome of this person for replay.jsonl: numbers that are not finite become null."""
+        """This person's outcome for replay.jsonl: numbers that are not finite become null."""
         return {
             "log": self.path,
             "person": self.person,
@@ -121,7 +121,7 @@ class Outcome:
 
 
 def outcome_of(path: str, npz: str, tracks: Tracks, **more: Any) -> Outcome:
-    """The outcome of a log that was tracked; `more` are other fields of Outcome."""
+    """The outcome of a tracked log; `more` are other fields of Outcome."""
     body, times = tracks.body, {"seconds": tracks.seconds, "compile_seconds": tracks.compile_seconds}
     size = f"{body.scale_name} {float(body.scale):.3f} m"
     more |= {"notes": tracks.notes, "person": tracks.person}

@@ -1,4 +1,4 @@
-"""Where the results of each log go."""
+"""Output paths of each log."""
 
 import os
 from collections import Counter
@@ -13,14 +13,14 @@ def _stem(log: str) -> str:
 
 
 def _second(log: str) -> str | None:
-    """The name of the log whose second, third, ... person would have the names of this log; None: of none."""
+    """The log whose second, third, ... person would have the names of this log; None: no such log."""
     stem, dot, number = _stem(log).rpartition(".")
     return stem if dot and number.isdigit() else None
 
 
 def logs_of(given: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Logs, and for each the folder in which its results lie, relative to that of all: its own one below the place that
-    was given, as the path says; "" of a log that was given itself.
+    """Logs, and the folder of each one's results relative to the output folder: its path below the given place; "" for
+    a log that was given itself.
 
     **Arguments:** `given` pairs of a place that was given and a log that it stands for, as in urls.expanded; a log that
     is given as such and in a folder is one log, and so are a bag and a file of it.
@@ -35,7 +35,7 @@ def logs_of(given: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 
 def folders_within(logs: Mapping[str, str]) -> dict[str, str]:
-    """For each log the folder for its results, relative to that of all.
+    """The folder of each log's results, relative to the output folder.
 
     **Arguments:** `logs` the folders that paths say, see logs_of. Logs that would write the same files have folders
     named as those that they lie in, from where their paths part; `a.2` has one of its own beside `a`, whose second

@@ -38,18 +38,20 @@ def default_workers(logs: int) -> int:
 
 
 def may_have_gpu() -> bool:
-    """Whether jax's device is worth asking for: that opens it, and a process with an open one cannot be copied."""
+    """Whether it is worth asking for jax's device: this opens it, and a process with an open device cannot be
+    forked."""
     return bool(find_spec("jax_plugins") or find_spec("libtpu") or entry_points(group="jax_plugins"))
 
 
 def in_process(jobs: list[Job], report: Report) -> Results:
-    """Does the jobs here, one after the other, each with all cores. Gives the number of each job and its outcome."""
+    """Runs the jobs in this process, one after the other, each with all cores. Yields the number of each job and its
+    outcome."""
     for number, job in enumerate(jobs):
         yield number, do_job(job, lambda share, number=number: report(number, share))
 
 
 def in_workers(jobs: list[Job], report: Report, count: int) -> Results:
-    """Does the jobs in `count` processes, in their order. Gives number and outcome of each as it is done.
+    """Runs the jobs in `count` processes, in order. Yields number and outcome of each when it is finished.
 
     Starts the processes at once: call it before there are other threads, and they start sooner (see worker_start.py).
     Ends them when the iterator is closed or interrupted.
@@ -84,7 +86,7 @@ def _from_processes(jobs: list[Job], report: Report, processes: list[Process], t
 
 
 class _Worker:
-    """A thread that keeps one worker process busy, and starts another where it dies."""
+    """A thread that keeps one worker process busy, and restarts it when it dies."""
 
     def __init__(self, process: Process, threads: int, waiting: SimpleQueue, events: SimpleQueue):
         self.process, self.threads, self.waiting, self.events = process, threads, waiting, events
@@ -111,7 +113,7 @@ class _Worker:
             pass
 
     def _ask(self, number: int, job: Job) -> Outcome:
-        """The worker's answer, or what became of it."""
+        """The worker's answer, or an outcome with the error."""
         expired = threading.Event()
 
         def end() -> None:
@@ -140,7 +142,7 @@ class _Worker:
         return Outcome(job.log, error=out_of_time(job.timeout) if expired.is_set() else _death(status, self.ready))
 
     def stop(self, at_once: bool) -> None:
-        """Ends the process: whatever it does, or after its last job."""
+        """Ends the process: at once, or after its last job."""
         if at_once:
             with self.lock:
                 self.stopped = True
@@ -171,7 +173,7 @@ def _send(process: Process, what: Job | None) -> None:
 
 
 def _death(status: int, ready: bool) -> str:
-    """Why a worker that ended so has no answer, and what to try."""
+    """Why a worker with this exit status has no answer, and what to try."""
     if status < 0:
         name = signal.Signals(-status).name if -status in list(signal.Signals) else f"signal {-status}"
         killed = "if nobody did that, the machine ran out of memory: use fewer --workers, or split the log"

@@ -26,7 +26,7 @@ SUBMITTED = 1000  # tasks that Ray holds at once: it gets machines for what wait
 
 
 def on_ray(jobs: list[Job], report: Report, tasks: RayTasks) -> Results:
-    """Does the jobs on the cluster that RAY_ADDRESS names or that runs here already, else on one started here.
+    """Runs the jobs on the cluster that RAY_ADDRESS names or that runs here already, else on one started here.
 
     Gives number and outcome of each as it is done; tasks that are left are cancelled when the iterator is closed or
     interrupted. Logs and results must be at the same paths or URLs on all machines. `report` is told how far each is,
@@ -56,7 +56,7 @@ def on_ray(jobs: list[Job], report: Report, tasks: RayTasks) -> Results:
 
 
 def done_on(ray: Any, jobs: list[Job], report: Report, tasks: RayTasks, running: dict[Any, int]) -> Results:
-    """Numbers and outcomes; `running` has the tasks that the cluster holds, each with the number of its job."""
+    """Yields numbers and outcomes; `running` has the tasks that the cluster holds, each with the number of its job."""
     variables = environment(tasks.num_cpus) | ({} if tasks.num_gpus else {"JAX_PLATFORMS": "cpu"})
     # tries are counted here: Ray would begin a log anew without end whose machine has too little memory for it
     task = ray.remote(
@@ -92,7 +92,7 @@ def done_on(ray: Any, jobs: list[Job], report: Report, tasks: RayTasks, running:
 
 
 class Board:
-    """How far the logs are: an actor to which the tasks of all machines say it."""
+    """Progress of the logs: an actor to which the tasks of all machines report."""
 
     def __init__(self) -> None:
         self.shares: dict[int, float] = {}
@@ -101,13 +101,13 @@ class Board:
         self.shares[number] = share
 
     def news(self) -> dict[int, float]:
-        """What was said since the last time."""
+        """Messages since the last call."""
         said, self.shares = self.shares, {}
         return said
 
 
 def follow_log(job: Job, number: int, board: Any) -> Outcome:
-    """The task of one log; how far it is, it says to the `board`, with its number."""
+    """The task of one log; it reports its progress to the `board`, with its number."""
     said = -PERIOD
 
     def progress(share: float) -> None:
@@ -120,7 +120,7 @@ def follow_log(job: Job, number: int, board: Any) -> Outcome:
 
 
 def _news(ray: Any, board: Any, running: set[int]) -> list[tuple[int, float]]:
-    """Shares of tasks that still run; none where the actor's machine was lost: it starts anew on another."""
+    """Progress of running tasks; empty if the actor's machine was lost: it restarts on another."""
     try:
         said = ray.get(board.news.remote(), timeout=PERIOD)
     except ray.exceptions.RayError:
@@ -129,7 +129,7 @@ def _news(ray: Any, board: Any, running: set[int]) -> list[tuple[int, float]]:
 
 
 def say_what_lacks(ray: Any, tasks: RayTasks) -> None:
-    """Says that no machine of the cluster has what a log asks for: Ray waits without a word until one joins."""
+    """Prints that no machine of the cluster has what a log asks for: Ray waits silently for one."""
     wanted = {name: n for name, n in (("CPU", tasks.num_cpus), ("GPU", tasks.num_gpus)) if n}
     machines = [machine["Resources"] for machine in ray.nodes() if machine["Alive"]]
     if not any(all(machine.get(name, 0) >= n for name, n in wanted.items()) for machine in machines):
@@ -139,7 +139,7 @@ def say_what_lacks(ray: Any, tasks: RayTasks) -> None:
 
 
 def _join_or_start(ray: Any, **options: Any) -> None:
-    """Joins the cluster that RAY_ADDRESS names or that runs here; else starts one that nobody reaches from outside."""
+    """Joins the cluster that RAY_ADDRESS names or that runs here; else starts one that is closed to the outside."""
     try:
         ray.init(address="auto", **options)
     except ConnectionError:

@@ -1,4 +1,4 @@
-"""Many logs: which are to be done, by whom, and what became of them; a log that fails does not stop the others."""
+"""Many logs: selects and distributes them and collects the outcomes; a log that fails does not stop the others."""
 
 import os
 import time
@@ -15,7 +15,6 @@ from voodoo_jax.batch.log_job import Job, draw, output_paths, output_places, tra
 from voodoo_jax.batch.outcome import Outcome, outcome_of_arrays
 from voodoo_jax.batch.output_paths import folders_within, logs_of
 from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers, may_have_gpu
-from voodoo_jax.batch.results_elsewhere import brought, keys_elsewhere
 from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.batch.worker_start import can_copy, in_a_copy
 from voodoo_jax.compile.cache_dir import safe_folder
@@ -37,7 +36,7 @@ SUMMARY_SECONDS = 30.0  # the summary is written so often while logs are being d
 
 
 def check_changes(body: Body, settings: Settings) -> None:
-    """Raises SettingsError for changes that cannot be made to a body: before the logs, not once for each."""
+    """Raises SettingsError for changes that cannot be made to a body: once, before the logs are read."""
     if settings.changes and (problem := in_a_copy(_trouble_of_changes, body, settings)):
         raise SettingsError(problem)
 
@@ -54,7 +53,7 @@ def _trouble_of_changes(body: Body, settings: Settings) -> str:
 
 
 class NotSummedUp(NotWritten):
-    """All logs are done, but replay.jsonl or report.html could not be written; `outcomes` are those of the logs."""
+    """All logs are finished, but replay.jsonl or report.html could not be written; `outcomes` has the results."""
 
     def __init__(self, text: str, outcomes: list[Outcome]):
         super().__init__(text)
@@ -155,12 +154,10 @@ def replay(
         timeout=log_timeout,
     )
     jobs = {log: replace(job, log=log, out=joined(out, within[log]), size=max(1, byte_size(log))) for log in places}
-    expected = {output_places(log, joined(out, folder))[0] for log, folder in within.items()}
-    elsewhere = {} if again else keys_elsewhere(out, expected)
     done: dict[str, Outcome] = {}
     save = partial(_trouble_of, lambda: write_summary(done.values(), out, summary), joined(out, summary))
     with ThreadPoolExecutor(8) as several:  # a store's answers take long
-        for log, found in zip(places, several.map(partial(_finished, again=again, elsewhere=elsewhere), jobs.values())):
+        for log, found in zip(places, several.map(partial(_finished, again=again), jobs.values())):
             if found is not None and found.picture == "due":
                 jobs[log] = replace(jobs[log], only_picture=True)
             elif found is not None:
@@ -204,7 +201,7 @@ def replay(
 
 
 def _trouble_of(write: Callable[[], object], place: str) -> list[str]:
-    """Writes a file that sums up the logs; why that did not work, which does not stop them and is said at their end."""
+    """Writes a summary file. Returns why that failed, which is reported at the end and does not stop the logs."""
     try:
         write()
     except Exception as problem:  # every store has its own errors
@@ -217,7 +214,7 @@ def _trouble_of(write: Callable[[], object], place: str) -> list[str]:
 def _engine(
     jobs: list[Job], report: Report, engine: Literal["local", "batch", "ray"], workers: int, ray: RayTasks
 ) -> Results:
-    """Number and outcome of each job as it is done."""
+    """Number and outcome of each finished job."""
     if engine == "ray":
         from voodoo_jax.batch.ray_cluster import on_ray
 
@@ -234,16 +231,13 @@ def _engine(
     return in_process(jobs, report) if alone or within else in_workers(jobs, report, count)
 
 
-def _finished(job: Job, again: bool, elsewhere: dict[str, str]) -> Outcome | None:
-    """The outcome of an earlier run, its `picture` "due" if that is wanted and missing or old; None: no such run.
-    `elsewhere`: see keys_elsewhere."""
+def _finished(job: Job, again: bool) -> Outcome | None:
+    """The outcome of an earlier run, its `picture` "due" if it is wanted and missing or old; None: no such run."""
     from voodoo_jax.batch.extra_files import VIEW, exported_name
     from voodoo_jax.batch.resume import finished_arrays
 
     npz, mcap, png = output_places(job.log, job.out)
     arrays = None if again else finished_arrays(job.log, npz, mcap, job.recipe)
-    if arrays is None and elsewhere and brought(job, elsewhere):
-        arrays = finished_arrays(job.log, npz, mcap, job.recipe)
     if arrays is None:
         return None
     wanted = [png] if job.picture else []
@@ -259,7 +253,7 @@ def _finished(job: Job, again: bool, elsewhere: dict[str, str]) -> Outcome | Non
 
 
 def _changed(place: str) -> float:
-    """When a file was written, seconds; 0 if it is not there, or its store does not say."""
+    """Modification time of a file in seconds; 0 if it does not exist, or its store does not say."""
     try:
         if not is_url(place):
             return os.stat(place).st_mtime
@@ -270,7 +264,7 @@ def _changed(place: str) -> float:
 
 
 def _absolute(place: str | os.PathLike[str]) -> str:
-    """A place as other processes understand it; file:// URLs as paths. Raises ValueError if fsspec lacks something."""
+    """An absolute place for other processes; file:// URLs as paths. Raises ValueError if fsspec lacks a package."""
     place = os.fspath(place)
     if is_url(place):
         path = file_system(place)[1]

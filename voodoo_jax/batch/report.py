@@ -1,4 +1,4 @@
-"""report.html: what replay.jsonl and the tracks of a folder say, to look at in a browser."""
+"""report.html: replay.jsonl and the tracks of a folder, for a browser."""
 
 import os
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ NAME = "report.html"
 
 
 def write_report(folder: str, summary: str) -> str:
-    """Writes the report of all logs whose results are in a folder (path or URL), and returns where it is.
+    """Writes the report of all logs with results in a folder (path or URL), and returns its path.
 
     `summary` names the replay.jsonl of this run; those of other parts of an array job are read besides, if the folder
     is no URL. Raises OSError.
@@ -41,7 +41,7 @@ def write_report(folder: str, summary: str) -> str:
 
 
 def _row(rows: list[dict[str, Any]], folder: str) -> Row:
-    """One log, with the tracks of everybody in it."""
+    """One log, with the tracks of all its people."""
     main = rows[0]
     people, troubles = [], []
     for row in rows:
@@ -62,7 +62,7 @@ def _row(rows: list[dict[str, Any]], folder: str) -> Row:
 
 
 def _links(npz: str, folder: str) -> Iterable[tuple[str, str]]:
-    """What there is of a log besides its tracks, and the tracks."""
+    """Links to the files of a log."""
     if not npz:
         return
     stem = npz.removesuffix(NPZ)

@@ -1,4 +1,4 @@
-"""Tasks that take turns in one process, what several of them ask for at the same time answered at once. Host side."""
+"""Tasks that take turns in one process; simultaneous requests of several tasks are answered at once. Host side."""
 
 from collections.abc import Callable, Generator, Sequence
 from itertools import islice
@@ -12,7 +12,7 @@ Answer = Callable[[list[tuple]], list[Any]]  # what some tasks ask for -> their 
 
 
 def in_turns(tasks: Sequence[Callable[[Ask], T]], most: int, answer: Answer) -> Generator[tuple[int, T]]:
-    """Number and result of each task as it is done, `most` of them under way at once.
+    """Yields number and result of each finished task, with `most` of them at once.
 
     A task is given a function to ask with. Only one of them runs at a time; when all wait, `answer` gets what they ask
     for. Raises what a task raises.
@@ -40,12 +40,12 @@ def in_turns(tasks: Sequence[Callable[[Ask], T]], most: int, answer: Answer) -> 
 
 
 class _Stopped(BaseException):
-    """Nobody waits for this task any more."""
+    """The result of this task is no longer needed."""
 
 
 class _Member(Generic[T]):
-    """A task in a thread of its own, which runs only while it is waited for: the calls that lead to where it asks need
-    not know that it can be interrupted there."""
+    """A task in a thread of its own, which runs only while it is waited for: the functions between it and its request
+    need not know that they can be interrupted there."""
 
     result: T
 
@@ -57,14 +57,14 @@ class _Member(Generic[T]):
         self._thread.start()
 
     def go_on(self, value: Any) -> None:
-        """Gives the answer, and waits until the next thing is asked or all is done."""
+        """Passes the answer, and waits for the next request or the end."""
         self._answers.put((True, value))
         self.asked = self._said.get()
         if self._problem is not None:
             raise self._problem
 
     def stop(self) -> None:
-        """Ends the task where it is, or where it asks next."""
+        """Ends the task now, or at its next request."""
         self._answers.put((False, None))
 
     def _run(self) -> None:

@@ -1,4 +1,4 @@
-"""Which logs an earlier run has finished: results carry a key of all that they depend on."""
+"""Logs that an earlier run has finished: results carry a key of everything that they depend on."""
 
 import hashlib
 import os
@@ -46,7 +46,7 @@ def log_fingerprint(stream: Readable, whole: bool = True) -> str:
 
 
 def fingerprint_of(log: str, far: bool = False) -> str:
-    """That of a log at a place, of all its files if it has several; `far`: of a copy of one in a store. Raises
+    """The fingerprint of a log, of all its files if it has several; `far`: of a copy of one in a store. Raises
     OSError."""
     found = []
     for part in log_parts(log):
@@ -58,13 +58,14 @@ def fingerprint_of(log: str, far: bool = False) -> str:
 
 
 def _body_bytes(body: Body) -> bytes:
-    """All of a body: its file, which has the names, and its numbers to the last bit."""
+    """All of a body: its file, which has the names, and its exact numbers."""
     arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(body)]
     return format_body(body).encode() + b"".join(repr((a.dtype.str, a.shape)).encode() + a.tobytes() for a in arrays)
 
 
 def recipe_key(body: Body, settings: Settings, smooth_seconds: float, style: Style | None = None) -> str:
-    """A key of all that results depend on but the log: body, settings, smoothing, names, this package's code."""
+    """A key of everything that results depend on except the log: body, settings, smoothing, names, this package's
+    code."""
     stages = {stage: values for stage, values in asdict(settings).items() if stage != "changes"}
     digest = hashlib.sha256(
         repr((stages, smooth_seconds, style or Style(), code_fingerprint())).encode() + _body_bytes(body)
@@ -76,7 +77,7 @@ def recipe_key(body: Body, settings: Settings, smooth_seconds: float, style: Sty
 
 
 def _thing_bytes(thing: Body | str) -> bytes:
-    """What a change adds: a body, a body file's content, or a name."""
+    """The object that a change adds: a body, a body file's content, or a name."""
     if isinstance(thing, Body):
         return _body_bytes(thing)
     return Path(thing).read_bytes() if os.path.isfile(thing) else thing.encode()

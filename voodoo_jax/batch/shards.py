@@ -44,5 +44,5 @@ def shard_of(logs: Sequence[str], number: int, count: int) -> list[str]:
 
 
 def largest_first(logs: Sequence[str], sizes: dict[str, int]) -> list[str]:
-    """Logs by size, those of one size by name: a long one that comes last would keep the other cores waiting."""
+    """Logs by size, then by name: a long one at the end would keep the other cores waiting."""
     return sorted(logs, key=lambda log: (-sizes[log], log.replace("\\", "/").rsplit("/", 1)[-1], log))

@@ -15,13 +15,12 @@ from voodoo_jax.storage.urls import delivered, is_url, joined, opened
 
 
 def summary_name(number: int, count: int) -> str:
-    """Each part of an array job has a file of its own: parts do not wait for each other."""
+    """Each part of an array job has its own file: parts do not wait for each other."""
     return "replay.jsonl" if count == 1 else f"replay-{number}-of-{count}.jsonl"
 
 
 def rows_in(place: str) -> dict[str, list[dict[str, Any]]]:
-    """The rows of such a file by log, those that are as Outcome.row makes them; none of a file that is missing or
-    somebody else's."""
+    """The rows of such a file by log, if they have the form of Outcome.row; empty for a missing or foreign file."""
     found: dict[str, list[dict[str, Any]]] = {}
     with suppress(OSError, ValueError, RecursionError), opened(place) as stream:
         for line in stream.read().decode().splitlines():
@@ -47,8 +46,7 @@ def _is_row(row: Any) -> bool:
 
 
 def write_summary(outcomes: Iterable[Outcome], folder: str, name: str) -> None:
-    """Writes a line of JSON for each person of each outcome, with those that the file has of other logs; in the order
-    of names.
+    """Writes a line of JSON for each person of each outcome, and keeps the lines of other logs; sorted by name.
 
     The file appears or changes only when complete. Raises OSError.
     """

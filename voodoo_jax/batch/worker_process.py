@@ -1,4 +1,4 @@
-"""The other end of process_pool.py: a process that takes jobs from a pipe and answers on another."""
+"""The worker that process_pool.py starts: takes jobs from a pipe and answers on another."""
 
 import gc
 import os
@@ -13,8 +13,8 @@ PERIOD = 0.2  # seconds between two words on progress
 
 
 def serve(source: int, target: int) -> None:
-    """Does jobs that come from `source` until it is None, and answers on `target`, numbers of open files. Ends at once
-    when the other end is gone: nobody would take the answer."""
+    """Runs jobs from `source` until it is None, and answers on `target`; both are numbers of open files. Ends at once
+    when the other end closes: its answer would be lost."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C means
     replies = os.fdopen(target, "wb")
     os.dup2(2, 1)  # what libraries print must not get between the answers

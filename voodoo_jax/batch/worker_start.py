@@ -1,4 +1,4 @@
-"""How worker processes come to be: as copies of this process where that is safe, else as Python started anew.
+"""Starts worker processes: as copies of this process where that is safe, else as new Python processes.
 
 A copy has all imports already: a second of a processor less for each worker. It is safe while this process has one
 thread, so before jax has opened a device and before OpenBLAS has made threads (see cli.main.main).
@@ -51,15 +51,15 @@ Process = subprocess.Popen[bytes] | Copy
 
 
 def environment(threads: int) -> dict[str, str]:
-    """What a worker's environment has beside this one's, so that it takes so many threads: XLA one in any case, for it
-    tracks a frame slower with several, to which it hands small pieces (measured: 2,350 instead of 3,850 frames/s)."""
+    """Environment variables of a worker with this many threads. XLA gets one in any case: with several it is slower,
+    because it distributes small pieces (measured: 2,350 instead of 3,850 frames/s)."""
     out = dict.fromkeys(ENVIRONMENT, str(threads)) | {"PJRT_NPROC": "1"}
     # on a GPU: each takes what it needs, not most of it
     return out | {"XLA_PYTHON_CLIENT_PREALLOCATE": os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")}
 
 
 def can_copy() -> bool:
-    """Whether this process may be copied: on Linux, with a single thread, of whatever library."""
+    """Whether this process may be forked: on Linux, with a single thread, of any library."""
     if not sys.platform.startswith("linux"):
         return False
     for _ in range(PATIENCE):
@@ -75,8 +75,8 @@ def can_copy() -> bool:
 
 
 def in_a_copy(function: Callable[..., str], *arguments: Any) -> str:
-    """What a function that opens jax's device says, computed in a copy of this process where that can be made: for a
-    process with an open device cannot be copied any more."""
+    """Result of a function that opens jax's device, computed in a fork of this process if possible: a process with an
+    open device cannot be forked any more."""
     if not can_copy():
         return function(*arguments)
     context = multiprocessing.get_context("fork")
@@ -97,7 +97,7 @@ def _answer(pipe: Any, function: Callable[..., str], arguments: tuple) -> None:
 
 
 def started(threads: int) -> Process:
-    """A process that runs worker_process.py, Python started anew."""
+    """A new Python process that runs worker_process.py."""
     path = os.pathsep.join(p for p in sys.path if p)  # the same package, however this process came to it
     env = {**os.environ, **environment(threads), "PYTHONPATH": path}
     command = [sys.executable, "-P", "-m", "voodoo_jax.batch.worker_process"]
@@ -105,7 +105,7 @@ def started(threads: int) -> Process:
 
 
 def all_started(count: int, threads: int) -> list[Process]:
-    """So many processes that run worker_process.py: copies of this one, or Python started anew."""
+    """This many processes that run worker_process.py: forks of this one, or new Python processes."""
     if not can_copy():
         return [started(threads) for _ in range(count)]
     collecting = gc.isenabled()

@@ -8,8 +8,10 @@ from jaxtyping import Float, Float32, Int
 LOOSE = 0.5  # of its height, or more: so high an animal or a machine may be as well
 SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
 FEWEST = 50  # points of a thing that may be it
+TELLING = 30  # points of somebody in a frame, at least: fewer tell nothing of them; by hand
 HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
 NEAR = 4.0  # metres from the sensor: who is farther away is less likely to be meant
+HEADS = 0.6  # of its height: what is above somebody and higher is their head, if it is alone; by hand
 # how likely it is what hangs in the air: as head and trunk of who stands behind something or is cut off do; the highest
 # that its lower end may be, of its top, and how long it is at least, metres; by hand
 PART, UPPER, LEAST = 0.3, 0.75, 0.45

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 
 from voodoo_jax.config.options import DetectSettings
+from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.detect.scene import BEHIND
 from voodoo_jax.geometry.point_cloud import along, even_share, inside, picked, point_gap, point_spacing, without_strays
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
@@ -110,7 +111,7 @@ class Clearing:
 
     def link(self, seen: BodyObservation) -> float:
         """Points closer than this belong to the same object, metres; at least the gaps between a scanner's rows."""
-        gaps = [gap for sensor, gap in self.gap.items() if gap > 0 and (seen.sensor == sensor).sum() >= 30]
+        gaps = [gap for sensor, gap in self.gap.items() if gap > 0 and (seen.sensor == sensor).sum() >= TELLING]
         if not gaps or min(gaps) < DENSE:
             return self.settings.link
         return max(self.settings.link, GAPS * min(gaps) * float(np.median(distances(seen))))

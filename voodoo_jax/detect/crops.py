@@ -2,17 +2,15 @@
 
 import numpy as np
 
+from voodoo_jax.detect.late_transforms import FAR
 from voodoo_jax.detect.scene import find_scene
+from voodoo_jax.detect.units import AT_ZERO, SPREAD
 from voodoo_jax.io.image_fit import CROPPED
 from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.records.recording import Frame
 
-FIRST = 5  # images that are looked at, spread over the log; by hand
 LEVEL, TILTED = 1.0, 2.0  # degrees: a floor by transforms as exact as they are, and one that is not; by hand
 RIGHT = 0.1  # metres: joints nearer to their true places are right, as joint_confidence means it; by hand
-AT_ZERO = 0.1  # metres: a floor is at the height 0 of the fixed frame; by hand
-USUAL = 3.0  # metres: how far away people are before a stereo pair; by hand
-MIDDLE = 0.5  # odds of a crop about the middle where nothing tells; by hand
 
 
 def with_crops(reader: LogReader) -> LogReader:
@@ -22,13 +20,13 @@ def with_crops(reader: LogReader) -> LogReader:
         (across, down), focal = reader.leeway(topic)
         if not (across or down):
             continue
-        samples = reader.sampled(topic, FIRST, spread=True)
+        samples = reader.sampled(topic, SPREAD, spread=True)
         # of a stereo pair nothing is known before it is matched
         place = (_level(reader, topic, samples, down) if samples else None) if down else 0.0
         aside = float(np.hypot(across, down if place is None else 0.0)) / focal
         unit = reader.scales.get(topic, reader.unit(topic)) / reader.unit(topic)
-        far = aside * (unit * float(np.median(np.concatenate([s.distances for s in samples]))) if samples else USUAL)
-        sure = MIDDLE + (1 - MIDDLE) * min(1.0, RIGHT / max(far, 1e-9))
+        far = aside * (unit * float(np.median(np.concatenate([s.distances for s in samples]))) if samples else FAR)
+        sure = 0.5 + 0.5 * min(1.0, RIGHT / max(far, 1e-9))  # about the middle or not: nothing tells
         reader = reader.with_crop(topic, (0.0, place or 0.0), sure)
         if far > RIGHT:
             reader.say(

@@ -11,23 +11,41 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
+from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build
+from voodoo_jax.detect.clearing import GAPS, USUAL_SPACING, Clearing
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import within
 from voodoo_jax.records.observation import BodyObservation
 
-FEWEST = 30  # points of a piece; by hand
-COLUMN = 0.05  # metres, of the strips from top to bottom in which edges are compared: two in a limb's width; by hand
-SPACINGS = 2.0  # times the gap between neighbouring points: strips are at least so wide; by hand
+COLUMN = 0.05  # metres, of strips from top to bottom, and between places in the gap: two in a limb's width; by hand
 SHARED = 0.5  # of the strips of the narrower piece: in so many the other one is above or below it; by hand
 GAP = 0.9  # metres: what hides more hides all from the chest to the shanks; by hand
 DEEP = 0.3  # metres, level, from edge to edge: a chest is 0.25 deep (ANSUR II), and people lean; by hand
-# of the lower piece: so much is under the upper one, or nearer than so many metres beside it; by hand
-UNDER = (0.8, 0.3)
 WIDE = 0.65  # of the body's height: no legs are spread wider in a step, and no trunk with its arms; by hand
 NEARER = 0.1  # metres: what hides the gap is so much nearer; the noise of depth is less; by hand
-STEP = 0.05  # metres between the places in the gap that are looked at; by hand
-HIDDEN = 0.8  # of these: flying pixels and holes leave some; by hand
+# of the lower piece is under the upper one, and of the places between them is hidden: flying pixels and holes leave
+# some; by hand
+MOST = 0.8
+
+
+def joined(
+    seen: BodyObservation, label: Int[np.ndarray, " point"], whole: BodyObservation, clearing: Clearing, body: Build
+) -> Int[np.ndarray, " point"]:
+    """The labels of objects, joined for pieces of one that is cut in two, and for a head and shoulders near it: a neck
+    is thin, and the grid of `components` is coarse. For an animal of unknown size, no width distinguishes furniture
+    beside it. Arguments as below."""
+    if body.loose:
+        return label
+    points, count, out, floor = seen.points, np.bincount(label), np.array(label), clearing.scene.floor
+    lowest = np.full(len(count), np.inf, np.float32)
+    np.minimum.at(lowest, label, floor.height(points))
+    for k in np.flatnonzero((lowest > HEADS * body.height) & (count >= TELLING)):
+        for j in np.flatnonzero((count > count[k]) & (lowest < lowest[k])):
+            if within(points[label == k], points[label == j], clearing.link(seen)).any():
+                out[out == out[label == k][0]] = out[label == j][0]
+    gap = max(clearing.of_sensors(clearing.gap, seen), default=USUAL_SPACING)
+    return joined_labels(seen, out, whole, floor, body.height, gap)
 
 
 # 6 parameters: what is seen, how it hangs together, and what is known of body and sensor
@@ -52,7 +70,7 @@ def joined_labels(
         if edges is None:
             continue
         nearest = nearest or Nearest.of(whole.points, whole.sensor, whole.origins)
-        if _hidden(*edges, nearest, k).mean() >= HIDDEN:
+        if _hidden(*edges, nearest, k).mean() >= MOST:
             out[out == out[lower[0]]] = out[upper[0]]
     return out
 
@@ -64,7 +82,7 @@ def _one_under_another(
     wide: float,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Indices of the points of two pieces, an upper and a lower one, that are no wider together than `wide` metres."""
-    pieces = [np.flatnonzero(label == k) for k in np.flatnonzero(np.bincount(label) >= FEWEST)]
+    pieces = [np.flatnonzero(label == k) for k in np.flatnonzero(np.bincount(label) >= TELLING)]
     pieces = [piece for piece in pieces if _extent(level[piece]) < wide]
     middle = [np.median(level[piece], 0) for piece in pieces]
     rise = [np.median(above[piece]) for piece in pieces]
@@ -72,7 +90,7 @@ def _one_under_another(
         for j, lower in enumerate(pieces):
             if rise[j] >= rise[i] or np.linalg.norm(middle[i] - middle[j]) > wide:
                 continue
-            beneath = within(level[lower], level[upper], UNDER[1]).mean() >= UNDER[0]
+            beneath = within(level[lower], level[upper], DEEP).mean() >= MOST
             if beneath and _extent(level[np.concatenate([upper, lower])]) < wide:
                 yield upper, lower
 
@@ -100,7 +118,7 @@ def _edges(
         return None
     sight /= far
     side = np.cross(floor.normal, sight)
-    strip = max(COLUMN, SPACINGS * gap * far)
+    strip = max(COLUMN, GAPS * gap * far)
     ends: list[dict[int, int]] = []
     for piece, sign in zip(pieces, (-1, 1)):
         piece = piece[seen.sensor[piece] == sensor]
@@ -126,7 +144,7 @@ def _hidden(
     upper: Float[np.ndarray, "column 3"], lower: Float[np.ndarray, "column 3"], nearest: Nearest, sensor: int
 ) -> Bool[np.ndarray, " place"]:
     """Which places between two edges are hidden from the sensor, and not seen as empty by another one."""
-    many = np.maximum(np.linalg.norm(upper - lower, axis=1) / STEP, 1).astype(int)
+    many = np.maximum(np.linalg.norm(upper - lower, axis=1) / COLUMN, 1).astype(int)
     places = np.concatenate(
         [a + (b - a) * ((np.arange(n) + 0.5) / n)[:, None] for a, b, n in zip(upper, lower, many)]
     ).astype(np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.body_likelihood import TELLING, Build
 from voodoo_jax.detect.find_gravity import upright
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.detect.segmentation import BodySegmenter
@@ -18,7 +18,7 @@ from voodoo_jax.io.log_reader import LogReader
 
 WINDOW, MOST = 15.0, 80  # seconds at the beginning, and messages of each sensor in them, that are looked at; by hand
 POINTS = 8000  # of each message; by hand
-FEWEST, SHARE = 30, 0.5  # points on the body in a message, and share of the messages with so many; by hand
+SHARE = 0.5  # of the messages: so many have points that tell; by hand
 REACH, STEP = 1.0, 0.01  # seconds: so far offsets are looked for, and how finely; by hand
 LEAST, BETTER, APART = 0.06, 0.5, 0.04  # seconds, share of the distance at no offset, metres less than that; by hand
 CLOSE = 0.08  # metres: so near both must be then, measured 0.02 to 0.03; else it is not the same that they see
@@ -60,11 +60,11 @@ def _motion(reader: LogReader, topic: str, start_ns: int, build: Build, settings
     up = reader.up if reader.up_is_given else upright(some, scene, reader.up, sure, build, settings)
     finder = BodySegmenter(scene if up is reader.up else find_scene(some, up, False), build, settings)
     moving = [finder(frame).points for frame in sorted(frames, key=lambda frame: frame.time_ns)]
-    there = np.array([len(points) >= FEWEST for points in moving])
+    there = np.array([len(points) >= TELLING for points in moving])
     if there.mean() < SHARE:
         return None
     time = np.sort([(frame.time_ns - start_ns) / 1e9 for frame in frames])[there]
-    place = np.array([np.median(points, axis=0) for points in moving if len(points) >= FEWEST], float)
+    place = np.array([np.median(points, axis=0) for points in moving if len(points) >= TELLING], float)
     view = np.median(place, axis=0) - frames[0].origins[0]
     return Motion(time, place, view / max(float(np.linalg.norm(view)), 1e-6))
 

@@ -11,13 +11,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32
 
+from voodoo_jax.detect.body_likelihood import TELLING
+from voodoo_jax.detect.lying import LOOKED_AT
 from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.records.observation import BodyObservation, assigned
-
-FEW = 30  # points of a frame: fewer have no shape; by hand
-FRAMES = 30  # are looked at, evenly spread; by hand
 
 
 class Pieces(NamedTuple):
@@ -65,7 +64,7 @@ class DropGarment:
 
     def without(self, frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
         """The frames without such a piece; the same frames if there is none."""
-        seen = [k for k, f in enumerate(frames) if len(f.points) >= FEW]
+        seen = [k for k, f in enumerate(frames) if len(f.points) >= TELLING]
         tops = np.array([floor.top(frames[k].points) for k in seen])
         if len(seen) < self.frames:
             return frames
@@ -75,7 +74,7 @@ class DropGarment:
             return frames
         densest = frames[max(seen, key=lambda k: len(frames[k].points))]
         spacing = point_spacing(densest.points, _origin(densest))
-        looked = (self.pieces(frames[k], floor, stature, spacing) for k in upright[:: len(upright) // FRAMES + 1])
+        looked = (self.pieces(frames[k], floor, stature, spacing) for k in upright[:: len(upright) // LOOKED_AT + 1])
         if np.mean([self.shows(some) for some in looked]) < self.mostly:
             return frames
         out = list(frames)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
-from voodoo_jax.detect.stillness import Stillness, breathes, moves, seen_long
+from voodoo_jax.detect.stillness import Stillness, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
 NOTE = (
@@ -18,7 +18,7 @@ NOTE = (
 
 @dataclass(frozen=True)
 class DropMotionless:
-    """Removes all points of an object that never moves and, if it lies, does not breathe. Numbers were chosen by hand:
+    """Removes all points of an object that never moves. Numbers were chosen by hand:
     noise alone moves 1.4 % of the directions, so that of 40 directions 10 % or more move once in 1000 times; people who
     stand for the first half second of the 18 recordings move in 80 % or more."""
 
@@ -34,10 +34,8 @@ class DropMotionless:
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            if not self.is_thing(window, target.stillness):
-                return window
-            if shows_who_lies(window, target) and breathes(window, self.often):
-                return window
+            if not self.is_thing(window, target.stillness) or shows_who_lies(window, target):
+                return window  # a lying person was found by a limb that moved
             scene = target.finder.scene
             if NOTE not in scene.notes:
                 target.finder.scene = replace(scene, notes=(*scene.notes, NOTE))

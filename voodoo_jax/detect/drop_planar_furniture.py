@@ -4,7 +4,6 @@ not flat to some millimetres. Host side, NumPy; looks ahead."""
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import compress
 from typing import ClassVar
 
 import numpy as np
@@ -27,7 +26,7 @@ FLAT, FLATTER = 0.003, 0.0022  # metres from the plane (root mean square): of a 
 FILLED = 0.8  # of its rectangle: so much of a face that is not so flat is seen
 UPRIGHT, LEVEL = 0.03, 0.995  # vertical component of its normal at most, or at least
 STANDS = 0.15  # metres above the floor, at most, where what stands on it ends
-BESIDE, SMALL, ROUGH = 0.1, 8, 0.0035  # of a known face: metres, points and flatness of others of the same thing
+SMALL = 8  # points of a face, at least
 BEHIND = 2.5  # times the noise, from a face: so far its points are
 ASIDE = 0.045  # metres beyond its outline
 
@@ -81,40 +80,21 @@ def without_faces(frames: list[BodyObservation], floor: Plane) -> list[BodyObser
 
 
 def flat_faces(rest: Resting, floor: Plane) -> list[Face]:
-    """Faces of furniture, the largest ones first, and smaller ones beside them."""
-    sure, others = [], []
-    for face, area in _even_patches(rest) if len(rest.points) >= 50 else ():
-        if _is_furniture(face, area, floor):
-            sure.append(face)
-        elif _may_belong(face, floor):
-            others.append(face)
-    found = list(sure)
-    while sure:
-        known = KDTree(np.concatenate([face.points for face in sure]))
-        beside = [known.query(face.points)[0].min() < BESIDE for face in others]
-        sure, others = list(compress(others, beside)), list(compress(others, np.logical_not(beside)))
-        found += sure
-    return found
+    """Faces of furniture, the largest ones first."""
+    patches = _even_patches(rest) if len(rest.points) >= 50 else ()
+    return [face for face, area in patches if _is_furniture(face, area, floor)]
 
 
 def _is_furniture(face: Face, area: float, floor: Plane) -> bool:
     across = np.linalg.svd(face.points - face.middle, full_matrices=False)[2][:2]
     long, broad = np.subtract(*np.percentile((face.points - face.middle) @ across.T, [97, 3], axis=0))
-    rough, up = _roughness(face), abs(face.normal @ floor.normal)
+    rough = float(np.std((face.points - face.middle) @ face.normal))
+    up = abs(face.normal @ floor.normal)
     if area < AREA or long < LONG or broad < BROAD or UPRIGHT < up < LEVEL:
         return False
     filled = area > FILLED * long * broad
     stands = np.percentile(floor.height(face.points.astype(np.float32)), 2) < STANDS
     return bool(rough < FLATTER or (rough < FLAT and filled and (stands or up > LEVEL)))
-
-
-def _may_belong(face: Face, floor: Plane) -> bool:
-    up = abs(face.normal @ floor.normal)
-    return _roughness(face) < ROUGH and bool(up < UPRIGHT or up > LEVEL)
-
-
-def _roughness(face: Face) -> float:
-    return float(np.std((face.points - face.middle) @ face.normal))
 
 
 def _even_patches(rest: Resting) -> list[tuple[Face, float]]:

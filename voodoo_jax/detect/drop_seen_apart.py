@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from voodoo_jax.config.options import DetectSettings
+from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.detect.segmentation import stands_aside
 from voodoo_jax.detect.stage import Target, by_windows
 from voodoo_jax.geometry.plane import Plane
@@ -48,7 +49,7 @@ def without_things(
     out = []
     for frame in frames:
         keep = ~apart(frame.points) | assigned(frame)
-        if not keep.all() and keep.sum() >= 30:
+        if not keep.all() and keep.sum() >= TELLING:
             if floor.top(frame.points[keep]) >= HEAD * floor.top(frame.points):
                 keep[keep] = ~_remains(frame.points[keep], frame.points[~keep], floor, link) | assigned(frame)[keep]
                 frame = frame.only(keep)

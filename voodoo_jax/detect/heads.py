@@ -1,4 +1,4 @@
-"""Heads separate people who touch each other, and identify upper bodies. Host side, NumPy.
+"""Heads separate people who touch each other. Host side, NumPy.
 
 A connected component may be several people who stand shoulder to shoulder, hold hands or embrace. Seen from above,
 heads are local maxima of height with lower points between them; below a head there is a body, unlike below a raised
@@ -8,8 +8,9 @@ hand.
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.detect.body_likelihood import FEWEST, TALLEST, Build
-from voodoo_jax.geometry.voxels import spread
+from voodoo_jax.detect.body_likelihood import FEWEST, HEADS, TALLEST, Build
+from voodoo_jax.detect.clearing import Clearing
+from voodoo_jax.geometry.voxels import cells_of, spread, touching
 
 CELL = 0.05  # metres, of the map of heights; as wide as a hand, by hand
 BRIDGED = 2  # cells: ground that is no farther from other ground hangs together with it; by hand
@@ -20,24 +21,35 @@ APART = 0.28  # metres, level, at least, between two heads: people are deeper th
 COLUMN = 0.16  # metres, level, around the middle of a head: what is under it; half as wide as shoulders, by hand
 BAND, LOWEST, FILLED = 0.1, 0.45, 0.85  # metres; of its top; share of the bands: how much of a body is there; by hand
 WIDE = 0.33  # of its height: what is not even so wide is one; by hand
-# metres: shoulders are broader than a head is, and so broad at least, also from the side; of the body's height below
-# its top: where they are (0.18 in ANSUR II, where nobody lifts them); by hand
-BROADER, SHOULDERS, BELOW = 1.25, 0.26, (0.16, 0.26)
-BESIDE = 0.35  # metres, level: what is so near to the middle of a head may be its shoulders and upper arms; by hand
 MOST = 4.5  # metres: what is wider is a room; by hand
 
 
-def may_be_several(level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
-    """Whether an object with these level coordinates is as wide as several people, and much smaller than a room."""
-    wide = float(np.hypot(*np.ptp(level, axis=1))) if level.shape[1] >= 2 * FEWEST else 0.0
-    return not body.loose and WIDE * body.height <= wide <= MOST
+def each_person(
+    points: Float32[np.ndarray, "point 3"], label: Int[np.ndarray, " point"], clearing: Clearing, body: Build
+) -> Int[np.ndarray, " point"]:
+    """The labels of objects, with one for each of several connected people."""
+    out = np.array(label)
+    if body.loose:
+        return out
+    height, *level = clearing.places(points)
+    level, flat = np.stack(level), clearing.scene.floor.level
+    for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
+        mine = np.flatnonzero(label == k)
+        if not WIDE * body.height <= np.hypot(*np.ptp(level[:, mine], axis=1)) <= MOST:
+            continue
+        # a head hangs together with its body by a neck that may not be seen
+        high = (label != k) & (height > HEADS * body.height)
+        above = np.flatnonzero(high)[touching(*(cells_of(flat(points[some]), BRIDGED * CELL) for some in (high, mine)))]
+        both = np.concatenate([mine, above])
+        who = parted(height[both], level[:, both], body, clearing.settings.min_height)
+        out[both[who > 0]] = out.max() + who[who > 0]
+    return out
 
 
 def parted(
     height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], body: Build, least: float
 ) -> Int[np.ndarray, " point"]:
-    """Number of the person that each point of an object belongs to: all 0 unless there are several heads. For objects
-    that `may_be_several`.
+    """Number of the person that each point of an object belongs to: all 0 unless there are several heads.
 
     **Arguments:** `height` above the floor and `level` coordinates, metres; `least` the lowest top of a person, as a
     share of the body's height.
@@ -51,29 +63,6 @@ def parted(
         return np.zeros(len(height), int)
     off = np.stack([np.hypot(*(level - spot[:2, None])) for spot in far])
     return np.argmin(off, 0)
-
-
-def has_shoulders(height: Float32[np.ndarray, " point"], level: Float32[np.ndarray, "2 point"], body: Build) -> bool:
-    """Whether an object has a head and, right below, broader shoulders, as an upper body seen from the front, the back
-    or obliquely. Exactly from the side, some people's shoulders are as narrow as their head.
-
-    **Arguments:** `height` and `level` coordinates, metres; from any reference height.
-    """
-    if body.loose or np.hypot(*np.ptp(level, axis=1)) > MOST:
-        return False
-    for spot in summits(height, level, DROP * body.height):
-        below = (spot[2] - height) / body.height
-        off = np.hypot(*(level - spot[:2, None]))
-        head = _width(level[:, (below < DROP) & (off < BESIDE)])
-        shoulders = _width(level[:, (below > BELOW[0]) & (below < BELOW[1]) & (off < BESIDE)])
-        if shoulders > max(SHOULDERS, BROADER * head):
-            return True
-    return False
-
-
-def _width(level: np.ndarray) -> float:
-    """Width from end to end, metres, without points at the edge of the grid."""
-    return float(np.hypot(*np.ptp(np.percentile(level, [2, 98], axis=1), axis=0))) if level.shape[1] else 0.0
 
 
 def summits(

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Int
 
+from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.detect.drop_motionless import DropMotionless
 from voodoo_jax.detect.lying import extent
-from voodoo_jax.detect.segmentation import TELLING
 from voodoo_jax.detect.stillness import NOISE, directions, filled, seen_long
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.plane import Plane
@@ -36,7 +36,6 @@ BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
 ASKS = DropMotionless()  # of which directions it is asked whether they move, and when
 # of these: of people who stand still 80 % move or more, of a cupboard before which somebody moves a third (measured)
 SWAYING = 0.6
-MOSTLY = 0.5  # of the frames in which they were seen: who moves in so many is a person, however few they are; by hand
 WENT = 0.05  # metres from where it was: a sensor that sees other sides of things
 MANY = 20_000  # points of a frame by which it is asked what hides what
 
@@ -138,9 +137,8 @@ class Motion:
         return (self.alive or self.enough or self.went >= LITTLE or self.stirred >= STIRRED) and self.seen >= BRIEF
 
     def sways(self, frames: Sequence[BodyObservation]) -> bool:
-        """Whether it moves like a person who stands still, by millimetres, or in most of few frames: then it is a
-        person from now on. `frames`: the last ones."""
-        self.alive |= self.moved >= max(LITTLE, MOSTLY * self.seen)
+        """Whether it moves like a person who stands still, by millimetres: then it is a person from now on. `frames`:
+        the last ones."""
         if not self.alive and seen_long(frames, ASKS.frames, ASKS.seconds):
             found = directions(frames)
             asked = filled(found) & (found.often >= ASKS.often)

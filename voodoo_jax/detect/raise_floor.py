@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.body_likelihood import TELLING, Build
 from voodoo_jax.detect.scene import filled
 from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stage import Surroundings
@@ -112,7 +112,7 @@ def level_tops(frame: Frame, scene: Scene, highest: float = HIGHEST) -> list[flo
 def _stands(frame: Frame, raised: Scene, finder: BodySegmenter) -> bool | None:
     """Whether a person stands on the raised floor; None: no person is visible."""
     seen = finder(frame).points
-    if len(seen) < 30:
+    if len(seen) < TELLING:
         return None
     floor = raised.floor
     feet = seen[floor.height(seen) < FEET]

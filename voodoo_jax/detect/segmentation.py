@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import FEWEST, LEAST, Build, candidate
-from voodoo_jax.detect.clearing import USUAL_SPACING, Cleared, Clearing, distances
-from voodoo_jax.detect.cut_in_two import joined_labels
-from voodoo_jax.detect.heads import has_shoulders, may_be_several, parted
+from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build, candidate
+from voodoo_jax.detect.clearing import Cleared, Clearing, distances
+from voodoo_jax.detect.cut_in_two import joined
+from voodoo_jax.detect.heads import each_person
 from voodoo_jax.detect.in_the_way import in_the_way
 from voodoo_jax.detect.lying import who_lies
 from voodoo_jax.geometry.plane import Plane
@@ -31,15 +31,13 @@ CELL = 0.08  # metres, of the grid in which the background is kept
 LOW = 0.2  # of its points: so much a thing counts that is lower than half the body, where it is asked what is the body
 ASIDE = 0.3  # metres, level: a low thing so far from the rest of the body is not its leg
 WHOLE = 0.8  # of its height at rest: who is lower over a floor that nobody sees is not wholly in the picture
-CUT_OFF = 0.5  # of its height: so much must be in the picture then, or an upper body
-TELLING = 30  # points of somebody in a frame, at least: fewer are not them; by hand
+CUT_OFF = 0.5  # of its height: so much must be in the picture then
 LONG = 10  # frames: what was seen apart from the body so often is a thing of its own
 SPEED = 3.0  # metres per second: so fast the body may be where it was not seen for a moment ...
 FARTHEST = 1.5  # metres, but not farther
 ALIKE = 0.4  # of its points and of its height before: what it must have left there
 BESIDE = 0.12  # metres: what is nearer to something that is followed is not another thing
 PLENTY, ENOUGH = 2.2, 1.5  # times the points that are kept: so many are thinned before all else, down to that; by hand
-HEADS = 0.6  # of its height: what is above somebody and higher is their head, if it is alone; by hand
 STEP = 0.5**0.5  # by which the share of them changes that is looked at: by hand, less than ENOUGH is above 1
 # a thing is a part of the body if more points of it than this share of the body's are near where the body was, or than
 # these: of a sparse sensor a hand that hides its arm has no more; by hand
@@ -244,12 +242,13 @@ class BodySegmenter:
         most = np.zeros(len(count), bool)
         if len(sure):
             touched = KDTree(sure).query(points, distance_upper_bound=self.settings.link)[0] < np.inf
-            touched = np.bincount(label, touched) * (count >= 30)
+            touched = np.bincount(label, touched) * (count >= TELLING)
             most[np.argmax(touched)] = touched.any()
         if near is None or self.last is None:
             if most.any():
                 return most[label]
-            label = self._joined(seen, self._parted(points, label), frame)
+            label = each_person(points, label, self.clearing, self.body)
+            label = joined(seen, label, frame, self.clearing, self.body)
             return label == self._candidate(seen, label)
         beside = np.bincount(label, grid.near(cells_of(self.others, cell)))
         taken = most | self._followed(points, label, (count, np.bincount(label, near), beside), self.last)
@@ -257,26 +256,6 @@ class BodySegmenter:
         if far > 0 and np.sum(count[taken]) < ALIKE * len(self.last):
             taken |= self._elsewhere(points, label, count, self.last, self.settings.move + far)
         return taken[label]
-
-    def _joined(self, seen: BodyObservation, label, frame: BodyObservation) -> Int[np.ndarray, " point"]:
-        """The labels of objects, joined for pieces of one that is cut in two, and for a head and shoulders near it: a
-        neck is thin, and the grid of `components` is coarse. For an animal of unknown size, no width distinguishes
-        furniture beside it."""
-        if self.body.loose:
-            return label
-        points, count, out = seen.points, np.bincount(label), np.array(label)
-        lowest = np.full(len(count), np.inf, np.float32)
-        np.minimum.at(lowest, label, self.scene.floor.height(points))
-        for k in np.flatnonzero((lowest > HEADS * self.body.height) & (count >= TELLING)):
-            for j in np.flatnonzero(count > count[k]):
-                if (
-                    lowest[j] < lowest[k]
-                    and within(points[label == k], points[label == j], self.clearing.link(seen)).any()
-                ):
-                    out[out == out[label == k][0]] = out[label == j][0]
-        label = out
-        gap = max(self.clearing.of_sensors(self.clearing.gap, seen), default=USUAL_SPACING)
-        return joined_labels(seen, label, frame, self.scene.floor, self.body.height, gap)
 
     def _gone_by(self, time_ns: int) -> float:
         """Additional distance that the body may have moved since it was last seen, metres."""
@@ -333,7 +312,7 @@ class BodySegmenter:
 
     def _gone(self, taken) -> bool:
         """Whether the remaining points were never the body: suddenly fewer and far lower, such as a chair."""
-        if self.last is None or self.hidden or len(taken) < 30 or len(taken) > 0.8 * len(self.last):
+        if self.last is None or self.hidden or len(taken) < TELLING or len(taken) > 0.8 * len(self.last):
             return False
         floor = self.scene.floor
         return floor.top(taken) < GONE * floor.top(self.last)
@@ -345,23 +324,6 @@ class BodySegmenter:
         apart -= (apart @ floor.normal) * floor.normal
         return bool(floor.height(thing).min() > HEADS * self.body.height and np.linalg.norm(apart) < 0.3)
 
-    def _parted(self, points, label) -> Int[np.ndarray, " point"]:
-        """The labels of objects, with one for each of several connected people."""
-        out = np.array(label)
-        height, *level = self.clearing.places(points)
-        level, flat = np.stack(level), self.scene.floor.level
-        for k in np.flatnonzero(np.bincount(label) >= 2 * FEWEST):
-            mine = np.flatnonzero(label == k)
-            if not may_be_several(level[:, mine], self.body):
-                continue
-            # a head hangs together with its body by a neck that may not be seen
-            high = (label != k) & (height > HEADS * self.body.height)
-            above = np.flatnonzero(high)[touching(*(cells_of(flat(points[some]), CELL) for some in (high, mine)))]
-            both = np.concatenate([mine, above])
-            who = parted(height[both], level[:, both], self.body, self.settings.min_height)
-            out[both[who > 0]] = out.max() + who[who > 0]
-        return out
-
     def _candidate(self, seen: BodyObservation, label) -> int:
         """Label of the likeliest object to be the body, or -1; determines the floor, too, if it is unknown."""
         points, sensor = seen.points, seen.sensor
@@ -371,28 +333,18 @@ class BodySegmenter:
         least = CUT_OFF if self.scene.floor_open else self.settings.min_height
         places = self.clearing.places(points)
 
-        def likeliest(some, least: float) -> tuple[int, float, float]:
-            return candidate(points[some], label[some], area[some], distance[some], places[:, some], self.body, least)
-
         if self.lies:
             best = who_lies(points, label, area, self.scene.floor, self.body.height)
             self.likely = float(best >= 0)
             if best >= 0 or self.scene is not self._given:
                 return best
-        best, top, self.likely = likeliest(slice(None), least)
-        if best < 0 and self.scene.floor_open:
-            upper = [k for k in range(label.max() + 1) if self._is_upper_body(places[:, label == k])]
-            best, top, self.likely = likeliest(np.isin(label, upper), LEAST / self.body.height)
+        best, top, self.likely = candidate(points, label, area, distance, places, self.body, least)
         if self.scene.floor_open and 0 < top < WHOLE * self.body.height:
             # the feet of who seems so small are not in the picture
             floor = self.scene.floor
             floor = replace(floor, offset=floor.offset - (self.body.height - top))
             self.clearing.take(replace(self.scene, floor=floor, floor_open=False))
         return best
-
-    def _is_upper_body(self, places) -> bool:
-        """Whether an object whose lower end is invisible looks like an upper body."""
-        return places.shape[1] >= FEWEST and has_shoulders(places[0], places[1:], self.body)
 
     def apart(self) -> Callable[[Float32[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]:
         """A function of points: whether they are at places where an object was seen apart from the body for some

@@ -2,11 +2,10 @@
 
 import numpy as np
 
+from voodoo_jax.detect.units import FIRST
 from voodoo_jax.geometry.depth_edges import SMEARED, between_edges
 from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.records.messages import Image
-
-FIRST = 3  # images that are looked at; by hand
 
 
 def without_smeared_edges(reader: LogReader) -> LogReader:

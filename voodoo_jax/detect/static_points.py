@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.records.observation import BodyObservation, that_differ
 
@@ -31,7 +32,7 @@ NOTHING = Resting(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, i
 
 def resting(frames: list[BodyObservation]) -> Resting:
     """Static points of the frames, for each sensor; none for a moving sensor."""
-    there = that_differ(frames, 30)
+    there = that_differ(frames, TELLING)
     there = np.array(there[:: len(there) // FRAMES + 1], int)
     if len(there) < FEWEST / OFTEN / 2:
         return NOTHING
@@ -40,7 +41,7 @@ def resting(frames: list[BodyObservation]) -> Resting:
     for sensor in range(len(frames[there[0]].origins)):
         mine = [frames[k].points[frames[k].sensor == sensor] for k in there]
         most = mine[int(np.argmax([len(m) for m in mine]))]
-        if len(most) < 30:
+        if len(most) < TELLING:
             continue
         origin = frames[there[0]].origins[sensor].astype(float)
         some = _of_sensor(mine, there, origin, point_spacing(most, frames[there[0]].origins[sensor]), noise)

@@ -13,14 +13,13 @@ from weakref import ref
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.geometry.voxels import numbered
 from voodoo_jax.records.observation import BodyObservation, assigned, that_differ
 
 BIN = 0.035  # radians, two degrees: of the directions in which distances are averaged; by hand
 NOISE = 0.6  # measured: of von Neumann's ratio: noise alone is below in 1.4 % of the directions of 30 frames
 RARELY, ALIKE = 0.1, 0.8  # of the frames, and of the usual count of points: an edge is there; by hand
-TOGETHER, FEWEST = 0.4, 12  # of von Neumann's ratio of what directions have in common; so many of these; by hand
-TELLING = 30  # points in a frame, as in segmentation; by hand
 
 
 class Directions(NamedTuple):
@@ -92,27 +91,6 @@ def _means(
     count = np.bincount(at, minlength=shape[0] * shape[1]).reshape(shape)
     total = np.bincount(at, far, shape[0] * shape[1]).reshape(shape)
     return which, count, np.where(count > 0, total / np.maximum(count, 1), 0.0)
-
-
-def breathes(frames: Sequence[BodyObservation], often: float) -> bool:
-    """Whether the directions move together, by less than is detectable in single ones, as chest and belly of a person
-    lying still.
-
-    The test takes the directions that are seen in the share `often` of the frames. Their common motion is the first
-    principal component of their distances, each in units of its own noise. For noise it is uncorrelated, too.
-    """
-    _, count, mean = _means([f for f in frames if len(f.points) >= TELLING])
-    whole = (count > 0) & _as_usual(count)
-    used = whole.mean(1) >= often
-    if used.sum() < FEWEST:
-        return False
-    whole, mean = whole[used], mean[used]
-    middle = np.sum(mean * whole, 1, keepdims=True) / np.sum(whole, 1, keepdims=True)
-    off = np.where(whole, mean - middle, 0.0)
-    noise = np.sqrt(np.mean(np.diff(off, axis=1) ** 2, 1, keepdims=True) / 2)
-    common = np.linalg.svd(off / np.maximum(noise, 1e-6), full_matrices=False)[2][0]
-    common -= common.mean()
-    return bool(np.sum(np.diff(common) ** 2) < 2 * TOGETHER * np.sum(common**2))
 
 
 def _as_usual(count: Int[np.ndarray, "direction frame"]) -> Bool[np.ndarray, "direction frame"]:

@@ -14,16 +14,16 @@ from jaxtyping import Float32, Int8
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.body_likelihood import TELLING, Build
 from voodoo_jax.detect.clearing import Cleared
-from voodoo_jax.detect.disk_buffer import Spill
-from voodoo_jax.detect.motion import ASKS, CELL, LITTLE, Motion
+from voodoo_jax.detect.motion import LITTLE
 from voodoo_jax.detect.raise_floor import with_beds
-from voodoo_jax.detect.segmentation import ENOUGH, SPEED, STEP, STILL, TELLING, BodySegmenter
-from voodoo_jax.detect.stillness import Stillness, breathes, seen_long
+from voodoo_jax.detect.segmentation import ENOUGH, STEP, BodySegmenter
+from voodoo_jax.detect.stillness import Stillness
+from voodoo_jax.detect.tracklet import SOME, Tracklet, linked, some_of
 from voodoo_jax.detect.visibility import Nearest
-from voodoo_jax.geometry.point_cloud import inside, picked, quantile
-from voodoo_jax.geometry.voxels import about_within, cells_of, touching, unique_cells
+from voodoo_jax.geometry.point_cloud import inside, picked
+from voodoo_jax.geometry.voxels import about_within, unique_cells
 from voodoo_jax.records.observation import BodyObservation, assigned, whole
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
@@ -34,113 +34,11 @@ MOST = 4  # of them
 HELD = 300  # frames of points that wait until it is known which thing is the body
 PATIENCE = 60  # frames: who may not wait does not take another thing for the body before
 LOW = 0.5  # of its height: so low the body may be after all if it moves, where nothing else is like it
-SOME = 600  # points of somebody by which it is told who is nearer; by hand
 AGAIN = 6  # looks for others, of which one goes through all that is there: about two seconds; by hand
 IDLE_NS = 20_000_000_000  # who has not moved for so long is furniture for the time being; by hand
-PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
-AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
 LIKELY = 0.06  # of what is likeliest to be a body: a child of 1.1 m is so much less so than an adult; by hand
-LIKE = 0.07  # metres of height: who differs by more is somebody else; by hand
-CLOSE = 0.15  # metres, and twice that: whose points are so near to each other may be mixed up; by hand
-WATCHED = 150  # frames, the last ones, by which it is asked whether somebody sways; five seconds, by hand
-HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
-WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
-SLOW = 0.3  # metres per second: who is slower stands; by hand
-BLIND = 1.5  # seconds for which somebody whom nobody sees is thought to walk on; by hand
 ALL = 6  # things that are followed at once, at most; by hand
 NONE = np.zeros(0, int)
-
-
-class Tracklet:
-    """An object of a body's shape, from its appearance until it left or was hidden for long.
-
-    **Arguments:** `first` number of the first frame; `before` the tracklet that the same finder followed until it was
-    lost.
-    """
-
-    def __init__(self, finder: BodySegmenter, first: int, before: "Tracklet | None" = None):
-        self.finder, self.first, self.before = finder, first, before
-        self.motion, self.frames, self._kept = Motion(), Spill(), 0
-        self.since = self.last = -1  # frames in which it was seen for the first and the last time
-        self.born_ns = 0
-        self.now: BodyObservation | None = None  # what was seen of it in the last frame
-        self._tops: list[float] = []  # heights above the floor, of each frame in which it was seen
-        self.places: list[np.ndarray] = []  # of the first and last of these: where it was
-        self._way: deque[tuple[float, np.ndarray]] = deque()  # time in seconds, and place, while nothing hid it
-
-    @property
-    def seen(self) -> int:
-        """Number of frames in which it was."""
-        return len(self._tops)
-
-    @property
-    def is_person(self) -> bool:
-        return self.motion.is_persons
-
-    @property
-    def height(self) -> float:
-        """Height of a person who is upright most of the time, metres."""
-        return float(np.percentile(self._tops, 80)) if self._tops else np.nan
-
-    def sways(self) -> bool:
-        """Whether it sways as a person who stands still."""
-        return self.is_person or self.motion.sways(self.frames.frames()[-WATCHED:])
-
-    def add(self, frame: BodyObservation, number: int) -> None:
-        """Adds its points in the next frame."""
-        self.frames.append(frame)
-        self.now, self._kept = frame, self._kept + 1
-        if len(frame.points) < TELLING:
-            return
-        floor = self.finder.scene.floor
-        if not self._tops:
-            self.since, self.born_ns = number, frame.time_ns
-        self.last = number
-        self._tops.append(floor.top(frame.points))
-        place = quantile(floor.level(frame.points), 0.5)
-        self.places = [*self.places[:1], place]
-        if not self.finder.hidden:
-            self._way.append((frame.time_ns / 1e9, place))
-            while self._way[-1][0] - self._way[0][0] > WAY:
-                self._way.popleft()
-
-    def forget(self) -> None:
-        """Deletes frames that are no longer needed, once there are many."""
-        if self._kept > 2 * WATCHED:
-            frames, self.frames, self.before = self.frames.frames()[-WATCHED:], Spill(), None
-            self.first, self._kept = self.first + self._kept - WATCHED, WATCHED
-            for frame in frames:
-                self.frames.append(frame)
-
-    def keep_hidden(self, before: Float32[np.ndarray, "point 3"] | None, others: Nearest, seconds: float) -> None:
-        """Keeps its hidden places, to assign them when they reappear: places where it was seen `before`, that many
-        seconds ago, which no sensor sees now."""
-        finder = self.finder
-        finder.hidden = False
-        if before is None or finder.last is None:
-            return
-        some = before[:: len(before) // SOME + 1]
-        hidden = np.ones(len(some), bool)
-        for sensor in range(len(others.origins)):
-            hidden &= others.hides(some, np.full(len(some), sensor))
-        finder.hidden = bool(hidden.mean() > HIDDEN)
-        if finder.hidden:
-            # who walks on does so behind somebody, too
-            some = some[hidden] + self._velocity() * np.float32(seconds)
-            if not finder.unseen:
-                some = some[~touching(cells_of(some, STILL), cells_of(finder.last, STILL))]
-                finder.last = np.concatenate([finder.last, some])
-            elif finder.unseen * seconds < BLIND:
-                finder.last = np.concatenate([some, before[:: len(before) // SOME + 1][~hidden]])
-
-    def _velocity(self) -> Float32[np.ndarray, "3"]:
-        """Horizontal velocity when it was last wholly visible, metres per second."""
-        if not self._way:
-            return np.zeros(3, np.float32)
-        (began, first), (ended, last) = self._way[0], self._way[-1]
-        speed = (last - first) / max(ended - began, 1e-3)
-        walks = SLOW < np.linalg.norm(speed) < SPEED and ended - began > 0.5 * WAY
-        return (speed if walks else 0 * speed).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -219,13 +117,13 @@ class Tracklets:
             share = main.finder.share if alone else STEP**self._steps
             clear = main.finder.clearing.cleared(frame, share, boxes)
             if not settled:
-                self._follow(clear, looks)
+                self._follow(clear)
         self._recent.append((frame, [t.finder.last for t in self.followed if t.finder.last is not None]))
         if looks and (self._recent[-1][1] or not self.known):
             self._look(frame, clear, list(self._recent[-1][1]))
         self._renew()
 
-    def _follow(self, clear: Cleared, looks: bool) -> None:
+    def _follow(self, clear: Cleared) -> None:
         """Assigns the points to the tracklets, those nearer to the sensors first."""
         self.followed.sort(key=lambda t: t.finder.unseen)
         seen, seconds = clear.seen, max(0.0, (clear.time_ns - self._last_ns) / 1e9)
@@ -239,14 +137,11 @@ class Tracklets:
             tracklet.add(found := finder(clear, mine=None if alone else (owner == k) | (owner < 0)), self._number)
             owner[finder.taken] = k
             if not self.known or (tracklet is not self.main and not tracklet.is_person):
-                others = [p for j, p in enumerate(before) if j != k and p is not None]
-                # by an arm alone somebody is known who stands still else, unless it may be another one's
-                near = before[k]
-                apart = not alone and near is not None and not _beside(near, others)
+                apart = not alone and before[k] is not None  # by an arm alone somebody is known who stands still else
                 tracklet.motion.note(found, clear.frame, apart, finder.scene.floor if finder.lies else None)
         if not alone:
             self._hide(seen, owner, before, seconds)
-        self._leave(clear.time_ns, looks)
+        self._leave(clear.time_ns)
         people = all(t.is_person for t in self.followed)
         # of fewer points it cannot be told who sways
         self._thin(len(seen.origins) == 1 and people and len(self.followed) > 1)
@@ -263,18 +158,15 @@ class Tracklets:
         for k, tracklet in enumerate(self.followed):
             tracklet.keep_hidden(before[k], nearest(whose != k), seconds)
 
-    def _leave(self, time_ns: int, looks: bool) -> None:
-        """Ends tracklets that are lost, duplicate another one, or have not moved for long."""
+    def _leave(self, time_ns: int) -> None:
+        """Ends tracklets that are lost or have not moved for long."""
         for tracklet in list(self.followed):
-            others = [t for t in self.followed if t is not tracklet and t.seen >= tracklet.seen]
             if tracklet is not self.main and tracklet.finder.last is None:
-                self._end(tracklet)
-            elif looks and any(same(tracklet, t) for t in others):
                 self._end(tracklet)
             elif tracklet is self.main or tracklet.is_person or time_ns - tracklet.born_ns <= IDLE_NS:
                 continue
             elif (last := tracklet.finder.last) is not None and not tracklet.sways():
-                self._things.append(_some(last))
+                self._things.append(some_of(last))
                 self.followed.remove(tracklet)
 
     def _end(self, tracklet: Tracklet) -> None:
@@ -379,27 +271,13 @@ class Tracklets:
             # who has left is looked for from the next frame on
             here = best if best in self.followed else Tracklet(best.finder, self._number + 1, best)
             self.main = here if self.known else main
-        if full and ahead and not self.known and (asleep := self._asleep()) is not None:
-            self.main, self.known = asleep, True
         if self.known and not self.several:
             for other in self.followed:
                 if other is not self.main and (last := other.finder.last) is not None:
-                    self._things.append(_some(last))
+                    self._things.append(some_of(last))
             self.followed = [self.main]
         elif self.main not in self.followed:
             self.followed.append(self.main)
-
-    def _asleep(self) -> Tracklet | None:
-        """A lying person who moves only by breathing, while nothing else moves; None without one."""
-        main = self.main
-        if main.motion.moved or (main.seen and not ASKS.is_thing(main.frames.frames(), Stillness())):
-            return None
-        for tracklet in self.followed:
-            if tracklet.finder.lies and tracklet.motion.slid < LITTLE:
-                frames = tracklet.frames.frames()
-                if seen_long(frames, ASKS.frames, ASKS.seconds) and breathes(frames, ASKS.often):
-                    return tracklet
-        return None
 
     def _release(self) -> Iterator[BodyObservation]:
         """The frames that waited, of the present main one."""
@@ -443,21 +321,6 @@ class Tracklets:
         return sorted(people, key=lambda p: -sum(len(f.points) >= TELLING for f in p.frames))
 
 
-def same(one: Tracklet, other: Tracklet) -> bool:
-    """Whether two follow the same object now."""
-    mine, theirs = one.finder.last, other.finder.last
-    if mine is None or theirs is None:
-        return False
-    if (mine.min(0) > theirs.max(0) + 2 * CELL).any() or (theirs.min(0) > mine.max(0) + 2 * CELL).any():
-        return False  # far apart, as most are
-    return bool(touching(cells_of(mine, CELL), cells_of(theirs, CELL)).mean() > 0.5)
-
-
-def _some(points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "some 3"]:
-    """About SOME of the points, evenly spread."""
-    return points[:: max(1, len(points) // SOME)]
-
-
 def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) -> Int8[np.ndarray, " point"]:
     """The nearest tracklet to each point in the previous frame; -1 if none was nearer than about `reach` metres. A
     hidden one gets the rest."""
@@ -482,32 +345,3 @@ def _owners(frame: BodyObservation, finders: list[BodySegmenter], reach: float) 
         mine = distance < nearest[index]
         owner[index[mine]], nearest[index[mine]] = k, distance[mine]
     return owner
-
-
-def _beside(points: Float32[np.ndarray, "point 3"], others: list[np.ndarray]) -> bool:
-    """Whether some points are near those of others."""
-    cells = cells_of(points, CLOSE)
-    return any(touching(cells, cells_of(other, CLOSE)).any() for other in others)
-
-
-def linked(found: list[Tracklet], frames: list[BodyObservation]) -> list[list[Tracklet]]:
-    """Tracklets grouped by person, each group in order of time: people who were away or hidden are re-identified by
-    height, and by the places that they can have reached meanwhile."""
-    groups: list[list[Tracklet]] = []
-    for tracklet in sorted(found, key=lambda t: t.since):
-        costs = [_unlike(group[-1], tracklet, frames) for group in groups]
-        best = int(np.argmin(costs)) if costs else -1
-        if best >= 0 and costs[best] < 1:
-            groups[best].append(tracklet)
-        else:
-            groups.append([tracklet])
-    return groups
-
-
-def _unlike(before: Tracklet, after: Tracklet, frames: list[BodyObservation]) -> float:
-    """Dissimilarity of the last and the first sight of two tracklets: below 1 they may be the same person."""
-    if before.last >= after.since:
-        return np.inf
-    seconds = (frames[after.since].time_ns - frames[before.last].time_ns) / 1e9
-    away = np.linalg.norm(after.places[0] - before.places[-1]) / (AROUND + PACE * seconds)
-    return float(max(away, abs(after.height - before.height) / LIKE))

@@ -1,4 +1,4 @@
-"""The formats that tracks are exported to: each is a module with a function `write(tracks, path)`, and a line here."""
+"""Export formats of tracks: each is a module with a function `write(tracks, path)`, and a line here."""
 
 import os
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ from voodoo_jax.storage.troubles import check_text
 
 
 class Format(NamedTuple):
-    """A format: how its files' names end, the module and function that write it, and what it does with gaps."""
+    """A format: its file endings, the module and function that write it, and its treatment of gaps."""
 
     suffix: str  # replaces .tracks.npz
     module: str
@@ -43,7 +43,7 @@ class ExportError(ValueError):
 
 
 def check_formats(names: Iterable[str]) -> tuple[str, ...]:
-    """The names of formats without doubles; "csv,trc" is two. Raises ExportError with what to do."""
+    """The names of formats without duplicates; "csv,trc" is two. Raises ExportError with what to do."""
     found = dict.fromkeys(part.strip().lower() for name in names for part in name.split(",") if part.strip())
     for name in found:
         if name not in FORMATS:
@@ -55,7 +55,7 @@ def check_formats(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def format_of(path: str | os.PathLike[str]) -> str:
-    """The format that a path's ending names. Raises ExportError."""
+    """The format of a path, by its ending. Raises ExportError."""
     name = Path(path).name.lower()
     ends = {end: key for key, how in FORMATS.items() for end in (how.suffix, *how.other_suffixes)}
     for end in sorted(ends, key=len, reverse=True):
@@ -87,7 +87,7 @@ def export(tracks: Tracks, path: str | os.PathLike[str], format: str = "", style
 
 
 def gaps_note(tracks: Tracks, names: Iterable[str]) -> str:
-    """A sentence on frames that are not tracked in files of these formats, or nothing."""
+    """A sentence on untracked frames in files of these formats, or nothing."""
     missing, held = int((~tracks.tracked).sum()), [name for name in names if FORMATS[name].gaps == HELD]
     if not missing or not held:
         return ""

@@ -1,4 +1,4 @@
-"""Tracks as an MCAP file that Foxglove shows: frames, poses, the body, quality, and how it was made.
+"""Tracks as an MCAP file for Foxglove: frames, poses, the body, quality, and the parameters.
 
 Frames: `voodoo/<limb>` (the limb frame of model/body.py) and `voodoo/joint/<name>`, both in the tracks' fixed frame.
 """
@@ -89,7 +89,7 @@ def write_tracks_mcap(
 
 
 def _prefix(person: int) -> str:
-    """With which the names of all that is somebody's begin."""
+    """Prefix of all names that belong to a person."""
     return "voodoo/" if person == 1 else f"voodoo/{person}/"
 
 
@@ -97,7 +97,7 @@ TOPICS = {"tf": FrameTransforms, "poses": PosesInFrame, "body": SceneUpdate, "jo
 
 
 class BodyMessages:
-    """What is said of somebody, frame by frame: of successive frames of one Tracks, or of Tracks of one frame each."""
+    """Messages of one person, frame by frame: of successive frames of one Tracks, or of Tracks of one frame each."""
 
     def __init__(self, person: int = 1):
         self._prefix = _prefix(person)
@@ -107,11 +107,11 @@ class BodyMessages:
         self._shown: frozenset[str] = frozenset()
 
     def channels(self) -> dict[str, str]:
-        """Topics by what is said on them: the names of TOPICS, and "quality"."""
+        """Topics by content: the names of TOPICS, and "quality"."""
         return {name: f"/{self._prefix}{name}" for name in (*TOPICS, "quality")}
 
     def of(self, tracks: Tracks, i: int, confidence: float) -> dict[str, bytes]:
-        """Messages of frame `i` by what they say; `confidence` as in Tracks."""
+        """Messages of frame `i` by content; `confidence` as in Tracks."""
         if tracks.body is not self._body:
             self._entities, self._named = body_entities(tracks.body, tracks.person), _named(tracks)
             self._cloud = _joint_cloud(tracks)
@@ -140,7 +140,7 @@ class BodyMessages:
         return messages
 
     def _scene(self, there: frozenset[str], stamp: int, time: Timestamp) -> SceneUpdate:
-        """The limbs that are there."""
+        """The limbs that have a pose."""
         self._next_scene = stamp + SCENE_PERIOD_NS
         update = SceneUpdate(entities=[e for e in self._entities if e.id in there])
         # a limb that was taken off, or a thing that was put down
@@ -152,8 +152,8 @@ class BodyMessages:
         return update
 
 
-def registered(writer: Writer, said: BodyMessages) -> dict[str, int]:
-    """Numbers of somebody's channels in a file, by what is said on them."""
+def register_channels(writer: Writer, said: BodyMessages) -> dict[str, int]:
+    """Numbers of a person's channels in a file, by content."""
     numbers = {}
     for name, topic in said.channels().items():
         if name in TOPICS:
@@ -167,19 +167,19 @@ def registered(writer: Writer, said: BodyMessages) -> dict[str, int]:
 def _messages(writer: Writer, tracks: Tracks) -> Iterator[list[tuple[int, int, bytes, int]]]:
     """Channel, stamp, content and number of the messages of each frame."""
     said = BodyMessages(tracks.person)
-    channel, confidence = registered(writer, said), tracks.confidence.tolist()
+    channel, confidence = register_channels(writer, said), tracks.confidence.tolist()
     for i, stamp in enumerate(tracks.time_ns.tolist()):
         yield [(channel[name], stamp, data, i) for name, data in said.of(tracks, i, confidence[i]).items()]
 
 
 def _joint_points(tracks: Tracks) -> tuple[Float32[np.ndarray, "frame joint 4"], Bool[np.ndarray, "frame joint"]]:
-    """Joint centres and their confidence, as _joint_cloud says, and which of them are there."""
+    """Joint centres and their confidence, as in _joint_cloud, and a mask of those that exist."""
     sure = np.ones(tracks.joints.shape[:2]) if tracks.joint_confidence is None else tracks.joint_confidence
     return np.concatenate([tracks.joints, sure[..., None]], -1).astype("<f4"), np.all(np.isfinite(tracks.joints), -1)
 
 
 def _joint_cloud(tracks: Tracks) -> PointCloud:
-    """Joint centres as points, yet without time and places."""
+    """A message of joint centres as points, still without time and positions."""
     kind = PackedElementField.FLOAT32
     names = ("x", "y", "z", "confidence")
     fields = [PackedElementField(name=name, offset=4 * k, type=kind) for k, name in enumerate(names)]
@@ -189,7 +189,7 @@ def _joint_cloud(tracks: Tracks) -> PointCloud:
 
 
 def _named(tracks: Tracks) -> list[FrameTransform]:
-    """A transform for each limb and joint centre, yet without time and place."""
+    """A transform for each limb and joint centre, still without time and pose."""
     prefix = _prefix(tracks.person)
     names = [f"{prefix}{name}" for name in tracks.body.topology.limbs]
     names += [f"{prefix}joint/{name}" for name in tracks.joint_names]
@@ -197,8 +197,8 @@ def _named(tracks: Tracks) -> list[FrameTransform]:
 
 
 def _transforms(tracks: Tracks, frame: int, time: Timestamp, named: list[FrameTransform]) -> list[FrameTransform]:
-    """Where the limbs and the joint centres are in one frame, written into `named`: to make them anew takes several
-    times as long. Those that are NaN are left out."""
+    """Poses of limbs and joint centres in one frame, written into `named`: creating messages anew takes several times
+    as long. NaN poses are left out."""
     turns = np.tile(np.array([1.0, 0, 0, 0]), (len(named), 1))
     turns[: tracks.body.limb_count] = tracks.rotation[frame]
     places = np.concatenate([tracks.translation[frame], tracks.joints[frame]]).astype(float)
@@ -227,7 +227,8 @@ def quality_of(tracks: Tracks, frame: int, confidence: float) -> bytes:
 
 def body_entities(body: Body, person: int = 1) -> list[SceneEntity]:
     """One SceneEntity per limb, id = limb name, in the frame `voodoo/<limb>` that it moves with (`voodoo/2/<limb>` of
-    person 2); no timestamp. The main person's limbs differ in colour, each of the others has a colour of their own.
+    person 2); no timestamp. The main person's limbs differ in colour; each other person has one colour. Metadata of
+    each entity: a0, b0, a1, b1, length in metres, as in Body.sizes.
 
     Metadata of each entity: a0, b0, a1, b1, length in metres, as in Body.sizes.
     """

@@ -1,4 +1,4 @@
-"""What exporters share: which way is up, frames at an even rate, and which frames count."""
+"""Shared by exporters: the upward direction, frames at an even rate, and the frames that count."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +18,8 @@ GAP = 3.0  # frames: poses are not interpolated over longer gaps
 
 
 def upright(tracks: Tracks) -> Float[np.ndarray, "3 3"]:
-    """Rotation from the tracks' fixed frame to one with z up: none where its z is up already, as in ROS (REP 103)."""
+    """Rotation from the tracks' fixed frame to one with z up: the identity if its z is up already, as in ROS (REP
+    103)."""
     up = np.array([0.0, 0, 1]) if tracks.up is None else np.asarray(tracks.up, float)
     up = up / np.linalg.norm(up)
     axis = int(np.abs(up).argmax())
@@ -39,14 +40,14 @@ def seconds(tracks: Tracks) -> Float[np.ndarray, " frame"]:
 
 
 def usual_rate(tracks: Tracks) -> float:
-    """Frames a second: of most frames; 30 where there are fewer than two."""
+    """Frames per second of most frames; 30 for fewer than two frames."""
     steps = np.diff(seconds(tracks))
     steps = steps[steps > 0]
     return float(1 / np.median(steps)) if len(steps) else 30.0
 
 
 def known(tracks: Tracks) -> Bool[np.ndarray, "frame limb"]:
-    """Which limbs have a pose to be written: in tracked frames, where it is a number."""
+    """Limbs with a pose to be written: finite, in tracked frames."""
     finite = np.isfinite(tracks.rotation).all(2) & np.isfinite(tracks.translation).all(2)
     return finite & tracks.tracked[:, None]
 

@@ -41,7 +41,7 @@ def write(tracks: Tracks, path: str | os.PathLike[str], style: Style | None = No
 
 
 class _Buffer:
-    """The one buffer of a file, and the accessors into it."""
+    """The buffer of a file, and the accessors into it."""
 
     def __init__(self) -> None:
         self.data, self.views, self.accessors = bytearray(), [], []

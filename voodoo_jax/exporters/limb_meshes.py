@@ -1,4 +1,4 @@
-"""The limbs of a body in the bind pose as one mesh, each vertex on one bone: what glTF and USD draw."""
+"""The limbs of a body in the bind pose as one mesh, each vertex on one bone, for glTF and USD."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Limbs as they are drawn: the cylinders that were tracked, and a head that is round and sits on a neck."""
+"""Shapes of limbs in drawings: the tracked cylinders, and a round head on a neck."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -36,7 +36,7 @@ def profile(body: Body, limb: int) -> Float[np.ndarray, "ring 3"]:
 def loft(
     rings: Float[np.ndarray, "ring 3"], sections: int = 24
 ) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
-    """Vertices and faces of a closed surface through ellipses as of `profile`: the middles of both ends, then so many
+    """Vertices and faces of a closed surface through ellipses as of `profile`: the centres of both ends, then this many
     vertices on each ring."""
     angle = np.linspace(0, 2 * np.pi, sections, endpoint=False)
     round_ = [np.stack([a * np.cos(angle), b * np.sin(angle), np.full(sections, z)], -1) for z, a, b in rings]

@@ -1,4 +1,4 @@
-"""Tracks given out frame by frame: a file that grows, and a Foxglove WebSocket server."""
+"""Tracks published frame by frame: a growing file, and a Foxglove WebSocket server."""
 
 import json
 import os
@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from voodoo_jax.exporters.foxglove import QUALITY_SCHEMA, TOPICS, BodyMessages, registered
+from voodoo_jax.exporters.foxglove import QUALITY_SCHEMA, TOPICS, BodyMessages, register_channels
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import begun, moved
 
@@ -26,18 +26,18 @@ class Publisher(Protocol):
 
 
 class GrowingTracks:
-    """A `.voodoo.mcap` file that can be read while it is written, in Foxglove or by another program. It appears, in
-    place of an earlier one, with its first frame; where none comes, nothing changes. Raises OSError."""
+    """A `.voodoo.mcap` file that can be read while it is written, in Foxglove or by another program. It replaces an
+    earlier one with its first frame; without a frame, nothing changes. Raises OSError."""
 
     def __init__(self, path: str | os.PathLike[str]):
         self._target, self._partial = Path(path), begun(path)
         self._file = open(self._partial, "wb")
         self._writer, self._said, self._count = Writer(self._file, chunk_size=CHUNK), BodyMessages(), 0
         self._writer.start(profile="", library="voodoo_jax live")
-        self._channel = registered(self._writer, self._said)
+        self._channel = register_channels(self._writer, self._said)
 
     def frame(self, tracks: Tracks) -> None:
-        """One more."""
+        """Takes one more frame."""
         stamp, data = int(tracks.time_ns[0]), self._said.of(tracks, 0, float(tracks.confidence[0]))
         for name, message in data.items():
             self._writer.add_message(self._channel[name], stamp, message, stamp, self._count)
@@ -56,8 +56,8 @@ class GrowingTracks:
 
 
 class FoxgloveServer:
-    """A server to which Foxglove, or a program that speaks its protocol, connects. Raises ImportError without
-    foxglove-sdk, OSError where the port cannot be had."""
+    """A server for Foxglove, or any program with its protocol. Raises ImportError without foxglove-sdk, OSError if the
+    port is not available."""
 
     def __init__(self, port: int, host: str = "127.0.0.1"):
         foxglove: Any = import_module("foxglove")
@@ -80,7 +80,7 @@ class FoxgloveServer:
         return foxglove.Channel(topic, schema=schema, message_encoding=encoding, context=self._context)
 
     def frame(self, tracks: Tracks) -> None:
-        """One more."""
+        """Takes one more frame."""
         stamp = int(tracks.time_ns[0])
         for name, message in self._said.of(tracks, 0, float(tracks.confidence[0])).items():
             self._channel[name].log(message, log_time=stamp)

@@ -52,7 +52,7 @@ def write(tracks: Tracks, path: str | os.PathLike[str]) -> None:
 
 
 def coordinates(tracks: Tracks, hidden: bool = False) -> dict[str, np.ndarray]:
-    """Values over time by name: degrees, metres; with `hidden` also of limbs that nothing was seen of."""
+    """Values over time by name: degrees, metres; with `hidden` also of limbs without any measurement."""
     body, angles = tracks.body, tracks.angles(hidden)
     degrees = dict(zip(angles.columns, np.degrees(angles.table).T))
     if not any(name.endswith("hip_flexion") for name in degrees):

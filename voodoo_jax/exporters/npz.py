@@ -1,4 +1,4 @@
-"""Tracks as one `.npz` file: what score.py and notebooks read, and all that is needed to have the Tracks again."""
+"""Tracks as one `.npz` file, which holds all of a Tracks and is read by score.py and notebooks."""
 
 import json
 import math
@@ -43,24 +43,14 @@ class TracksFileError(ValueError):
 def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "") -> None:
     """Writes `.tracks.npz`: arrays in metres and nanoseconds, in the tracks' fixed frame; no pickled objects.
 
-    Keys: time_ns, joint_names, joints, tracked, body_json (name, stature or what the body's scale is called,
-    segment_lengths); limb_names, rotation (wxyz), translation, status, residual, explained, steps, points, limb_weight,
-    body_joint_names, beyond_limits (radians), depth_inside (metres), limb_covariance (turn in radians, shift in metres;
-    limb frame), joint_covariance (square metres, fixed frame; see solve/covariance.py), joint_confidence (0 to 1; see
-    trackers/shared/confidence.py), passes_apart (metres; see trackers/icp/refine/forward_backward.py), up (unit vector,
-    fixed frame), limb_beside, limb_distance (metres), limb_bare and limb_own (see trackers/icp/misfit.py), facing_odds
-    (logarithm; see trackers/icp/refine/choose_facing.py), T_fixed_steady where sensors moved though the log says
-    they stand (4 x 4; see records/tracks.py), fixed_frame, source, seconds, notes, body_toml; marker_names
-    and marker_residual (metres) where markers alone were tracked; person and people (which of how many) where there are
-    several; run_key if one is given (see batch/resume.py); digest of all others.
+    Keys are the names of the arrays of Tracks and Evidence, with their units, and: tracked; joint_names, limb_names,
+    body_joint_names; body_json (name, the scale under its own name, segment_lengths), body_toml; fixed_frame, source,
+    seconds, notes; marker_names beside marker_residual; person and people if there are several; run_key if one is given
+    (see batch/resume.py); digest of all others.
     The file appears under its name only when complete. Raises OSError.
     """
     body = tracks.body
-    summary = {
-        "name": body.name,
-        body.scale_name: float(body.scale),
-        "segment_lengths": segment_lengths(body),
-    }
+    summary = {"name": body.name, body.scale_name: float(body.scale), "segment_lengths": segment_lengths(body)}
     arrays: dict[str, Any] = {name: value for name, value in tracks.rows().items() if name in FORMS}
     arrays |= {
         "tracked": tracks.tracked,
@@ -89,7 +79,7 @@ def write_tracks_npz(tracks: Tracks, path: str | os.PathLike, run_key: str = "")
 
 
 def read_tracks_npz(path: str | os.PathLike) -> Tracks:
-    """Reads what write_tracks_npz wrote. Raises TracksFileError if it is something else, OSError if it is not there."""
+    """Reads a file of write_tracks_npz. Raises TracksFileError for any other, OSError if it does not exist."""
     with opened_file(path) as stream:
         data: dict[str, Any] = tracks_arrays(stream, path)
     missing = [name for name in (*ALWAYS, "body_toml", "fixed_frame", "source") if name not in data]
@@ -122,7 +112,7 @@ def _other_names(data: Mapping[str, np.ndarray], body: Body) -> tuple[str, ...]:
 
 
 def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) -> None:
-    """Raises TracksFileError for arrays that no tracks of a body have."""
+    """Raises TracksFileError for arrays that do not fit the body."""
     t = body.topology
     sizes = {"f": len(data["time_ns"]) if data["time_ns"].ndim else 0, "l": body.limb_count, "j": len(t.centres)}
     sizes |= {"b": len(t.joints), "m": data["marker_names"].size if "marker_names" in data else 0}
@@ -145,8 +135,8 @@ def _check(data: Mapping[str, np.ndarray], body: Body, path: str | os.PathLike) 
 
 
 def tracks_arrays(stream: Any, path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The arrays of an open tracks file by name, of which those are checked that are of no body. Raises
-    TracksFileError, which calls the file `path`."""
+    """The arrays of an open tracks file by name; checks those that do not depend on the body. Raises TracksFileError,
+    which calls the file `path`."""
     try:
         data = arrays_in(stream)
         _check_plain(data)
@@ -156,7 +146,7 @@ def tracks_arrays(stream: Any, path: str | os.PathLike[str]) -> dict[str, np.nda
 
 
 def scale_of(data: Mapping[str, np.ndarray]) -> tuple[str, float]:
-    """What the scale of a body is called, and its value in metres, of the arrays of a tracks file. Raises NotArrays."""
+    """Name and value (metres) of a body's scale, from the arrays of a tracks file. Raises NotArrays."""
     try:
         body = json.loads(str(data["body_json"]))
         ((name, value),) = [item for item in body.items() if item[0] not in ("name", "segment_lengths")]
@@ -168,7 +158,7 @@ def scale_of(data: Mapping[str, np.ndarray]) -> tuple[str, float]:
 
 
 def _check_plain(data: Mapping[str, np.ndarray]) -> None:
-    """Raises NotArrays for what no tracks file has beside its arrays of a body."""
+    """Raises NotArrays for invalid values of the entries that are not arrays of a body."""
     for name in ("person", "people"):
         if name in data and not (data[name].dtype.kind in "iu" and data[name].shape == () and 1 <= data[name] <= MOST):
             raise NotArrays(f"'{name}' is not a number of people")
@@ -191,7 +181,7 @@ def _check_plain(data: Mapping[str, np.ndarray]) -> None:
 
 
 def read_everybody(path: str | os.PathLike) -> list[Tracks]:
-    """Tracks of the main person of a log, and those of its other people, whose files lie beside theirs. Raises what
+    """Tracks of the main person of a log, and those of its other people, from files beside it. Raises what
     read_tracks_npz raises."""
     main = read_tracks_npz(path)
     return [main, *(read_tracks_npz(person_place(os.fspath(path), k)) for k in range(2, main.people + 1))]

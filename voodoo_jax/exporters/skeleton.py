@@ -1,4 +1,4 @@
-"""Tracks as a skeleton of bones: what animation formats (BVH, glTF, USD) share.
+"""Tracks as a skeleton of bones, shared by the animation formats (BVH, glTF, USD).
 
 A bone's place is the joint of the tracks that it begins in; bones between these (parts of the spine, clavicles, toes)
 lie in fixed places of their limb. People have the bones of a rig that animation programs know, other bodies one for
@@ -52,7 +52,7 @@ NEAR = 0.08  # shares of the body's scale: a joint centre that is so near to a j
 
 
 class _Bone(NamedTuple):
-    """A bone of a body: `pivot` is a point of the limb `carrier` (in its frame), turned is it as `limb`."""
+    """A bone of a body: `pivot` is a point of the limb `carrier` (in its frame); it turns as `limb`."""
 
     name: str
     parent: int
@@ -65,7 +65,7 @@ class _Bone(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Bones, parents before children, and where they are. Metres; axes as asked for; quaternions wxyz.
+    """Bones, parents before children, and their poses. Metres; axes as requested; quaternions wxyz.
 
     `rotation` and `translation` are relative to the parent bone; frames without pose have those of the last one that
     had (`held`), and the bind pose before.
@@ -96,7 +96,7 @@ def skeleton(
     tracks: Tracks, axes: Float[np.ndarray, "3 3"], style: Style | None = None, rigid: bool = False
 ) -> Skeleton:
     """The bones of a body and their poses, in a frame whose axes are the rows of `axes` in one with z up; `rigid`:
-    bones point to the next one, for programs in which they keep their lengths."""
+    bones point to the next one, for programs that keep their lengths constant."""
     style, body = style or Style(), tracks.body
     turn, place = bind_pose(body, RAISED[style.pose])
     bones, places = _places(tracks, _bones(body, RIGS[style.rig].split()))
@@ -132,8 +132,8 @@ def skeleton(
 
 
 def bind_pose(body: Body, raised: float = 90.0) -> tuple[Rotation, Float[np.ndarray, "limb 3"]]:
-    """Limbs in the body frame (z up, x forwards): the rest pose, with a person's hanging arms raised to
-    their sides by so many degrees."""
+    """Limbs in the body frame (z up, x forwards): the rest pose, with a person's hanging arms raised sideways by this
+    many degrees."""
     t = body.topology
     turn = Rotation.from_quat(np.asarray(body.rest.rotation, float), scalar_first=True)
     turns, place = turn.as_matrix(), np.asarray(body.rest.translation, float).copy()
@@ -161,7 +161,7 @@ def _subtree(body: Body, limb: int) -> list[int]:
 
 
 def _bones(body: Body, names: list[str]) -> list[_Bone]:
-    """Bones in such an order that BVH can write them: each followed by all that hangs on it. `names` of a person's."""
+    """Bones in the order of BVH: each is followed by its descendants. `names` of a person's."""
     t = body.topology
     person = {"l_upper_arm", "l_thigh"} <= set(t.limbs)
     bones = _of_rig(body, names) if person else [_Bone("_".join(t.limbs[0].split()), -1, 0, 0, np.zeros(3))]
@@ -182,7 +182,7 @@ def _bones(body: Body, names: list[str]) -> list[_Bone]:
 
 
 def _of_rig(body: Body, names: list[str]) -> list[_Bone]:
-    """A person's bones; those that the body has no place for are left out."""
+    """A person's bones; those without a place in the body are left out."""
     t = body.topology
     turn, place = rotations(np.asarray(body.rest.rotation)), np.asarray(body.rest.translation, float)
     at = lambda limb, point: turn[limb].apply(np.asarray(point, float)) + place[limb]  # noqa: E731
@@ -238,7 +238,7 @@ def _in_depth(bones: list[_Bone]) -> list[_Bone]:
 
 
 def _unlike(bones: list[_Bone]) -> list[_Bone]:
-    """The same with a number behind a name that another bone has: a centre may have the name of a limb."""
+    """Names without duplicates, by a number: a centre may have the name of a limb."""
     count = {bone.name: 0 for bone in bones}
     for i, bone in enumerate(bones):
         count[bone.name] += 1
@@ -248,8 +248,8 @@ def _unlike(bones: list[_Bone]) -> list[_Bone]:
 
 
 def _centre_of_joint(body: Body) -> dict[int, int]:
-    """For joints of the body the reported centre that is theirs: of the same name, or the nearest on one of both limbs,
-    rather the child's."""
+    """For joints of the body their reported centre: of the same name, or the nearest on one of both limbs, preferably
+    the child's."""
     t = body.topology
     rest, place = Rotation.from_quat(np.asarray(body.rest.rotation, float), scalar_first=True), body.rest.translation
     place = np.asarray(place, float)
@@ -270,7 +270,7 @@ def _centre_of_joint(body: Body) -> dict[int, int]:
 
 
 def _places(tracks: Tracks, bones: list[_Bone]) -> tuple[list[_Bone], Float[np.ndarray, "frame bone 3"]]:
-    """Where bones begin, NaN: not known; and bones with pivots that are those of most frames."""
+    """Places where bones begin, NaN: not known; and bones with median pivots."""
     places, there = [], known(tracks)
     for i, bone in enumerate(bones):
         turn, at = rotations(tracks.rotation[:, bone.carrier]), tracks.translation[:, bone.carrier]
@@ -303,13 +303,13 @@ def _poses(
 
 
 def _hold(values: np.ndarray, there: Bool[np.ndarray, " frame"], first: np.ndarray) -> None:
-    """Repeats the last known value where there is none, in place; `first` before there was one."""
+    """Repeats the last known value in gaps, in place; `first` before there was one."""
     last = np.maximum.accumulate(np.where(there, np.arange(len(there)), -1))
     values[:] = np.where((last >= 0)[:, None], values[np.maximum(last, 0)], first)
 
 
 def _continuous(turn: Float[np.ndarray, "frame bone 4"]) -> None:
-    """Quaternions of that sign that is nearer to the frame before, in place: files are interpolated."""
+    """Chooses the signs of quaternions by the frame before, in place: files are interpolated."""
     if len(turn) > 1:
         flips = np.where((turn[1:] * turn[:-1]).sum(-1) < 0, -1.0, 1.0)
         turn[1:] *= np.cumprod(flips, 0)[..., None]

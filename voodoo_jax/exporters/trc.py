@@ -35,8 +35,8 @@ def write(tracks: Tracks, path: str | os.PathLike[str]) -> None:
 
 
 def named_points(tracks: Tracks) -> tuple[list[str], np.ndarray]:
-    """Names and places [frame, point, 3] of joint centres and landmarks, metres in the fixed frame; a landmark that is
-    named as a joint centre gets `_landmark` added."""
+    """Names and places [frame, point, 3] of joint centres and landmarks, metres in the fixed frame; a landmark with the
+    name of a joint centre gets the suffix `_landmark`."""
     centres = list(tracks.joint_names)
     sites = [name if name not in centres else f"{name}_landmark" for name in tracks.body.topology.sites]
     return centres + sites, np.concatenate([joints(tracks), landmarks(tracks)], 1)

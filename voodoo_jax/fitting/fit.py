@@ -16,14 +16,7 @@ from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress
 from voodoo_jax.fitting.frames import Truth, chosen_frames, feature_names, fit_frames, read_truth
-from voodoo_jax.fitting.gauss_newton import (
-    FEW_MORE,
-    Part,
-    Search,
-    covariance,
-    run_search,
-    spread,
-)
+from voodoo_jax.fitting.gauss_newton import FEW_MORE, Part, Search, covariance, run_search, spread
 from voodoo_jax.fitting.judge import Judged, Verdict, is_size, judged_by, verdict_on, weakly_determined
 from voodoo_jax.fitting.parameters import parameters, usual_lengths
 from voodoo_jax.fitting.result import Fit

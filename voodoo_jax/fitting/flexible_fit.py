@@ -51,15 +51,7 @@ from voodoo_jax.trackers.flexible.cylinders import PARTS, surface_distance
 from voodoo_jax.trackers.flexible.filters import clothed, refined
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS, FlexibleBody, flexible_body
 from voodoo_jax.trackers.flexible.poses import centres_of
-from voodoo_jax.trackers.flexible.tracker import (
-    Followed,
-    Observed,
-    chosen_points,
-    followed,
-    looks,
-    numbers,
-    observe,
-)
+from voodoo_jax.trackers.flexible.tracker import Followed, Observed, chosen_points, followed, looks, numbers, observe
 from voodoo_jax.trackers.flexible.vectors import vectors
 
 ROUNDS = 16  # of the refinement: twice those of tracking, for sizes change on the way; by hand

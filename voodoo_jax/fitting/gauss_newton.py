@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float64
 from voodoo_jax.compile.xla_options import quickly
 from voodoo_jax.fitting.checkpoint import Progress
 from voodoo_jax.fitting.objective import POINT_SD, FitFrames, Normals, Objective, Placed, normals, placed
-from voodoo_jax.fitting.parameters import HEIGHT, Changes, Parameters, changed, height_of, height_ratio
+from voodoo_jax.fitting.parameters import HEIGHT, Changes, Parameters, changed, changes_at, height_of, height_ratio
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import Body
 from voodoo_jax.solve.pulls import IcpOptions
@@ -77,35 +77,22 @@ class FitError(ValueError):
     """A fit that cannot be made; says why, and what to try."""
 
 
-# 7 parameters: those of the program that it is
-def _placed(body: Body, options: IcpOptions, frames: FitFrames, starts: Poses, x, maps, objective: Objective) -> Placed:
-    free = Parameters((), np.zeros(0), maps, True)  # the names are not needed here
-    return placed(body, options, frames, starts, x, free.changes, objective)
-
-
-# 7 parameters: those of the program that it is
-def _normals(body: Body, options: IcpOptions, frames: FitFrames, at: Placed, x, maps, objective: Objective) -> Normals:
-    free = Parameters((), np.zeros(0), maps, True)
-    return normals(body, options, frames, at, x, free.changes, objective)
-
-
 # two programs: most places are only looked at, and they are compiled at the same time
 @cache
 def compiled_placed() -> Callable[..., Placed]:
-    return quickly(_placed)
+    return quickly(placed)
 
 
 @cache
 def compiled_normals() -> Callable[..., Normals]:
-    return quickly(_normals)
+    return quickly(normals)
 
 
 @eqx.filter_jit
 def _height_off(body: Body, x, maps) -> tuple[Array, Array]:
     """Logarithm of the changed body's height over what was measured, and its derivative."""
-    free = Parameters((), np.zeros(0), maps, True)
     measured = height_ratio(body) * body.scale
-    return jax.value_and_grad(lambda x: jnp.log(height_of(changed(body, free.changes(x))) / measured))(x)
+    return jax.value_and_grad(lambda x: jnp.log(height_of(changed(body, changes_at(maps, x))) / measured))(x)
 
 
 def height_misfit(
@@ -193,7 +180,7 @@ class Search:
         part = self.parts[0]
         frames, inputs = part.frames, self._inputs(np.zeros(len(self.sd)), part)
         asked = part.body, self.options, frames, frames.poses, *inputs
-        at = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(_placed, *asked))
+        at = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(placed, *asked))
         with ThreadPoolExecutor(2) as pool:
             both = (compiled_placed(), frames.poses), (compiled_normals(), at)
             lowered = [f.lower(part.body, self.options, frames, start, *inputs) for f, start in both]  # pyright: ignore

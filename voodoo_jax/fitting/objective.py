@@ -6,7 +6,6 @@ by poses that bend to the noise, and as both parts ask for nearly the same, pose
 projection, Golub and Pereyra 1973).
 """
 
-from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.compile.sequential_map import one_by_one
-from voodoo_jax.fitting.parameters import Changes, changed, changed_options
+from voodoo_jax.fitting.parameters import Changes, Maps, changed, changed_options, changes_at
 from voodoo_jax.geometry.rigid import Poses, rotate
 from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.kernels.correspondences import Points, closest_limbs, match_assigned
@@ -33,6 +32,7 @@ JOINT_SD = 0.03  # metres: tracked joints from the truth
 JOINT_NEAR = 0.01  # metres, by hand: below it a joint's squared distance counts, beyond it the distance
 # with more steps, to rest, poses give way to a wrong size instead: of a trunk 15 % too thin 7 % of the way is found
 NEWTON = 3  # Newton steps after the ICP steps
+BATCH = 8  # frames that are solved at once
 SETTLED = 0.002  # metres: frames farther from rest than this (see Solution.off) count nothing
 ROBUST = 0.06  # metres at which a residual begins to count less
 
@@ -148,22 +148,13 @@ class Normals(NamedTuple):
     curve: Float[Array, "frame free free"]
 
 
-Say = Callable[[Float[Array, " free"]], Changes]
-
-
-# 8 parameters, traced ones apart from static ones
+# 7 parameters, traced ones apart from static ones
 def placed(
-    body: Body,
-    options: IcpOptions,
-    frames: FitFrames,
-    starts: Poses,
-    x: Float[Array, " free"],
-    say: Say,
-    objective: Objective = "held",
-    batch: int = 8,
-) -> Placed:
+    body: Body, options: IcpOptions, frames: FitFrames, starts: Poses, x: Float[Array, " free"], maps: Maps,
+    objective: Objective,
+) -> Placed:  # fmt: skip
     """All frames solved at x from `starts` [frame limb], and what they cost there."""
-    by = say(x)
+    by = changes_at(maps, x)
     new, changed_to = changed(body, by), changed_options(options, by)
 
     def one(inputs):
@@ -173,27 +164,21 @@ def placed(
         good = (found.off < SETTLED) & (frame.weight > 0) & jnp.all(jnp.isfinite(r))
         return Placed(found, jnp.where(good, jnp.sum(r * r) / 2, 0.0), good)
 
-    return one_by_one(one, (frames, starts), batch)
+    return one_by_one(one, (frames, starts), BATCH)
 
 
-# 8 parameters, traced ones apart from static ones
+# 7 parameters, traced ones apart from static ones
 def normals(
-    body: Body,
-    options: IcpOptions,
-    frames: FitFrames,
-    at: Placed,
-    x: Float[Array, " free"],
-    say: Say,
-    objective: Objective = "held",
-    batch: int = 8,
-) -> Normals:
+    body: Body, options: IcpOptions, frames: FitFrames, at: Placed, x: Float[Array, " free"], maps: Maps,
+    objective: Objective,
+) -> Normals:  # fmt: skip
     """Derivative of the residuals of all frames that rest `at` x, forward (one tangent per parameter), as sums."""
 
     def one(inputs):
         frame, rest, good = inputs
 
         def residuals(x):
-            by = say(x)
+            by = changes_at(maps, x)
             new, changed_to = changed(body, by), changed_options(options, by)
             r = frame_residuals(
                 new, changed_to, frame, carried(rest, frame_problem(new, changed_to, frame, by)), objective
@@ -205,4 +190,4 @@ def normals(
         r, by_x = jnp.where(good, r, 0.0), jnp.where(fine, by_x, 0.0)
         return Normals(*(jnp.matmul(by_x.T, v, precision="highest") for v in (r, by_x)))
 
-    return one_by_one(one, (frames, at.rest, at.converged), batch)
+    return one_by_one(one, (frames, at.rest, at.converged), BATCH)

@@ -74,18 +74,26 @@ class Changes(NamedTuple):
     sensors: Float[Array, "sensor 7"]  # see SENSOR: logarithm, metres, radians
 
 
+Maps = tuple[Float[np.ndarray | Array, "..."], ...]  # of the fields of Changes: [*field, free]
+
+
 @dataclass(frozen=True)
 class Parameters:
     """The free parameters of a fit: one row per entry of the unconstrained vector."""
 
     names: tuple[str, ...]
     sd: Float64[np.ndarray, " free"]  # of the prior
-    maps: tuple[Float[np.ndarray | Array, "..."], ...]  # of the fields of Changes: [*field, free]
+    maps: Maps
     mirrored: bool
 
     def changes(self, x: Float[Array, " free"]) -> Changes:
         """What a vector says."""
-        return Changes(*(jnp.sum(jnp.asarray(m, x.dtype) * x, -1) for m in self.maps))
+        return changes_at(self.maps, x)
+
+
+def changes_at(maps: Maps, x: Float[Array, " free"]) -> Changes:
+    """What a vector says."""
+    return Changes(*(jnp.sum(jnp.asarray(m, x.dtype) * x, -1) for m in maps))
 
 
 def _modes(body: Body, known: list[Entry]) -> dict[str, list[Entry]]:

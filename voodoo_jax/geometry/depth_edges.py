@@ -1,4 +1,4 @@
-"""Edges of depth images that a camera's own filters have smeared: told from sharp ones, and what lies in them. NumPy.
+"""Edges of depth images that a camera's own filters have smeared, as against sharp ones, and the points in them. NumPy.
 
 Stereo cameras smooth their depth: between a person and the wall behind them there is a sheet of points that nothing
 is at, which joins both. A sharp edge has at most a pixel or two of them (flying pixels).

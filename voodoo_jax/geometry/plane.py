@@ -47,11 +47,7 @@ def _counts(
 
 
 def fit_plane(
-    points: Float32[np.ndarray, "point 3"],
-    normals_ok,
-    rng: np.random.Generator,
-    tolerance: float,
-    trials: int = 300,
+    points: Float32[np.ndarray, "point 3"], normals_ok, rng: np.random.Generator, tolerance: float, trials: int = 300
 ) -> tuple[Plane, Bool[np.ndarray, " point"]] | None:
     """The plane with the most points within `tolerance` metres (random samples of three, then least squares).
 

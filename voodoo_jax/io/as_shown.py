@@ -27,9 +27,9 @@ def with_settled_frames(reader: LogReader) -> LogReader:
         off, lines = zip(*((off_level(reader), line) for line in (reader.scan.tree.choose(child, k) for k in (0, 1))))
         best = int(np.argmin(off))
         reader.scan.tree.choose(child, best)
-        told = is_decisive(off[best], off[1 - best])
-        reader.sure *= 1.0 if told else TORN
-        why = "the floor is level with the one that is used" if told else "it is unknown which one is right"
+        decisive = is_decisive(off[best], off[1 - best])
+        reader.sure *= 1.0 if decisive else TORN
+        why = "the floor is level with the one that is used" if decisive else "it is unknown which one is right"
         reader.say(
             f"Frame '{child}' jumps between two poses, {count} times: two publishers disagree about it; {why}. "
             f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
@@ -102,5 +102,5 @@ def in_body_frame(reader: LogReader, topic: str, xy: np.ndarray, values: np.ndar
         return False
     length = np.linalg.norm(ways, axis=1) if reader.measuring.radial.get(topic) else 1.0
     normals = planes(ways, value / length).normals
-    told, body = (np.max(normals @ turn.T @ reader.up, initial=-1.0) for turn in (pose[0], pose[0] @ BODY_OPTICAL))
-    return bool(told < LEVEL < body)
+    stated, body = (np.max(normals @ turn.T @ reader.up, initial=-1.0) for turn in (pose[0], pose[0] @ BODY_OPTICAL))
+    return bool(stated < LEVEL < body)

@@ -39,12 +39,7 @@ def calibration_of(topics: dict[str, Topic], name: str) -> Calibration | None:
     for other, topic in topics.items():
         c = topic.calibration
         if c is not None and (c.frame == image.frame or other.rsplit("/", 1)[0] == space):
-            key = (
-                c.frame != image.frame,
-                (c.height, c.width) != image.shape,
-                other.rsplit("/", 1)[0] != space,
-                other,
-            )
+            key = (c.frame != image.frame, (c.height, c.width) != image.shape, other.rsplit("/", 1)[0] != space, other)
             found.append((key, c))
     best = min(found, key=lambda pair: pair[0])[1] if found else None
     return topics[name].fallback or best if best is None or best.K[0, 0] <= 0 else best

@@ -1,4 +1,4 @@
-"""Stamps of several clocks in one log: told apart by the log time, which is one clock for all, and brought together.
+"""Stamps of several clocks in one log: distinguished by the log time, which is one clock for all, and brought together.
 
 A sensor may count from its power-on, a computer may not have its time from the network, or get it in the middle of a
 recording. What a user says of a topic's clock (`read.delays`) is taken as said.
@@ -31,7 +31,7 @@ class Stamps:
     measured: bool = True  # else transforms, which may be given in advance
 
     @property
-    def told(self) -> np.ndarray:
+    def stamped(self) -> np.ndarray:
         """Which messages have a stamp."""
         return self.own != 0
 
@@ -42,10 +42,7 @@ class Stamps:
 
 
 def shifts(
-    topics: Sequence[Stamps],
-    delays: dict[str, float],
-    notes: list[str],
-    set_backs: Sequence[tuple[int, int]] = (),
+    topics: Sequence[Stamps], delays: dict[str, float], notes: list[str], set_backs: Sequence[tuple[int, int]] = ()
 ) -> tuple[dict[str, Int64[np.ndarray, " message"]], dict[str, str]]:
     """What is to be added to the stamps of each topic, nanoseconds, so that all are of one clock, and why some topics
     cannot be brought to it; says in `notes` what was done.
@@ -60,12 +57,12 @@ def shifts(
     for t in topics:
         if t.topic in delays:
             moved[t.topic] -= round(delays[t.topic] * SECOND)
-    timed = [t for t in topics if t.topic not in delays and t.told.any() and len(np.unique(t.logged)) > 1]
+    timed = [t for t in topics if t.topic not in delays and t.stamped.any() and len(np.unique(t.logged)) > 1]
     late = {}
     for t in timed:
         same = sum((_set_back_with_it(t, at, by) for at, by in set_backs), np.zeros(len(t.own), np.int64))
-        moved[t.topic] += same + _without_steps(replace(t, own=t.own + same * t.told), notes)
-        late[t.topic] = int(np.median((t.late - moved[t.topic])[t.told]))
+        moved[t.topic] += same + _without_steps(replace(t, own=t.own + same * t.stamped), notes)
+        late[t.topic] = int(np.median((t.late - moved[t.topic])[t.stamped]))
     if late:
         usual = _usual(timed, late)
         for t in timed:
@@ -103,7 +100,7 @@ def _usual(timed: list[Stamps], late: dict[str, int]) -> int:
 
 def _set_back_with_it(t: Stamps, at: int, by: int) -> np.ndarray:
     """What is to be added to the stamps of a topic if they are of the recorder's clock, which was set back then."""
-    sides = [t.late[t.told & side] for side in (t.logged < at, t.logged >= at)]
+    sides = [t.late[t.stamped & side] for side in (t.logged < at, t.logged >= at)]
     if not all(len(side) for side in sides):
         return np.zeros(len(t.own), np.int64)
     later = np.median(sides[1][:AROUND]) - np.median(sides[0][-AROUND:])
@@ -112,8 +109,8 @@ def _set_back_with_it(t: Stamps, at: int, by: int) -> np.ndarray:
 
 def _without_steps(t: Stamps, notes: list[str]) -> np.ndarray:
     """What is to be added to the stamps of a topic so that its clock was never set while it was recorded."""
-    out, told = np.zeros(len(t.own), np.int64), np.flatnonzero(t.told)
-    late = t.late[told]
+    out, stamped = np.zeros(len(t.own), np.int64), np.flatnonzero(t.stamped)
+    late = t.late[stamped]
     steps = np.flatnonzero(np.abs(np.diff(late)) > STEP) + 1
     parts = [p for p in np.split(np.arange(len(late)), steps) if len(p)]
     whole = [p for p in parts if len(p) >= FEWEST]
@@ -125,20 +122,20 @@ def _without_steps(t: Stamps, notes: list[str]) -> np.ndarray:
     set_at = [
         (p, m)
         for p, m in zip(whole, middles)
-        if abs(m - good) > STEP and _stamps_jumped(t.own[told], t.logged[told], p)
+        if abs(m - good) > STEP and _stamps_jumped(t.own[stamped], t.logged[stamped], p)
     ]
     for p, m in set_at:
-        out[told[p]] += m - good
+        out[stamped[p]] += m - good
     if set_at:
         notes.append(
             f"'{t.topic}': its clock was set during the recording (by {seconds(set_at[0][1] - good)}, "
             f"{sum(len(p) for p, _ in set_at)} stamps shifted by the log time)."
         )
-    corrected = late - out[told]
+    corrected = late - out[stamped]
     odd = np.abs(corrected - good) > LATE
     few = odd & np.isin(np.arange(len(late)), np.concatenate([[-1], *(p for p in parts if len(p) < FEWEST)]))
     if few.any():
-        out[told[few]] += corrected[few] - good
+        out[stamped[few]] += corrected[few] - good
         notes.append(f"'{t.topic}': {int(few.sum())} stamps are of no clock; the log time is used for them.")
     return out
 
@@ -154,7 +151,7 @@ def _stamps_jumped(own: np.ndarray, logged: np.ndarray, part: np.ndarray) -> boo
 def _one_epoch(topics: Sequence[Stamps], moved: dict[str, np.ndarray], notes: list[str]) -> dict[str, str]:
     """Adds to `moved` what places the part before the clock was set right before the part after. Returns the topics
     that are wholly of another epoch than most, and why they cannot be used."""
-    times = {t.topic: (t.own + moved[t.topic])[t.told] for t in topics if t.measured and t.told.any()}
+    times = {t.topic: (t.own + moved[t.topic])[t.stamped] for t in topics if t.measured and t.stamped.any()}
     every = np.unique(np.concatenate([np.zeros(0, np.int64), *times.values()]))
     foreign: dict[str, str] = {}
     for k in np.flatnonzero(np.diff(every) > EPOCH)[::-1]:
@@ -171,7 +168,7 @@ def _one_epoch(topics: Sequence[Stamps], moved: dict[str, np.ndarray], notes: li
             continue
         by -= int(np.median(np.diff(every)))
         for t in topics:
-            moved[t.topic][t.told & (t.own + moved[t.topic] <= last)] += by
+            moved[t.topic][t.stamped & (t.own + moved[t.topic] <= last)] += by
         notes.append(
             f"The clock was set during the recording, by {seconds(by)}: what came before is placed right before "
             "what came after; how long it was in between is not known."

@@ -162,9 +162,9 @@ class FramePass:
         sensor = np.repeat(np.array([s for s, _ in parts], np.int32), sizes)
         clouds = [m.points for _, m in parts] or [np.zeros((0, 3), np.float32)]
         points = clouds[0] if len(clouds) == 1 else np.concatenate(clouds)
-        said = plan.parts
-        part = np.concatenate([np.zeros(0, np.int32), *(m.part for _, m in parts)]) if said.names else None
-        weights = np.array([said.weight(name) for name in plan.sensors], np.float32)
+        labels = plan.parts
+        part = np.concatenate([np.zeros(0, np.int32), *(m.part for _, m in parts)]) if labels.names else None
+        weights = np.array([labels.weight(name) for name in plan.sensors], np.float32)
         rays, pictures = plan.rays.get(i, NO_RAYS), tuple(self._pictures.pop(i, ()))
         if self._pose is not None:
             rays = joined_rays([rays, self._pose.rays(pictures)])
@@ -176,8 +176,8 @@ class FramePass:
             rays=rays,
             pairs=plan.pairs.get(i, NO_PAIRS),
             part=part,
-            parts=said.names,
-            weight=weights[sensor] if said.weighted(plan.sensors) else None,
+            parts=labels.names,
+            weight=weights[sensor] if labels.weighted(plan.sensors) else None,
             pictures=pictures if self._settings.images else (),
             matched=bool(parts) and {plan.sensors[k] for k, _ in parts} <= {pair.left for pair in self._scan.stereo},
         )

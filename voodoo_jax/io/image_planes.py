@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 SOME = 1500  # pixels that are looked at; by hand
-TELLING = 100  # pixels or points with data, of which it is told what they show; by hand
+TELLING = 100  # pixels or points with data, that suffice to show something; by hand
 PLANES, TRIALS = 3, 100  # that are looked for one after the other, and draws for each; by hand
 NEAR = 0.01  # of the distance: so near to a plane a pixel is on it, with the noise of depth cameras; by hand
 WIDE = 0.08  # share of the pixels that make a plane; by hand

@@ -27,10 +27,9 @@ from voodoo_jax.io.decode.registry import (
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
 from voodoo_jax.io.limits import TIME, limits
-from voodoo_jax.io.pictures import camera_topics
+from voodoo_jax.io.pictures import UNSEARCHED, camera_topics
 from voodoo_jax.io.recorder_clock import note_of
 from voodoo_jax.io.several_files import open_files
-from voodoo_jax.io.skin_rays import UNSEARCHED
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic, Unused
 from voodoo_jax.io.topic_roles import decide_uses

@@ -25,14 +25,13 @@ from voodoo_jax.io.frame_pass import UNREADABLE, FramePass, Progress
 from voodoo_jax.io.given import given_transforms
 from voodoo_jax.io.image_fit import fitted, leeway
 from voodoo_jax.io.image_planes import TELLING
-from voodoo_jax.io.log_index import Known, Scan
+from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.measuring import Measuring
 from voodoo_jax.io.pictures import shape_of
 from voodoo_jax.io.pose_rays import NAMES
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.repeats import Repeats
-from voodoo_jax.io.transforms import Transform
 from voodoo_jax.records.messages import Cloud, Image, many, stride
 from voodoo_jax.records.notes import DAMAGED, as_few
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Rays, Recording
@@ -102,7 +101,7 @@ class LogReader:
         self.features, self.parts = plan.features, plan.parts.names
         self._plan = plan
         self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
-        self._counted: Counter[tuple[str, str]] = Counter()  # (topic, what happened)
+        self.counted: Counter[tuple[str, str]] = Counter()  # events with messages, by topic and event
         self._decoder, self._repeats = Decoder(), Repeats()
         self.sure = 1.0  # probability that places are right for which a calibration was assumed
         self.placed: tuple[str, ...] = ()  # transforms that were found, as read.transform says them
@@ -162,7 +161,7 @@ class LogReader:
         """The same log with other fields of `measuring`."""
         other = copy(self)
         other.measuring = replace(self.measuring, **changes)
-        other._notes, other._counted = list(self._notes), Counter()
+        other._notes, other.counted = list(self._notes), Counter()
         return other
 
     def without_sheets(self, topics: frozenset[str]) -> "LogReader":
@@ -201,30 +200,10 @@ class LogReader:
         other = copy(self)
         other.scan, other._plan = scan, replace(plan, up=self.up)
         other.sensors, other.features = plan.sensors, plan.features
-        other._notes, other._counted = [], Counter()
+        other._notes, other.counted = [], Counter()
         # what was assumed is said already
         other.measuring = replace(self.measuring, topics=scan.topics, tree=scan.tree, parts=plan.parts, assumed={})
         return other
-
-    def settled(self, transforms: list[tuple[Transform, bool]], decoder: Decoder) -> Known:
-        """Results of this scan that stay fixed, for `continued`; `transforms` and `decoder` see Known."""
-        s = self.scan
-        return Known(s.topics, s.uses, s.skin, s.stereo, s.shifts, transforms, decoder)
-
-    @property
-    def shifts(self) -> dict[str, int]:
-        """Offsets added to stamps, see Scan."""
-        return self.scan.shifts
-
-    @property
-    def units(self) -> list[str]:
-        """Units of named points that were found by their extent, as in read.scale."""
-        return [f"{name}={unit:g}" for name, unit in self.scan.units.items()]
-
-    @property
-    def losses(self) -> dict[tuple[str, str], int]:
-        """Counts of events with messages since `frames` was begun, by topic and event."""
-        return dict(self._counted)
 
     def coarse(self, max_points: int) -> "LogReader":
         """The same log with at most this many points of each message."""
@@ -241,12 +220,7 @@ class LogReader:
         self._notes.append(note)
 
     def sampled(
-        self,
-        topic: str,
-        count: int,
-        spread: bool = False,
-        step: int = 1,
-        at: Int64[np.ndarray, " time"] | None = None,
+        self, topic: str, count: int, spread: bool = False, step: int = 1, at: Int64[np.ndarray, " time"] | None = None
     ) -> list[Sample]:
         """Some non-empty messages of a depth topic: the first ones (subsampled), or `spread` over the log, or those
         nearest to some times (nanoseconds)."""
@@ -280,7 +254,7 @@ class LogReader:
     def frame_of(self, topic: str, sample: Sample) -> Frame | None:
         """A frame of one message, in the fixed frame; None without a transform."""
         at = int(self.stamps(topic)[sample.number])
-        measured = self.measuring.measured(topic, sample.content, at, self._counted)
+        measured = self.measuring.measured(topic, sample.content, at, self.counted)
         if measured is None:
             return None
         sensor = np.zeros(len(measured.points), np.int32)
@@ -323,7 +297,7 @@ class LogReader:
     def _damage(self) -> list[str]:
         """A sentence if frames were lost to damage."""
         lost = self.scan.lost({*self.sensors, *self.features})
-        lost += sum(n for (_, what), n in self._counted.items() if what == UNREADABLE)
+        lost += sum(n for (_, what), n in self.counted.items() if what == UNREADABLE)
         lost += sum(self.scan.topics[name].broken for name in self.features)
         if lost:
             return [f"{DAMAGED}{many(lost)} that frames were to be made of {'is' if lost == 1 else 'are'} lost."]
@@ -334,7 +308,7 @@ class LogReader:
         return []
 
     def _losses(self) -> list[str]:
-        counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self._counted.items()]
+        counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self.counted.items()]
         counted += [f"'{topic}': {many(n)} {BEGAN}." for topic, n in self._repeats.began.items()]
         return counted + self._plan.parts.losses()
 
@@ -347,15 +321,15 @@ class LogReader:
         Raises LogError if not one message can be used.
         """
         self.scan.log.clock.restart()  # it goes by this thread, which may be another one than before
-        self._counted = Counter()
+        self.counted = Counter()
         made = FramePass(
-            self.scan, self._plan, self._settings, self.measuring, self._decoder, self._repeats, self._counted,
+            self.scan, self._plan, self._settings, self.measuring, self._decoder, self._repeats, self.counted,
             self.no_origins() if origins is None else origins,
         )  # fmt: skip
         yield from made.frames(progress)
         if not made.made:
             text = " ".join([f"'{self.path}': no depth message can be used.", *self._losses(), made.error]).strip()
-            if any(what == UNREADABLE for _, what in self._counted):
+            if any(what == UNREADABLE for _, what in self.counted):
                 text = f"{text}. It is damaged, or was written by another version: copy it again."
             raise LogError(damaged(self.scan, LogError(text)))
 

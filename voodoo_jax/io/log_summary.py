@@ -10,7 +10,7 @@ from voodoo_jax.io.convert.in_passing import as_mcap
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE
-from voodoo_jax.model.marker_names import told_names
+from voodoo_jax.model.marker_names import describe_names
 from voodoo_jax.records.notes import NAME, as_few, plain
 
 TOPICS = 500  # that are listed
@@ -93,7 +93,7 @@ def _surveyed(path: Place, settings: ReadSettings) -> LogSurvey:
         if settings.pose_net:
             looked = {*(plan.pictures.cameras if plan.pictures else ()), *(pair.left for pair in scan.stereo)}
             said |= {name: f"{said[name]}, {POSE_USE}" for name in looked if scan.uses[name] != POSE_USE}
-        warnings += told_names(_named(scan, plan.features), FeatureSettings())
+        warnings += describe_names(_named(scan, plan.features), FeatureSettings())
         said |= {name: said[name] + plan.parts.say(name) for name in {*plan.sensors, *plan.features}}
     except LogError as error:
         warnings = [*scan.notes, damaged(scan, error)]

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from voodoo_jax.sensors.stereo_rig import Rig
 
 _GREY = ("mono8", "8uc1")
+UNSEARCHED = "Skin detection leaves out '{}': {}."
 UNSEEN = "The images of '{}' are not used: {}."
 
 

@@ -1,8 +1,6 @@
 """Skin regions of a log's colour images as rays, by frame, in a separate pass over these images."""
 
 from collections import Counter
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64
@@ -10,39 +8,30 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.calibrations import lens_of
+from voodoo_jax.io.container import guarded
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
 from voodoo_jax.io.image_fit import fitted
+from voodoo_jax.io.landmark_plan import FeaturePlan
+from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.pictures import UNSEARCHED
 from voodoo_jax.io.point_labels import Parts
 from voodoo_jax.io.stereo_pairs import picture_of
 from voodoo_jax.records.messages import many
 from voodoo_jax.records.recording import Rays
 
-if TYPE_CHECKING:
-    from voodoo_jax.io.log_index import Scan
-
 SKIN = "skin"  # name of the feature
-UNSEARCHED = "Skin detection leaves out '{}': {}."
 _STILL = 1.5  # pixels of an image 640 wide: a standing head sways more within a few seconds
 _OFTEN, _SECONDS = 0.8, 3.0  # furniture is there in this share of the images; shorter logs do not tell
 
 
-@dataclass
-class SkinPlan:
-    """Rays by number of the frame, the topics that gave them, and what was left out, one sentence each."""
-
-    rays: dict[int, Rays] = field(default_factory=dict)
-    topics: tuple[str, ...] = ()
-    notes: list[str] = field(default_factory=list)
-
-
-def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weights: Parts) -> SkinPlan:
+def plan_skin(scan: Scan, fixed: str, times: Int64[np.ndarray, " frame"], weights: Parts) -> FeaturePlan:
     """Assigns the skin regions of each camera's images to the frames (`times`, increasing, nanoseconds), the image
     nearest in time to each.
 
     Regions that keep their place in nearly all of a log, while others move, are furniture and left out.
     """
-    cameras, plan = scan.skin, SkinPlan()
+    cameras, plan = scan.skin, FeaturePlan()
     if not cameras:
         plan.notes.append("read.skin has no effect: the log has no calibrated colour images.")
         return plan
@@ -88,9 +77,8 @@ def plan_skin(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"], weig
     return plan
 
 
-def _find(scan: "Scan", names: set[str], wanted: set[tuple[str, int]], counted: Counter) -> dict:
+def _find(scan: Scan, names: set[str], wanted: set[tuple[str, int]], counted: Counter) -> dict:
     """(rows, columns) of the image and pixels [region, 2], by (topic, number of the message)."""
-    from voodoo_jax.io.container import guarded
     from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only where skin is asked for
     from voodoo_jax.sensors.skin_colour import SkinFinder
 

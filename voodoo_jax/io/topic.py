@@ -12,7 +12,7 @@ SKIN_USE, POSE_USE = "skin colour", "key points"  # of images that read.skin and
 
 
 class Problem(Enum):
-    """Why a topic gives nothing, where the user is told."""
+    """Why a topic gives nothing, as far as notes and errors depend on it."""
 
     CALIBRATION = auto()  # a depth image without a calibration that can be used
     FEATURES = auto()  # 2D features, likewise

@@ -127,11 +127,7 @@ def closest_limb(sizes, poses, points, xyz, near_body, present, options) -> Int[
 
 
 def closest_limbs(
-    sizes: Float[Array, "limb 5"],
-    poses: Poses,
-    points: Points,
-    options: MatchOptions,
-    present: Bool[Array, " limb"],
+    sizes: Float[Array, "limb 5"], poses: Poses, points: Points, options: MatchOptions, present: Bool[Array, " limb"]
 ) -> Int[Array, " point"]:
     """Which limb each point is matched to under the exclusive rule; the number of limbs where to none."""
     near_body = in_reach(sizes, poses, points, options, present)

@@ -67,7 +67,7 @@ class Chain:
         return slope
 
     def points(self, places: np.ndarray, turn: np.ndarray, root: np.ndarray) -> np.ndarray:
-        """Markers, then origins of limbs [frame, ., 3], metres."""
+        """Positions of markers, then origins of limbs [frame, ., 3], metres."""
         turned = np.einsum("flij,lj->fli", turn[:, self.owner], places)
         return root[:, None] + np.einsum("ml,fli->fmi", self.sum, turned)
 

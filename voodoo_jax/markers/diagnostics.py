@@ -1,4 +1,4 @@
-"""What is odd about the markers of a recording, in sentences: missing, exchanged, misplaced, with unknown names."""
+"""Notes on a recording's markers: missing, exchanged, misplaced, or with unknown names."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from voodoo_jax.records.notes import remark
 from voodoo_jax.records.stretches import stretches
 
 GAP = 0.2  # seconds: a marker that is away for longer is named
-SHOWN = 3  # notes of one kind that are told one by one, and gaps of one marker
+SHOWN = 3  # notes of one kind that are listed one by one, and gaps of one marker
 LISTED = 5  # set by hand: names in a note on many
 HINT = 0.06  # set by hand, metres: so near to a point of the body a marker may be the one that belongs there
 HINTED = 0.3  # set by hand: share of the frames in which a marker must be seen to say where it sits
@@ -31,17 +31,17 @@ MIRRORED = (
 
 
 class Spans(NamedTuple):
-    """Stretches of time in frames."""
+    """Intervals of frames."""
 
     seconds: np.ndarray  # of each frame
     step: float  # seconds between frames
 
     def long(self, mask: np.ndarray) -> list[tuple[int, int]]:
-        """First and last frame of each stretch of True that is worth a note."""
+        """First and last frame of each interval that is long enough for a note."""
         return [(a, b - 1) for a, b in stretches(mask) if self.seconds[b - 1] - self.seconds[a] + self.step > GAP]
 
     def words(self, some: list[tuple[int, int]]) -> str:
-        """Some stretches in words."""
+        """Some intervals as text."""
         text = ", ".join(f"{a} to {b}" for a, b in some[:SHOWN])
         return text + (f" and {len(some) - SHOWN} more times" if len(some) > SHOWN else "")
 
@@ -54,8 +54,8 @@ def marker_notes(
     tracked: Bool[np.ndarray, " frame"],
     exchanges: list[Exchange],
 ) -> tuple[str, ...]:
-    """Notes on the markers of tracked frames. `poses` of every frame, NaN where there are none;
-    `exchanges` were put right before."""
+    """Notes on the markers of tracked frames. `poses` of every frame, NaN where there are none; `exchanges` were
+    corrected before."""
     seconds = (stamps - stamps[0]) / 1e9
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
 
@@ -86,7 +86,7 @@ def marker_notes(
 
 
 def _misplaced(known: Markers, at: np.ndarray, tracked: np.ndarray, spans: Spans) -> list[str]:
-    """Notes on markers that are for a time where another one belongs, or far from their own places `at`."""
+    """Notes on markers that are for a time in another one's place, or far from their own places `at`."""
     off = np.linalg.norm(at - known.points, axis=-1)
     far = known.seen & (off > CLOSE) & tracked[:, None]
     exchanged = np.zeros_like(far)
@@ -114,7 +114,7 @@ def _misplaced(known: Markers, at: np.ndarray, tracked: np.ndarray, spans: Spans
 
 
 def in_few_lines(found: list[tuple[str, str]], many: str, one: str) -> list[str]:
-    """A note for each (name, what of it), or one note where there are many."""
+    """A note for each (name, text), or one note for many."""
     if len(found) <= SHOWN:
         return [f"{one}{name} {text}." for name, text in found]
     listed = "; ".join(f"{name} {text}" for name, text in found[:SHOWN])
@@ -124,7 +124,7 @@ def in_few_lines(found: list[tuple[str, str]], many: str, one: str) -> list[str]
 
 
 def residuals(body: Body, markers: Markers, poses: Poses, tracked: Bool[np.ndarray, " frame"]) -> dict[str, float]:
-    """Root mean square distance of each marker from its place, over tracked frames where it is near that, metres."""
+    """Root mean square distance of each marker from its place, over tracked frames in which it is near that, metres."""
     off = np.linalg.norm(places(body, markers.rows, poses) - markers.points, axis=-1)
     use = markers.seen & tracked[:, None] & (off < CLOSE)
     mean = np.where(use, off, 0) ** 2
@@ -133,7 +133,7 @@ def residuals(body: Body, markers: Markers, poses: Poses, tracked: Bool[np.ndarr
 
 
 def _residuals(found: dict[str, float]) -> list[str]:
-    """A note on markers that are not where they were fitted to be."""
+    """A note on markers far from their fitted places."""
     bad = sorted((name for name in found if found[name] > FAR), key=lambda n: -found[n])
     if not bad:
         return []
@@ -144,7 +144,7 @@ def _residuals(found: dict[str, float]) -> list[str]:
 
 
 def name_notes(named: Named) -> list[str]:
-    """Notes on whose markers are used, and by which sets their names are known."""
+    """Notes on the subject whose markers are used, and the sets that know their names."""
     notes = []
     if named.others:
         others = ", ".join(f"'{s}'" if s else "nobody named" for s in named.others)
@@ -160,7 +160,7 @@ def name_notes(named: Named) -> list[str]:
 
 
 def _unknown(body: Body, table: MarkerTable, poses: Poses, tracked) -> list[str]:
-    """Notes on names that the body does not know: how often they are seen, and where they sit."""
+    """Notes on names that the body does not know: their counts, and their places on the body."""
     other = table.unknown
     if not other.names:
         return []
@@ -188,7 +188,7 @@ def _unknown(body: Body, table: MarkerTable, poses: Poses, tracked) -> list[str]
 
 
 def _where(body: Body, table: MarkerTable, poses: Poses, tracked, which: list[int]) -> dict[int, str]:
-    """Point of the body at which each of some unknown names sits, where that is near and no other name is there."""
+    """Point of the body next to each of some unknown names, if it is near and no other name is there."""
     t, other = body.topology, table.unknown
     names = (*t.sites, *t.centres)
     rows = np.array([k for k, name in enumerate(names) if OWN not in name], np.int64)

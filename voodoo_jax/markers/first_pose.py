@@ -1,4 +1,5 @@
-"""A first pose from named points alone: no floor, no upright person, no direction that is up. Host side, NumPy.
+"""A first pose from named points alone: without a floor, an upright person or a known upward direction. Host side,
+NumPy.
 
 The rest pose is laid on the points by what most of them agree on (random samples of three), then every limb is turned
 about its joint, from the root outwards, to where its own points and its children's are. Wrong names are outvoted.
@@ -41,7 +42,7 @@ def _robust(model, data, weight, reach: float, turn=None, shift=None):
 def agreed(
     model: Float[np.ndarray, "point 3"], data: Float[np.ndarray, "point 3"], scaled_by: float | None = None
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], float]:
-    """Rotation, translation and scale that take most of the model points near their data points.
+    """Rotation, translation and scale that move most of the model points near their data points.
 
     `scaled_by` the scale, if it is known.
     """
@@ -109,10 +110,10 @@ def first_pose(
     return q, out_at, factor
 
 
-# 10 parameters: what limbs before this one have told
+# 10 parameters: results of the limbs before this one
 def _limb_turn(model, data, limb, trust, own, children, factor, turn, shift, pin=None):
-    """A limb's rotation and translation from the rest pose: its own points, its children's a little, held by the joint
-    and weakly by the parent's rotation (root: by the whole body's)."""
+    """A limb's rotation and translation from the rest pose: by its own points, weakly by its children's, held by the
+    joint and weakly by the parent's rotation (root: by the whole body's)."""
     mine, theirs = np.isin(limb, own), np.isin(limb, children)
     use = mine | theirs
     m, d = factor * model[use], data[use]

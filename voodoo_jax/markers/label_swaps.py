@@ -1,4 +1,4 @@
-"""Markers whose names were exchanged, for some time or for the whole recording: found and put right. Host side.
+"""Exchanged names of markers, for some time or for the whole recording: detects and corrects them. Host side.
 
 Within a recording an exchange is two markers that each jump to where the other one was; the names they have for longer
 are taken for right. Left and right exchanged from beginning to end is found by sizes that nobody has.
@@ -23,7 +23,7 @@ PAIRS = 3  # of left and right, at least, to tell that; by hand
 
 
 class Exchange(NamedTuple):
-    """Two names that stood for each other."""
+    """Two names that were exchanged."""
 
     first: str
     second: str
@@ -62,8 +62,8 @@ def jumps(markers: Markers) -> list[Exchange]:
 def sides(
     body: Body, markers: Markers, sites: list[str], scale_known: bool = False
 ) -> tuple[Markers, Fit, list[Exchange], bool]:
-    """Left and right markers that are exchanged in all of some frames: the markers put right, and their fit; and
-    whether all are, as where coordinates are left-handed.
+    """Left and right markers that are exchanged in all of some frames: the corrected markers, and their fit; and
+    whether all are exchanged, as with left-handed coordinates.
 
     **Arguments:** `sites` the body's name of each marker's place.
     """
@@ -88,7 +88,7 @@ def sides(
 
 
 def _exchanged(body: Body, markers: Markers, pairs: dict[int, int], scale_known: bool) -> tuple[Markers, Fit]:
-    """The markers with the names of some pairs exchanged, and their fit."""
+    """The markers with some pairs of names exchanged, and their fit."""
     order = np.arange(len(markers.names))
     for a, b in pairs.items():
         order[[a, b]] = b, a
@@ -97,7 +97,7 @@ def _exchanged(body: Body, markers: Markers, pairs: dict[int, int], scale_known:
 
 
 def put_right(frames: list[BodyObservation], exchanges: list[Exchange]) -> list[BodyObservation]:
-    """The frames with exchanged names put right."""
+    """The frames with corrected names."""
     out = list(frames)
     for first, second, when in exchanges:
         other = {first: second, second: first}

@@ -1,4 +1,4 @@
-"""A recording's markers as points of the body: each has its own, however many sit on one limb. Host side.
+"""A recording's markers as points of the body: each has its own, for any number of markers on a limb. Host side.
 
 A set's names say where a marker is put, to some centimetres; where it sits on this person is fitted. So every marker
 gets a feature point of its own. The points are counted by limb and rounded up: recordings of other sets need no program
@@ -26,7 +26,7 @@ ROOM = 16  # set by hand: markers on one limb that there is room for; more come 
 
 
 class Named(NamedTuple):
-    """The named points of one person in a recording, and what their names mean."""
+    """The named points of one person in a recording, and the meanings of their names."""
 
     known: Known
     subject: str  # whose markers they are; "": the log says nobody
@@ -34,13 +34,13 @@ class Named(NamedTuple):
 
 
 def named_subject(people: list[BodyObservation], topology: Topology, settings: FeatureSettings) -> Named:
-    """The first of `named_subjects`; nobody where nothing is named."""
+    """The first of `named_subjects`; an empty one without named points."""
     return next(iter(named_subjects(people, topology, settings)), Named(Known(), "", {}))
 
 
 def named_subjects(people: list[BodyObservation], topology: Topology, settings: FeatureSettings) -> list[Named]:
-    """The subjects whose points a recording names, and the places that the settings, marker sets or the body say their
-    names mean: who has a body's points before wands and boxes, then who has the most measurements."""
+    """The subjects of a recording's named points, and the places of their names by the settings, marker sets or the
+    body: subjects with a body's points before wands and boxes, then by the number of measurements."""
     seen = Counter(n for f in people for n in (*f.pairs.names, *f.rays.names))
     groups = subjects(seen)
     known = {s: _known(names, topology, settings) for s, names in groups.items()}
@@ -50,7 +50,7 @@ def named_subjects(people: list[BodyObservation], topology: Topology, settings: 
 
 
 def _known(names: Mapping[str, str], topology: Topology, settings: FeatureSettings) -> Known:
-    """What the names of one subject mean; full name, and the name without the subject's."""
+    """Meanings of one subject's names; full name, and the name without the subject's."""
     points = (*topology.sites, *topology.centres)
     given = check_pairs("features.names", settings.names, numbers=False)
     said, joints = {}, {}
@@ -75,8 +75,8 @@ def _known(names: Mapping[str, str], topology: Topology, settings: FeatureSettin
 
 
 def apart_by_names(subject: Subject, topology: Topology, settings: FeatureSettings) -> list[Subject]:
-    """The people whose markers a recording of markers alone names, who has the most first; the subject itself where
-    there are not several."""
+    """The people whose markers a recording of markers alone names, the one with the most markers first; the subject
+    itself if there is only one."""
     named = [n for n in named_subjects(subject.frames, topology, settings) if len(n.known.places) >= LEAST]
     if len(named) < 2:
         return [subject]
@@ -103,7 +103,8 @@ def of_subject(people: list[BodyObservation], named: Named) -> list[BodyObservat
 def with_names(
     body: Body, people: list[BodyObservation], settings: Settings
 ) -> tuple[list[BodyObservation], Settings, Named]:
-    """The frames with the named points of one subject, the settings with what their names mean, and who it is."""
+    """The frames with the named points of one subject, the settings with the meanings of their names, and the
+    subject."""
     t = body.topology
     named = named_subject(people, t, settings.features)
     features = with_meanings(settings.features, named.known, (*t.sites, *t.centres))
@@ -111,7 +112,7 @@ def with_names(
 
 
 def with_meanings(settings: FeatureSettings, known: Known, points: Collection[str]) -> FeatureSettings:
-    """The settings with what the names mean, where that is one of the body's `points`; what they say already stays."""
+    """The settings with the meanings of names that are among the body's `points`; existing entries stay."""
     given = check_pairs("features.names", settings.names, numbers=False)
     weighed = check_pairs("features.weights", settings.weights, numbers=True)
     places = {n: split_place(p)[0] for n, p in known.places.items()}
@@ -121,14 +122,15 @@ def with_meanings(settings: FeatureSettings, known: Known, points: Collection[st
 
 
 def with_own_names(settings: FeatureSettings, own: Mapping[str, str]) -> FeatureSettings:
-    """The settings with the points that `with_own_sites` gave the markers, in place of what they said of these."""
+    """The settings with the points that `with_own_sites` gave the markers, in place of their former entries for
+    these."""
     given = check_pairs("features.names", settings.names, numbers=False)
     names = {**{n: p for n, p in given.items() if n not in own}, **own}
     return replace(settings, names=tuple(f"{n}={p}" for n, p in names.items()))
 
 
 def with_own_sites(body: Body, places: Mapping[str, str]) -> tuple[Body, dict[str, str]]:
-    """The body with points for all markers, and the name of each marker's.
+    """The body with points for all markers, and the name of each marker's point.
 
     **Arguments:** `places` of the markers by name: a point or a limb of the body, perhaps with "~" and metres behind.
     Places that the body does not have are left out.

@@ -1,4 +1,4 @@
-"""What a usual person is like: how far sizes, joints and markers may be from the body file in a fit to markers."""
+"""Priors for a fit to markers: usual deviations of sizes, joints and markers from the body file."""
 
 from collections.abc import Sequence
 
@@ -82,7 +82,7 @@ class Priors:
 
     @staticmethod
     def _middles(chain: Chain, body: Body, places: Sequence[str]) -> list[tuple[list[int], int, float]]:
-        """Markers whose middle is a joint's centre, the joint, and to how many metres."""
+        """Pairs of markers with a joint's centre in their middle, the joint, and its uncertainty in metres."""
         joints, topology, found = list(chain.joints), body.topology, []
         for joint, ends in MIDDLES.items():
             for side in ("l_", "r_"):
@@ -98,7 +98,7 @@ class Priors:
         return found
 
     def _ends(self, places: np.ndarray) -> list[np.ndarray]:
-        """From joints' centres to the middles of the markers that tell them, each over its usual size."""
+        """Offsets of joints' centres from the middles of their markers, each over its usual size."""
         count, out = len(self.chain.joints), []
         for markers, joint, metres in self.middles:
             owner = self.chain.limb[markers[0]]
@@ -107,7 +107,7 @@ class Priors:
         return out
 
     def _leg(self, places: np.ndarray, stature: float) -> float:
-        """From the front of the pelvis to the ankles of somebody who stands, metres."""
+        """Distance from the front of the pelvis to the ankles of a standing person, metres."""
         if not len(self.legs):
             return 0.52 * stature
         hip, above, knee, below, ankle = places[self.legs.T]
@@ -119,7 +119,7 @@ class Priors:
         return np.concatenate([self.straight @ (x - self.mean), *self._ends(self.chain.sized(x)), self._hips(x)])
 
     def _hips(self, x: np.ndarray) -> np.ndarray:
-        """Of the hips from where the regression has them."""
+        """Deviations of the hips from the regression."""
         if len(self.hips) < 2:
             return np.zeros(0)
         places = self.chain.sized(x)
@@ -130,7 +130,7 @@ class Priors:
         return ((places[self.hips] - hips) / self.hip).ravel()
 
     def shifts(self, x: np.ndarray) -> np.ndarray:
-        """How far each marker is from its site, over its usual size: the largest of three axes."""
+        """Distance of each marker from its site, over its usual size: the largest of three axes."""
         return np.abs((self.straight @ (x - self.mean))[self.markers]).reshape(-1, 3).max(1)
 
     def slope(self, x: np.ndarray) -> np.ndarray:
@@ -146,7 +146,7 @@ class Priors:
 
 
 def _spread(place: str, limbs: tuple[str, ...]) -> tuple[float, float, float]:
-    """Metres by which a marker at a place may lie off it, along its limb's axes."""
+    """Standard deviation in metres of a marker at a place, along its limb's axes."""
     point, metres = split_place(place)
     if metres is not None:
         return metres, metres, metres
@@ -154,5 +154,5 @@ def _spread(place: str, limbs: tuple[str, ...]) -> tuple[float, float, float]:
 
 
 def twin(limb: str, limbs: tuple[str, ...]) -> bool:
-    """Whether a limb is a left one that has a right one."""
+    """Whether a limb is a left one with a right counterpart."""
     return limb[:2] == "l_" and "r_" + limb[2:] in limbs

@@ -1,4 +1,4 @@
-"""A person's sizes and where her markers sit, from the markers alone: one least-squares fit over some frames.
+"""A person's sizes and marker places, from the markers alone: one least-squares fit over some frames.
 
 Unknown are the pose of every frame, the scale, three factors per limb and the place of every joint and marker on its
 limb; a marker has its site, a joint its place in the body file and a limb its proportion as prior. Gauss-Newton on the
@@ -40,7 +40,7 @@ class Markers(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """What fit_markers found."""
+    """Result of fit_markers."""
 
     scale: float  # of the body
     factors: Float[np.ndarray, "limb 3"]  # of each limb's lengths along its axes, beside the scale
@@ -54,7 +54,7 @@ class Fit(NamedTuple):
 
 
 def fit_markers(body: Body, markers: Markers, sizes: bool = True, scale_known: bool = False) -> Fit:
-    """Poses of a body in some frames, and its sizes, from named points; nothing about the poses need be known.
+    """Poses of a body in some frames, and its sizes, from named points; needs no first poses.
 
     **Arguments:** `markers` at least three seen in each frame; `sizes` False: the body's stay; `scale_known` the body's
     scale stays, proportions are found.
@@ -107,8 +107,8 @@ def fit_markers(body: Body, markers: Markers, sizes: bool = True, scale_known: b
 
 
 def _start(body: Body, chain: Chain, markers: Markers, factor: float | None, loose: np.ndarray):
-    """The unknowns, the limbs' rotations and the root's places that the fit begins with. Where `loose` markers sit is
-    told by first poses from the others, and then they help with these."""
+    """First values of the unknowns, the limbs' rotations and the root's places. First poses from the other markers give
+    the places of `loose` markers, which then help to find better poses."""
     rows, points, seen = markers.rows, markers.points, markers.seen
     turn, at, scale = _first_poses(body, rows, points, seen, factor, np.where(loose, UNSURE, 1.0))
     x = np.zeros(chain.unknowns)
@@ -132,8 +132,8 @@ def _first_poses(body: Body, rows, points, seen, factor, trust) -> tuple[np.ndar
 
 # 7 parameters: the state of the fit
 def _found_places(chain: Chain, x, loose, turn, origins, points, seen) -> np.ndarray:
-    """Shifts of the markers to where those whose place is not known sit on their limbs in the first poses: in those
-    nearest to rest, for how a bent limb is turned about itself is told by such markers only."""
+    """Shifts of the markers with unknown places to where they are on their limbs in the first poses: in those nearest
+    to rest, because the twist of a bent limb is known by such markers only."""
     shifts = np.zeros((len(loose), 3))
     at = chain.sized(x)[-len(loose) :]
     bent = (chain.angles(turn)[0] ** 2).sum((1, 2))

@@ -1,5 +1,5 @@
 """Recordings of named 3D points, such as optical markers: tables of them, the person's sizes, the start, and how well
-the points are explained. Host side."""
+poses explain the points. Host side."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -24,18 +24,18 @@ OFTEN = 0.1  # set by hand: of the frames with markers: seen in fewer, a marker 
 
 
 class MarkerTable(NamedTuple):
-    """All named points of a recording, those that the body knows first."""
+    """All named points of a recording, those known to the body first."""
 
     markers: Markers  # of names that stand for one point of the body
     unknown: Markers  # the other names, all with row 0
 
     def enough(self, least: int) -> Bool[np.ndarray, " frame"]:
-        """Frames that have so many known points."""
+        """Frames with at least this many known points."""
         return self.markers.seen.sum(1) >= least
 
 
 def without_gaps(frames: list[BodyObservation]) -> list[BodyObservation]:
-    """The frames without named points at exactly zero or at no number: this is how marker systems write a lost one."""
+    """The frames without named points at exactly zero or NaN: marker systems write lost points in this way."""
     out = []
     for frame in frames:
         p = frame.pairs
@@ -64,7 +64,7 @@ def marker_table(frames: list[BodyObservation], names: FeatureNames) -> MarkerTa
 
 
 class Sized(NamedTuple):
-    """The body with the sizes and marker places that the markers tell."""
+    """The body with sizes and marker places from the markers."""
 
     body: Body
     exchanges: list[Exchange]  # left and right markers that are exchanged throughout
@@ -72,7 +72,7 @@ class Sized(NamedTuple):
 
 
 def sized_by_markers(body: Body, markers: Markers, scale: float) -> Sized:
-    """The body as the markers tell it; `scale` (metres) if it is known, else 0."""
+    """The body with sizes from the markers; `scale` (metres) if it is known, else 0."""
     count = markers.seen.sum(1)
     good = np.flatnonzero(count >= max(TO_START, 0.7 * count.max(initial=0)))
     body = scaled(body, scale) if scale > 0 else body
@@ -106,7 +106,7 @@ def marker_start(body: Body, markers: Markers, at: int) -> Poses:
 
 
 def places(body: Body, rows: Int[np.ndarray, " name"], poses: Poses) -> Float[np.ndarray, "frame name 3"]:
-    """Where named points of the body are in each frame of the poses, metres."""
+    """Positions of named points of the body in each frame of the poses, metres."""
     limbs, points = (np.asarray(x) for x in named_points(body))
     limb = limbs[rows]
     at = Poses(np.asarray(poses.rotation)[:, limb], np.asarray(poses.translation)[:, limb])

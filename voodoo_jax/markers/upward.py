@@ -29,8 +29,8 @@ PELVIS, SIDES = ("l_hip", "r_hip"), ("l_talocrural", "r_talocrural")
 
 
 def with_upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> list[Tracks]:
-    """Tracks of everybody in a recording of named points with the way that is up, with a note where it is not that of
-    the log, `stated`."""
+    """Tracks of everybody in a recording of named points with the upward direction, and a note if it differs from the
+    log's, `stated`."""
     found = upward(people, stated)
     if found @ stated > ALONG:
         return list(people)
@@ -43,7 +43,7 @@ def with_upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> lis
 
 
 def upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Upwards in the fixed frame, a unit vector: `stated`, unless people stand another way."""
+    """Upwards in the fixed frame, a unit vector: `stated`, unless people stand along another direction."""
     stated = np.asarray(stated, float)
     ways = [way for one in people if len((way := _way(one)).body)]
     if not ways:
@@ -68,7 +68,7 @@ def upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> Float[np
 
 
 def _at(tracks: Tracks, names: Sequence[str]) -> Float[np.ndarray, "frame 3"] | None:
-    """The middle of some joints; None of a body that has not all of them."""
+    """The middle of some joints; None if the body lacks one of them."""
     centres = tracks.body.topology.centres
     if not {*names} <= {*centres}:
         return None
@@ -76,7 +76,7 @@ def _at(tracks: Tracks, names: Sequence[str]) -> Float[np.ndarray, "frame 3"] | 
 
 
 class _Way(NamedTuple):
-    """How a body is held in the tracked frames."""
+    """A body's posture in the tracked frames."""
 
     body: Float[np.ndarray, "frame 3"]  # from the ankles over the hips to the neck, unit vectors
     straight: Bool[np.ndarray, " frame"]  # trunk, thighs and shanks are in one line, and shanks were seen
@@ -102,8 +102,8 @@ def _way(tracks: Tracks) -> _Way:
 
 
 def _lies(tracks: Tracks, stands: np.ndarray, lies: np.ndarray) -> float:
-    """Logarithm of the odds, by what rests and by the floor, that somebody does not stand along one direction but lies
-    with another one up."""
+    """Logarithm of the odds, by the resting parts and the floor, that a person does not stand along one direction but
+    lies, with another one up."""
     found = [_at(tracks, names) for names in (("vc7",), PELVIS, SIDES[:1], SIDES[1:])]
     if any(x is None for x in found) or not tracks.tracked.any():
         return 0.0

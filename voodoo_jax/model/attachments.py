@@ -1,4 +1,4 @@
-"""The body changes while it is tracked: scale, sizes, limbs and held things come and go (Knoop 2006, sec. IV).
+"""Changes of the body during tracking: scale, sizes, limbs and held things come and go (Knoop 2006, sec. IV).
 
 Everything that will ever be part of the body is in it from the beginning, and `Body.present` says what is there: so a
 change is one of numbers, and compiles nothing anew.
@@ -31,7 +31,7 @@ def attach(
     joint_axes: Sequence[float] = (0.0, 0.0),
     weight: float = 1.0,
 ) -> Body:
-    """The body with a thing (a body of its own) that hangs on one of its limbs by a new joint `<thing's root>_grip`.
+    """The body with a thing (a body of its own) on one of its limbs by a new joint `<thing's root>_grip`.
 
     **Arguments:** `limb` of the body that carries it; `at` the joint in that limb's frame; `grip` the joint in the
     frame of the thing's first limb; `axis` where that limb's z axis points at first, in the carrying limb's frame;
@@ -96,7 +96,8 @@ def _turn_to(axis: Sequence[float]):
 
 
 def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
-    """The body with limbs present or absent, and with them what hangs on them; held things come only by name.
+    """The body with limbs present or absent, and with them their descendants; held things only by name. Raises
+    ValueError for an unknown limb, the root, and a limb whose parent is absent.
 
     Raises ValueError for an unknown limb, the root, and a limb whose parent is absent.
     """
@@ -118,7 +119,7 @@ def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
 
 
 def hung_on(body: Body, poses: Poses, limbs: Sequence[int]) -> Poses:
-    """Poses with some limbs put where they hang on their parents in the rest pose, in the order of the tree."""
+    """Poses with some limbs moved to their places on the parents in the rest pose, in the order of the tree."""
     t = body.topology
     for j in tree_order(t):
         limb = t.children[j]
@@ -131,7 +132,7 @@ def hung_on(body: Body, poses: Poses, limbs: Sequence[int]) -> Poses:
 
 
 def loaded(changes: Sequence[Change]) -> tuple[Change, ...]:
-    """The changes in order of time, with the things in body files read. Raises BodyFileError, SettingsError."""
+    """The changes in order of time, with the things' body files read. Raises BodyFileError, SettingsError."""
     out = []
     for change in sorted(changes, key=lambda c: c.time):
         if change.to and not change.add:
@@ -143,7 +144,7 @@ def loaded(changes: Sequence[Change]) -> tuple[Change, ...]:
 
 
 def prepared(body: Body, changes: Sequence[Change]) -> Body:
-    """The body with all things that ever come attached and absent. Raises SettingsError for changes that cannot be."""
+    """The body with all things that are ever attached, absent at first. Raises SettingsError for impossible changes."""
     held: dict[str, tuple] = {}  # how each thing is held
     for change in changes:
         thing = change.add
@@ -162,7 +163,7 @@ def prepared(body: Body, changes: Sequence[Change]) -> Body:
                 body = with_limbs(body, thing.topology.limbs, False)
     after = body
     for change in changes:
-        after = applied(after, change)  # what cannot be done is told at the beginning
+        after = applied(after, change)  # what cannot be done raises at the beginning
     return body
 
 
@@ -193,7 +194,7 @@ def _naming(change: Change) -> Iterator[None]:
 
 
 def appeared(before: Body, after: Body) -> list[int]:
-    """Limbs that are there now and were not before."""
+    """Limbs that are present now and were not before."""
     return np.flatnonzero(np.asarray(after.present) & ~np.asarray(before.present)).tolist()
 
 
@@ -212,7 +213,7 @@ def directions(count: int) -> list[tuple[float, float, float]]:
 
 
 def resized(body: Body, limb: int, sizes: Float[Array, "5"]) -> Body:
-    """The body with other sizes of one limb; what is on it follows length and thickness, the rest pose the joints."""
+    """The body with other sizes of one limb; points on it follow length and thickness, the rest pose the joints."""
     t = body.topology
     old = body.sizes[limb]
     wide = jnp.sqrt((sizes[0] + sizes[2]) / (old[0] + old[2]) * (sizes[1] + sizes[3]) / (old[1] + old[3]))

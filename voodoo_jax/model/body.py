@@ -23,7 +23,7 @@ else:
 
 
 class Topology(NamedTuple):
-    """What a compiled program depends on: names and who hangs on whom. Hashable, never traced."""
+    """The part of a body that a compiled program depends on: names and the tree of limbs. Hashable, never traced."""
 
     limbs: tuple[str, ...]  # limb 0 is the root
     joints: tuple[str, ...]  # joint names (H-Anim for people)
@@ -38,7 +38,7 @@ class Topology(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """One way in which bodies of one scale differ: what one standard deviation of it changes."""
+    """One variation among bodies of one scale: the changes by one standard deviation."""
 
     name: str
     # parameters as a fit names them (fitting.parameters) and by how much: logarithms, or shares of the scale of anchors
@@ -84,7 +84,8 @@ class Body(eqx.Module):
 
 
 class LinkTables(NamedTuple):
-    """Of linked pairs all that normal equations need and the poses do not decide; points as (turn, shift, place)."""
+    """The part of the normal equations of linked pairs that does not depend on poses; points as (turn, shift,
+    place)."""
 
     first: Float[Array, "link 7 7"]  # sum of w a^T a, a how the first limb's points move with its twist
     second: Float[Array, "link 7 7"]
@@ -92,7 +93,7 @@ class LinkTables(NamedTuple):
 
 
 class Links(NamedTuple):
-    """Artificial point pairs between limbs: a point of one limb and a point of another that ought to be one place."""
+    """Artificial point pairs between limbs: a point of one limb and a point of another that should coincide."""
 
     first: Int[Array, " link"]  # limb
     second: Int[Array, " link"]  # limb
@@ -103,7 +104,7 @@ class Links(NamedTuple):
 
 
 def scaled(body: Body, scale: Float[AnyArray, ""] | float) -> Body:
-    """The same body with another `scale` (stature for people): every length and offset in proportion, but for held
+    """The same body with another `scale` (stature for people): every length and offset in proportion, except held
     things."""
     body, scale = on_host((body, scale))
     dtype, t = body.sizes.dtype, body.topology
@@ -126,7 +127,7 @@ def without_side(name: str) -> str:
 
 
 def tree_order(topology: Topology) -> list[int]:
-    """Joints in such an order that a joint's parent limb comes before it; the root is limb 0."""
+    """Joints in an order in which a joint's parent limb comes before it; the root is limb 0."""
     done, order = {0}, []
     while len(order) < len(topology.joints):
         ready = [j for j, (p, c) in enumerate(zip(topology.parents, topology.children)) if p in done and c not in done]
@@ -136,13 +137,13 @@ def tree_order(topology: Topology) -> list[int]:
 
 
 def with_rest_from_joints(body: Body) -> Body:
-    """The body with every limb but the root moved in the rest pose to where its joint holds it; no limb is turned."""
+    """The body with every limb but the root moved in the rest pose to where its joint holds it, without rotation."""
     body = on_host(body)
     return on_device(eqx.tree_at(lambda b: b.rest.translation, body, places_from_joints(body, body.rest)))
 
 
 def places_from_joints(body: Body, rest: Poses) -> Float[Any, "limb 3"]:
-    """Where its joint holds every limb of a body on the host, turned as in `rest`; the root is where it is there."""
+    """Places of all limbs of a body on the host by their joints, with the rotations of `rest`; the root stays."""
     t, turn = body.topology, rest.rotation
     ends = [rotate(turn[np.array(limbs, int)], anchor.translation) for limbs, anchor in (
         (t.parents, body.parent_anchor), (t.children, body.child_anchor))]  # fmt: skip
@@ -153,7 +154,8 @@ def places_from_joints(body: Body, rest: Poses) -> Float[Any, "limb 3"]:
 
 
 def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.0) -> Body:
-    """The body with the named limbs longer by a factor (what they carry moves along) and all radii by `girth`.
+    """The body with the named limbs longer by a factor (their children move along) and all radii by `girth`. The rest
+    pose follows from the joints; the root stays. Raises ValueError for an unknown limb.
 
     The rest pose follows from the joints; the root stays. Raises ValueError for an unknown limb.
     """
@@ -191,16 +193,12 @@ def bands(body: Body) -> Links:
     weight = body.weights * (body.present[parents] & body.present[children])
     weights = weight[:, None] * mask / mask.sum(-1, keepdims=True)
     return Links(
-        parents,
-        children,
-        apply(body.parent_anchor[:, None], ends),
-        apply(body.child_anchor[:, None], ends),
-        weights,
+        parents, children, apply(body.parent_anchor[:, None], ends), apply(body.child_anchor[:, None], ends), weights
     )
 
 
 def joint_centres(body: Body, poses: Poses) -> Float[Any, "centre 3"]:
-    """Joint centres that tracks report, in the frame of the poses."""
+    """Joint centres in tracks, in the frame of the poses."""
     return apply(poses[np.array(body.topology.centre_limbs, int)], body.centres)
 
 

@@ -68,7 +68,7 @@ def load_body(name_or_path: str | os.PathLike) -> Body:
 
 
 def load_on_host(name_or_path: str | os.PathLike) -> Body:
-    """As load_body, of NumPy arrays: jax's device is left alone."""
+    """As load_body, with NumPy arrays: does not use jax's device."""
     text = str(name_or_path)
     if text in BUILT_IN:
         return _built_in(text, limits())
@@ -79,7 +79,7 @@ def load_on_host(name_or_path: str | os.PathLike) -> Body:
 
 @cache
 def _built_in(name: str, _: LimitSettings) -> Body:
-    """Read once for the limits that hold: to parse it takes a tenth of a second, and several ask for it."""
+    """Cached for the current limits: parsing takes a tenth of a second, and several callers need it."""
     resource = resources.files("voodoo_jax.model.bodies") / f"{name}.toml"
     return _parsed(resource.read_text(encoding="utf-8"), f"{name}.toml")
 
@@ -199,7 +199,7 @@ def _parsed(text: str, source: str) -> Body:
 
 
 def _mode(table: Table, limbs: tuple[str, ...], joints: tuple[str, ...]) -> Mode:
-    """One way in which bodies differ; every change names a limb or joint of the body."""
+    """One variation among bodies; every change names a limb or joint of the body."""
     changes = table.data["changes"]
     if not isinstance(changes, dict) or not changes:
         table.fail("changes", f"'changes' of {table.title} must be a table of names and numbers, not {changes!r}")
@@ -213,7 +213,7 @@ def _mode(table: Table, limbs: tuple[str, ...], joints: tuple[str, ...]) -> Mode
 
 
 def size_names(limbs: tuple[str, ...], joints: tuple[str, ...]) -> list[str]:
-    """What a mode may change, each name with its side and without."""
+    """Names that a mode may change, each with its side and without."""
     limbs, joints = (
         tuple(dict.fromkeys(n for name in names for n in (name, without_side(name)))) for names in (limbs, joints)
     )
@@ -262,11 +262,7 @@ def _limits(table: Table) -> np.ndarray:
 
 
 def _check_tree(
-    limbs: list[Table],
-    joints: list[Table],
-    names: tuple[str, ...],
-    parents: tuple[int, ...],
-    children: tuple[int, ...],
+    limbs: list[Table], joints: list[Table], names: tuple[str, ...], parents: tuple[int, ...], children: tuple[int, ...]
 ) -> None:
     above: dict[int, int] = {}
     for table, parent, child in zip(joints, parents, children):

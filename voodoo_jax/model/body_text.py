@@ -11,7 +11,7 @@ Vector = Float[np.ndarray, "3"]
 
 
 class TextOfBody:
-    """Lines of a body file; places are given from `origin`, which is where the body frame's is."""
+    """Lines of a body file; places are relative to `origin`, that of the body frame."""
 
     def __init__(self, scale: float, origin: Vector):
         self._scale, self._origin, self._lines = scale, origin, list[str]()
@@ -21,7 +21,7 @@ class TextOfBody:
         return "\n".join(self._lines) + "\n"
 
     def head(self, name: str, scale_name: str) -> None:
-        """What stands before all tables."""
+        """Lines before all tables."""
         self._lines += [f"name = {string_text(name)}", f"scale = {number_text(self._scale)}"]
         self._lines += [f"scale_name = {string_text(scale_name)}"]
 
@@ -47,12 +47,12 @@ class TextOfBody:
         self._lines += [f"at = {self._place(at)}"]
 
     def segment(self, name: str, start: str, end: str) -> None:
-        """A length to report."""
+        """A length that is reported."""
         self._lines += ["", "[[segment]]", f"name = {string_text(name)}", f"from = {string_text(start)}"]
         self._lines += [f"to = {string_text(end)}"]
 
     def mode(self, name: str, changes: Iterable[tuple[str, float]]) -> None:
-        """A way in which bodies of one scale differ."""
+        """A variation among bodies of one scale."""
         table = ", ".join(f"{string_text(key)} = {number_text(value)}" for key, value in changes)
         self._lines += ["", "[[mode]]", f"name = {string_text(name)}", f"changes = {{ {table} }}"]
 

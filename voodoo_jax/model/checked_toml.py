@@ -1,4 +1,4 @@
-"""TOML files that people write by hand: every value is checked, and what is wrong is told with its line."""
+"""TOML files written by hand: every value is checked, and errors name the line."""
 
 import math
 import re
@@ -32,7 +32,7 @@ class BodyFileError(TomlFileError):
 
 
 class TomlFile:
-    """TOML text with the line of every table and key, which tomllib does not tell."""
+    """TOML text with the line of every table and key, which tomllib does not give."""
 
     def __init__(self, text: str, source: str, keys: Keys, error: type[TomlFileError] = TomlFileError):
         self.source, self.keys, self.error = source, keys, error
@@ -74,7 +74,7 @@ class TomlFile:
 
 
 class Table:
-    """One table of a file: gives checked values or says where the file is wrong."""
+    """One table of a file: returns checked values, or raises an error with the line."""
 
     def __init__(self, file: TomlFile, kind: str, number: int, data: dict[str, Any]):
         self.file, self.kind, self.place, self.data = file, kind, number, data

@@ -41,7 +41,7 @@ STEP = 1e-4  # radians, of the finite differences by which covariances are carri
 
 
 class Convention(NamedTuple):
-    """How the angles of one joint of a person are counted."""
+    """Conventions for the angles of one joint of a person."""
 
     joint: str  # with l_ or r_ before it where `paired`
     parents: tuple[str, ...]  # limb names, the first that the body has
@@ -93,7 +93,7 @@ class Angles:
 
     @property
     def deviation(self) -> Float[np.ndarray, "frame column"]:
-        """Standard deviations in the order of `columns`, radians; NaN where nothing tells."""
+        """Standard deviations in the order of `columns`, radians; NaN where unknown."""
         if self.covariance is None:
             return np.full_like(self.table, np.nan)
         return np.sqrt(np.einsum("fjaa->fja", self.covariance)).reshape(len(self.values), -1)
@@ -220,7 +220,7 @@ def _rest(body: Body) -> Rotation:
 
 
 def _carried(read, parent: Rotation, child: Rotation, turns: Float[np.ndarray, "frame 2 3 3"]) -> np.ndarray:
-    """Covariance of the three angles from those of both limbs' turns, by central differences."""
+    """Covariance of the three angles from those of both limbs' rotations, by central differences."""
     slopes = []
     for limb in (0, 1):
         for axis in range(3):
@@ -232,7 +232,7 @@ def _carried(read, parent: Rotation, child: Rotation, turns: Float[np.ndarray, "
 
 
 def without_jumps(angles: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, "frame 3"]:
-    """The same angles without jumps of a full turn from one known value to the next, their median within half a turn of
+    """The same angles without jumps of a full turn between successive known values, their median within half a turn of
     0."""
     out = angles.copy()
     for column in out.T:

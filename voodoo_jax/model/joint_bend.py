@@ -1,4 +1,4 @@
-"""How far joints are bent the wrong way, whatever round limbs seem to be turned about their own axes. Host side.
+"""Angles by which joints are bent the wrong way, for any twist of round limbs about their own axes. Host side.
 
 A knee that bends forwards tells that front and back are exchanged. The angles of kernels.plausible cannot be asked for
 that: nobody sees how far a round thigh is turned about its axis, so a tracked one may have any twist.

@@ -1,4 +1,4 @@
-"""Joint centres and limbs under the names of other conventions: left_wrist, LWrist, WRIST_LEFT, leftWrist, r.ankle."""
+"""Names of joint centres and limbs in other conventions: left_wrist, LWrist, WRIST_LEFT, leftWrist, r.ankle."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -45,8 +45,8 @@ CONVENTIONS["smpl"] = CONVENTIONS["common"]
 
 
 def named(centres: Sequence[str], convention: str) -> tuple[str, ...]:
-    """Joint centres by the names of a convention: hanim (as body files have them), common, h36m, smpl or opensim. Those
-    that it has no name for keep theirs. Raises ValueError for another convention."""
+    """Joint centres by the names of a convention: hanim (as in body files), common, h36m, smpl or opensim. Those
+    without a name there keep theirs. Raises ValueError for another convention."""
     if convention == "hanim":
         return tuple(centres)
     if convention not in CONVENTIONS:
@@ -63,7 +63,7 @@ def named(centres: Sequence[str], convention: str) -> tuple[str, ...]:
 
 
 def joint_row(centres: Sequence[str], name: str) -> int:
-    """Which of a body's joint centres a name means: its own name, or that of another convention.
+    """Row of a body's joint centre by name: its own name, or that of another convention.
 
     Raises ValueError with near names.
     """
@@ -77,14 +77,14 @@ def joint_row(centres: Sequence[str], name: str) -> int:
 
 
 def row_of(names: Sequence[str], name: str, words: Mapping[str, str] = WORDS) -> int | None:
-    """Which of a body's names another one means; None: none of them. `words` WORDS for joint centres, LIMB_WORDS for
+    """Row of a body's name that another one means; None: none of them. `words` WORDS for joint centres, LIMB_WORDS for
     limbs."""
     wanted = next((own for own in (name, *_meanings(name, words)) if own in names), None)
     return None if wanted is None else list(names).index(wanted)
 
 
 def _meanings(name: str, words: Mapping[str, str]) -> list[str]:
-    """Names that this body may have for it, the likelier first."""
+    """Possible names in this body, the likelier first."""
     pieces = [piece.lower() for piece in PIECES.findall(name)]
     stem = "".join(p for p in pieces if p not in LEFT | RIGHT | SILENT)
     side = "l_" if LEFT & set(pieces) else "r_" if RIGHT & set(pieces) else ""

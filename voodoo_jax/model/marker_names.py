@@ -1,4 +1,4 @@
-"""Which point of the body each name of a marker or key point means: sets of names as data files, and how to read names.
+"""The point of the body for each name of a marker or key point: sets of names as data files, and rules to read names.
 
 A set is a TOML file in `model/marker_files`: `title`, `source`, perhaps `weight` (of each of its points as a feature),
 perhaps `hips = "newington"` (its model's hip centres are by that regression), and two tables of names and places.
@@ -73,7 +73,7 @@ class MarkerSet:
 
 @dataclass(frozen=True)
 class Known:
-    """What the names of a subject mean."""
+    """Meanings of a subject's names."""
 
     places: dict[str, str] = field(default_factory=dict)  # by full name: a point or limb, perhaps "~" and metres
     titles: tuple[str, ...] = ()  # of the sets that they are of, the one with the most names first
@@ -104,7 +104,7 @@ def readings(name: str) -> list[tuple[str, str]]:
 
 
 def nobodys(name: str) -> bool:
-    """Whether a name is a number that a system gave to a point without a name."""
+    """Whether a name is a number that a system gave to an unnamed point."""
     return _NOBODY.fullmatch(name) is not None
 
 
@@ -127,7 +127,8 @@ def _parsed(text: str) -> MarkerSet:
 
 @lru_cache(maxsize=16)
 def numbered_names(count: int) -> tuple[str, ...] | None:
-    """Names of the points of a system that has so many and tells them by their order only; None: none is known."""
+    """Names of the points of a system with this number of points, which only their order identifies; None: no such
+    system is known."""
     return next((table for one in marker_sets() for table in one.numbers if len(table) == count), None)
 
 
@@ -138,8 +139,8 @@ def split_place(place: str) -> tuple[str, float | None]:
 
 
 def subjects(names: Iterable[str]) -> dict[str, dict[str, str]]:
-    """Names by subject, each with the name that is left of it: LASI of "Anna:LASI", "Anna/LASI" and, where most names
-    begin so, "Anna_LASI". One subject where nothing tells several apart."""
+    """Names by subject, each with the rest of the name: LASI of "Anna:LASI", "Anna/LASI" and, if most names begin so,
+    "Anna_LASI". One subject if the names do not separate several."""
     names = list(dict.fromkeys(names))
     found: dict[str, dict[str, str]] = {}
     for name in names:
@@ -158,7 +159,7 @@ def subjects(names: Iterable[str]) -> dict[str, dict[str, str]]:
 
 
 def _prefixed(subject: str, names: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """The same where a subject is written before each name with another separator."""
+    """The same with another separator between subject and name."""
     numbers = _numbered(names)
     if numbers:
         return numbers
@@ -203,7 +204,8 @@ def _numbered(names: Mapping[str, str]) -> dict[str, dict[str, str]]:
 
 
 def _behind_a_word(names: Mapping[str, str]) -> dict[str, str]:
-    """What the numbers behind one word for key points stand for in the set that has as many; empty if in none."""
+    """Meanings of numbers behind one word for key points in the set with this number of points; empty without such a
+    set."""
     read = {name: _COUNTED.fullmatch(rest) for name, rest in names.items()}
     found = {name: (one[1], int(one[2])) for name, one in read.items() if one}
     if len(found) < len(names) or len({word for word, _ in found.values()}) != 1:
@@ -216,7 +218,7 @@ def _behind_a_word(names: Mapping[str, str]) -> dict[str, str]:
 
 
 def places_of(names: Mapping[str, str], points: Iterable[str], limbs: Iterable[str]) -> Known:
-    """What the names of one subject mean by the sets that know most of them.
+    """Places of one subject's names by the sets that know most of them.
 
     **Arguments:** `names` full name and the name without the subject's, see `subjects`; `points`, `limbs` of the body:
     places that it does not have are left out.
@@ -269,8 +271,8 @@ def human_points() -> tuple[tuple[str, ...], tuple[str, ...]]:
     return (*names("site"), *names("centre")), names("limb")
 
 
-def told_names(names: Iterable[str], settings: FeatureSettings) -> list[str]:
-    """Sentences on what the names in a log mean for the default body, and the setting that says it of the others."""
+def describe_names(names: Iterable[str], settings: FeatureSettings) -> list[str]:
+    """Sentences on the meanings of a log's names for the default body, and the setting for the unknown ones."""
     given = check_pairs("features.names", settings.names, numbers=False)
     points, limbs = human_points()
     notes = []
@@ -296,17 +298,17 @@ def net_key_points(names: Iterable[str]) -> bool:
 
 
 def _most(words: Iterable[str], sets: Iterable[MarkerSet] | None = None) -> int:
-    """How many of some names the set knows that knows most of them."""
+    """Number of names that the best set knows."""
     words = list(map(_base, words))
     return max(sum(one.find(word) is not None for word in words) for one in sets or marker_sets())
 
 
 def _base(name: str) -> str:
-    """A name without the number that tells several things of one name apart ("RCOU/12")."""
+    """A name without the number that distinguishes objects of one name ("RCOU/12")."""
     before, mark, after = name.rpartition("/")
     return before if mark and after.isdigit() else name
 
 
 def _exact(places: Mapping[str, str]) -> float:
-    """How many places are told exactly, and a little for the others."""
+    """Number of exact places, and a share for the others."""
     return sum(1.0 if split_place(p)[1] is None else 0.6 for p in places.values())

@@ -1,4 +1,4 @@
-"""Optical marker sets: which feature point of the body each marker name is, and how closely markers are placed."""
+"""Optical marker sets: the body's feature point for each marker name, and the accuracy of placement."""
 
 from math import cos, sin
 
@@ -81,7 +81,7 @@ USUAL_LENGTHS = {"upper_arm": 0.168, "forearm": 0.150, "thigh": 0.245, "shank": 
 
 
 def placement(site: str) -> tuple[float, float, float]:
-    """Metres by which a marker on a site is placed differently from person to person (one standard deviation)."""
+    """Standard deviation in metres of a marker's placement on a site, from person to person."""
     return next((v for end, v in _PLACED.items() if site.endswith(end)), LANDMARK)
 
 

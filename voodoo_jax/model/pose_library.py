@@ -1,4 +1,4 @@
-"""Poses to start from beside the rest pose: arms raised or stretched out, sitting. For bodies that have such joints."""
+"""Start poses besides the rest pose: arms raised or stretched out, sitting. For bodies with such joints."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ Turn = tuple[str, str, float]  # joint, axis, degrees
 
 
 class Stance(NamedTuple):
-    """A pose by the turns of joints, about the body's x (forward) and y (left) axes, against the rest."""
+    """A pose by the turns of joints, about the body's x (forward) and y (left) axes, relative to the rest pose."""
 
     turns: tuple[Turn, ...]
     sizes: tuple[float, ...]  # the body's scale over the one that its highest point would give
@@ -46,13 +46,14 @@ CURLED = Stance(
 
 
 def in_stance(body: Body, stance: Stance) -> Body | None:
-    """The body with a stance as its rest pose, its lowest limb as high; None if it is nobody's or lacks a joint."""
+    """The body with a stance as its rest pose, its lowest limb at the same height; None if it is no person or lacks a
+    joint."""
     rest = rest_in_stance(on_host(body), stance)
     return None if rest is None else on_device(eqx.tree_at(lambda b: b.rest, body, rest))
 
 
 def rest_in_stance(body: Body, stance: Stance) -> Poses | None:
-    """The rest pose of `in_stance` alone, of a body on the host: bodies go to the device and back slowly."""
+    """The rest pose of `in_stance` alone, of a body on the host: transfers to the device and back are slow."""
     t = body.topology
     if body.scale_name != "stature" or not {joint for joint, *_ in stance.turns} <= set(t.joints):
         return None
@@ -71,7 +72,7 @@ def rest_in_stance(body: Body, stance: Stance) -> Poses | None:
 
 
 def beyond(body: Body, joint: int) -> np.ndarray:
-    """The limbs that hang on a joint, itself the first."""
+    """The descendants of a joint, its own limb first."""
     t = body.topology
     out = [t.children[joint]]
     for j in tree_order(t):
@@ -81,7 +82,7 @@ def beyond(body: Body, joint: int) -> np.ndarray:
 
 
 def exchanged(body: Body, poses: Poses, joints: tuple[str, ...]) -> Poses:
-    """The poses with what hangs on the joints, of the left and of the right side, each where the other one is."""
+    """The poses with the limbs beyond the left and right joints exchanged."""
     t, source = body.topology, np.arange(body.limb_count)
     for joint in joints:
         for limb in beyond(body, t.joints.index(joint)):

@@ -1,4 +1,4 @@
-"""Whether somebody's posture is that of one who faces ahead, or of one who is turned back to front. Host side.
+"""Whether a posture is that of a person who faces ahead, or of one who is turned back to front. Host side.
 
 People lean ahead, hold hands and head before the trunk, and bend elbows backwards and knees forwards. Of a body that is
 fitted to somebody's back as if it were their front all that is the other way round, in whatever clothes.
@@ -23,8 +23,8 @@ JOINTS = ("skullbase", "vc7", *(f"{side}_{name}" for side in "lr" for name in SI
 
 
 def faces_ahead(body: Body, poses: Poses, up: Float32[np.ndarray, "3"]) -> float:
-    """How much a posture is like that of one who faces ahead: 1, or -1 like that of one who is turned round; NaN of a
-    body that has no such joints. The mean over the frames, those that are upright most: who lies leans anywhere.
+    """Score of a posture: 1 for facing ahead, -1 for turned round; NaN of a body that lacks such joints. The mean over
+    the frames, weighted by how upright they are: a lying person leans in any direction.
 
     **Arguments:** `poses` [frame, limb] on the host; NaN where there are none. `up` in their frame, a unit vector.
     """

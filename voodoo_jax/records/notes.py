@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable
 
 MOST = 200  # notes on one log
-FEW, NAMED = 3, 8  # notes of one kind that stand alone, but not more; names that are told then
+FEW, NAMED = 3, 8  # notes of one kind that stand alone, but not more; names that are listed then
 NAME, SENTENCE = 200, 2000  # characters of a name and of a note: what is longer is cut
 # how notes begin that say that frames were lost to damage
 DAMAGED, INCOMPLETE = "The log is damaged: ", "The log is incomplete: "
@@ -27,7 +27,7 @@ def shown(text: str) -> str:
 
 
 def plain_name(text: str) -> str:
-    """The same of a name by which things are told apart: what is changed gets a sign of its own, so that names which
+    """The same of a name that identifies something: what is changed gets a sign of its own, so that names which
     differ stay different."""
     shown = plain(text)
     if shown == text:
@@ -52,8 +52,8 @@ def as_few(notes: Iterable[str]) -> tuple[str, ...]:
             out += same
             continue
         names = dict.fromkeys(name for note in same[1:] for name in re.findall(r"'[^']*'", note)[:1])
-        told = ", ".join(list(names)[:NAMED]) + (" and others" if len(names) > NAMED else "")
-        out.append(f"{same[0]} The same for {len(same) - 1} more{f': {told}' if told else ''}.")
+        listed = ", ".join(list(names)[:NAMED]) + (" and others" if len(names) > NAMED else "")
+        out.append(f"{same[0]} The same for {len(same) - 1} more{f': {listed}' if listed else ''}.")
     if len(out) > MOST:
         kept = [*out[:MOST], *(note for note in out[MOST:] if note.startswith((DAMAGED, INCOMPLETE)))]
         out = [*kept, f"And {len(out) - len(kept)} more notes."]

@@ -78,9 +78,7 @@ def whole(frame: Frame | BodyObservation) -> BodyObservation:
 
 
 def with_places(
-    frame: Seen,
-    place: Callable[[np.ndarray], np.ndarray],
-    direction: Callable[[np.ndarray], np.ndarray] = lambda v: v,
+    frame: Seen, place: Callable[[np.ndarray], np.ndarray], direction: Callable[[np.ndarray], np.ndarray] = lambda v: v
 ) -> Seen:
     """The frame with all that is in it elsewhere: `place` moves points, `direction` turns lines of sight."""
     rays = replace(frame.rays, origins=place(frame.rays.origins), directions=direction(frame.rays.directions))

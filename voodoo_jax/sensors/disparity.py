@@ -23,7 +23,7 @@ STEPS = 4  # of Lucas and Kanade
 
 
 def agreed(left: Pixels, right: Pixels, raw: Pixels, mirrored: Pixels) -> Pixels:
-    """Disparities, with sharp edges, that both images' own agree on; else NOWHERE."""
+    """Disparities with sharp edges on which both images agree; else NOWHERE."""
     # what is hidden in one of the images is taken for what hides it, in either image on another side
     raw, other = sharp(left, right, raw), mirror(sharp(mirror(right), mirror(left), mirrored))
     v, u = places(raw)
@@ -44,7 +44,7 @@ def places(image: np.ndarray) -> Float32[np.ndarray, "2 row column"]:
 
 
 def brightness(left: Grey, right: Grey, raw: Pixels) -> tuple[float, float]:
-    """Gain and offset that make the right camera's grey levels the left one's: exposures differ."""
+    """Gain and offset that map the right camera's grey levels to the left one's: exposures differ."""
     left, (v, u), raw = left[::SOME, ::SOME], places(raw)[:, ::SOME, ::SOME], raw[::SOME, ::SOME]
     there = cv2.remap(right, u - raw, v, cv2.INTER_NEAREST)
     both = (raw > NOWHERE) & (np.minimum(left, there) > DARKEST) & (np.maximum(left, there) < BRIGHTEST)
@@ -56,9 +56,9 @@ def brightness(left: Grey, right: Grey, raw: Pixels) -> tuple[float, float]:
 
 
 def sharp(left: Pixels, right: Pixels, raw: Pixels) -> Pixels:
-    """The disparities with edges where the pictures say: blocks and smoothness draw what is near too wide. Beside an
-    edge each pixel takes that of the disparities around it, the least, the greatest or its own, which a few pixels
-    agree with best."""
+    """The disparities with edges at those of the pictures: blocks and smoothness widen near objects. Beside an edge
+    each pixel takes the one of the disparities around it (the least, the greatest or its own) that a few pixels match
+    best."""
     a, b = (cv2.GaussianBlur(image, (0, 0), 0.5) for image in (left, right))
     v, u = places(raw)
 
@@ -79,8 +79,8 @@ def sharp(left: Pixels, right: Pixels, raw: Pixels) -> Pixels:
 
 
 def refined(left: Pixels, right: Pixels, raw: Pixels, every: int) -> Float32[np.ndarray, "some_row some_column"]:
-    """Lucas-Kanade steps: block matching prefers whole pixels, brightness differences do not; and smoothed surfaces. Of
-    every so many-th row and column."""
+    """Lucas-Kanade steps, because block matching prefers whole pixels and brightness differences do not; and smoothed
+    surfaces. Of every so many-th row and column."""
     images = [cv2.GaussianBlur(image, (0, 0), 1.0) for image in (left, right)]
     slopes = [cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8) for image in images]
     some = slice(None, None, every)
@@ -100,6 +100,6 @@ def refined(left: Pixels, right: Pixels, raw: Pixels, every: int) -> Float32[np.
 
 
 def at_edges(d: np.ndarray, shrink: int) -> np.ndarray:
-    """True where a farther thing is near, or nothing was found: such a pixel may show both."""
+    """True near something farther away, or near pixels without a disparity: such a pixel may show both."""
     around = np.ones((2 * shrink + 1, 2 * shrink + 1), np.uint8)
     return d - cv2.erode(d, around) > STEP * shrink

@@ -48,7 +48,7 @@ class Region:
 
     @property
     def to_image(self) -> Float[np.ndarray, "2 3"]:
-        """From the square, 0 to 1, to the image."""
+        """From coordinates in the square, 0 to 1, to the image."""
         c, s = np.cos(self.angle), np.sin(self.angle)
         turn = self.size * np.array([[c, -s], [s, c]])
         return np.column_stack([turn, self.centre - turn @ [0.5, 0.5]])
@@ -56,15 +56,15 @@ class Region:
 
 @dataclass(frozen=True)
 class KeyPoints:
-    """Of one person in one image; rows as in KEY_POINTS."""
+    """Key points of one person in one image; rows as in KEY_POINTS."""
 
     pixels: Float[np.ndarray, "33 2"]  # u right, v down; the centre of the first pixel is 0, 0
     scores: Float[np.ndarray, " 33"]  # 0 to 1: how sure the network is that the point is in the image and not hidden
 
 
 class PoseNet:
-    """Finds the key points of the person who is seen best, image by image: where the person was in the last image the
-    detector is not asked. One for each camera."""
+    """Finds the key points of the most visible person, image by image; skips the detector if the person was in the last
+    image. One for each camera."""
 
     def __init__(self, files: tuple[bytes, bytes]):
         """`files` as `pose_files` gives them. Raises SettingsError."""
@@ -72,7 +72,7 @@ class PoseNet:
         self._region: Region | None = None
 
     def find(self, image: UInt8[np.ndarray, "row column 3"]) -> KeyPoints | None:
-        """In an image (blue, green, red); None where nobody is seen."""
+        """Key points in an image (blue, green, red); None without a person."""
         region, fresh = self._region, self._region is None
         if region is None:
             region = self._detect(image)
@@ -106,15 +106,15 @@ class PoseNet:
 
 
 def check_pose_net(place: str) -> None:
-    """Raises SettingsError where `pose_files` would, or where LiteRT is not installed."""
+    """Raises SettingsError if `pose_files` does, or if LiteRT is not installed."""
     pose_files(place)
     if find_spec("ai_edge_litert") is None:
         raise SettingsError(NO_RUNTIME)
 
 
 def pose_files(place: str) -> tuple[bytes, bytes]:
-    """Both networks: `place` is "mediapipe" (the installed package, of that or another name, that has a folder
-    mediapipe), a wheel of it, or a folder with both files somewhere below. Raises SettingsError."""
+    """Both networks: `place` is "mediapipe" (the installed package, of that or another name, with a folder mediapipe),
+    a wheel of it, or a folder with both files in it or below. Raises SettingsError."""
     if place != "mediapipe":
         return _files_in(Path(place).expanduser())
     found = find_spec("mediapipe")  # finds it, imports nothing
@@ -155,7 +155,7 @@ def _read(file: Path) -> bytes:
 
 
 def cropped(image: UInt8[np.ndarray, "row column 3"], region: Region, size: int) -> Float32[np.ndarray, "size size 3"]:
-    """A region of an image (blue, green, red) as the networks take it: red, green, blue, 0 to 1; black outside."""
+    """A region of an image (blue, green, red) as input of the networks: red, green, blue, 0 to 1; black outside."""
     import cv2  # here, for who reads logs without a network need not wait for it
 
     # the networks know pixels by their numbers, as MediaPipe cuts them out: without halves for the centres
@@ -178,8 +178,8 @@ def anchors() -> Float[np.ndarray, "anchor 2"]:
 
 
 def best_detection(raw: Float[np.ndarray, "anchor 12"], logits: Float[np.ndarray, " anchor"]) -> np.ndarray | None:
-    """Corners of the face's box and the four key points [6, 2] of the surest person, 0 to 1 in the detector's square:
-    the mean of all detections of that person by their scores. None if nobody is found."""
+    """Corners of the face's box and the four key points [6, 2] of the person with the highest score, 0 to 1 in the
+    detector's square: the mean of all detections of that person, weighted by score. None without a person."""
     scores = _sigmoid(np.clip(logits, -100, 100))
     sure = np.flatnonzero(scores >= _SURE)
     if not len(sure):
@@ -197,14 +197,15 @@ def best_detection(raw: Float[np.ndarray, "anchor 12"], logits: Float[np.ndarray
 
 
 def around(hips: Float[np.ndarray, "2"], far: Float[np.ndarray, "2"]) -> Region:
-    """The square around a person: from the middle of the hips, pixels, and a point on the circle around all of the
-    person that is straight above."""
+    """The square around a person, from the middle of the hips (pixels) and the point straight above it on the circle
+    around the person."""
     up = far - hips
     return Region(hips, 2 * _LARGER * float(np.hypot(*up)), float(np.arctan2(up[0], -up[1])))
 
 
 def refined(places: Float[np.ndarray, "point 2"], maps: Float[np.ndarray, "row column point"]) -> np.ndarray:
-    """Key points, 0 to 1 in their square, moved to the mean of their heat maps (logits) nearby where that is sure."""
+    """Key points, 0 to 1 in their square, moved to the local mean of their heat maps (logits) where these are
+    certain."""
     out, size = places.copy(), maps.shape[0]
     for k, (u, v) in enumerate((places * size).astype(int).tolist()):
         if not (0 <= u < size and 0 <= v < size):
@@ -219,7 +220,7 @@ def refined(places: Float[np.ndarray, "point 2"], maps: Float[np.ndarray, "row c
 
 
 def _moved(points: np.ndarray, region: Region) -> np.ndarray:
-    """From a region's square, 0 to 1, to pixels of the image."""
+    """From coordinates in a region's square, 0 to 1, to pixels of the image."""
     step = region.to_image
     return points @ step[:, :2].T + step[:, 2]
 
@@ -242,7 +243,7 @@ def _interpreter(data: bytes) -> Any:
 
 
 def _run(net: Any, image: Float32[np.ndarray, "row column 3"], shapes: tuple[tuple[int, ...], ...]) -> list[np.ndarray]:
-    """What a network says of an image: its outputs of these shapes. Raises SettingsError if it is another network."""
+    """Outputs of a network for an image, of these shapes. Raises SettingsError for another network."""
     takes, gives = net.get_input_details(), {tuple(o["shape"].tolist()): o["index"] for o in net.get_output_details()}
     if takes[0]["shape"].tolist() != [1, *image.shape] or not set(shapes) <= gives.keys():
         raise SettingsError(

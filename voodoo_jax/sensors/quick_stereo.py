@@ -22,7 +22,7 @@ def quick_depth(
     nearest: float,
     window: tuple[int, int, int, int] | None = None,
 ) -> Float32[np.ndarray, "some_row some_column"]:
-    """Depth of every second row and column of the left image, metres; 0 where there is none.
+    """Depth of every second row and column of the left image, metres; 0 where unknown.
 
     **Arguments:** `focal_baseline` pixels times metres; `shift` see Rig; `nearest` metres: what is nearer is not found;
     `window` the first row and column of the left image that are looked at, and those behind the last; None: all.
@@ -54,8 +54,8 @@ def _depth(
 def quick_disparity(  # 6 parameters: those of `quick_depth`
     left: Grey, right: Grey, shift: float, least: int, count: int, narrow: int = 1
 ) -> Float32[np.ndarray, "some_row some_column"]:
-    """Disparities of every second row and column plus `shift`, of `count` from `least` on; 0 where there is none.
-    `narrow`: times fewer columns are matched, which is coarser."""
+    """Disparities of every second row and column plus `shift`, of `count` from `least` on; 0 where unknown. `narrow`:
+    the factor by which fewer columns are matched, which is coarser."""
     grey = [cv2.GaussianBlur(image, (0, 0), 1.0) for image in (left, right)]
     raw = _matched(grey[0], grey[1], least, count, narrow)
     gain, offset = brightness(grey[0], grey[1], raw)
@@ -67,8 +67,8 @@ def quick_disparity(  # 6 parameters: those of `quick_depth`
 
 
 def _matched(left: Grey, right: Grey, least: int, count: int, narrow: int) -> Pixels:
-    """Disparities by semi-global matching of images with half of the rows, which takes half of the time; of half of the
-    columns, too, it would be coarser than limbs are (3.6 cm instead of 3.46). NOWHERE where there is none."""
+    """Disparities by semi-global matching of images with half of the rows, in half of the time; with half of the
+    columns too, it would be coarser than limbs are (3.6 cm instead of 3.46). NOWHERE where unknown."""
     across, down = 1 / narrow, 1 / EVERY
     low = [cv2.resize(image, None, fx=across, fy=down, interpolation=cv2.INTER_AREA) for image in (left, right)]
     least, count = least // narrow, -(-count // (_STEP * narrow)) * _STEP
@@ -82,7 +82,7 @@ def _matched(left: Grey, right: Grey, least: int, count: int, narrow: int) -> Pi
 
 
 def _supported(d: Float32[np.ndarray, "row column"]) -> Bool[np.ndarray, "row column"]:
-    """Whether enough of a pixel's neighbours have nearly its disparity: edges of legs before a floor leave specks."""
+    """Whether enough neighbours of a pixel have nearly its disparity: edges of legs before a floor cause speckles."""
     alike = np.zeros(d.shape, np.uint8)
     padded = np.pad(d, 1, constant_values=NOWHERE)
     rows, columns = d.shape

@@ -39,7 +39,7 @@ class SkinFinder:
         self._other = np.zeros_like(self._skin)
 
     def find(self, image: UInt8[np.ndarray, "row column 3"]) -> Regions:
-        """Regions in an image (blue, green, red); the model learns from it."""
+        """Regions in an image (blue, green, red); updates the model."""
         scale = max(1.0, image.shape[1] / WIDTH)
         if scale > 1:
             image = np.asarray(cv2.resize(image, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA))
@@ -63,7 +63,7 @@ class SkinFinder:
         return Regions((table[:, :2] + 0.5) * scale - 0.5, table[:, 2], table[:, 3])
 
     def _learn(self, within: Bool[np.ndarray, "row column"], cell: tuple, size: int) -> Bool[np.ndarray, "row column"]:
-        """Takes an image into the model. Gives the pixels that belong to regions too large for skin."""
+        """Updates the model by an image. Returns the pixels of regions too large for skin."""
         label, area, _ = _components(within)
         plausible = (area >= _SMALLEST * size) & (area <= _LARGEST * size)
         large = area > _LARGEST * size
@@ -79,8 +79,8 @@ class SkinFinder:
 
 
 def _components(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Labels [row, column] of the connected parts of a mask, specks and small holes removed; area of each part and of
-    the box around it, pixels. Part 0 is the rest."""
+    """Labels [row, column] of the connected parts of a mask, without specks and small holes; area of each part and of
+    its bounding box, pixels. Part 0 is the background."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
     clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
     clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
@@ -91,7 +91,7 @@ def _components(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _ends(pixels: Float[np.ndarray, "pixel 2"]) -> list[Float[np.ndarray, "2"]]:
-    """The centre of a region; of a long one the middle of either end, where the hand may be."""
+    """The centre of a region; of a long one the middles of both ends, one of which may be the hand."""
     centre = pixels.mean(0)
     spread, axes = np.linalg.eigh(np.cov(pixels.T) + 1e-9 * np.eye(2))
     width, length = 4 * np.sqrt(spread)  # of an ellipse with these moments

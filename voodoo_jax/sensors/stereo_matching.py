@@ -40,7 +40,7 @@ _RIM = 0.25  # by hand: metres around a thing: its hands and feet, and what is h
 
 
 class StereoMatcher:
-    """Points from the images (rows, columns) of one rig, from `min_range` metres on or what is nearly as near."""
+    """Points from the images (rows, columns) of one rig, from about `min_range` metres on."""
 
     def __init__(self, rig: Rig, shape: tuple[int, int], min_range: float):
         self.rig, self.shape = rig, shape
@@ -96,7 +96,7 @@ class StereoMatcher:
     def _placed(
         self, d: Float32[np.ndarray, "some_row some_column"], row: int, column: int, every: int
     ) -> Float[np.ndarray, "point 3"]:
-        """Points of disparities, of every so many-th row and column from some on, in the rectified left camera's
+        """Points of disparities, of every so many-th row and column from an offset on, in the rectified left camera's
         frame."""
         rows, columns = np.nonzero(d > 0)
         z = self.rig.focal * self.rig.baseline / d[rows, columns]
@@ -105,7 +105,7 @@ class StereoMatcher:
         return np.column_stack([x, y, np.ones(len(z))]) * z[:, None]
 
     def _used(self, left: Grey, right: Grey) -> int:
-        """How many disparities of the shrunk images there are, from the least on: the nearest thing tells."""
+        """Number of disparities of the shrunk images, from the least on, by the nearest object."""
         shrunk, small = 1 / _COARSE, (self._shrunk(left), self._shrunk(right))
         tiny = [cv2.resize(image, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA) for image in small]
         shift, count = self.rig.shift / self.shrink, -(-self._count // (16 * _COARSE)) * 16
@@ -116,7 +116,7 @@ class StereoMatcher:
         return int(np.clip(np.ceil(min(nearest, self._count) / 16) * 16, 16, self._count))
 
     def _room(self, left: Grey, right: Grey, used: int) -> Float32[np.ndarray, "some_row some_column"]:
-        """Disparities as of `_disparity`, found quickly, of every EVERY-th row and column of the shrunk images."""
+        """Disparities as of `_disparity`, matched quickly, of every EVERY-th row and column of the shrunk images."""
         small, shift = (self._shrunk(left), self._shrunk(right)), self.rig.shift / self.shrink
         rows, columns = small[0].shape
         if columns <= used + 32:  # fewer than one may be apart in the two images
@@ -128,7 +128,7 @@ class StereoMatcher:
     def _things(
         self, d: Float32[np.ndarray, "row column"], up: Float[np.ndarray, "3"]
     ) -> Bool[np.ndarray, "row column"]:
-        """Rectangles of the quick disparities in which something stands on the floor that a body may be."""
+        """Rectangles of the quick disparities with an object on the floor that may be a body."""
         f, every = self.rig.focal, EVERY * self.shrink
         z = np.where(d > 0, f * self.rig.baseline / np.maximum(d, 1e-3), 0).astype(np.float32)
         v, u = places(d) * every
@@ -155,7 +155,7 @@ class StereoMatcher:
         return things
 
     def _outside(self, mapping: np.ndarray | None) -> Float32[np.ndarray, "row column"]:
-        """1 where the rectified image shows something, less where it does not, and around that."""
+        """1 where the rectified image has content, less where it has none, and around that."""
         full = np.ones(self.shape, np.float32)
         if mapping is not None:
             full = cv2.remap(full, mapping[..., 0], mapping[..., 1], cv2.INTER_LINEAR)
@@ -163,8 +163,7 @@ class StereoMatcher:
         return np.asarray(cv2.erode(full, block, borderType=cv2.BORDER_REPLICATE))
 
     def _hidden(self, v: Pixels, u: Pixels, d: Pixels) -> Bool[np.ndarray, "row column"]:
-        """What of some rows and columns with their disparities lies, in either image, where the rectified image shows
-        nothing."""
+        """Mask of rows and columns, with their disparities, that lie outside the content of either rectified image."""
         rows, columns = self.shape
         here = self._gap[0][np.minimum(v.astype(int), rows - 1), np.minimum(u.astype(int), columns - 1)]
         there = cv2.remap(self._gap[1], u - d, v, cv2.INTER_LINEAR)
@@ -173,8 +172,8 @@ class StereoMatcher:
     def _disparity(
         self, left: Grey, right: Grey, every: int, window: tuple[int, int, int, int], used: int
     ) -> Float32[np.ndarray, "some_row some_column"]:
-        """Pixels from the left to the right image, as if the principal points were the same; 0 where there is none. Of
-        every so many-th row and column of a window: its first row and column, and those behind the last."""
+        """Pixels from the left to the right image, for equal principal points; 0 where unknown. Of every so many-th row
+        and column of a window: its first row and column, and those behind the last."""
         s, (v0, u0, v1, u1) = self.shrink, window
         # room for what edges take from around, and for the columns that the right image is shifted by
         top, before = (max(0, at - by) // (every * s) * every * s for at, by in
@@ -203,7 +202,7 @@ class StereoMatcher:
         return image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
     def _matched(self, left: Grey, right: Grey, used: int) -> Pixels:
-        """Disparities of the left image by block matching; NOWHERE where there is none."""
+        """Disparities of the left image by block matching; NOWHERE where unknown."""
         match = cv2.StereoSGBM.create(
             minDisparity=self._least,
             numDisparities=used,

@@ -1,4 +1,4 @@
-"""Two cameras side by side, from their calibrations: where their rectified images show what."""
+"""Two cameras side by side, from their calibrations: geometry of their rectified images."""
 
 from dataclasses import dataclass
 
@@ -83,7 +83,7 @@ def _check_baseline(x: float, t: np.ndarray) -> None:
 
 
 def _map(c: Calibration, R: np.ndarray, to: np.ndarray, K: np.ndarray | None = None, D: np.ndarray | None = None):
-    """For each pixel of the rectified camera `to` (turned by R) where it lies in the raw image; -1: nowhere."""
+    """Position in the raw image of each pixel of the rectified camera `to` (turned by R); -1: outside."""
     K, D = c.K if K is None else K, c.D if D is None else D
     rays = undistort(np.stack(np.meshgrid(np.arange(c.width), np.arange(c.height)), -1).astype(float), to, np.zeros(0),
                      "plumb_bob")  # fmt: skip

@@ -27,7 +27,7 @@ _GAINS = (1.0, 0.97)  # exposures of two cameras are never quite the same
 
 @dataclass(frozen=True)
 class Surface:
-    """What a camera's rays meet of a body: of each such pixel, row by row."""
+    """The body's surface as seen by a camera, for each pixel that shows it, row by row."""
 
     pixel: Int[np.ndarray, " n"]
     limb: Int[np.ndarray, " n"]
@@ -106,7 +106,7 @@ def simulate_colour(
 
 
 def surface(body: Body, poses: Poses, camera: Camera) -> Surface:
-    """What a camera sees of a body, `poses` [limb] T_fixed_limb: its frusta, and a ball in each joint."""
+    """The surface of a body that a camera sees, `poses` [limb] T_fixed_limb: its frusta, and a ball in each joint."""
     origin, sizes, (turn, at) = np.array(camera.position), np.asarray(body.sizes, np.float64), as_arrays(poses)
     pixels = _around(at + turn[..., 2] * sizes[:, 4:] / 2, np.hypot(sizes[:, :4].max(1), sizes[:, 4] / 2), camera)
     rays = camera.rays(pixels)
@@ -134,7 +134,7 @@ def surface(body: Body, poses: Poses, camera: Camera) -> Surface:
 
 
 def _around(centres: np.ndarray, radii: np.ndarray, camera: Camera) -> Int[np.ndarray, " n"]:
-    """Numbers of the pixels of a window that shows all of some balls; all pixels if one is at the camera."""
+    """Numbers of the pixels of a window that contains all of some balls; all pixels if one is at the camera."""
     local = (centres - np.array(camera.position)) @ camera.rotation
     size, near = np.array([camera.width, camera.height]), (local[:, 2] - radii)[:, None]
     if near.min() < 0.1:
@@ -149,7 +149,7 @@ def _around(centres: np.ndarray, radii: np.ndarray, camera: Camera) -> Int[np.nd
 
 
 def _balls(body: Body, turn: np.ndarray, at: np.ndarray) -> list[tuple[int, np.ndarray, float]]:
-    """The balls in the joints of what is there: the limb whose colour each has, its centre and radius."""
+    """Balls in the joints of the limbs that are present: the limb whose colour each has, its centre and radius."""
     sizes, t, present = np.asarray(body.sizes, np.float64), body.topology, np.asarray(body.present)
     anchors, out = np.asarray(body.parent_anchor.translation, np.float64), []
     for j, (parent, child) in enumerate(zip(t.parents, t.children)):
@@ -187,7 +187,7 @@ def _lit(colours: np.ndarray, normal: np.ndarray, scenery: Scenery) -> np.ndarra
 def room_picture(
     camera: Camera, room: Room, scenery: Scenery
 ) -> tuple[Float64[np.ndarray, " pixel"], Float64[np.ndarray, "pixel 3"]]:
-    """Depth (optical z, metres, inf where nothing is) and picture of a room that nobody is in, row by row."""
+    """Depth (optical z, metres, inf where there is nothing) and picture of an empty room, row by row."""
     rays, origin = camera.rays(), np.array(camera.position)
     depth = render_room(camera, room)[0].ravel()
     out, normal = np.zeros((len(rays), 3)), np.zeros((len(rays), 3))
@@ -216,7 +216,7 @@ def room_picture(
 def picture(
     body: Body, poses: Poses, camera: Camera, background: tuple[np.ndarray, np.ndarray], look: Look, scenery: Scenery
 ) -> Float64[np.ndarray, "row column 3"]:
-    """What falls onto a camera's sensor: a body before the room that `room_picture` shows. Red, green, blue, 0..255."""
+    """Light on a camera's sensor: a body in the room of `room_picture`. Red, green, blue, 0..255."""
     s = surface(body, poses, camera)
     there = s.depth < background[0][s.pixel]
     pixel, limb, normal = s.pixel[there], s.limb[there], s.normal[there]
@@ -231,7 +231,7 @@ def picture(
 def exposed(
     image: Float64[np.ndarray, "row column 3"], gain: float, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "row column 3"]:
-    """What the camera delivers: a little blurred by its lens, with noise."""
+    """The camera's image: a little blurred by its lens, with noise."""
     image = gaussian_filter(image.astype(np.float32), (_BLUR, _BLUR, 0))
     image = gain * image + GREY_NOISE * rng.standard_normal(image.shape, np.float32)
     return np.clip(image, 0, 255).astype(np.uint8)

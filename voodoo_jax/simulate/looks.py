@@ -1,4 +1,4 @@
-"""What people and rooms look like: colours and patterns of skin, hair, clothes, walls and floors. Host side, NumPy.
+"""Appearance of people and rooms: colours and patterns of skin, hair, clothes, walls and floors. Host side, NumPy.
 
 Colours are red, green, blue, 0 to 255. A paint is solid: what a place looks like follows from where it is in the body
 at rest, or in the room, so that it stays there while a limb moves and is the same for every camera.
@@ -34,7 +34,7 @@ class Paint:
 
 @dataclass(frozen=True)
 class Look:
-    """What a person looks like; of other bodies, `skin` is all there is. Heights at rest, shares of the stature."""
+    """Appearance of a person; other bodies have `skin` only. Heights at rest, shares of the stature."""
 
     skin: Paint = Paint(SKINS[0], 0.04, 0.1)
     hair: Paint = Paint(HAIRS[1], 0.1, 0.05)
@@ -48,7 +48,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Scenery:
-    """What the room looks like, and its light."""
+    """Appearance of the room, and its light."""
 
     floor: Paint = Paint(ROOMS[3], 0.08, 0.5)
     wall: Paint = Paint(ROOMS[0], 0.08, 0.5)
@@ -59,7 +59,7 @@ class Scenery:
 
 
 def random_look(rng: np.random.Generator) -> Look:
-    """Another person in other clothes."""
+    """A random person in random clothes."""
 
     def cloth(brightest: float) -> Paint:
         striped = rng.random() < 0.25
@@ -74,7 +74,7 @@ def random_look(rng: np.random.Generator) -> Look:
 
 
 def random_scenery(rng: np.random.Generator) -> Scenery:
-    """Another room in another light."""
+    """A random room in random light."""
     paints = [
         Paint(_rgb(np.array(ROOMS[k], float) * rng.uniform(0.7, 1.2)), float(rng.uniform(0.04, 0.12)), 0.5)
         for k in rng.permutation(len(ROOMS))[:3]
@@ -90,7 +90,7 @@ def _rgb(values: np.ndarray) -> Colour:
 
 
 def fractal(points: Float[np.ndarray, "*n 3"], coarse: float, fine: float, seed: int) -> Float64[np.ndarray, "*n"]:
-    """Noise of standard deviation 1 at points (metres): as much of it from each octave between two lengths."""
+    """Noise of standard deviation 1 at points (metres): an equal share from each octave between two lengths."""
     found, size, octaves = np.zeros(points.shape[:-1]), coarse, 0
     while size >= fine:
         at = points / size
@@ -110,12 +110,12 @@ def fractal(points: Float[np.ndarray, "*n 3"], coarse: float, fine: float, seed:
 
 @lru_cache(128)
 def _lattice(seed: int, octave: int) -> Float32[np.ndarray, "cell cell cell"]:
-    """Random numbers at the corners of cells; kept, for the pictures of a recording all need the same ones."""
+    """Random numbers at the corners of cells; cached, because all pictures of a recording need the same ones."""
     return np.random.default_rng([seed, octave]).standard_normal((_CELLS,) * 3, np.float32)
 
 
 def painted(paint: Paint, points: Float64[np.ndarray, "n 3"], seed: int) -> Float64[np.ndarray, "n 3"]:
-    """What places (metres) look like in white light from everywhere."""
+    """Colours of places (metres) in white light from everywhere."""
     pattern = 1 + paint.grain * fractal(points, paint.coarse, paint.fine, seed)
     if paint.stripes:
         pattern = pattern + 0.35 * np.sign(np.sin(points[:, 2] * 2 * np.pi / paint.stripes))
@@ -125,7 +125,7 @@ def painted(paint: Paint, points: Float64[np.ndarray, "n 3"], seed: int) -> Floa
 def body_colours(
     body: Body, look: Look, limb: Int[np.ndarray, " n"], place: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """What places on limbs look like in white light from everywhere.
+    """Colours of places on limbs in white light from everywhere.
 
     **Arguments:** `place` in the body frame at rest, metres.
     """
@@ -157,7 +157,7 @@ def body_colours(
 
 
 def _features(place: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """What is left of the skin's colour where a face has eyes, brows and a mouth; places as shares of the stature."""
+    """Factor on the skin's colour for eyes, brows and a mouth; places as shares of the stature."""
     x, y, z = place.T
     front, side = x > 0.02, np.abs(y)
     eyes = front & (((side - 0.018) / 0.008) ** 2 + ((z - 0.94) / 0.0035) ** 2 < 1)

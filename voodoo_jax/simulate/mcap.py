@@ -1,4 +1,4 @@
-"""Writes a simulated recording: MCAP with ROS 2 or Foxglove messages, and the truth beside it."""
+"""Writes a simulated recording: MCAP with ROS 2 or Foxglove messages, and its truth in a file beside it."""
 
 import json
 import os
@@ -54,7 +54,7 @@ def write_colour(
 
 
 class _View(NamedTuple):
-    """What one camera sees."""
+    """Images of one camera."""
 
     name: str  # how its topics begin
     frame: str
@@ -68,12 +68,12 @@ class _View(NamedTuple):
 
     @property
     def topic(self) -> str:
-        """Of its images."""
+        """Topic of its images."""
         return f"{self.name}/image/compressed" if self.is_colour else f"{self.name}/image"
 
 
 def _views(s: ColourSimulation, number: int) -> list[_View]:
-    """What the cameras of one of several simulations see."""
+    """Images of the cameras of one of several simulations."""
     rig = f"/camera{number + 1}" if number else ""
     names = ["/colour"] if len(s.cameras) == 1 else ["/stereo/left", "/stereo/right"]
     first = np.array(s.cameras[0].position)
@@ -87,7 +87,7 @@ def _views(s: ColourSimulation, number: int) -> list[_View]:
 
 
 def _write(s: Simulation | ColourSimulation, views: list[_View], path: str | os.PathLike[str], format: str) -> Path:
-    """The log and the truth beside it."""
+    """Writes the log and its truth."""
     if format not in ("ros2", "foxglove"):
         raise ValueError(f"format is 'ros2' or 'foxglove', not '{format}'")
     path, fill = Path(path), _ros2 if format == "ros2" else _foxglove
@@ -111,7 +111,7 @@ def _save_truth(simulation: Simulation | ColourSimulation, stream: BinaryIO) -> 
 def save_truth(
     stream: BinaryIO, time_ns: np.ndarray, joints: np.ndarray, names: Sequence[str], dims: dict[str, float]
 ) -> None:
-    """Truth as write_simulation has it."""
+    """Writes the truth in the form of write_simulation."""
     np.savez_compressed(stream, time_ns=time_ns, joints=joints, names=np.array(names), dims=np.array(json.dumps(dims)))
 
 
@@ -148,7 +148,8 @@ Ros2Put = Callable[[str, int, str, dict[str, Any]], None]  # topic, stamp, type,
 
 @contextmanager
 def _ros2_log(stream: BinaryIO) -> Iterator[Ros2Put]:
-    """What writes a message of ROS 2 into a log that is finished at the end; messages in fields are (type, fields)."""
+    """A function that writes ROS 2 messages into a log, which is closed at the end; messages in fields are (type,
+    fields)."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
     writer.start(profile="ros2", library="voodoo_jax")
@@ -178,7 +179,7 @@ def _header(stamp: int, frame: str) -> tuple[str, dict[str, Any]]:
 
 
 def _ros2_place(put: Ros2Put, stamp: int, views: list[_View], fixed_frame: str) -> None:
-    """Where cameras are, on /tf_static."""
+    """Writes the poses of cameras to /tf_static."""
     transforms = []
     for view in views:
         turn = dict(zip("xyzw", Rotation.from_matrix(view.camera.rotation).as_quat().tolist()))
@@ -226,7 +227,8 @@ def _foxglove(views: list[_View], times: list[int], fixed_frame: str, stream: Bi
 
 @contextmanager
 def foxglove_log(stream: BinaryIO) -> Iterator[Put]:
-    """What writes a message of foxglove's, stamped where it has a stamp, into a log that is finished at the end."""
+    """A function that writes Foxglove messages, with a stamp if they have one, into a log, which is closed at the
+    end."""
     writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
     writer.start(profile="", library="voodoo_jax")
     yield putter(writer)
@@ -237,7 +239,7 @@ def foxglove_log(stream: BinaryIO) -> Iterator[Put]:
 def put_camera(
     put: Put, stamp: int, camera: Camera, fixed_frame: str, frame: str, topic: str, baseline: float = 0.0
 ) -> None:
-    """A camera's place, on /tf, and its calibration."""
+    """Writes a camera's pose to /tf, and its calibration."""
     transform = FrameTransform(parent_frame_id=fixed_frame, child_frame_id=frame)
     part = transform.translation
     part.x, part.y, part.z = camera.position
@@ -252,7 +254,7 @@ def put_camera(
 
 
 def depth_image(camera: Camera, frame: str, image: np.ndarray) -> RawImage:
-    """An image in millimetres."""
+    """Writes an image in millimetres."""
     return RawImage(
         frame_id=frame, width=camera.width, height=camera.height, encoding="16UC1", step=2 * camera.width,
         data=image.astype("<u2").tobytes(),

@@ -17,7 +17,7 @@ MOTIONS = ("stand", "wave", "bow", "walk", "swing")
 # Motion: rotations of the joints and a pose of the root over time
 @dataclass(frozen=True)
 class Motion:
-    """How a body moves. `root` is T_body_root from the functions here, T_fixed_root after `placed`."""
+    """A body's motion. `root` is T_body_root from the functions here, T_fixed_root after `placed`."""
 
     time: Float64[np.ndarray, " frame"]  # seconds from the start
     root: Poses  # [frame] of limb 0, metres

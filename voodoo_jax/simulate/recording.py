@@ -24,7 +24,7 @@ FIXED_FRAME = "base"
 def render(
     body: Body, poses: Poses, camera: Camera, room: Room | None
 ) -> tuple[Float64[np.ndarray, "row column"], Float64[np.ndarray, "row column"]]:
-    """Exact depth (optical z, metres, inf where nothing is) and cosine of the incidence, by ray casting.
+    """Exact depth (optical z, metres, inf where there is nothing) and cosine of the incidence, by ray casting.
 
     `poses` [limb] T_fixed_limb of the body's limbs, closed elliptic frusta; absent limbs are not seen.
     """
@@ -41,7 +41,7 @@ def render(
 
 
 def rays_near(rays: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
-    """Numbers of the rays from the origin that meet a sphere before it."""
+    """Numbers of the rays from the origin that hit a sphere before it."""
     along = rays @ centre
     return np.nonzero((along > 0) & (along**2 > (centre @ centre - radius**2) * (rays**2).sum(1)))[0]
 

@@ -1,4 +1,4 @@
-"""A room: floor, wall and boxes, as rays of a camera hit them.
+"""A room for a camera's rays: floor, wall and boxes.
 
 Frames: fixed frame `base`, on the floor below the camera, z up, x forward, y left. Host side, NumPy.
 """
@@ -24,7 +24,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Room:
-    """What surrounds the body: the floor z = 0, a back wall at x = wall and boxes. None: without."""
+    """The surroundings of the body: the floor z = 0, a back wall at x = wall and boxes. None: without."""
 
     floor: bool = True
     wall: float | None = 5.0
@@ -34,7 +34,7 @@ class Room:
 def render_room(
     camera: Camera, room: Room | None
 ) -> tuple[Float64[np.ndarray, "row column"], Float64[np.ndarray, "row column"]]:
-    """As render, of a room that nobody is in."""
+    """As render, of an empty room."""
     rays, origin = camera.rays(), np.array(camera.position)
     depth, cosine, every = np.full(len(rays), np.inf), np.ones(len(rays)), np.arange(len(rays))
     planes = [] if room is None else [(2, 0.0)] * room.floor + ([] if room.wall is None else [(0, room.wall)])

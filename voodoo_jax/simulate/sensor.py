@@ -78,7 +78,7 @@ def add_noise(
     noise: Noise,
     rng: np.random.Generator,
 ) -> UInt16[np.ndarray, "row column"]:
-    """What the camera delivers: optical z in millimetres, 0 where it has nothing."""
+    """The camera's output: optical z in millimetres, 0 for no measurement."""
     height, width = depth.shape
     # flying pixels: a random one of the four neighbours shares the pixel
     side, share, flies = rng.integers(0, 4, depth.shape), rng.random(depth.shape), rng.random(depth.shape)

@@ -1,4 +1,4 @@
-"""How far off limbs and joints may be: covariances from the normal equations of a frame's solve, calibrated.
+"""Uncertainty of limbs and joints: covariances from the normal equations of a frame's solve, calibrated.
 
 The normal matrix says how well the measurements hold a limb, up to the variance of one of them. Neighbouring points err
 together, and a person's shape differs from the body's the same way in all frames: so the variance of a measurement and

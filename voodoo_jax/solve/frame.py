@@ -42,13 +42,13 @@ class FrameResult(NamedTuple):
 
 
 def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
-    """One ICP step: new poses of all limbs, and what was seen on entry."""
+    """One ICP step: new poses of all limbs, and the measurements on entry."""
     after, _, info = _step(Loop.begun(poses), problem)
     return after, info
 
 
 def _step(state: "Loop", problem: Problem) -> tuple[Poses, Float[Array, "limb 6"], StepInfo]:
-    """Where the next step of a loop leads, what it asked for, and what was seen on entry."""
+    """Poses after the next step of a loop, the step that was asked for, and the measurements on entry."""
     poses = Poses(quat_normalize(state.poses.rotation), state.poses.translation)
     coupled = problem.options.solver == "coupled"
     pulls = pulls_of(seen_at(poses, problem, with_second=coupled), poses, problem)
@@ -59,8 +59,8 @@ def _step(state: "Loop", problem: Problem) -> tuple[Poses, Float[Array, "limb 6"
 def _stepped(
     state: "Loop", poses: Poses, pulls: Pulls, system: System | None, options: IcpOptions
 ) -> tuple[Poses, Float[Array, "limb 6"]]:
-    """Where pulls lead from some poses, and what the step asked for: further than that where the last one led the same
-    way, and to what is no worse. `system` None: limb by limb."""
+    """Poses after a step by these pulls, and the step that was asked for. Goes further than that if the last step had
+    the same direction and the quality is no worse. `system` None: limb by limb."""
     if system is None:
         return _moved(poses, _limb_by_limb(poses, pulls)), state.asked
     asked = coupled_twists(*system)
@@ -82,7 +82,7 @@ def _moved(poses: Poses, motion: tuple[Float[Array, "limb 4"], Float[Array, "lim
 
 
 class Loop(NamedTuple):
-    """How far the loop of a frame has come."""
+    """State of a frame's loop."""
 
     poses: Poses
     quality: Float[Array, ""]  # where the last step began, square metres
@@ -100,7 +100,7 @@ class Loop(NamedTuple):
     def after(
         self, poses: Poses, asked: Float[Array, "limb 6"], quality: Float[Array, ""], rest: Bool[Array, ""]
     ) -> "Loop":
-        """One step further, to `poses`, or where it is, if that is to stay in."""
+        """The state after one more step to `poses`, or the same if it is at rest."""
         moved = jnp.max(jnp.sum((poses.translation - self.poses.translation) ** 2, -1))
         poses = jax.tree.map(lambda old, new: jnp.where(rest, old, new), self.poses, poses)
         return Loop(poses, quality, asked, moved, self.steps + ~rest, rest)
@@ -108,7 +108,7 @@ class Loop(NamedTuple):
     def at_rest(
         self, quality: Float[Array, ""], options: IcpOptions, patient: Bool[Array, ""] | bool
     ) -> Bool[Array, ""]:
-        """Whether the poses, of this `quality`, are those to stay in: see solve_frame."""
+        """Whether the loop ends at these poses, of this `quality`: see solve_frame."""
         fallen = self.quality - quality
         # pairs that nobody measured may make the measure rise
         if options.plausible.collisions is not None or options.solver != "coupled":
@@ -161,7 +161,7 @@ def solve_frame(
 
 
 class Measured(NamedTuple):
-    """How well a frame's poses explain what was measured."""
+    """How well a frame's poses explain the measurements."""
 
     good: Bool[Array, ""]  # False: nothing was measured, or nothing finite found, and the poses are the predicted ones
     residual: Float[Array, ""]  # root of the weighted mean squared distance of the points, metres
@@ -174,9 +174,9 @@ class Measured(NamedTuple):
 def solve_and_measure(
     problem: Problem, patient: Bool[Array, ""] | bool = True
 ) -> tuple[Poses, Measured, Float[Array, "limb6 limb6"]]:
-    """As solve_frame from the predicted poses; and what the poses found explain, with the normal matrix of the limbs'
-    twists there (kernels.gauss_newton), both without the pull that holds who stands still: it would make a frame surer
-    of itself than its measurements are.
+    """As solve_frame from the predicted poses; also returns how well the poses explain the measurements, and the normal
+    matrix of the limbs' twists there (kernels.gauss_newton). Both are without the pull on people who stand still, which
+    would make a frame more certain than its measurements are.
 
     One loop for both, whose last turn measures and does not move: to compile all of a step twice takes seconds.
     """

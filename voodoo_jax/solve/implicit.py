@@ -85,7 +85,7 @@ def _forces_of_points(
 
 
 def _own(poses: Poses, problem: Problem, chosen: Chosen) -> tuple[Float[Array, "limb 6"], Float[Array, " limb"]]:
-    """Torque and force on every limb from its own pairs with what was measured and its prediction, and its measured
+    """Torque and force on every limb from its own pairs with measurements and its prediction, and its measured
     weight."""
     body, options = problem.body, problem.options
     if options.match.overlap == "exclusive":
@@ -193,7 +193,7 @@ def solved(slope: Float[Array, "all all"], rhs: Float[Array, " all"]) -> Float[A
 
 
 def _far(twists: Float[Array, "limb 6"], force: Float[Array, "limb 6"], problem: Problem) -> Float[Array, ""]:
-    """How far from rest: what a Newton step gains, as a root mean square over the frame's weight, metres
+    """Distance from rest: the gain of a Newton step, as a root mean square over the frame's weight, metres
     (docs/numerics.md#stopping).
 
     Not the step's size: a round limb rolls a long way for nothing, and the near side's choice may keep it rolling.
@@ -305,7 +305,7 @@ def solution(start: Poses, problem: Problem, newton: int = NEWTON, tolerance: fl
 
 
 def with_derivatives(found: Rest, problem: Problem, tolerance: float = AT_REST) -> Solution:
-    """The same of what was found at rest."""
+    """The solution at rest, with derivatives."""
     poses = carried(found, problem, tolerance)
     again = choices(found.poses, jax.lax.stop_gradient(problem))
     weight = jnp.sum(matched(poses, problem, found.chosen).weight, 1)

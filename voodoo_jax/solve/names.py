@@ -12,7 +12,7 @@ from voodoo_jax.records.observation import BodyObservation
 
 
 class FeatureNames:
-    """Which point of the body each name in a log is, and what it weighs."""
+    """The body's point for each name in a log, and its weight."""
 
     def __init__(self, topology: Topology, settings: FeatureSettings):
         points = {name: i for i, name in enumerate((*topology.sites, *topology.centres))}
@@ -38,7 +38,7 @@ class FeatureNames:
         return None if row is None else len(topology.sites) + row
 
     def choices(self, names: set[str]) -> int:
-        """How many points of the body the most ambiguous of the names may stand for."""
+        """Largest number of body points that one of the names may stand for."""
         return max((len(self.look_up(n) or ()) for n in names), default=1) or 1
 
     def look_up(self, name: str) -> tuple[int, ...] | None:
@@ -46,15 +46,15 @@ class FeatureNames:
         return self.rows.get(self.plain(name))
 
     def plain(self, name: str) -> str:
-        """The name under which a feature is looked up, whatever standard and prefix the log has it from."""
+        """The name under which a feature is looked up, for any standard and prefix."""
         if name in self.rows:
             return name
         name = V1_NAMES.get(name, name)
         return name if name in self.rows else plain_name(name)
 
     def find(self, name: str) -> tuple[tuple[int, ...], float] | None:
-        """Rows of kernels.landmarks.named_points, of which the feature is one, and weight; None for a name that the
-        body does not have."""
+        """Rows of kernels.landmarks.named_points that the feature may be, and its weight; None for a name that the body
+        does not have."""
         name = self.plain(name)
         if name not in self.rows:
             return None

@@ -48,7 +48,7 @@ class IcpOptions(eqx.Module):
 
 
 class Problem(eqx.Module):
-    """All that one frame's solve depends on, prepared once per frame."""
+    """All inputs of one frame's solve, prepared once per frame."""
 
     body: Body
     bands: Links
@@ -73,21 +73,21 @@ System = tuple[Float[Array, "limb6 limb6"], Float[Array, "limb 6"]]
 
 
 class StepInfo(NamedTuple):
-    """What a step saw on entry."""
+    """Measurements on entry of a step."""
 
     quality: Float[Array, ""]  # weighted mean of squared pair distances, square metres
     limb_weight: Float[Array, " limb"]  # measured weight
 
 
 def adjacency(topology: Topology) -> Bool[Array, "limb limb"]:
-    """Which limbs share a joint; every limb is adjacent to itself."""
+    """Whether limbs share a joint; every limb is adjacent to itself."""
     near = jnp.eye(len(topology.limbs), dtype=bool)
     parents, children = jnp.array(topology.parents, int), jnp.array(topology.children, int)
     return near.at[parents, children].set(True).at[children, parents].set(True)
 
 
 class Seen(NamedTuple):
-    """What was measured, as seen from a pose; sums in each limb's own frame."""
+    """Measurements as seen from a pose; sums in each limb's own frame."""
 
     info: StepInfo
     found: Match
@@ -98,13 +98,13 @@ class Seen(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """All that is decided rather than measured in a frame: pairs of points, and of features (None: there are none)."""
+    """All discrete choices in a frame: pairs of points, and of features (None: there are none)."""
 
     points: Settled
     features: SettledFeatures | None
 
     def differs(self, other: "Chosen") -> Int[Array, ""]:
-        """How many points and features of a frame are matched in another way."""
+        """Number of points and features of a frame with another match."""
         count = jnp.sum(self.points.differs(other.points))
         if self.features is not None and other.features is not None:
             moved = (self.features.point != other.features.point) & self.features.kept
@@ -113,7 +113,7 @@ class Chosen(NamedTuple):
 
 
 class Pulls(NamedTuple):
-    """All that pulls at the limbs in a pose, each limb's in its own frame."""
+    """All pulls on the limbs in a pose, each in the limb's own frame."""
 
     seen: Seen
     prior: Float[Array, "limb 4 4"]
@@ -135,8 +135,8 @@ def _near(body: Body, poses: Poses, predicted: Poses, distance: Float[Array, ""]
 def pull_to_prediction(
     poses: Poses, problem: Problem, limb_weight: Float[Array, " limb"]
 ) -> tuple[Float[Array, "limb 4 4"], Float[Array, "limb 3 3"]]:
-    """Moments of the pairs that pull every limb to its predicted pose (see prior_moments): weakly wherever it is, and
-    strongly where it hardly differs, for then it stands still and what differs is noise."""
+    """Moments of the pairs that pull every limb to its predicted pose (see prior_moments): weakly anywhere, and
+    strongly near it, because there the limb stands still and the difference is noise."""
     body, options = problem.body, problem.options
     middle = jnp.zeros_like(body.sizes[:, :3]).at[:, 2].set(body.sizes[:, 4] / 2)
     still = options.steady * limb_weight * _near(body, poses, problem.predicted, options.steady_distance)
@@ -162,7 +162,7 @@ def anything_measured(problem: Problem) -> Bool[Array, ""]:
 
 
 def choices(poses: Poses, problem: Problem) -> Chosen:
-    """How points and features are matched at these poses."""
+    """Matches of points and features at these poses."""
     body, options = problem.body, problem.options
     near, features = adjacency(body.topology), problem.features
     points = settled(body.sizes, poses, problem.points, near, options.match, body.present)
@@ -171,7 +171,7 @@ def choices(poses: Poses, problem: Problem) -> Chosen:
 
 
 def matched(poses: Poses, problem: Problem, chosen: Chosen | None = None) -> Match:
-    """The points' pairs at these poses; `chosen` choices that are settled."""
+    """The points' pairs at these poses; `chosen` are fixed choices."""
     body, fixed = problem.body, None if chosen is None else chosen.points
     near = adjacency(body.topology)
     return match(body.sizes, poses, problem.points, near, problem.options.match, body.present, fixed)
@@ -196,7 +196,7 @@ def seen_at(poses: Poses, problem: Problem, with_second: bool = True, chosen: Ch
 
 
 def pulls_of(seen: Seen, poses: Poses, problem: Problem) -> Pulls:
-    """Measurements that were seen from these poses, with bands and prediction."""
+    """Measurements as seen from these poses, with bands and prediction."""
     body, options, limb_weight = problem.body, problem.options, seen.info.limb_weight
     strength = options.ratio * jnp.maximum(limb_weight, options.floor * total_weight(problem))
     pull, pull_second = pull_to_prediction(poses, problem, limb_weight)

@@ -51,7 +51,7 @@ class TrackOptions(eqx.Module):
 
 
 class State(NamedTuple):
-    """What one frame hands to the next."""
+    """What one frame passes to the next."""
 
     poses: Poses
     spin: Float[AnyArray, "limb 3"]  # radians per second, in the limb's frame
@@ -61,7 +61,7 @@ class State(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What one frame gives out."""
+    """Results of one frame."""
 
     poses: Poses
     residual: Float[Array, ""]  # root of the weighted mean squared distance, metres
@@ -78,7 +78,8 @@ Visit = Callable[..., tuple[State, Step]]  # as track_visits
 
 
 def cost_of(step: Step) -> Float[AnyArray, "*frame"]:
-    """How badly the measurements of each frame are explained, square metres: trials and passes are compared by it.
+    """Cost of each frame, square metres: how badly its measurements are explained. Trials and passes are compared by
+    it. Features count little: a wrong detection weighs more than the difference of front and back. They break ties.
 
     Features hardly count: a wrong detection weighs more than front and back differ. They break ties.
     """
@@ -146,7 +147,9 @@ def at_rest(poses: Poses) -> State:
 def predict(
     body: Body, options: TrackOptions, state: State, seconds: Float[Array, ""], cloud: Float[Array, "4"] | None = None
 ) -> Poses:
-    """Poses after `seconds`: a share of the velocity goes on; hidden limbs go with their parents, and back to rest.
+    """Poses after `seconds`: a share of the velocity continues; hidden limbs move with their parents, and back to rest.
+    Over long intervals limbs do not swing on, and the body moves with the mean of its points (`cloud`: metres, and
+    their number).
 
     Over long intervals limbs do not swing on, and the body goes where the mean of its points (`cloud`: metres, and
     their number) went.
@@ -166,7 +169,7 @@ def predict(
 
 
 def _with_hidden(body: Body, options: TrackOptions, state: State, moved: Poses, seconds: Float[Array, ""]) -> Poses:
-    """The poses with limbs that were hidden where their parents take them, from the trunk outwards."""
+    """The poses with hidden limbs moved by their parents, from the trunk outwards."""
     t = body.topology
     kept = jnp.exp(-jnp.abs(seconds) / options.hidden_rest)
     joint = np.argsort(t.children)  # of each limb but the root
@@ -190,7 +193,7 @@ def _with_hidden(body: Body, options: TrackOptions, state: State, moved: Poses, 
 
 
 def _depth(topology: Topology) -> int:
-    """How many joints there are at most between a limb and the root."""
+    """Largest number of joints between a limb and the root."""
     depth = {0: 0}
     for j in tree_order(topology):
         depth[topology.children[j]] = depth[topology.parents[j]] + 1
@@ -220,8 +223,8 @@ def track_frame(
     seconds: Float[Array, ""],
     features: Features | None = None,
 ) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
-    """Tracks one frame: predict, solve, measure how well it went; and the normal matrix of the limbs' twists there
-    (kernels.gauss_newton), for many frames are inverted together in less time."""
+    """Tracks one frame: predicts, solves, measures the fit. Also returns the normal matrix of the limbs' twists
+    (kernels.gauss_newton): inverting those of many frames together is faster."""
     problem, patient = frame_problem(body, options, state, points, seconds, features)
     poses, seen, normals = solve_and_measure(problem, patient=patient)
     count = jnp.sum(points.weight > 0)
@@ -239,8 +242,7 @@ def frame_problem(
     seconds: Float[Array, ""],
     features: Features | None = None,
 ) -> tuple[Problem, Bool[Array, ""]]:
-    """What a frame's poses are solved on, predicted from the state before it; and whether the prediction may be far
-    off."""
+    """The problem of a frame, predicted from the state before it; and whether the prediction may be far off."""
     predicted = predict(body, options, state, seconds, _cloud(points))
     # a prediction over a longer interval is worth less: its error grows with the square of the time
     late = jnp.maximum(seconds / options.prior_interval, 1.0)
@@ -260,7 +262,7 @@ def state_after(
     seconds: Float[Array, ""],
     good: Bool[Array, ""],
 ) -> State:
-    """What a frame hands to the next. `good`: the poses were measured, not predicted."""
+    """The state for the next frame. `good`: the poses were measured, not predicted."""
     points, features = problem.points, problem.features
     cloud = _cloud(points)
     safe = jnp.where(seconds > 0, seconds, 1.0)
@@ -279,7 +281,7 @@ def state_after(
 
 
 def _nothing(state: State) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
-    """What track_frame returns, for no frame at all."""
+    """What track_frame returns for no frame."""
     zero, weight = jnp.zeros_like(state.seen[0]), jnp.zeros_like(state.seen)
     poses = jax.tree.map(jnp.zeros_like, state.poses)
     step = Step(poses, zero, zero, zero, weight, jnp.array(0, jnp.int32), jnp.array(0))
@@ -287,7 +289,7 @@ def _nothing(state: State) -> tuple[State, Step, Float[Array, "limb6 limb6"]]:
 
 
 class Visits(NamedTuple):
-    """Which frame is tracked next, and in which track: a start that is tried, or the one there is."""
+    """The frames to track, and the track of each: a trial start, or the only one."""
 
     frame: Int[AnyArray, " visit"]
     track: Int[AnyArray, " visit"]  # NOBODY: nothing is done
@@ -308,8 +310,8 @@ def track_visits(
     visits: Visits,
     features: Features | None = None,
 ) -> tuple[State, Step]:
-    """Tracks frames one after the other in one scan: trials of starts and whole recordings are one program, for to
-    compile the tracker takes longer than to track a log.
+    """Tracks frames one after the other in one scan. Trials of starts and whole recordings are one program: compiling
+    the tracker takes longer than tracking a log.
 
     **Arguments:** `states` with a leading track axis; `points` and `features` with a leading frame axis; `seconds`
     since the frame before.
@@ -333,8 +335,8 @@ def track_visits(
 def covariances_of(
     body: Body, options: TrackOptions, normals: Float[Array, "visit limb6 limb6"], sure: Bool[AnyArray, ""]
 ) -> Float[Array, "visit limb 6 6"]:
-    """Covariance of each limb's twist from the normal matrices of many visits, see kernels.gauss_newton; zero where
-    nobody asks (not `sure`)."""
+    """Covariance of each limb's twist from the normal matrices of many visits, see kernels.gauss_newton; zero if not
+    `sure`."""
     count, limbs = normals.shape[0], normals.shape[1] // 6
 
     def found():

@@ -24,7 +24,7 @@ from voodoo_jax.solve.scan import State, TrackOptions, frame_problem, state_afte
 
 
 class Measurements(eqx.Module):
-    """A padded recording: what was measured of a body, frame by frame."""
+    """A padded recording: a body's measurements, frame by frame."""
 
     points: Points  # leading axis: frame
     seconds: Float[Array, "*frame"]  # since the frame before

@@ -11,7 +11,9 @@ from voodoo_jax.storage.troubles import WHILE_WRITING, not_written
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], ending: str = "") -> Iterator[Path]:
-    """Gives a temporary path in the same folder; it becomes `path` at the end, or is removed if anything was raised.
+    """Yields a temporary path in the same folder; it becomes `path` at the end, or is removed after an exception.
+    `ending` is the suffix of the temporary name, for libraries that choose a format by it. Raises NotWritten if the
+    system refuses to write it.
 
     `ending` is how the temporary name ends, for libraries that tell formats by it. Raises NotWritten, with a sentence,
     where the system does not let it be written.
@@ -33,8 +35,8 @@ def replacing(path: str | os.PathLike[str], ending: str = "") -> Iterator[Path]:
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Raises NotWritten where a file of this name could not be made by `replacing`, as far as that can be told before
-    anything is in it."""
+    """Raises NotWritten if `replacing` could not write a file of this name, as far as this can be known before there is
+    any content."""
     target = Path(path)
     try:
         if target.is_dir():
@@ -56,7 +58,7 @@ def made_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def begun(path: str | os.PathLike[str]) -> Path:
-    """A temporary path in the same folder, with an empty file, for who moves it to `path` by `moved`. Raises
+    """A temporary path in the same folder, with an empty file, for callers that move it to `path` by `moved`. Raises
     NotWritten."""
     partial = _partial(Path(path))
     try:
@@ -67,14 +69,14 @@ def begun(path: str | os.PathLike[str]) -> Path:
 
 
 def moved(partial: Path, target: Path) -> None:
-    """Puts a complete file in its place: over a file or link of this name, and nothing else. Raises OSError."""
+    """Moves a complete file to its place; replaces a file or link of this name, and nothing else. Raises OSError."""
     if target.exists() and not target.is_file() and not target.is_dir():  # a pipe or a device
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(partial))
     os.replace(partial, target)
 
 
 def made_new(partial: Path) -> None:
-    """Makes an empty file, in place of one that was left there; what lies there is not followed, be it a link."""
+    """Creates an empty file and replaces an old one; a link there is not followed."""
     partial.unlink(missing_ok=True)
     open(partial, "xb").close()
 

@@ -1,4 +1,4 @@
-"""What a process that parses foreign files may still do: limits of resources everywhere, files and calls on Linux.
+"""Restricts a process that parses foreign files: resource limits on all systems, files and system calls on Linux.
 
 Numbers are those of the kernel's interface: landlock(7), seccomp(2), include/uapi/linux/landlock.h, and the tables of
 system calls of both architectures.
@@ -36,7 +36,7 @@ OPEN_FILES = 256
 
 
 def limited_resources(memory: int, file_bytes: int) -> None:
-    """From now on this process may take so many bytes of memory more, write no larger files, and open a few."""
+    """Limits this process from now on: additional memory in bytes, size of written files, number of open files."""
     if os.name != "posix":
         return
     import resource
@@ -58,7 +58,7 @@ def limited_resources(memory: int, file_bytes: int) -> None:
 
 
 def more_time(seconds: float) -> None:
-    """The system ends this process when it has used so many seconds of the processor from now on; 0: no limit."""
+    """The system ends this process after this many more seconds of processor time; 0: no limit."""
     if os.name == "posix" and seconds:
         import resource
 
@@ -69,8 +69,8 @@ def more_time(seconds: float) -> None:
 
 
 def confined(readable: Iterable[str], writable: Iterable[str]) -> tuple[str, ...]:
-    """From now on this process and its threads read these files and folders and their libraries only, write into these
-    folders only, and reach no network, no other process and no other program, as far as the system can see to that.
+    """From now on this process and its threads read only these files and folders and their libraries, write only into
+    these folders, and reach no network, other process or program, as far as the system can enforce it.
 
     **Returns:** what sees to it: of "landlock", "seccomp". To be called while there is one thread.
     """
@@ -85,7 +85,7 @@ def confined(readable: Iterable[str], writable: Iterable[str]) -> tuple[str, ...
 
 
 def own_libraries() -> set[str]:
-    """Where Python and this package have what they import, and the system its libraries."""
+    """Folders from which Python, this package and the system load libraries."""
     names = ("stdlib", "platstdlib", "purelib", "platlib")
     own = {sysconfig.get_path(name) for name in names} | {str(Path(__file__).resolve().parents[1])}
     return own | {path for path in sys.path if path.endswith(("site-packages", "dist-packages"))} | {*LIBRARIES}

@@ -1,4 +1,4 @@
-"""How many cores there are to be used, by all that runs here and by this process alone; work on several of them."""
+"""Number of usable cores, for all processes here and for this process alone; runs work on several cores."""
 
 import os
 from collections import deque
@@ -13,8 +13,8 @@ R = TypeVar("R")
 
 
 def at_once(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
-    """What `work` makes of each item, in their order, by as many threads as this process has cores. Raises what it
-    raises for the first item for which it does. The limits that hold here hold there, too."""
+    """Results of `work` for each item, in order, by as many threads as this process has cores. Raises the exception of
+    the first item that fails. The caller's limits hold in the threads."""
     count = min(own_cores(), len(items))
     if count < 2:
         return [work(item) for item in items]
@@ -40,7 +40,7 @@ def at_once(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
 
 
 def usable_cores() -> int:
-    """Physical cores that this process may use: affinity and the container's quota are heeded."""
+    """Physical cores that this process may use, by its affinity and the container's quota."""
     cpus = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
     siblings = {text_of(f"/sys/devices/system/cpu/cpu{n}/topology/thread_siblings_list") or str(n) for n in cpus}
     quota = (text_of("/sys/fs/cgroup/cpu.max") or "max 1").split()
@@ -49,13 +49,13 @@ def usable_cores() -> int:
 
 
 def own_cores() -> int:
-    """Cores that this process may keep busy: a share of them where it is one of several workers."""
-    told = os.environ.get("OMP_NUM_THREADS", "")
-    return min(usable_cores(), int(told)) if told.isdigit() and int(told) > 0 else usable_cores()
+    """Cores that this process may keep busy: its share if it is one of several workers."""
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return min(usable_cores(), int(asked)) if asked.isdigit() and int(asked) > 0 else usable_cores()
 
 
 def text_of(path: str) -> str:
-    """What is in a small file of the system's; nothing where it cannot be read."""
+    """Content of a small system file; empty if it cannot be read."""
     try:
         return Path(path).read_text().strip()
     except OSError:

@@ -1,5 +1,5 @@
-"""Foreign files are parsed by another process, which can do little (see confinement.py): one that crashes its reader,
-never ends or asks for too much costs a sentence. What comes back are bytes and sentences, each of checked length."""
+"""Parses foreign files in a restricted process (see confinement.py): a file that crashes its reader, never ends or
+needs too much memory results in an error message only. Results are bytes and sentences of checked length."""
 
 import atexit
 import json
@@ -25,11 +25,11 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # e
 
 
 class Refused(ValueError):
-    """Why nothing came of a foreign file, in a sentence's end."""
+    """A foreign file gives no result: the reason, as the end of a sentence."""
 
 
 class Room(NamedTuple):
-    """What a task may take."""
+    """Limits of a task."""
 
     memory: int  # bytes, beside what libraries need
     seconds: float  # of the processor between two pieces of the result; 0: no limit
@@ -41,7 +41,7 @@ def guarded(
     task: str, arguments: Sequence[Any], readable: Iterable[str], room: Room, take: Callable[[bytes], Any],
     imports: Iterable[str] = (),
 ) -> list[str]:  # fmt: skip
-    """Runs a function in a process of its own that reads some files and folders only.
+    """Runs a function in a process of its own that can read only some files and folders.
 
     **Arguments:** `task` "module:function"; it is called with `arguments`, of which JSON has the kinds, and an Answer,
     writes its result there and returns notes; `take` gets the result piece by piece; `imports` modules that it
@@ -88,7 +88,7 @@ def guarded(
 
 
 def _heard(pipe: int, room: Room, take: Callable[[bytes], Any]) -> tuple[list[str], str | None]:
-    """Notes, and why there is no result: "" if there is one, None if its process has ended before it said so."""
+    """Notes, and why there is no result: "" if there is one, None if its process ended without a reason."""
     notes: list[str] = []
     total, wait = 0, PATIENCE + 10 * room.seconds if room.seconds else None
     while True:
@@ -115,7 +115,7 @@ def _heard(pipe: int, room: Room, take: Callable[[bytes], Any]) -> tuple[list[st
 
 
 def _read(pipe: int, count: int, wait: float | None) -> bytes:
-    """So many bytes, or fewer where they end."""
+    """Reads this many bytes, or fewer at the end."""
     found = b""
     while len(found) < count:
         if not select.select([pipe], [], [], wait)[0]:
@@ -127,7 +127,7 @@ def _read(pipe: int, count: int, wait: float | None) -> bytes:
 
 
 def _ended(status: int, room: Room) -> str:
-    """Why a process has ended."""
+    """Why a process ended."""
     if status >= 0:
         return "the process that reads it has ended"
     if -status == signal.SIGXCPU:
@@ -153,7 +153,7 @@ class _Helper:
         return self._process.poll() is None
 
     def end(self) -> None:
-        """With what it is doing."""
+        """Ends the process and its task."""
         self.control.close()
         self._process.kill()
         self._process.wait()
@@ -179,7 +179,7 @@ def _end(own: int) -> None:
 
 
 def unguarded(task: str, arguments: Sequence[Any], room: Room, take: Callable[[bytes], Any]) -> list[str]:
-    """The same in this process, where nothing limits it."""
+    """The same in this process, without limits."""
 
     class Here(Answer):
         def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The other end of guard.py: waits for tasks, and does each in a copy of this process that can do little.
+"""The process that guard.py starts: waits for tasks, and runs each in a restricted copy of itself.
 
 python -m voodoo_jax.storage.guarded N: N is the number of an open socket. What is imported stays, so that the next task
 begins at once; foreign files are opened in the copies alone.
@@ -28,7 +28,7 @@ REQUEST = 1 << 17  # bytes of a task: paths and numbers
 
 
 class Answer:
-    """What a task says: a stream of bytes, its result, and notes. Each piece that leaves buys the next some time."""
+    """What a task sends: its result as a stream of bytes, and notes. Each piece that is sent extends its time limit."""
 
     def __init__(self, pipe: int, seconds: float, size: int):
         self.size = size  # bytes of it, at most
@@ -45,7 +45,7 @@ class Answer:
         return self._count
 
     def note(self, text: str, kind: bytes = NOTE) -> None:
-        """A sentence on what was left out or changed; of the kind REFUSED: why there is no result."""
+        """Sends a sentence on what was left out or changed; of the kind REFUSED: why there is no result."""
         data = text.encode("utf-8", "backslashreplace")[:TEXT]
         self._message(kind, data)
 
@@ -66,7 +66,7 @@ class Answer:
 
 
 def done_here(task: str, arguments: list[Any], answer: Answer) -> None:
-    """Does a task, `module:function`, and says what came of it."""
+    """Runs a task, `module:function`, and sends its result."""
     module, _, name = task.partition(":")
     try:
         for note in getattr(importlib.import_module(module), name)(*arguments, answer):
@@ -80,7 +80,7 @@ def done_here(task: str, arguments: list[Any], answer: Answer) -> None:
 
 
 def _alone(request: dict[str, Any], pipe: int, others: list[int]) -> None:
-    """In the copy."""
+    """Runs in the copy."""
     for other in others:
         os.close(other)
     os.chdir(request.get("here", "/"))
@@ -92,7 +92,7 @@ def _alone(request: dict[str, Any], pipe: int, others: list[int]) -> None:
 
 
 def serve(control: socket.socket) -> None:
-    """Does tasks until the other end is gone."""
+    """Runs tasks until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who asked decides what Ctrl-C means
     nothing = os.open(os.devnull, os.O_RDWR)
     for number in (0, 1, 2):  # libraries print names that come from files

@@ -1,4 +1,4 @@
-"""Where points and features of long logs wait on disk: the user's cache folder, and never a disk that is memory."""
+"""Temporary storage on disk for points and features of long logs: the user's cache folder, never a RAM disk."""
 
 import os
 import tempfile
@@ -13,13 +13,13 @@ IN_MEMORY = ("tmpfs", "ramfs", "devtmpfs", "hugetlbfs")  # file systems of Linux
 
 
 def nameless_file() -> IO[bytes]:
-    """An open file without a name, which goes when it is closed, or with this process. Raises OSError where there is no
-    disk for it: folders that are missing are made, others are tried in turn, and those in memory are left out."""
+    """Opens a file without a name, which disappears when it is closed or this process ends. Creates missing folders,
+    tries several in turn, and skips RAM disks. Raises OSError without a suitable disk."""
     return _first(lambda folder: tempfile.TemporaryFile(dir=folder))
 
 
 def named_file(suffix: str) -> tuple[int, str]:
-    """A new file of this user alone, at the same places: its descriptor and its path; who asks removes it."""
+    """A new file of this user alone in one of the same folders: its descriptor and its path; the caller removes it."""
     return _first(lambda folder: tempfile.mkstemp(prefix="voodoo-", suffix=suffix, dir=folder))
 
 
@@ -50,7 +50,7 @@ def _folders() -> Iterator[str]:
 
 
 def in_memory(folder: str) -> bool:
-    """Whether a folder is on a RAM disk, as /tmp may be; False where that cannot be told."""
+    """Whether a folder is on a RAM disk, as /tmp may be; False if unknown."""
     kinds: dict[str, str] = {}
     with suppress(OSError, IndexError, UnicodeDecodeError):
         for line in Path("/proc/self/mounts").read_text().splitlines():  # later lines lie over earlier ones

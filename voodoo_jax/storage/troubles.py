@@ -1,10 +1,11 @@
-"""Sentences on files that cannot be written or read: which, why, and what to do."""
+"""Error messages for files that cannot be written or read: which file, why, and what to do."""
 
 import errno
 import os
 import stat
 from typing import BinaryIO
 
+FilePath = str | os.PathLike[str]
 ROOM = "make room, or name another folder for results; the same command then continues"
 RIGHTS = "you have no permission to write there", "name another folder for results"
 READ_ONLY = "the disk is read-only", "name another folder for results"
@@ -32,15 +33,15 @@ SMALL = 64 << 20  # bytes: no file that people write by hand or a drawing progra
 
 
 class NotWritten(OSError):
-    """A file or folder that cannot be written: a sentence that names it, says why and what to do."""
+    """A file or folder that cannot be written: a sentence with its name, the reason and what to do."""
 
 
 class NotReadable(OSError):
-    """A file that is none, or too large to be one of its kind."""
+    """Something that is not a file, or is too large for its kind."""
 
 
-def not_written(problem: OSError, place: str | os.PathLike[str]) -> NotWritten:
-    """The error to raise where `place` cannot be written."""
+def not_written(problem: OSError, place: FilePath) -> NotWritten:
+    """The exception to raise if `place` cannot be written."""
     if isinstance(problem, NotWritten):
         return problem
     why, advice = REASONS.get(problem.errno or 0, (problem.strerror or str(problem), "name another folder for results"))
@@ -49,8 +50,8 @@ def not_written(problem: OSError, place: str | os.PathLike[str]) -> NotWritten:
     return found
 
 
-def check_text(place: str | os.PathLike[str], what: str) -> None:
-    """Raises ValueError for a path with bytes that are no UTF-8: formats and libraries have no place for it."""
+def check_text(place: FilePath, what: str) -> None:
+    """Raises ValueError for a path with bytes that are not UTF-8: formats and libraries cannot store it."""
     if not (text := os.fspath(place)).isascii():
         try:
             text.encode("utf-8")
@@ -61,9 +62,9 @@ def check_text(place: str | os.PathLike[str], what: str) -> None:
             ) from problem
 
 
-def opened_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None) -> BinaryIO:
-    """A file opened for reading. Raises NotReadable for pipes and devices, for which one could wait for ever, and for
-    what lies outside of the folder `inside`, be it by a link; OSError."""
+def opened_file(path: FilePath, inside: FilePath | None = None) -> BinaryIO:
+    """Opens a file for reading. Raises NotReadable for pipes and devices, which may block forever, and for files
+    outside of the folder `inside`, also by a link; OSError."""
     place = os.path.realpath(path) if inside is not None else os.fspath(path)
     if inside is not None and os.path.commonpath([place, folder := os.path.realpath(inside)]) != folder:
         raise _unfit(f"it lies outside of '{os.fspath(inside)}'")
@@ -77,9 +78,9 @@ def opened_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | N
     return stream
 
 
-def small_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None, most: int = SMALL) -> bytes:
-    """All of a file of at most so many bytes, such as somebody names beside logs: settings, a body, a calibration.
-    Raises NotReadable for others, and as opened_file; OSError."""
+def small_file(path: FilePath, inside: FilePath | None = None, most: int = SMALL) -> bytes:
+    """Content of a file of at most this many bytes, for files beside logs: settings, a body, a calibration. Raises
+    NotReadable for others, and as opened_file; OSError."""
     with opened_file(path, inside) as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > most:
@@ -87,18 +88,13 @@ def small_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | No
         return stream.read(most + 1)
 
 
-def small_text(
-    path: str | os.PathLike[str],
-    errors: str = "strict",
-    inside: str | os.PathLike[str] | None = None,
-    most: int = SMALL,
-) -> str:
-    """The same as text, UTF-8, with the ends of lines that Python likes. Raises UnicodeDecodeError besides."""
-    return small_file(path, inside, most).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
+def small_text(path: FilePath, errors: str = "strict", inside: FilePath | None = None) -> str:
+    """The same as UTF-8 text with universal line ends. Also raises UnicodeDecodeError."""
+    return small_file(path, inside).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
-def check_file(path: str | os.PathLike[str], inside: str | os.PathLike[str] | None = None) -> None:
-    """Raises what opened_file raises, for what is opened by a library; folders pass if no `inside` is asked for."""
+def check_file(path: FilePath, inside: FilePath | None = None) -> None:
+    """Raises what opened_file raises, for files that a library opens; folders pass if no `inside` is given."""
     if inside is not None or os.path.exists(path) and not os.path.isdir(path):
         opened_file(path, inside).close()
 

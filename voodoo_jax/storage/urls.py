@@ -54,8 +54,8 @@ def file_system(url: str) -> tuple[Any, str]:
 
 
 def log_parts(place: str) -> list[str]:
-    """The files of one recording: those of a bag's folder in their order, those of a text such as a.mcap+b.mcap, or
-    the place itself."""
+    """The files of one recording: those of a bag's folder in order, those of a text such as a.mcap+b.mcap, or the place
+    itself."""
     if is_url(place):
         return [place]
     if os.path.isdir(place):
@@ -67,7 +67,7 @@ def log_parts(place: str) -> list[str]:
 
 
 def log_name(place: str) -> str:
-    """The name of a recording without what tells its kind: results are called by it."""
+    """The name of a recording without its ending; results have this name."""
     first = log_parts(place)[0] if TOGETHER in place else place
     name = first.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
     for end in (".zstd", ".zst", ".mcap"):
@@ -83,8 +83,8 @@ def bag_of(path: str) -> tuple[str, list[str]]:
 
 
 def _bag_files(folder: str) -> list[str]:
-    """Files of a recording of rosbag2 in their order, as metadata.yaml says or else as they are called; a file
-    that it names and that is not there is left out. Empty if the folder is none."""
+    """Files of a rosbag2 recording in order, by metadata.yaml or else by name; files that are missing are left out.
+    Empty if the folder is not a bag."""
     there: list[str] = []
     with suppress(OSError):  # none, or one that must not be looked into, which is said when it is read
         there = sorted(name for name in os.listdir(folder) if _is_log(name) or _is_foreign(name, SQLITE))
@@ -116,7 +116,7 @@ def _is_foreign(name: str, endings: str | tuple[str, ...] = FOREIGN) -> bool:
 
 
 def _foreign_in(folder: str, names: list[str]) -> list[str]:
-    """Recordings of other formats among the files of a folder, without what was exported from tracks there."""
+    """Recordings of other formats among the files of a folder, without exports of tracks."""
     there = {name.removesuffix(NPZ) for name in names if name.endswith(NPZ)}
     return [
         os.path.join(folder, name) for name in names if _is_foreign(name) and os.path.splitext(name)[0] not in there
@@ -124,8 +124,8 @@ def _foreign_in(folder: str, names: list[str]) -> list[str]:
 
 
 def _inside(folder: str, above: frozenset[str] = frozenset()) -> list[str]:
-    """All recordings in a folder and those below it: bags of several files by their folder, else files. A folder that
-    must not be looked at stands for itself: what is wrong with it is said when it is read."""
+    """All recordings in a folder and its subfolders: bags of several files by their folder, else files. A folder
+    without permission stands for itself: the error is raised when it is read."""
     own = os.path.realpath(folder)
     if own in above:  # a link that leads back up
         return []
@@ -168,12 +168,12 @@ def expanded(place: str | os.PathLike[str]) -> list[str]:
 
 
 def person_place(npz: str, person: int) -> str:
-    """Where the tracks of another person of a log are; `npz`: those of the main one, `<log>.tracks.npz`."""
+    """Path of the tracks of another person of a log; `npz`: path of the main person's, `<log>.tracks.npz`."""
     return npz if person == 1 else f"{npz.removesuffix(NPZ)}.{person}{NPZ}"
 
 
 def removed(place: str) -> None:
-    """Removes a file, if it is there. Raises OSError."""
+    """Removes a file if it exists. Raises OSError."""
     if not is_url(place):
         Path(place).unlink(missing_ok=True)
         return
@@ -183,12 +183,12 @@ def removed(place: str) -> None:
 
 
 def joined(folder: str, name: str) -> str:
-    """A file in a folder, either of them a path or a URL; the folder if the name is empty."""
+    """A file in a folder, each a path or a URL; the folder if the name is empty."""
     return f"{folder.rstrip('/')}/{name}".rstrip("/") if is_url(folder) else str(Path(folder) / name)
 
 
 def within(place: str, folder: str) -> bool:
-    """Whether a file is in a folder or below it, each a path or a URL; not by a link that leads out."""
+    """Whether a file is in a folder or its subfolders, each a path or a URL; links are resolved."""
     if is_url(folder) or is_url(place):
         return place.startswith(folder.rstrip("/") + "/") and ".." not in place.split("/")
     real = os.path.realpath(folder)
@@ -196,7 +196,7 @@ def within(place: str, folder: str) -> bool:
 
 
 def byte_size(place: str) -> int:
-    """Bytes of a file; 0 if it is not there."""
+    """Size of a file in bytes; 0 if it does not exist."""
     try:
         if not is_url(place):
             return sum(os.stat(part).st_size for part in log_parts(place))
@@ -216,7 +216,7 @@ class Readable(Protocol):
 
 @contextmanager
 def opened(place: str) -> Iterator[Any]:
-    """A file opened for reading at any place of it: a Readable. Raises OSError."""
+    """Opens a file for reading at any position: a Readable. Raises OSError."""
     if not is_url(place):
         check_file(place)
         with open(place, "rb") as stream:
@@ -229,7 +229,7 @@ def opened(place: str) -> Iterator[Any]:
 
 @contextmanager
 def fetched(place: str) -> Iterator[str]:
-    """A local path of a file: its own, or that of a copy that is removed at the end. Raises OSError, ValueError."""
+    """A local path of a file: its own, or that of a copy, which is removed at the end. Raises OSError, ValueError."""
     if not is_url(place):
         yield place
         return
@@ -242,8 +242,8 @@ def fetched(place: str) -> Iterator[str]:
 
 @contextmanager
 def delivered(folder: str) -> Iterator[Path]:
-    """A local folder for results, made if it is missing; for a URL what was written there is sent at the end, in the
-    order of writing. Raises OSError, ValueError."""
+    """A local folder for results, created if it is missing; for a URL its files are uploaded at the end, in the order
+    of writing. Raises OSError, ValueError."""
     if not is_url(folder):
         yield made_folder(folder)
         return

@@ -1,4 +1,4 @@
-"""People look at tracks.
+"""Pictures and pages of tracks, for people.
 
 Public: `figures.show`, `figures.picture`.
 """

@@ -61,8 +61,8 @@ def show(
     frames: int = 4,
     truth: Float[np.ndarray, "frame joint 3"] | None = None,
 ) -> "Figure":
-    """Figure of evenly spaced frames, one column each: the camera image with the body over it, where the recording has
-    images; cloud, body over the cloud, body from the side.
+    """Figure of evenly spaced frames, one column each: the camera image with the body over it, if the recording has
+    images; the cloud; the body over the cloud; the body from the side.
 
     The front view is that of the first sensor, the side view that from the right edge of its image; without sensors
     (markers alone) it is that of the body, and there is no cloud. Axes in metres, equal scale; each column's window
@@ -111,7 +111,7 @@ def show(
 
 
 def _rows(frames: list[Frame], window: np.ndarray) -> tuple[list[tuple[tuple[int, int, int], str]], list[float]]:
-    """Views of a picture's rows, and their heights as shares of the width: so that panels fill their cells."""
+    """Views of a picture's rows, and their heights as shares of the width, so that panels fill their cells."""
     spans = window[1] - window[0]
     tall = min(spans[1] / max(spans[0], spans[2]), 1.6)
     rows, heights = [((0, 1, 2), "front"), ((2, 1, 0), "side")], [tall, tall]
@@ -135,7 +135,7 @@ def _draw_image(ax: "Axes", frame: Frame, people: list[Tracks], i: int) -> None:
 
 
 def _frame_axes(ax: "Axes", window, view: tuple[int, int, int], label: str, first: bool, sensors: bool) -> None:
-    """Region, scale and words of a panel; `first` of its row."""
+    """Region, scale and labels of a panel; `first` of its row."""
     ax.set_xlim(window[0, view[0]], window[1, view[0]])
     ax.set_ylim(window[0, view[1]], window[1, view[1]])
     ax.set_aspect("equal")
@@ -147,7 +147,7 @@ def _frame_axes(ax: "Axes", window, view: tuple[int, int, int], label: str, firs
 
 
 def _legend(figure: "Figure", people: list[Tracks], frames: list[Frame], truth: bool) -> None:
-    """What colours and signs mean, above and below the panels."""
+    """Meaning of colours and signs, above and below the panels."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -168,7 +168,7 @@ def _legend(figure: "Figure", people: list[Tracks], frames: list[Frame], truth: 
 
 
 def _draw_measured(ax: "Axes", frame: Frame, drawing: Drawing, window, marks: bool) -> None:
-    """The cloud; with `marks` also named 3D points, and lines of sight of 2D features."""
+    """Draws the cloud; with `marks` also named 3D points, and lines of sight of 2D features."""
     middle, axes3, (h, v, depth) = drawing
     points = (frame.points.astype(float) - middle) @ axes3.T
     # the farther from the sensor, the lighter; nearer points over farther ones
@@ -189,7 +189,7 @@ def _draw_measured(ax: "Axes", frame: Frame, drawing: Drawing, window, marks: bo
 
 
 def _draw_tracked(ax: "Axes", tracks: Tracks, i: int, drawing: Drawing, colours, truth) -> None:
-    """The body, the true joints if they are given, or that there is no pose."""
+    """Draws the body, the true joints if they are given, or a label if there is no pose."""
     middle, axes3, view = drawing
     h, v, _ = view
     if np.isfinite(tracks.translation[i]).any():
@@ -211,8 +211,8 @@ def _title(tracks: Tracks, i: int, start: int) -> str:
 
 
 def _view(tracks: Tracks, recording: Recording, frames: list[Frame], i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Origin of the drawing (fixed frame) and its axes as rows: right, up, away from the sensor; without a sensor the
-    way that the body faces away from in frame `i` of the tracks."""
+    """Origin of the drawing (fixed frame) and its axes as rows: right, up, away from the sensor; without a sensor, away
+    from the body's front in frame `i` of the tracks."""
     up = np.asarray(recording.up if tracks.up is None else tracks.up, float)
     up = up / np.linalg.norm(up)
     origin = next((frame.origins[0] for frame in frames if len(frame.origins)), None)
@@ -238,8 +238,7 @@ def _view(tracks: Tracks, recording: Recording, frames: list[Frame], i: int) -> 
 
 def _windows(people: list[Tracks], frames: list[Frame], chosen, middle, axes3) -> list[np.ndarray]:
     """Drawn region of each frame [low or high, right/up/away] in metres, all of one size and height: around the bodies
-    in that frame; where none has a pose, where they are in the nearest frame; around the clouds if there is none at
-    all."""
+    in that frame; without a pose, around those of the nearest frame; without any pose, around the clouds."""
     every = [np.concatenate([limb_rings(tracks, int(i)).reshape(-1, 3) for tracks in people]) for i in chosen]
     rings = [(ring - middle) @ axes3.T for ring in every]
     rings = [ring[np.isfinite(ring).all(1)] for ring in rings]
@@ -265,7 +264,8 @@ def _windows(people: list[Tracks], frames: list[Frame], chosen, middle, axes3) -
 
 # 7 parameters: what is drawn, where and how
 def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int, int, int], colours) -> None:
-    """The limbs' outlines, farthest first, and joint centres in frame `i`; `view`: axes for right, up and away."""
+    """Draws the limbs' outlines, farthest first, and joint centres in frame `i`; `view`: axes for right, up and
+    away."""
     h, v, depth = view
     rings = (limb_rings(tracks, i) - middle) @ axes3.T
     sign = -1 if depth == 2 else 1  # farthest first: away from the sensor, or the far side of the side view
@@ -288,7 +288,7 @@ def draw_body(ax: "Axes", tracks: Tracks, i: int, middle, axes3, view: tuple[int
 
 
 def _shades(side: str, number: int = 0) -> list:
-    """Colours of the limbs of a side, neighbours well apart; `number` of the person, from 0."""
+    """Colours of the limbs of a side, distinct for neighbours; `number` of the person, from 0."""
     from matplotlib import colormaps
 
     if number:
@@ -298,8 +298,8 @@ def _shades(side: str, number: int = 0) -> list:
 
 
 def limb_colours(limbs: tuple[str, ...], number: int = 0) -> list:
-    """One colour per limb: warm for the left, cool for the right, grey between; if the body has no sides, neighbours
-    in the list well apart. Of the second person (`number` 1) and so on shades of one colour."""
+    """One colour per limb: warm for the left, cool for the right, grey between; for a body without sides, distinct for
+    neighbours in the list. Shades of one colour for each further person (`number` from 1)."""
     from matplotlib import colormaps
 
     sides = [side_of(name) for name in limbs]

@@ -1,4 +1,4 @@
-"""The report of a fit as one HTML file that needs nothing else: its text and tables, both bodies, the figure."""
+"""The report of a fit as one self-contained HTML file: its text and tables, both bodies, the figure."""
 
 import os
 import re
@@ -41,7 +41,7 @@ def write_fit_page(
 
 
 def _html(text: str) -> Iterable[Html]:
-    """Headings, tables and paragraphs of Markdown."""
+    """HTML of headings, tables and paragraphs in Markdown."""
     blocks = re.split(r"\n\s*\n|\n(?=#)|(?<=\|)\n(?=[^|])", text)
     for kind, block in ((_kind(block), block.strip()) for block in blocks if block.strip()):
         if kind == "heading":

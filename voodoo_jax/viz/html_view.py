@@ -1,4 +1,4 @@
-"""A log and its tracks as one HTML file that needs nothing else: cloud, bodies, time line, plots; opens offline."""
+"""A log and its tracks as one self-contained HTML file: cloud, bodies, time line, plots; opens offline."""
 
 import base64
 import os
@@ -33,7 +33,7 @@ RAY = 6.0  # metres of a line of sight that are drawn
 
 
 def frames_shown(count: int) -> Int[np.ndarray, " shown"]:
-    """Which of a log's frames a file shows."""
+    """The frames of a log that a file shows."""
     return np.arange(0, count, max(1, -(-count // MOST_FRAMES)))
 
 
@@ -79,7 +79,7 @@ def write_html(people: Sequence[Tracks], frames: Iterable[Frame], path: str | os
 
 
 class _Blob:
-    """All arrays one after the other, each where its type may begin."""
+    """All arrays one after the other, each aligned for its type."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -92,7 +92,7 @@ class _Blob:
 
 @dataclass
 class _Seen:
-    """What sensors measured in the frames shown, upright."""
+    """Measurements of the sensors in the frames shown, upright."""
 
     points: list[np.ndarray] = field(default_factory=list)
     marks: list[np.ndarray] = field(default_factory=list)
@@ -139,13 +139,13 @@ def _small(image: np.ndarray) -> str:
 
 
 def rows_at(stamps: Int64[np.ndarray, " frame"], wanted: Int64[np.ndarray, " shown"]) -> Int[np.ndarray, " shown"]:
-    """Which of a person's frames have some stamps, -1: none."""
+    """Rows of a person's frames with these stamps, -1: none."""
     at = np.clip(np.searchsorted(stamps, wanted), 0, max(len(stamps) - 1, 0))
     return np.where(stamps[at] == wanted, at, -1) if len(stamps) else np.full(len(wanted), -1)
 
 
 def _thinned(points: np.ndarray, limbs: np.ndarray, count: int) -> np.ndarray:
-    """At most so many points, half of them near the body if there are so many."""
+    """At most this many points, half of them near the body if possible."""
     if len(points) <= count:
         return points
     near = np.zeros(len(points), bool)
@@ -158,7 +158,7 @@ def _thinned(points: np.ndarray, limbs: np.ndarray, count: int) -> np.ndarray:
 
 
 def _person(tracks: Tracks, stamps: np.ndarray, turn: np.ndarray, blob: _Blob) -> dict[str, Any]:
-    """One person in the frames shown, those of another one's tracks by their stamps."""
+    """One person in the frames shown, matched by stamps."""
     at = rows_at(tracks.time_ns, stamps)
     there = at >= 0
     limbs = tracks.body.limb_count
@@ -182,14 +182,14 @@ def _person(tracks: Tracks, stamps: np.ndarray, turn: np.ndarray, blob: _Blob) -
 
 
 def _angles(tracks: Tracks, at: np.ndarray, there: np.ndarray) -> dict[str, Float[np.ndarray, " shown"]]:
-    """Joint angles in the frames shown, degrees; those that are never known are left out."""
+    """Joint angles in the frames shown, degrees; angles that are never known are left out."""
     angles = tracks.angles()
     table = np.where(there[:, None], np.degrees(angles.table[at]), np.nan).astype(np.float32)
     return {name: values for name, values in zip(angles.columns, table.T) if np.isfinite(values).any()}
 
 
 def limb_confidence(tracks: Tracks) -> Float[np.ndarray, "frame limb"]:
-    """Mean confidence of the joint centres on a limb and at the ends of those that hang on it, 0..1; NaN: not known."""
+    """Mean confidence of the joint centres on a limb and at the ends of its child limbs, 0..1; NaN: not known."""
     t, count = tracks.body.topology, tracks.body.limb_count
     found, sure = np.full((len(tracks.time_ns), count), np.nan), tracks.joint_confidence
     for limb in range(0 if sure is None else count):
@@ -208,7 +208,7 @@ def _middle(people: Sequence[Tracks], turn: np.ndarray) -> np.ndarray:
 
 
 def _floor(people: Sequence[Tracks], turn: np.ndarray) -> list[float]:
-    """Middle of the grid: under the first person, at the height of what is lowest of it most of the time."""
+    """Middle of the grid: under the first person, at the usual height of the person's lowest point."""
     places = people[0].translation.astype(float) @ turn.T
     height = places[..., 2]
     rows = np.isfinite(height).any(1)
@@ -218,7 +218,7 @@ def _floor(people: Sequence[Tracks], turn: np.ndarray) -> list[float]:
 
 
 def _eye(origin: np.ndarray | None, middle: np.ndarray) -> dict[str, Any]:
-    """From where the scene is seen at first: from the sensor's side, somewhat above and beside it."""
+    """First viewpoint: on the sensor's side, somewhat above and beside it."""
     away = np.array([-1.0, 0, 0]) if origin is None else origin - middle
     turn = float(np.arctan2(away[1], away[0])) + 0.45
     return {"target": middle.tolist(), "distance": 4.2, "turn": turn, "tilt": 0.3}

@@ -18,7 +18,7 @@ def drawn_over(
     picture: Picture, people: Sequence[Tracks], rows: Sequence[int], origin: np.ndarray | None = None,
     truth: Float[np.ndarray, "joint 3"] | None = None,
 ) -> UInt8[np.ndarray, "row column 3"]:  # fmt: skip
-    """The image (of a pair the left one) with outlines of limbs, blue, green, red.
+    """The image (of a pair, the left one) with outlines of limbs, in blue, green, red.
 
     **Arguments:** `rows` the frame of each person's tracks, -1: not there; `origin` from where the picture's places are
     given (`Recording.origin`), metres; `truth` true joint centres, drawn as crosses, metres in the fixed frame.

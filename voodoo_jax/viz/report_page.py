@@ -1,4 +1,4 @@
-"""The report of a folder of results as one HTML file that needs nothing else: a row for each log."""
+"""The report of a folder of results as one self-contained HTML file: a row for each log."""
 
 import os
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ MOST_STRETCHES = 4  # of time that are named; of more their number
 
 @dataclass(frozen=True)
 class Row:
-    """What the report tells of one log. Links are relative to the report."""
+    """A log's entry in the report. Links are relative to the report."""
 
     name: str
     status: str  # tracked, nothing tracked, failed
@@ -31,7 +31,7 @@ class Row:
 
 
 def person_cells(tracks: Tracks, number: int = 0) -> Html:
-    """The cells of one person: drawings, what was found, what is in doubt; `number`: among several, 0: alone."""
+    """The cells of one person: drawings, results, doubts; `number`: among several, 0: alone."""
     who = filled("<b>person @N@</b>", N=number) if number else ""
     drawn = Html(strip(tracks) or '<p class="none">no pose</p>')
     found = all_of(filled("<tr><th>@NAME@</th><td>@VALUE@</td></tr>", NAME=n, VALUE=v) for n, v in _found(tracks))
@@ -70,7 +70,7 @@ def _row(row: Row) -> Html:
 
 
 def _found(tracks: Tracks) -> list[tuple[str, str]]:
-    """Names and values of what was found."""
+    """Names and values of the results."""
     time, body = seconds(tracks), tracks.body
     residual = tracks.evidence.residual
     known = residual[np.isfinite(residual)]
@@ -92,7 +92,7 @@ def _found(tracks: Tracks) -> list[tuple[str, str]]:
 
 
 def _doubts(tracks: Tracks) -> list[str]:
-    """What a user should look at: times without a pose, and what the tracker says itself."""
+    """Points to check: times without a pose, and the tracker's notes."""
     doubts = []
     if gaps := untracked(tracks):
         named = [f"{a:.1f} s" if b - a < 0.05 else f"{a:.1f} to {b:.1f} s" for a, b in gaps[:MOST_STRETCHES]]

@@ -8,7 +8,7 @@ DPI = 72  # matplotlib's inline backend's own
 
 
 class ShownFigure(Figure):
-    """A figure without global plot state that shows itself where it is the last value of a notebook's cell."""
+    """A figure without global plot state that a notebook shows as the last value of a cell."""
 
     def _repr_png_(self) -> bytes:
         stream = BytesIO()

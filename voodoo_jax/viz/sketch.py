@@ -1,4 +1,4 @@
-"""Small drawings as SVG, from tracks or bodies alone: a body at some times, what was known when, two bodies."""
+"""Small SVG drawings of tracks or bodies: a body at some times, tracked times, two bodies."""
 
 from collections.abc import Iterable, Sequence
 from itertools import chain
@@ -22,8 +22,8 @@ MARGIN = 0.06  # of the largest extent, around the drawn bodies
 
 
 def strip(tracks: Tracks, count: int = 5) -> str:
-    """The body in `count` evenly spread tracked frames side by side, all of one scale, seen from its front in the
-    middle one; "" where it has no pose at all."""
+    """The body in `count` evenly spread tracked frames side by side, on one scale, seen from its front in the middle
+    one; "" without any pose."""
     there = np.isfinite(tracks.translation).all(2).sum(1) > 0
     posed = np.flatnonzero(there & tracks.tracked if (there & tracks.tracked).any() else there)
     if not len(posed):
@@ -34,8 +34,8 @@ def strip(tracks: Tracks, count: int = 5) -> str:
 
 
 def compared(before: Body, after: Body) -> str:
-    """Two bodies of the same limbs in their rest poses over each other, from the front and from the left; the one
-    before has the class "before"."""
+    """Two bodies with the same limbs in their rest poses over each other, from the front and from the left; the first
+    has the class "before"."""
     views = np.array([[[0.0, 1, 0], [0, 0, 1], [-1, 0, 0]], [[-1.0, 0, 0], [0, 0, 1], [0, -1, 0]]])
     there = [
         [rings(b, np.asarray(b.rest.rotation), np.asarray(b.rest.translation)) @ v.T for v in views]
@@ -49,7 +49,8 @@ def _drawn(
     limbs: tuple[str, ...],
     others: Sequence[Float[np.ndarray, "limb point 3"]] = (),
 ) -> str:
-    """Bodies side by side, and others over them: outlines of their limbs, farthest first; right, up, away, metres."""
+    """Draws bodies side by side, and others over them: outlines of their limbs, farthest first; right, up, away,
+    metres."""
     seen = [np.concatenate(pair) for pair in zip(bodies, others)] if others else bodies
     every = [points[np.isfinite(points).all(2)] for points in seen]
     extent = np.max([np.ptp(points[:, :2], axis=0) for points in every], axis=0)
@@ -68,7 +69,7 @@ def _drawn(
 
 
 def time_line(tracks: Tracks) -> str:
-    """Tracked or not, and how sure, over time; a bar that fills its place."""
+    """Tracked or not, and the confidence, over time; a bar as wide as its place."""
     time = seconds(tracks)
     if not len(time):
         return ""
@@ -83,13 +84,13 @@ def time_line(tracks: Tracks) -> str:
 
 
 def untracked(tracks: Tracks) -> list[tuple[float, float]]:
-    """Stretches of time in which nothing is tracked: first and last stamp, seconds after the first frame."""
+    """Intervals in which nothing is tracked: first and last stamp, seconds after the first frame."""
     time = seconds(tracks)
     return [(float(time[a]), float(time[b - 1])) for a, b in stretches(~tracks.tracked)]
 
 
 def _level(tracks: Tracks, frames: np.ndarray) -> int:
-    """-1: no frame there, 0: not tracked, 1 to 4: tracked, the higher the surer."""
+    """-1: no frame, 0: not tracked, 1 to 4: tracked, rising with the confidence."""
     if not len(frames):
         return -1
     if not tracks.tracked[frames].any():
@@ -109,7 +110,7 @@ def _runs(levels: list[int]) -> Iterable[tuple[int, int, int]]:
 
 
 def _front(tracks: Tracks, i: int) -> Float[np.ndarray, "3 3"]:
-    """Rows: right, up and away, for who looks at the body's front in frame `i`."""
+    """Rows: right, up and away, for a view of the body's front in frame `i`."""
     turn = upright(tracks)
     up = turn.T[:, 2]
     rest = Rotation.from_quat(np.asarray(tracks.body.rest.rotation, float)[0], scalar_first=True)
@@ -127,7 +128,7 @@ def _front(tracks: Tracks, i: int) -> Float[np.ndarray, "3 3"]:
 def _outlines(
     body: np.ndarray, limbs: tuple[str, ...], origin: np.ndarray, scale: float, look: str = ""
 ) -> Iterable[str]:
-    """Polygons of limbs; `look` their class, else that of their side."""
+    """Polygons of limbs; `look` is their class, by default that of their side."""
     for limb in map(int, np.argsort(-body[:, :, 2].mean(1))):
         if not np.isfinite(body[limb]).all():
             continue

@@ -1,4 +1,4 @@
-"""Pages of their own, made of this package's files."""
+"""Self-contained pages from this package's files."""
 
 from importlib import resources
 
@@ -6,11 +6,11 @@ from voodoo_jax.records.markup import Html, filled
 
 
 def template(name: str) -> Html:
-    """A file of this package."""
+    """Text of a file of this package."""
     return Html(resources.files("voodoo_jax.viz").joinpath(name).read_text(encoding="utf-8"))
 
 
 def page(name: str, title: str, body: Html) -> Html:
-    """A page of its own, with the style of all pages and that of viz/NAME.css."""
+    """A self-contained page, with the common style and that of viz/NAME.css."""
     styles = Html(template("page.css") + template(f"{name}.css"))
     return filled(template("page.html"), STYLE=styles, BODY=Html(body.rstrip("\n")), TITLE=title)

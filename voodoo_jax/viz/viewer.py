@@ -100,7 +100,7 @@ class Viewer:
             ]
 
     def _pose(self, person: int, tracks: Tracks, row: int) -> str:
-        """Moves the meshes of one person; what is told of the frame."""
+        """Moves the meshes of one person; returns a line on the frame."""
         for limb, mesh in enumerate(self.limbs[person]):
             there = row >= 0 and bool(np.isfinite(tracks.rotation[row, limb]).all())
             mesh.visible = there

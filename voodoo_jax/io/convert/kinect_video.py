@@ -16,13 +16,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.io.convert.depth_images import COLOUR as COLOUR_IMAGE
-from voodoo_jax.io.convert.depth_images import (
-    COLOUR_INFO,
-    MILLIMETRE,
-    camera_file,
-    depth_image,
-    pinhole,
-)
+from voodoo_jax.io.convert.depth_images import COLOUR_INFO, MILLIMETRE, camera_file, depth_image, pinhole
 from voodoo_jax.io.convert.target import START_NS, ConvertError, Put, new_log, putter
 from voodoo_jax.io.limits import too_large
 from voodoo_jax.storage.guarded import Answer

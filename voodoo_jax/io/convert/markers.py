@@ -38,10 +38,10 @@ def convert_c3d(source: Path, target: Answer) -> list[str]:
         notes.append(
             f"{left_out} computed channels were left out (angles, forces, axes of bones): they are not markers"
         )
-    told = next(iter(listed(point, "UNITS")), "")
-    if (unit := unit_name(told)) is None:
-        unit = unit_by_size(points, source, told)
-        notes.append(f"'{source}' names {_no_unit(told)}: judged by size, it is {unit}")
+    stated = next(iter(listed(point, "UNITS")), "")
+    if (unit := unit_name(stated)) is None:
+        unit = unit_by_size(points, source, stated)
+        notes.append(f"'{source}' names {_no_unit(stated)}: judged by size, it is {unit}")
     write_markers(
         target,
         source,
@@ -71,19 +71,19 @@ def _letters(text: str) -> str:
 def _names(point: dict[str, Any]) -> list[str]:
     """Of all points. Names of four letters may stand for several points: those are named by their description."""
     names, described = listed(point, "LABELS"), listed(point, "DESCRIPTIONS")
-    often, told = Counter(names), Counter(described)
+    often, uses = Counter(names), Counter(described)
     described += [""] * (len(names) - len(described))
-    return [d if often[n] > 1 and d and told[d] == 1 else n for n, d in zip(names, described)]
+    return [d if often[n] > 1 and d and uses[d] == 1 else n for n, d in zip(names, described)]
 
 
 def _computed(point: dict[str, Any], names: list[str]) -> set[str]:
     """What stands among the points and is none: what Vicon's software lists under the name of a quantity, and its
     bones, of which each is four points, the origin and an end of each axis: LFEO, LFEA, LFEL, LFEP."""
     quantities = listed(point, "TYPE_GROUPS")[::2] or list(QUANTITIES)
-    told = {name for key in quantities if key not in PLACES for name in listed(point, key)}
+    derived = {name for key in quantities if key not in PLACES for name in listed(point, key)}
     ends = Counter(name[:-1] for name in {*names} if re.fullmatch(r"(.*:)?[A-Z]{3}[OALP]", name))
     bones = {bone + end for bone, count in ends.items() if count == 4 for end in "OALP"}
-    return told | bones
+    return derived | bones
 
 
 def unit_name(text: str) -> str | None:
@@ -95,18 +95,18 @@ def unit_name(text: str) -> str | None:
     return next((unit for word, unit in words if len(text) >= SHORTEST and word.startswith(text)), None)
 
 
-def _no_unit(told: str) -> str:
-    return f"the unit '{told}', which is none," if told else "no unit"
+def _no_unit(stated: str) -> str:
+    return f"the unit '{stated}', which is none," if stated else "no unit"
 
 
-def unit_by_size(points: np.ndarray, source: Path, told: str) -> str:
+def unit_by_size(points: np.ndarray, source: Path, stated: str) -> str:
     """The unit in which the extent of a frame's points is plausible for a recording of markers."""
     seen = points[np.isfinite(points).all(2).sum(1) >= 3]
     extent = np.median(np.linalg.norm(np.nanmax(seen, 1) - np.nanmin(seen, 1), axis=1)) if len(seen) else np.nan
     for unit in ("mm", "m", "cm"):  # by how often they are meant
         if 0.3 < extent * METRES[unit] < 10:
             return unit
-    raise ConvertError(f"'{source}' names {_no_unit(told)} and its points are not as large as a body in mm, cm or m")
+    raise ConvertError(f"'{source}' names {_no_unit(stated)} and its points are not as large as a body in mm, cm or m")
 
 
 def convert_trc(source: Path, target: Answer) -> list[str]:

@@ -51,9 +51,9 @@ class Layout:
         self._like, self._stamp = like, stamps[0] if stamps else None
         self._places = np.add.outer(places, np.arange(_PLACE.size)).ravel()
         self._stamps = np.add.outer(np.array(stamps, int), np.arange(_STAMP.size))
-        told = np.ones(len(byte), bool)
-        told[self._places] = told[self._stamps] = False
-        self._fixed = np.flatnonzero(told)
+        constant = np.ones(len(byte), bool)
+        constant[self._places] = constant[self._stamps] = False
+        self._fixed = np.flatnonzero(constant)
         self._same = byte[self._fixed]
 
     @classmethod

@@ -22,7 +22,7 @@ from voodoo_jax.io.frame_sync import period_of
 from voodoo_jax.io.limits import limits
 from voodoo_jax.io.live.foxglove_client import ITEM
 from voodoo_jax.io.live.sources import Source
-from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.topic import DEPTH_USES
@@ -141,9 +141,9 @@ class LiveLog:
     def _settle(self) -> LogReader:
         """What was found out holds from now on."""
         r, s = self.reader, self._settings
-        # of named points the unit was found by their extent
         self._origins = r.no_origins()
-        scale, transform = (*s.scale, *r.units), (*s.transform, *r.placed)
+        units = [f"{name}={unit:g}" for name, unit in r.scan.units.items()]  # of named points, found by their extent
+        scale, transform = (*s.scale, *units), (*s.transform, *r.placed)
         self._fixed = replace(s, fixed_frame=r.fixed_frame, scale=scale, transform=transform, delays=())
         return r
 
@@ -201,7 +201,7 @@ class LiveLog:
                 try:
                     yield from reader.frames(origins=self._origins)
                 finally:
-                    self._losses.update(reader.losses)
+                    self._losses.update(reader.counted)
         except LogError as problem:  # of this part of it
             self._problem = str(problem)
         self._drop(WINDOW)
@@ -209,7 +209,8 @@ class LiveLog:
     def _look(self) -> tuple[Scan, Plan | None]:
         """What is there of the last seconds, and how it becomes frames."""
         moving = [(t, False) for some in self._held.values() for t in some]
-        known = self.reader.settled([*((t, True) for t in self._static.values()), *moving], self._decoder)
+        s, transforms = self.reader.scan, [*((t, True) for t in self._static.values()), *moving]
+        known = Known(s.topics, s.uses, s.skin, s.stereo, s.shifts, transforms, self._decoder)
         scan = Scan(HeldLog(self.source.path, self._items), self._fixed, known)
         if not any(scan.topics[name].stamps for name in self.reader.sensors):
             return scan, None
@@ -285,7 +286,7 @@ class LiveLog:
             transforms = self._decoder.message(schema, channel, data)
         except DECODE_ERRORS:
             return
-        shifts = self.reader.shifts if hasattr(self, "reader") else {}
+        shifts = self.reader.scan.shifts if hasattr(self, "reader") else {}
         for t in transforms:
             if is_static(schema, channel):
                 self._static[t.child, t.parent] = t

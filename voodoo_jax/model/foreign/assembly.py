@@ -1,4 +1,4 @@
-"""A body of surfaces that hang together by joints."""
+"""A body from surfaces that are connected by joints."""
 
 from dataclasses import dataclass, field, replace
 
@@ -9,7 +9,7 @@ from voodoo_jax.model.body_text import TextOfBody
 from voodoo_jax.model.checked_toml import BodyFileError
 from voodoo_jax.model.foreign.frustum_fit import Frustum, fit_frustum
 
-ROUGH = 0.01  # metres of a surface from its frustum of which is told
+ROUGH = 0.01  # metres of a surface from its frustum that are worth a note
 LEVER = 0.02  # metres: hinges are held at least so far to both sides
 STRAIGHT = 0.99  # cosine: axes that are nearer to a direction do not tell what is across
 HALF_TURN = 180.0  # degrees: limits beyond say nothing
@@ -17,7 +17,7 @@ HALF_TURN = 180.0  # degrees: limits beyond say nothing
 
 @dataclass(frozen=True)
 class Piece:
-    """A rigid part: its surface and the joint that it hangs on, in the rest pose; z up, metres."""
+    """A rigid part: its surface and its joint to the parent, in the rest pose; z up, metres."""
 
     name: str
     parent: int  # number of the piece that it hangs on, -1: the root
@@ -35,7 +35,7 @@ class Piece:
 
 
 def assembled(pieces: list[Piece], name: str, scale_name: str, source: str) -> tuple[str, list[str]]:
-    """The body's file, standing on the floor in its rest pose, and what does not fit well.
+    """The body's file, standing on the floor in its rest pose, and notes on parts that do not fit well.
 
     Joints become joint centres of the same names, and each limb that nothing hangs on has a centre at its end, named as
     it with `_tip`. Raises BodyFileError.

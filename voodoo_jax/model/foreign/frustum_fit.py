@@ -1,4 +1,4 @@
-"""The tapered elliptic cylinder that is nearest to a surface."""
+"""The tapered elliptic cylinder nearest to a surface."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -15,7 +15,7 @@ PREFERRED = 0.8  # what a named direction's distance counts: of two that fit ali
 
 
 class Frustum(NamedTuple):
-    """Centres of both end ellipses, directions and sizes of their axes, and how far a surface lies off; metres."""
+    """Centres of both end ellipses, directions and sizes of their axes, and the distance of the surface; metres."""
 
     bottom: Float[np.ndarray, "3"]
     top: Float[np.ndarray, "3"]

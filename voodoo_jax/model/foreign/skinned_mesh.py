@@ -171,7 +171,7 @@ def _pieces(
     least: float,
     notes: list[str],
 ) -> list[Piece]:
-    """Limbs in the order of the tree; joints whose part is small are one with what they hang on."""
+    """Limbs in the order of the tree; joints with a small part are merged with their parent."""
     pieces: list[Piece] = []
     owner: dict[int, int] = {}
     depth = lambda j: 1 + depth(over[j]) if j in over else 0  # noqa: E731

@@ -1,4 +1,4 @@
-"""Which files become bodies, and by what."""
+"""Formats of files that become bodies, and their readers."""
 
 import os
 from collections.abc import Mapping
@@ -72,14 +72,14 @@ def body_from(
 
 
 def folder_of(path: Path) -> Path:
-    """The folder in which all files must lie that a file names: its own, or that in which its ROS package is."""
+    """The folder that must contain all files that a file refers to: its own, or that of its ROS package."""
     above = path.resolve().parents
     return next((folder.parent for folder in above if (folder / "package.xml").is_file()), above[0])
 
 
 # 6 parameters: those of the task, and where its answer goes
 def made(module: str, function: str, path: str, rest: dict, least: float, allowed: dict, answer: "Answer") -> list[str]:
-    """In the process that may do little: the text of a body file."""
+    """Runs in the restricted process: the text of a body file."""
     read: Any = getattr(import_module(f"voodoo_jax.model.foreign.{module}"), function)
     try:
         with limited(LimitSettings(**allowed)):

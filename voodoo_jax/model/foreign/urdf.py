@@ -39,7 +39,7 @@ _Found = tuple[dict[str, np.ndarray], dict[str, float]]  # T_world_link of links
 
 @dataclass
 class _Link:
-    """A link, or several that hang together rigidly, in the world frame of the rest pose."""
+    """A link, or several that are connected rigidly, in the world frame of the rest pose."""
 
     points: np.ndarray
     normals: np.ndarray
@@ -50,8 +50,8 @@ class _Link:
 
 
 def read_urdf(path: Path, rest: dict[str, float], least: float) -> tuple[str, list[str]]:
-    """The text of a body file: see sources.body_from. Links without surface and fixed joints become one with what they
-    hang on."""
+    """The text of a body file: see sources.body_from. Links without surface and fixed joints are merged with their
+    parent."""
     try:
         root = ElementTree.fromstring(small_file(path))
     except (ElementTree.ParseError, OSError) as problem:
@@ -126,7 +126,7 @@ def _pose(origin: ElementTree.Element | None) -> np.ndarray:
 
 
 def _value(joint: _Joint, rest: dict[str, float]) -> float:
-    """Of a joint in the rest pose: what is asked for, or the nearest to 0."""
+    """Value of a joint in the rest pose: as requested, or the nearest to 0."""
     low, high = joint.limits or (-np.inf, np.inf)
     value = rest.get(joint.name, float(np.clip(0.0, low, high)) if low <= high else 0.0)
     if joint.name in rest and joint.limits and not low <= value <= high:
@@ -144,7 +144,7 @@ def _moved(joint: _Joint, value: float) -> np.ndarray:
 
 
 def _placed(root: str, joints: list[_Joint], values: dict[str, float]) -> dict[str, np.ndarray]:
-    """T_world_link of all links that hang on the root."""
+    """T_world_link of all descendants of the root."""
     places, left = {root: np.eye(4)}, list(joints)
     while ready := [joint for joint in left if joint.parent in places]:
         for joint in ready:
@@ -154,7 +154,7 @@ def _placed(root: str, joints: list[_Joint], values: dict[str, float]) -> dict[s
 
 
 def _surface(link: ElementTree.Element, place: np.ndarray, path: Path, notes: list[str]) -> _Link:
-    """Points on the surface of a link: of what is seen, or else of what it collides with."""
+    """Points on the surface of a link: of its visual geometry, or else of its collision geometry."""
     found: list[trimesh.Trimesh] = []
     for kind in ("visual", "collision"):
         for element in link.findall(kind):
@@ -198,7 +198,7 @@ def _mesh(shape: ElementTree.Element, path: Path, notes: list[str]) -> trimesh.T
 
 
 def _file(name: str, path: Path) -> Path:
-    """Where a mesh is: beside the URDF, or in its package, which is a folder above it."""
+    """Path of a mesh: beside the URDF, or in its package, which is a folder above it."""
     if not name.startswith("package://"):
         return path.parent / name.removeprefix("file://")
     package, _, rest = name.removeprefix("package://").partition("/")
@@ -213,7 +213,7 @@ def _file(name: str, path: Path) -> Path:
 
 
 class _Tree:
-    """Links that move on their own and can be seen, parents first; others are one with what they hang on."""
+    """Links that move on their own and are visible, parents first; others are merged with their parent."""
 
     def __init__(self, joints: list[_Joint], surfaces: dict[str, _Link], least: float, notes: list[str]):
         self.joints, self.surfaces, self.least, self.notes = joints, surfaces, least, notes
@@ -222,7 +222,8 @@ class _Tree:
     def add(
         self, link: str, above: int, between: list[_Joint], make: Callable[[str, int, list[_Joint]], Piece]
     ) -> None:
-        """A link and all that hangs on it; `above`: the piece before it, `between`: the joints that turn it there."""
+        """Adds a link and all its descendants; `above`: the piece before it, `between`: the joints that turn it
+        there."""
         surface = self.surfaces[link]
         if above < 0 or (between and surface.extent >= self.least):
             self.pieces.append(make(link, above, between))
@@ -241,7 +242,7 @@ class _Tree:
 
 
 def _piece(link: str, above: int, between: list[_Joint], surface: _Link, found: _Found) -> Piece:
-    """A link with the joints that it hangs on: one is a hinge, several with nothing between turn freely."""
+    """A link with its joints to the parent: one is a hinge, several with nothing between turn freely."""
     places, values = found
     if not between:
         return Piece(link, above, surface.points, surface.normals)

@@ -1,1 +1,1 @@
-"""Marker sets and key points as data, one TOML file each; model.marker_names tells the format."""
+"""Marker sets and key points as data, one TOML file each; model.marker_names describes the format."""

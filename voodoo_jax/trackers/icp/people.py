@@ -11,7 +11,6 @@ from itertools import permutations
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int8
 
-from voodoo_jax.detect.tracklets import CLOSE
 from voodoo_jax.detect.visibility import has_far_sides
 from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.subject import Subject
@@ -25,6 +24,7 @@ from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
+CLOSE = 0.15  # metres, and twice that: whose points are so near to each other may be mixed up; by hand
 ASKED_FRAMES = 10  # of a recording: by so many, evenly spread, it is told whether clouds were joined; by hand
 # times track.prior_interval from copy to copy of a scan: over it the pull to the prediction is weakest (solve/scan);
 # measured: somebody with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
