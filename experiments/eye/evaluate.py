@@ -1,0 +1,126 @@
+"""The eye judged: python -m experiments.eye.evaluate WEIGHTS.npz test DATA | logs EVERY LOG ... | tracked LOG ...
+
+`test`: crops of people left out, by posture. `logs`: from scratch, every EVERY-th frame of logs with a truth beside
+them: found, joints, turned; false alarms where there is nobody. `tracked`: whole logs, depth only,
+`--online`: as it is today, and with the eye's start and facing.
+"""
+
+import contextlib
+import sys
+import time
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+import voodoo_jax as vj
+from experiments.common import table
+from experiments.eye import net
+from experiments.eye.data import JOINTS
+from experiments.eye.look import people
+from experiments.eye.midway import turned
+from experiments.eye.start import NAMES, with_eye
+from experiments.eye.train import Pool
+from experiments.scoreboard.tracked import TrackLog, read_known
+
+FAR = 0.5  # metres: who is farther off is somebody else
+SURER = (0.5, 1.0, 2.0, 3.0, 4.0)  # logarithms of odds
+
+
+def on_crops(weights: Path, folder: Path) -> str:
+    """By posture: joints, turned, somebody or not; and whether the odds are right."""
+    pool, params = Pool(folder, "test"), {k: jnp.asarray(v) for k, v in np.load(weights).items()}
+    some = [pool.batch(np.arange(a, min(a + 128, pool.count)), None) for a in range(0, pool.count, 128)]
+    told = [{k: np.asarray(v) for k, v in net.measured(params, b).items()} | {"has": b["has"]} for b in some]
+    found = {k: np.concatenate([t[k] for t in told]) for k in told[0]}
+    kind, has = pool.arrays["kind"][: pool.count], found["has"] > 0
+    rows = []
+    for name in ("all", *sorted(set(kind.tolist()) - {"nobody"})):
+        m = has & ((kind == name) | (name == "all"))
+        cm = [f"{100 * found[k][m].mean():.1f}" for k in ("joint", "better", "own")]
+        rows.append([name, str(m.sum()), *cm, *(f"{100 * x:.0f}" for x in
+                    (found["turned"][m].mean(), (found["person"][m] > 0).mean()))])  # fmt: skip
+    nobody = ~pool.arrays["person"][: pool.count].astype(bool)
+    text = table(["posture", "crops", "joints, cm", "better way", "says", "turned, %", "somebody, %"], rows)
+    text += (
+        f"\nnobody: {nobody.sum()} crops, {100 * (found['person'][nobody] > 0).mean():.1f} % taken for somebody.\n\n"
+    )
+    edges = [0, *SURER, np.inf]
+    for low, high in zip(edges, edges[1:]):
+        m = has & (found["odds"] >= low) & (found["odds"] < high)
+        text += f"odds {low:.1f} to {high:.1f}: {m.sum()} crops, {100 * found['turned'][m].mean():.1f} % turned\n"
+    return text
+
+
+def on_logs(weights: Path, every: int, logs: list[Path]) -> str:
+    rows, every_one = [], []
+    for path in logs:
+        known, recording = read_known(path.with_suffix(".truth.npz")), vj.read_log(path)
+        truths = known.joints[None] if known.joints.ndim == 3 else known.joints
+        with np.load(path.with_suffix(".truth.npz")) as file:
+            pixels = file["pixels"] if "pixels" in file else np.full(truths.shape[:2], 1000)
+        mine = [k for k, name in enumerate(JOINTS) if NAMES.get(name, name) in known.names]
+        names = tuple(NAMES.get(JOINTS[k], JOINTS[k]) for k in mine)
+        theirs, got, spent, false = [known.names.index(n) for n in names], [], [], 0
+        for frame in recording.frames[::every]:
+            at = int(np.abs(known.stamps - frame.time_ns).argmin())
+            begin = time.process_time()
+            found = people(weights, frame.points, frame.origins[0].astype(float), len(truths))
+            spent.append(time.process_time() - begin)
+            claimed = set()
+            for truth, seen in zip(truths[:, at][:, theirs], pixels[:, at]):
+                if seen < 250 or not np.isfinite(truth).all():
+                    continue
+                away = [np.linalg.norm(f.joints[mine] - truth, axis=-1).mean() for f in found]
+                best = int(np.argmin(away)) if away else -1
+                if best < 0 or away[best] > FAR:
+                    got.append((0, np.nan, np.nan, np.nan))
+                    continue
+                claimed.add(best)
+                got.append((1, away[best], turned(found[best].joints[mine], truth, names), found[best].odds))
+            false += len(found) - len(claimed)
+        every_one += got
+        rows.append(
+            [path.stem, *_cells(np.array(got, float), false / max(1, len(spent))), f"{1e3 * np.median(spent):.0f}"]
+        )
+    rows.append(["all", *_cells(np.array(every_one, float), np.nan), ""])
+    head = ["log", "people", "found, %", "joints, cm", "turned, %", "turned of odds > 2, %", "false/frame", "ms/frame"]
+    return table(head, rows)
+
+
+def tracked(weights: Path, logs: list[Path]) -> str:
+    rows: list[list[float]] = []
+    for path in logs:
+        job = TrackLog(path, features=False, online=True)
+        job.run()  # what is compiled is no part of the times
+        row = []
+        for eye in (contextlib.nullcontext(), with_eye(weights, facing_too=True)):
+            begin = time.process_time()
+            with eye:
+                outcome = job.run()
+            row += [outcome.error_cm, float(outcome.grade), 100 * outcome.claimed.mean(), time.process_time() - begin]
+        rows.append(row)
+        print(path.stem, " ".join(f"{x:.2f}" for x in row), flush=True)
+    means = [f"{x:.2f}" for x in np.mean(rows, 0)]
+    lost = [str(sum(row[k] == 0 for row in rows)) for k in (1, 5)]
+    head = ["", "cm", "lost", "tracked, %", "s"]
+    return table(head, [["today", means[0], lost[0], *means[2:4]], ["eye", means[4], lost[1], *means[6:8]]])
+
+
+def _cells(got: np.ndarray, false: float) -> list[str]:
+    if not len(got):
+        return ["0", "", "", "", "", f"{false:.2f}"]
+    sure = got[:, 3] > 2
+    means = [
+        100 * np.nanmean(x) if np.isfinite(x).any() else np.nan for x in (got[:, 0], got[:, 1], got[:, 2], got[sure, 2])
+    ]
+    return [str(len(got)), f"{means[0]:.0f}", f"{means[1]:.1f}", f"{means[2]:.0f}", f"{means[3]:.0f}", f"{false:.2f}"]
+
+
+if __name__ == "__main__":
+    if sys.argv[2] == "test":
+        print(on_crops(Path(sys.argv[1]), Path(sys.argv[3])))
+    elif sys.argv[2] == "tracked":
+        print(tracked(Path(sys.argv[1]), [Path(a) for a in sys.argv[3:]]))
+    else:
+        print(on_logs(Path(sys.argv[1]), int(sys.argv[3]), [Path(a) for a in sys.argv[4:]]))
