@@ -1,20 +1,15 @@
 """The learned eye of experiments/eye, without its training: postures, what a sensor sees, the net, the start."""
 
+import jax
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("numba")
-pytest.importorskip("optax")
-
-import jax  # noqa: E402
-
-from experiments.common import human  # noqa: E402
-from experiments.eye import net, render  # noqa: E402
-from experiments.eye.data import BACKGROUND, JOINTS, Scene, seen  # noqa: E402
-from experiments.eye.postures import drawn  # noqa: E402
-from experiments.eye.start import NAMES, poses_of  # noqa: E402
-from experiments.people.motions import PARENT, Clip  # noqa: E402
+from experiments.common import human
+from experiments.eye import net, render
+from experiments.eye.data import BACKGROUND, JOINTS, Scene, seen
+from experiments.eye.postures import drawn
+from experiments.eye.start import NAMES, poses_of
+from experiments.people.motions import PARENT, Clip
 
 REST = Clip(dict.fromkeys(PARENT, Rotation.identity(1)), np.zeros((1, 3)))
 
