@@ -135,6 +135,6 @@ def test_spans_go_on_where_the_last_one_ended(swinging, monkeypatch):
     done.clear()
     parts = track(small_body(), swinging, settings, done.append)
     assert sum(done) == 2 * len(swinging)
-    assert whole.tracked.all() and parts.tracked.all() and np.isfinite(parts.passes_apart).all()
+    assert whole.tracked.all() and parts.tracked.all() and np.isfinite(parts.evidence.passes_apart).all()
     apart = np.linalg.norm(whole.joints - parts.joints, axis=-1)
     assert apart.max() < 0.02 and np.median(apart) < 0.001
