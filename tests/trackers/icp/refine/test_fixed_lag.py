@@ -36,7 +36,7 @@ def tracks_of(demo, settings: Settings, frames: int = 60) -> Tracks:
 
 def equal(some: Tracks, other: Tracks, frames: int) -> bool:
     names = "status", "rotation", "translation", "passes_apart", "limb_weight"
-    return all(np.array_equal(*(getattr(t, n)[:frames] for t in (some, other)), equal_nan=True) for n in names)
+    return all(np.array_equal(*(t.rows()[n][:frames] for t in (some, other)), equal_nan=True) for n in names)
 
 
 def test_what_is_farther_ahead_than_the_lag_changes_nothing(demo):
@@ -45,7 +45,7 @@ def test_what_is_farther_ahead_than_the_lag_changes_nothing(demo):
     for cut in (33, 47):
         frames = int(np.sum(time + LAG < time[cut - 1]))
         assert frames > 20 and equal(tracks_of(demo, vj.online(Settings(), LAG), cut), lagged, frames)
-    assert np.isfinite(lagged.passes_apart[:-1]).all() and np.isnan(plain.passes_apart).all()  # pyright: ignore
+    assert np.isfinite(lagged.rows()["passes_apart"][:-1]).all() and np.isnan(plain.rows()["passes_apart"]).all()
     assert 1e-4 < np.linalg.norm(lagged.joints - plain.joints, axis=-1).mean() < 0.02
     skipped = replace(vj.online(Settings(), LAG), track=replace(Settings().track, skip=("fixed_lag",)))
     assert equal(tracks_of(demo, skipped), plain, 60)
