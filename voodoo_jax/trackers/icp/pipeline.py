@@ -14,6 +14,7 @@ from voodoo_jax.trackers.icp.refine.fixed_lag import FixedLag
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.refine.hang_arms import HangArms
 from voodoo_jax.trackers.icp.refine.hang_legs import HangLegs
+from voodoo_jax.trackers.icp.refine.mend_discontinuities import MendDiscontinuities
 from voodoo_jax.trackers.icp.refine.place_joints import PlaceJoints
 from voodoo_jax.trackers.icp.refine.restart_limbs import RestartLimbs
 from voodoo_jax.trackers.icp.sequence import RecordingStage
@@ -22,7 +23,9 @@ from voodoo_jax.trackers.icp.stage import Named, Stage
 # of every segment, and of each that competes with it
 SETTLE: tuple[Stage, ...] = (ForwardBackward(),)
 # of every segment
-REFINE: tuple[Stage, ...] = (*SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), FixedLag())
+REFINE: tuple[Stage, ...] = (
+    *SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities(), FixedLag(),
+)  # fmt: skip
 # of the recording
 FINISH: tuple[RecordingStage, ...] = (DropCarried(among=REFINE), DropUnexplained(among=REFINE), FitForearms())
 # of the tracks, once their poses stand
