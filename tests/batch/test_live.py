@@ -1,5 +1,6 @@
 """The command `live` on a file that is being recorded, and through a Foxglove WebSocket."""
 
+import io
 import os
 import signal
 import threading
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from tests.support.helpers import wait_for
 from tests.support.small_logs import FLAGS, arrays_of, assert_same, small_log
@@ -48,6 +50,24 @@ def recorder(path: Path, data: bytes, seconds: float, then=lambda: None) -> thre
 
 def live(*words: object) -> int:
     return main(["live", *map(str, words), *SHORT])
+
+
+def without_an_image(path: Path, topic: str, number: int) -> bytes:
+    """The log without one message of a topic."""
+    out, seen, channels = io.BytesIO(), 0, {}
+    writer = Writer(out)
+    writer.start()
+    with open(path, "rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            seen += channel.topic == topic
+            if channel.topic != topic or seen != number:
+                writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+    writer.finish()
+    return out.getvalue()
 
 
 def topics(path: Path) -> dict[str, int]:
@@ -96,6 +116,7 @@ def test_ctrl_c_ends_it_with_results(recorded, tmp_path, capsys):
 @pytest.mark.parametrize("tracker", ["flexible", "both"])
 def test_images_are_tracked_as_in_their_replay(tracker, tmp_path, capsys):
     path, _ = waving_log(tmp_path, 24)
+    path.write_bytes(without_an_image(path, "/colour/image/compressed", 10))
     flags = ["--tracker", tracker, *(f"--flexible.{k}={getattr(SMALL, k)}" for k in VARIED)]
     thread = recorder(tmp_path / "grows" / "waving.mcap", path.read_bytes(), 1.0)
     assert main(["live", str(tmp_path / "grows" / "waving.mcap"), "--out", str(tmp_path / "live"), *flags]) == 0

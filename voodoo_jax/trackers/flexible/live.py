@@ -48,7 +48,6 @@ class LiveFlexible:
         self._on: Begun | None = None
         self._rows: list[Seen] = []
         self._scene: Scene | None = None
-        self._number = -1  # of the frame
 
     def prepare(self) -> None:
         """Nothing is known yet of the images that the program is compiled for."""
@@ -56,8 +55,8 @@ class LiveFlexible:
     def add(self, frame: BodyObservation, scene: Scene) -> list[Tracks]:
         """Takes one frame; its tracks."""
         began, waited = time.perf_counter(), seconds_of_waiting()
-        self._scene, self._number = scene, self._number + 1
-        if self._number not in self._watching.rows[len(self._people) :]:
+        self._scene = scene
+        if not self._watching.shows(len(self._people), frame.time_ns):
             return [nobody_of(self._body, np.array([frame.time_ns], np.int64), scene)]
         self._kept.append(frame)
         self._people[-1:] = [*(p.only(np.zeros(0, int)) for p in self._people[-1:]), frame]

@@ -214,6 +214,10 @@ class Watching:
         whole = Observed(first, tuple(others), people, scene, times, row)
         return whole if all(first.has(i) for i in range(len(first))) else whole.from_camera(0)
 
+    def shows(self, row: int, time_ns: int) -> bool:
+        """Whether the image of a row is that of the frame at a time."""
+        return row < len(self.rows) and self._times[self.rows[row]] == time_ns
+
     def forget(self, rows: int) -> None:
         """Lets go of the images so far, if so many rows are all that there are."""
         for store in self._stores.values():
