@@ -2,6 +2,7 @@
 
 import ast
 import re
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -89,3 +90,16 @@ def test_files_are_opened_by_one_function(name):
         mode = ast.unparse(node.args[1]) if len(node.args) > 1 else "'r'"
         if called(node) == "open" and "w" not in mode:
             assert path in known, path
+
+
+def test_the_repository_has_no_files_that_a_run_has_made():
+    """Whole folders were committed once that a profiler had written into the checkout."""
+    checkout = ROOT.parent
+    if not (checkout / ".git").exists():
+        pytest.skip("not a checkout")
+    tracked = subprocess.run(["git", "ls-files"], cwd=checkout, capture_output=True, text=True, check=True).stdout
+    top = {name.split("/")[0] for name in tracked.splitlines()}
+    assert {name for name in top if not name.startswith(".")} == {
+        "pyproject.toml", "voodoo_jax", "experiments", "tests", "notebooks", "README.md", "docs", "ros2", "LICENSE",
+        "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "SECURITY.md", "Dockerfile", "mkdocs.yml",
+    }  # fmt: skip
