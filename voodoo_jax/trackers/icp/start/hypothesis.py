@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
@@ -12,7 +13,8 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.body_size import sized, unlikely
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.trials import opposite, standing_places
+from voodoo_jax.trackers.icp.start.eye import Seen, poses_of, seen
+from voodoo_jax.trackers.icp.trials import facing, opposite, standing_places
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 # a start that faces the other way is looked at where it costs less than so much more than the best; by hand
@@ -22,6 +24,10 @@ OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher
 BADLY = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly; by hand
 USUAL = 0.018  # metres of noise that a start is allowed in any case; by hand
 NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is; by hand
+
+# frames of which the eye sees one, and weight of the logarithm of its odds against a start's facing in that of the
+# cost: measured, experiments/eye
+EVERY, TURNED = 3, 0.3
 
 
 class StartHypothesis(NamedTuple):
@@ -50,26 +56,47 @@ class StartHypothesis(NamedTuple):
 
 
 def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> StartHypothesis:
-    """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
+    """The best of trials from frame `at`, see places_to_try, and of one in the poses `before`, moved there.
 
     `rest` the body with another rest pose, to begin with that.
     """
-    s: StartSettings = run.settings.start
     frames = tried_on(run, at)
-    places = standing_places(rest or body, frames[::-1], run.scene.floor, s.headings)
+    places = places_to_try(run, rest or body, frames)
     if before is not None:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
-    return best_from(run, at, body, places)
+    some = run.people[at : at + run.settings.start.size_frames : EVERY]
+    fronts = [person.front for f in some if (person := person_in(run, f)) is not None]
+    return best_from(run, at, body, places, np.mean(fronts, 0) if fronts else None)
 
 
-def best_from(run: Runner, at: int, body: Body, places: list[Poses]) -> StartHypothesis:
-    """The best of trials from some poses in frame `at`."""
+def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> list[Poses]:
+    """Poses in the last of some frames: at rest in headings all round, and as the eye sees the person."""
+    person = person_in(run, frames[-1])
+    pose = None if person is None else poses_of(body, person)
+    places = standing_places(body, frames[::-1], run.scene.floor, run.settings.start.headings)
+    return places if pose is None else [*places, pose]
+
+
+def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
+    """The person in a frame as the eye sees them; None for other bodies and on an unknown floor."""
+    if run.body.scale_name != "stature" or run.scene.floor_open:
+        return None
+    return seen(frame, run.scene.floor)
+
+
+def best_from(
+    run: Runner, at: int, body: Body, places: list[Poses], front: Float[np.ndarray, "3"] | None = None
+) -> StartHypothesis:
+    """The best of trials from some poses in frame `at`; `front` where the eye sees the person facing, if it does."""
     s, frames = run.settings.start, tried_on(run, at)
     noise = noise_of(frames)
     tried = run.trials(body, frames, places)
     odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # of a size that is known nobody doubts
+    if front is not None:
+        ahead = facing(on_host(body), np.asarray(tried.state.poses.rotation))
+        tried = tried._replace(cost=tried.cost * np.exp(TURNED * np.maximum(-(ahead @ front), 0.0)))
     found = [
         StartHypothesis(
             at, body, jax.tree.map(lambda x, k=k: x[k], tried.state.poses), odds * float(tried.cost[k]), noise
