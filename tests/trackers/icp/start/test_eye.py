@@ -76,7 +76,7 @@ def test_the_body_takes_on_the_joints_that_are_seen(somebody):
     poses = eye.poses_of(BODY, person)
     assert poses is not None and np.linalg.norm(joints_of(poses) - wanted, axis=1).max() < 0.03
     assert eye.poses_of(BODY, person._replace(spread=np.ones(len(JOINTS)))) is None
-    assert eye.poses_of(load_body("dog"), person) is None
+    assert eye.poses_of(load_body("arm"), person) is None
 
 
 def test_dogs_and_unknown_floors_are_not_looked_at(somebody):
