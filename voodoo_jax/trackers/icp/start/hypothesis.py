@@ -25,9 +25,9 @@ BADLY = 2.0  # times what a sure start leaves unexplained: a body that leaves mo
 USUAL = 0.018  # metres of noise that a start is allowed in any case; by hand
 NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is; by hand
 
-# frames of which the eye sees one, and weight of the logarithm of its odds against a start's facing in that of the
-# cost: measured, experiments/eye
-EVERY, TURNED = 3, 0.3
+# where the eye sees somebody one of so many headings is tried; frames of which it sees one, and weight of the logarithm
+# of its odds against a start's facing in that of the cost: measured, experiments/eye
+FEWER, EVERY, TURNED = 3, 3, 0.3
 
 
 class StartHypothesis(NamedTuple):
@@ -72,10 +72,11 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
 
 
 def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> list[Poses]:
-    """Poses in the last of some frames: at rest in headings all round, and as the eye sees the person."""
+    """Poses in the last of some frames: at rest in headings all round, or in fewer, and as the eye sees the person."""
     person = person_in(run, frames[-1])
     pose = None if person is None else poses_of(body, person)
-    places = standing_places(body, frames[::-1], run.scene.floor, run.settings.start.headings)
+    many = run.settings.start.headings // (1 if pose is None else FEWER)
+    places = standing_places(body, frames[::-1], run.scene.floor, max(many, 1))
     return places if pose is None else [*places, pose]
 
 
