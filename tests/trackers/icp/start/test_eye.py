@@ -7,11 +7,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support.in_front import in_front
+from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.eye import JOINTS
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import motion_of_turns, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
+from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.icp.start import eye
 from voodoo_jax.trackers.icp.start.hypothesis import best_from, person_in, trial
 from voodoo_jax.trackers.icp.trials import facing, standing_places
@@ -97,3 +104,15 @@ def test_a_start_that_is_turned_costs_more(somebody):
     plain, told, wrong = (best_from(run, 0, BODY, places, odds) for odds in (None, 5 * ahead, -5 * ahead))
     assert plain.cost == told.cost
     assert (wrong.rival or wrong).cost > plain.cost
+
+
+def test_somebody_with_raised_arms_is_found(tmp_path):
+    """From the first frame on; the hands are what is highest."""
+    time, up = np.arange(24) / 30, np.array([2.8, 0.0, 0.0])
+    wave = 0.15 * np.sin(8 * time)[:, None] * np.array([1.0, 0, 0])
+    moved = motion_of_turns(BODY, time, {"l_shoulder": up + wave, "r_shoulder": -up + wave})
+    sim = simulate(BODY, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
+    tracks = track(human(), read_log(write_simulation(sim, tmp_path / "raised.mcap")), Settings())
+    error = np.linalg.norm(tracks.joints - sim.joints, axis=-1)
+    assert tracks.tracked.all() and error.mean() < 0.06
+    assert float(tracks.body.scale) == pytest.approx(1.75, rel=0.08)
