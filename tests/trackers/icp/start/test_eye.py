@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests.support.in_front import in_front
 from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.geometry.rigid import Poses, compose, on_host
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.eye import JOINTS
 from voodoo_jax.model.body import joint_centres, scaled
@@ -19,9 +19,9 @@ from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.front import track
-from voodoo_jax.trackers.icp.start import eye
-from voodoo_jax.trackers.icp.start.hypothesis import best_from, person_in, trial
-from voodoo_jax.trackers.icp.trials import facing, standing_places
+from voodoo_jax.trackers.icp.start import eye, hypothesis
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, ahead_first, person_in, trial
+from voodoo_jax.trackers.icp.trials import facing
 
 BODY = scaled(human(), 1.75)
 
@@ -95,15 +95,18 @@ def test_dogs_and_unknown_floors_are_not_looked_at(somebody):
     assert person_in(run, run.people[0]) is None
 
 
-def test_a_start_that_is_turned_costs_more(somebody):
-    """By the odds of its facing: the start's rival too."""
+def test_a_start_that_is_turned_costs_more(somebody, monkeypatch):
+    """By the odds of its facing, so that its rival may be first."""
     _, run = somebody
-    found = trial(run, 0, BODY)
-    places = standing_places(BODY, run.people[:6], run.scene.floor, 4)
-    ahead = np.asarray(facing(BODY, np.asarray(found.poses.rotation)[None])[0])
-    plain, told, wrong = (best_from(run, 0, BODY, places, odds) for odds in (None, 5 * ahead, -5 * ahead))
-    assert plain.cost == told.cost
-    assert (wrong.rival or wrong).cost > plain.cost
+    right = trial(run, 0, BODY)
+    ahead, turn = facing(BODY, np.asarray(right.poses.rotation)[None])[0], np.diag([-1.0, -1.0, 1.0])
+    turned = compose(Poses(np.float32([0, 0, 0, 1]), np.zeros(3, np.float32)), on_host(right.poses))
+    wrong = StartHypothesis(0, BODY, turned, 1.0, rival=StartHypothesis(0, BODY, right.poses, 1.2))
+    assert np.allclose(facing(BODY, np.asarray(turned.rotation)[None])[0], turn @ ahead, atol=1e-5)
+    found = ahead_first(run, wrong)
+    assert found.poses is right.poses and found.cost == 1.2 and found.rival.poses is turned and found.rival.cost > 1.2
+    monkeypatch.setattr(hypothesis, "person_in", lambda run, frame: None)
+    assert ahead_first(run, wrong) is wrong
 
 
 def test_somebody_with_raised_arms_is_found(tmp_path):

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.rigid import Poses, on_host
@@ -63,9 +62,7 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None) -> Star
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
-    some = run.people[at : at + run.settings.start.size_frames : EVERY]
-    fronts = [person.front for f in some if (person := person_in(run, f)) is not None]
-    return best_from(run, at, body, places, np.mean(fronts, 0) if fronts else None)
+    return ahead_first(run, best_from(run, at, body, places))
 
 
 def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> list[Poses]:
@@ -73,7 +70,8 @@ def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> lis
     person = person_in(run, frames[-1])
     pose = None if person is None else poses_of(body, person)
     many = run.settings.start.headings // (1 if pose is None else FEWER)
-    places = standing_places(body, frames[::-1], run.scene.floor, max(many, 1))
+    front = None if pose is None or person is None else person.front
+    places = standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front)
     return places if pose is None else [*places, pose]
 
 
@@ -84,17 +82,25 @@ def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
     return seen(frame, run.scene.floor)
 
 
-def best_from(
-    run: Runner, at: int, body: Body, places: list[Poses], front: Float[np.ndarray, "3"] | None = None
-) -> StartHypothesis:
-    """The best of trials from some poses in frame `at`; `front` where the eye sees the person facing, if it does."""
+def ahead_first(run: Runner, start: StartHypothesis) -> StartHypothesis:
+    """A start or its rival, which costs the more the surer the eye is that somebody does not face so."""
+    some = run.people[start.frame : start.frame + run.settings.start.size_frames : EVERY] if start.rival else []
+    fronts = [person.front for f in some if (person := person_in(run, f)) is not None]
+    if start.rival is None or not fronts:
+        return start
+    both = [start._replace(rival=None), start.rival]
+    ahead = facing(on_host(start.body), np.stack([np.asarray(each.poses.rotation) for each in both]))
+    factor = np.exp(TURNED * np.maximum(-(ahead @ np.mean(fronts, 0)), 0.0))
+    first, second = sorted((b._replace(cost=b.cost * float(f)) for b, f in zip(both, factor)), key=lambda b: b.cost)
+    return first._replace(rival=second)
+
+
+def best_from(run: Runner, at: int, body: Body, places: list[Poses]) -> StartHypothesis:
+    """The best of trials from some poses in frame `at`."""
     s, frames = run.settings.start, tried_on(run, at)
     noise = noise_of(frames)
     tried = run.trials(body, frames, places)
     odds = 1.0 if body is run.body or s.scale > 0 else unlikely(body)  # of a size that is known nobody doubts
-    if front is not None:
-        ahead = facing(on_host(body), np.asarray(tried.state.poses.rotation))
-        tried = tried._replace(cost=tried.cost * np.exp(TURNED * np.maximum(-(ahead @ front), 0.0)))
     found = [
         StartHypothesis(
             at, body, jax.tree.map(lambda x, k=k: x[k], tried.state.poses), odds * float(tried.cost[k]), noise
