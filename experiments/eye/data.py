@@ -25,7 +25,7 @@ PARTS = (
     "belly",
     *(f"{s}_{p}" for p in ("upper_arm", "forearm", "thigh", "shank", "foot") for s in "lr"),
 )
-BACKGROUND, OTHER = 13, 14  # labels after the parts
+BACKGROUND, OTHER, CLASSES = 13, 14, 15  # labels after the parts, and their number
 KEPT, THIN, REACH = 768, 0.03, 1.5  # points of a crop, metres between them, radius
 SHARD, POSES, VIEWS = 4096, 32, 3  # crops; postures made at once; sensors that see a scene
 COARSE = 0.035  # metres: vertices nearer to each other are one

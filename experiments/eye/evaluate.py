@@ -1,27 +1,24 @@
-"""The eye judged: python -m experiments.eye.evaluate WEIGHTS.npz test DATA | logs EVERY LOG ... | tracked LOG ...
+"""The eye judged: python -m experiments.eye.evaluate WEIGHTS.npz test DATA | logs EVERY LOG ...
 
 `test`: crops of people left out, by posture. `logs`: from scratch, every EVERY-th frame of logs with a truth beside
-them: found, joints, turned; false alarms where there is nobody. `tracked`: whole logs, depth only,
-`--online`: as it is today, and with the eye's start and facing.
+them: found, joints, turned; false alarms where there is nobody.
 """
 
-import contextlib
 import sys
 import time
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
 import voodoo_jax as vj
 from experiments.common import table
 from experiments.eye import net
-from experiments.eye.data import JOINTS
 from experiments.eye.look import people
 from experiments.eye.midway import turned
-from experiments.eye.start import NAMES, with_eye
 from experiments.eye.train import Pool
-from experiments.scoreboard.tracked import TrackLog, read_known
+from experiments.scoreboard.tracked import read_known
+from voodoo_jax.kernels.eye import JOINTS
+from voodoo_jax.trackers.icp.start.eye import weights as weights_in
 
 FAR = 0.5  # metres: who is farther off is somebody else
 SURER = (0.5, 1.0, 2.0, 3.0, 4.0)  # logarithms of odds
@@ -29,7 +26,7 @@ SURER = (0.5, 1.0, 2.0, 3.0, 4.0)  # logarithms of odds
 
 def on_crops(weights: Path, folder: Path) -> str:
     """By posture: joints, turned, somebody or not; and whether the odds are right."""
-    pool, params = Pool(folder, "test"), {k: jnp.asarray(v) for k, v in np.load(weights).items()}
+    pool, params = Pool(folder, "test"), weights_in(weights)
     some = [pool.batch(np.arange(a, min(a + 128, pool.count)), None) for a in range(0, pool.count, 128)]
     told = [{k: np.asarray(v) for k, v in net.measured(params, b).items()} | {"has": b["has"]} for b in some]
     found = {k: np.concatenate([t[k] for t in told]) for k in told[0]}
@@ -59,8 +56,8 @@ def on_logs(weights: Path, every: int, logs: list[Path]) -> str:
         truths = known.joints[None] if known.joints.ndim == 3 else known.joints
         with np.load(path.with_suffix(".truth.npz")) as file:
             pixels = file["pixels"] if "pixels" in file else np.full(truths.shape[:2], 1000)
-        mine = [k for k, name in enumerate(JOINTS) if NAMES.get(name, name) in known.names]
-        names = tuple(NAMES.get(JOINTS[k], JOINTS[k]) for k in mine)
+        mine = [k for k, name in enumerate(JOINTS) if name in known.names]
+        names = tuple(JOINTS[k] for k in mine)
         theirs, got, spent, false = [known.names.index(n) for n in names], [], [], 0
         for frame in recording.frames[::every]:
             at = int(np.abs(known.stamps - frame.time_ns).argmin())
@@ -88,25 +85,6 @@ def on_logs(weights: Path, every: int, logs: list[Path]) -> str:
     return table(head, rows)
 
 
-def tracked(weights: Path, logs: list[Path]) -> str:
-    rows: list[list[float]] = []
-    for path in logs:
-        job = TrackLog(path, features=False, online=True)
-        job.run()  # what is compiled is no part of the times
-        row = []
-        for eye in (contextlib.nullcontext(), with_eye(weights, facing_too=True)):
-            begin = time.process_time()
-            with eye:
-                outcome = job.run()
-            row += [outcome.error_cm, float(outcome.grade), 100 * outcome.claimed.mean(), time.process_time() - begin]
-        rows.append(row)
-        print(path.stem, " ".join(f"{x:.2f}" for x in row), flush=True)
-    means = [f"{x:.2f}" for x in np.mean(rows, 0)]
-    lost = [str(sum(row[k] == 0 for row in rows)) for k in (1, 5)]
-    head = ["", "cm", "lost", "tracked, %", "s"]
-    return table(head, [["today", means[0], lost[0], *means[2:4]], ["eye", means[4], lost[1], *means[6:8]]])
-
-
 def _cells(got: np.ndarray, false: float) -> list[str]:
     if not len(got):
         return ["0", "", "", "", "", f"{false:.2f}"]
@@ -120,7 +98,5 @@ def _cells(got: np.ndarray, false: float) -> list[str]:
 if __name__ == "__main__":
     if sys.argv[2] == "test":
         print(on_crops(Path(sys.argv[1]), Path(sys.argv[3])))
-    elif sys.argv[2] == "tracked":
-        print(tracked(Path(sys.argv[1]), [Path(a) for a in sys.argv[3:]]))
     else:
         print(on_logs(Path(sys.argv[1]), int(sys.argv[3]), [Path(a) for a in sys.argv[4:]]))

@@ -1,4 +1,4 @@
-"""The eye on one frame: one column, or all columns of a scene; and as a start for the tracker.
+"""The eye on one frame: one column, or all columns of a scene.
 
 Points in a frame with z up, the floor near z = 0, and where the sensor is.
 """
@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from experiments.eye import net, render
-from experiments.eye.data import JOINTS, PARTS, THIN
+from experiments.eye.data import PARTS
+from voodoo_jax.kernels.eye import HIGH, JOINTS, forward, named
+from voodoo_jax.trackers.icp.start.eye import FEATURES, RADIUS, TOKENS, thinned, tokens, view
+from voodoo_jax.trackers.icp.start.eye import weights as weights_in
 
-CELL, NEAR, APART, FLOOR, HIGH = 0.3, 0.35, 0.45, 0.05, 2.4  # metres
+CELL, NEAR, APART, FLOOR = 0.3, 0.35, 0.45, 0.05  # metres
+UP = np.array([0, 0, 1.0])
 ENOUGH, COLUMNS, BATCH = 15, 48, 8  # thinned points in a column, columns that are looked at, at once
 FULL = 40.0  # points of a body that make somebody as likely as the eye says
 
@@ -32,16 +34,14 @@ class Seen(NamedTuple):
 
 @cache
 def _program(weights: Path):
-    params = {k: jnp.asarray(v) for k, v in np.load(weights).items()}
-    run = jax.jit(lambda tok, sensor: net.told(params, tok, sensor))
+    params = weights_in(weights)
+
+    def told(tok, sensor):
+        out, odds = named(forward(params, tok, sensor))
+        return out._asdict() | dict(odds=odds)
+
+    run = jax.jit(jax.vmap(told))
     return lambda tok, sensor: {k: np.asarray(v) for k, v in run(tok, sensor).items()}
-
-
-def thinned(points: np.ndarray, floor: float = FLOOR) -> np.ndarray:
-    """Points above the floor, one in each voxel."""
-    points = points[(points[:, 2] > floor) & (points[:, 2] < HIGH)].astype(float)
-    key = np.floor(points / THIN).astype(np.int64)
-    return points[np.unique((key[:, 0] * 4096 + key[:, 1]) * 4096 + key[:, 2], return_index=True)[1]]
 
 
 def look(weights: Path, points: np.ndarray, sensor: np.ndarray, columns: np.ndarray) -> list[Seen]:
@@ -50,14 +50,12 @@ def look(weights: Path, points: np.ndarray, sensor: np.ndarray, columns: np.ndar
     for at in range(0, len(columns), BATCH):
         some = columns[at : at + BATCH]
         many = 1 if len(columns) == 1 else BATCH
-        tok = np.zeros((many, render.TOKENS, render.FEATURES), np.float32)
-        hist = np.zeros((render.TOKENS, render.CLASSES), np.float32)
+        tok = np.zeros((many, TOKENS, FEATURES), np.float32)
         far, kept = np.zeros((many, 2), np.float32), []
         for row, (x, y) in enumerate(some):
-            near = np.flatnonzero((points[:, 0] - x) ** 2 + (points[:, 1] - y) ** 2 < render.RADIUS**2)
-            rel, turn = points[near] - [x, y, 0], net.view(sensor - [x, y, 0])
-            token = np.full(len(near), -1, np.int32)
-            render.tokens(rel @ turn.T, np.full(len(near), 255, np.uint8), tok[row], hist, token)
+            near = np.flatnonzero((points[:, 0] - x) ** 2 + (points[:, 1] - y) ** 2 < RADIUS**2)
+            rel, turn = points[near] - [x, y, 0], view(sensor - [x, y, 0], UP)
+            tok[row], token = tokens(rel @ turn.T)
             far[row] = np.linalg.norm(sensor[:2] - [x, y]), sensor[2]
             kept.append((near[token >= 0], token[token >= 0], turn))
         out = run(tok, far)
@@ -87,7 +85,7 @@ def hips(joints: np.ndarray) -> np.ndarray:
 
 def people(weights: Path, points: np.ndarray, sensor: np.ndarray, most: int = 1, least: float = 0.0) -> list[Seen]:
     """Whoever is in a scene, from scratch: all columns, the surest first; `least` logarithm of the odds."""
-    points = thinned(points)
+    points = thinned(points[(points[:, 2] > FLOOR) & (points[:, 2] < HIGH)].astype(float))
     cells, count = np.unique(np.floor(points[:, :2] / CELL).astype(int), axis=0, return_counts=True)
     middles = []
     for cell in cells[np.argsort(-count)]:

@@ -3,7 +3,6 @@
 python -m experiments.eye.midway RECORDINGS OUT.json
 """
 
-import contextlib
 import json
 import time
 from dataclasses import replace
@@ -14,7 +13,6 @@ import tyro
 
 import voodoo_jax as vj
 from experiments.common import log_files
-from experiments.eye.start import with_eye
 from experiments.scoreboard.tracked import Known, read_known
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS
 
@@ -64,11 +62,7 @@ def main(
     count: int = 20,
     every: int = 1,
     depth_only: bool = False,
-    weights: Path | None = None,
-    facing: bool = False,
     skip: int = 0,
-    without: tuple[str, ...] = (),
-    headings: int = 0,
 ) -> None:
     """Who is turned when `--online` begins midway.
 
@@ -78,16 +72,9 @@ def main(
         count: random frames of each log.
         every: of these one of so many is begun at.
         depth_only: without the log's features.
-        weights: of the eye, whose pose is one of the starts then.
-        facing: the eye tells the facing, too, in place of first_facing.
         skip: logs that are left out at the beginning; the frames of the others stay the same.
-        without: stages of the start that are switched off.
-        headings: that a start is tried in; 0: as many as ever.
     """
     rng, settings, rows = np.random.default_rng(SEED), vj.online(vj.preset("default")), {}
-    settings = replace(settings, track=replace(settings.track, skip=(*settings.track.skip, *without)))
-    if headings:
-        settings = replace(settings, start=replace(settings.start, headings=headings))
     for number, path in enumerate(log_files(recordings)):
         known, log = read_known(path.with_suffix(".truth.npz")), vj.read_log(path)
         stamps = [f.time_ns for f in log.frames]
@@ -97,8 +84,7 @@ def main(
             continue
         if depth_only:
             log = replace(log, frames=tuple(replace(f, rays=NO_RAYS, pairs=NO_PAIRS) for f in log.frames))
-        with with_eye(weights, facing) if weights else contextlib.nullcontext():
-            rows[path.stem] = [begun_at(log, int(k), known, settings) for k in at]
+        rows[path.stem] = [begun_at(log, int(k), known, settings) for k in at]
         print(path.stem, row_of(rows[path.stem]), flush=True)
         out.write_text(json.dumps(rows, indent=0))
     print("all", row_of([row for some in rows.values() for row in some]))

@@ -1,4 +1,4 @@
-"""Depth and labels of meshes and boxes before a camera, compiled loops; and tokens of points."""
+"""Depth and labels of meshes and boxes before a camera, compiled loops."""
 
 import numpy as np
 from numba import njit  # pyright: ignore[reportMissingImports]
@@ -63,73 +63,3 @@ def boxes(middle, axes, half, labels, u0, v0, du, dv, depth, label):  # pragma: 
                     near, far_ = max(near, min(one, two)), min(far_, max(one, two))
                 if 0.1 < near < far_:
                     depth[y, x], label[y, x] = near, labels[k]
-
-
-TOKENS, VOXEL, RADIUS, LOW, HIGH = 64, 0.18, 1.1, -0.12, 2.4  # metres, about the column
-FEATURES, CLASSES = 18, 15
-SIDE, LAYERS = 13, 14
-
-
-@njit(cache=True)
-def tokens(points, labels, tok, hist, at):  # pragma: no cover  compiled
-    """Voxels of points [point, 3] about a column in the frame of the view, the nearest to the axis first: `tok` [token,
-    FEATURES] mean, covariance, octants, number; `hist` [token, CLASSES] points by label (255: none); `at` [point]
-    token or -1."""
-    tok[:], hist[:], at[:] = 0, 0, -1
-    cell = np.full((SIDE, SIDE, LAYERS), -1, np.int32)
-    most = min(len(points), 1024)
-    total, square, corner, count = np.zeros((most, 3)), np.zeros((most, 6)), np.zeros((most, 8)), np.zeros(most)
-    hists = np.zeros((most, CLASSES))
-    used = 0
-    for p in range(len(points)):
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        if x * x + y * y > RADIUS * RADIUS or z < LOW or z > HIGH:
-            continue
-        fx, fy, fz = x / VOXEL + SIDE / 2, y / VOXEL + SIDE / 2, (z - LOW) / VOXEL
-        i, j, k = int(np.floor(fx)), int(np.floor(fy)), int(np.floor(fz))
-        if i < 0 or j < 0 or k < 0 or i >= SIDE or j >= SIDE or k >= LAYERS:
-            continue
-        c = cell[i, j, k]
-        if c < 0:
-            if used >= most:
-                continue
-            c = used
-            cell[i, j, k] = c
-            used += 1
-        at[p] = c
-        count[c] += 1
-        total[c, 0] += x
-        total[c, 1] += y
-        total[c, 2] += z
-        square[c, 0] += x * x
-        square[c, 1] += y * y
-        square[c, 2] += z * z
-        square[c, 3] += x * y
-        square[c, 4] += x * z
-        square[c, 5] += y * z
-        corner[c, 4 * (fx - i > 0.5) + 2 * (fy - j > 0.5) + (fz - k > 0.5)] += 1
-        if labels[p] < CLASSES:
-            hists[c, labels[p]] += 1
-    away = np.zeros(used)
-    for c in range(used):
-        mx, my = total[c, 0] / count[c], total[c, 1] / count[c]
-        away[c] = np.sqrt(mx * mx + my * my) - 0.01 * min(count[c], 9.0)
-    order = np.argsort(away)
-    place = np.full(most, -1, np.int32)
-    for r in range(min(used, TOKENS)):
-        c = order[r]
-        place[c] = r
-        n = count[c]
-        for i in range(3):
-            tok[r, i] = total[c, i] / n
-        m = tok[r, :3]
-        for q in range(6):
-            i, j = (q, q) if q < 3 else ((0, 1) if q == 3 else ((0, 2) if q == 4 else (1, 2)))
-            tok[r, 3 + q] = (square[c, q] / n - m[i] * m[j]) * 400
-        for q in range(8):
-            tok[r, 9 + q] = corner[c, q] / n
-        tok[r, 17] = n / 9
-        hist[r] = hists[c]
-    for p in range(len(points)):
-        if at[p] >= 0:
-            at[p] = place[at[p]]

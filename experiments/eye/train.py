@@ -17,12 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax  # pyright: ignore[reportMissingImports]
 
-from experiments.eye import net, render
-from experiments.eye.data import BACKGROUND, KEPT, SHARD
+from experiments.eye import net
+from experiments.eye.data import BACKGROUND, CLASSES, SHARD
+from voodoo_jax.kernels.eye import OTHER
+from voodoo_jax.trackers.icp.start.eye import FEATURES, TOKENS, tokens, view
 
 RATE, WARM, KEEPS = 2e-3, 8_000, 0.998  # highest rate, crops until then, of the mean of weights
 CHECKS, ENOUGH = 24, 25  # times that it is measured, points of a person that are somebody
 SHARDS = 60  # in memory, at most
+UP = np.array([0, 0, 1.0])
 
 
 class Pool:
@@ -55,12 +58,11 @@ class Pool:
         """Tokens of crops; with `rng` seen anew: moved, mirrored, sized, thinned, the background cut away or not."""
         many = len(index)
         out = dict(
-            tok=np.zeros((many, render.TOKENS, render.FEATURES), np.float32),
-            hist=np.zeros((many, render.TOKENS, render.CLASSES), np.float32),
+            tok=np.zeros((many, TOKENS, FEATURES), np.float32),
+            hist=np.zeros((many, TOKENS, CLASSES), np.float32),
             joints=np.zeros((many, net.JOINT_COUNT, 3), np.float32), sensor=np.zeros((many, 2), np.float32),
             has=np.zeros(many, np.float32), care=np.zeros(many, np.float32),
         )  # fmt: skip
-        at = np.empty(KEPT, np.int32)
         for row, k in enumerate(index):
             labels = self.arrays["labels"][k]
             size = int(np.sum(labels < 255)) if labels[-1] == 255 else len(labels)
@@ -69,8 +71,10 @@ class Pool:
             person = bool(self.arrays["person"][k])
             if rng is not None:
                 points, labels, joints, sensor = seen_anew(points, labels, joints, sensor, rng)
-            turn = net.view(sensor)
-            render.tokens(points @ turn.T, labels, out["tok"][row], out["hist"][row], at)
+            turn = view(sensor, UP)
+            out["tok"][row], at = tokens(points @ turn.T)
+            known = (at >= 0) & (labels < CLASSES)
+            np.add.at(out["hist"][row], (at[known], labels[known]), 1)
             body = int(np.sum(labels < BACKGROUND))
             out["joints"][row] = joints @ turn.T
             out["sensor"][row] = np.hypot(sensor[0], sensor[1]), sensor[2]
@@ -91,8 +95,8 @@ def seen_anew(points, labels, joints, sensor, rng: np.random.Generator):
     if rng.random() < 0.5:  # mirrored in the plane of x and z, with the sensor
         flip = np.array([1, -1, 1.0])
         points, sensor = points * flip, sensor * flip
-        joints = (joints * flip)[net.OTHER_JOINT]
-        labels = np.where(labels < 255, net.OTHER_PART[np.minimum(labels, render.CLASSES - 1)], 255).astype(np.uint8)
+        joints = (joints * flip)[OTHER]
+        labels = np.where(labels < 255, net.OTHER_PART[np.minimum(labels, CLASSES - 1)], 255).astype(np.uint8)
     kept = rng.random(len(points)) > rng.choice([0.0, 0.1, 0.4])
     how = rng.random()
     if how < 0.4:  # as a segmentation leaves it

@@ -1,15 +1,16 @@
-"""The learned eye of experiments/eye, without its training: postures, what a sensor sees, the net, the start."""
+"""The learned eye of experiments/eye, without its training: postures, what a sensor sees, the net."""
 
 import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.common import human
-from experiments.eye import net, render
-from experiments.eye.data import BACKGROUND, JOINTS, Scene, seen
+from experiments.eye import net
+from experiments.eye.data import BACKGROUND, CLASSES, JOINTS, Scene, seen
 from experiments.eye.postures import drawn
-from experiments.eye.start import NAMES, poses_of
 from experiments.people.motions import PARENT, Clip
+from voodoo_jax.kernels.eye import JOINTS as NAMES
+from voodoo_jax.kernels.eye import LEFT, MIDDLES, OTHER, RIGHT, Told, forward, named
+from voodoo_jax.trackers.icp.start.eye import TOKENS, tokens
 
 REST = Clip(dict.fromkeys(PARENT, Rotation.identity(1)), np.zeros((1, 3)))
 
@@ -32,39 +33,38 @@ def test_points_lie_on_what_is_there_and_are_labelled():
     assert np.median(np.abs(floor[:, 2])) < 0.03
 
 
-def _tokens(points: np.ndarray) -> np.ndarray:
-    tok = np.zeros((1, render.TOKENS, render.FEATURES), np.float32)
-    hist, at = np.zeros((render.TOKENS, render.CLASSES), np.float32), np.empty(len(points), np.int32)
-    render.tokens(points, np.full(len(points), 255, np.uint8), tok[0], hist, at)
-    return tok
-
-
 def test_the_net_hardly_minds_the_order_of_points_nor_where_padding_is():
     rng = np.random.default_rng(0)
     points = rng.normal([0, 0, 1.0], [0.2, 0.25, 0.3], (300, 3))
-    params, sensor = net.init(jax.random.PRNGKey(0)), np.array([[2.0, 1.2]], np.float32)
-    one, two = (net.told(params, _tokens(points[order]), sensor) for order in (np.arange(300), rng.permutation(300)))
-    assert np.allclose(one["joints"], two["joints"], atol=1e-4) and np.allclose(one["odds"], two["odds"], atol=1e-3)
+    params, sensor = net.init(jax.random.PRNGKey(0)), np.array([2.0, 1.2], np.float32)
+    told = jax.jit(lambda *given: named(forward(*given)))
+    one, two = (told(params, tokens(points[order])[0], sensor) for order in (np.arange(300), rng.permutation(300)))
+    assert np.allclose(one[0].joints, two[0].joints, atol=1e-4) and np.allclose(one[1], two[1], atol=1e-3)
+
+
+def test_the_names_of_the_net_are_those_of_the_figures():
+    alias = {"radiocarpal": "wrist", "talocrural": "ankle"}
+    assert tuple("_".join(alias.get(word, word) for word in name.split("_")) for name in NAMES) == JOINTS
+
+
+def test_a_step_of_learning_makes_the_loss_smaller():
+    rng, params = np.random.default_rng(0), net.init(jax.random.PRNGKey(0))
+    batch = dict(
+        tok=np.stack([tokens(rng.normal([0, 0, 1.0], 0.25, (200, 3)))[0] for _ in range(2)]),
+        hist=rng.random((2, TOKENS, CLASSES)).astype(np.float32), joints=np.zeros((2, len(JOINTS), 3), np.float32),
+        sensor=np.ones((2, 2), np.float32), has=np.ones(2, np.float32), care=np.ones(2, np.float32),
+    )  # fmt: skip
+    sloping = jax.jit(jax.value_and_grad(net.loss, has_aux=True))
+    (before, _), slope = sloping(params, batch)
+    (after, _), _ = sloping(jax.tree.map(lambda p, g: p - 1e-3 * g, params, slope), batch)
+    assert after < before
 
 
 def test_left_and_right_are_told_by_facing():
-    joints = np.zeros((1, len(JOINTS), 3), np.float32)
-    joints[0, net.LEFT, 1], joints[0, net.RIGHT, 1] = 0.2, -0.2  # faces +x
-    ahead, back = (np.exp(4 * np.cos(net.MIDDLES - way))[None] for way in (0.0, np.pi))
-    assert net.front_odds(dict(joints=joints, facing=np.log(ahead)))[0] > 2
-    assert net.front_odds(dict(joints=joints, facing=np.log(back)))[0] < -2
-    assert np.array_equal(net.OTHER_JOINT[net.OTHER_JOINT], np.arange(len(JOINTS)))
-
-
-def test_the_body_takes_on_the_joints_that_are_seen():
-    body = human()
-    centres, limbs = body.topology.centres, np.array(body.topology.centre_limbs)
-    turn = Rotation.from_quat(np.asarray(body.rest.rotation)[limbs], scalar_first=True)
-    world = turn.apply(np.asarray(body.centres)) + np.asarray(body.rest.translation)[limbs]
-    rows = [centres.index(NAMES.get(name, name)) for name in JOINTS]
-    way = Rotation.from_euler("xyz", [0.3, 0.8, 2.0])
-    wanted = way.apply(world[rows]) + [1.0, 2.0, 0.5]
-    poses = poses_of(body, wanted, np.ones(len(JOINTS), bool))
-    turned = Rotation.from_quat(poses.rotation[limbs], scalar_first=True)
-    found = (turned.apply(np.asarray(body.centres)) + poses.translation[limbs])[rows]
-    assert np.linalg.norm(found - wanted, axis=1).max() < 0.03
+    joints = np.zeros((len(JOINTS), 3), np.float32)
+    joints[LEFT, 1], joints[RIGHT, 1] = 0.2, -0.2  # faces +x
+    for way, left in ((0.0, 0.2), (np.pi, -0.2)):
+        facing = 4 * np.cos(MIDDLES - way)
+        said, odds = named(Told(facing, facing, joints, facing[: len(JOINTS)], facing[0], facing))  # pyright: ignore[reportArgumentType]
+        assert odds > 2 and np.allclose(np.asarray(said.joints)[LEFT, 1], left)
+    assert np.array_equal(OTHER[OTHER], np.arange(len(JOINTS)))

@@ -35,6 +35,7 @@ from voodoo_jax.trackers.icp.pipeline import PLACE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.runner import THING_FRAMES, Runner
 from voodoo_jax.trackers.icp.stage import is_active
+from voodoo_jax.trackers.icp.start import eye
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.icp.tracker import finished, tracks_of
 from voodoo_jax.trackers.shared.confidence import AROUND
@@ -112,6 +113,7 @@ class LiveTracker:
     def prepare(self) -> None:
         """Compiles or loads the programs."""
         self.run.prepare()
+        eye.prepare(self.run.body)
         blank = Followed.blank(0, self.run.body.limb_count)
         looked_at.prepare(self.run.body, *padded(blank, 1))
 

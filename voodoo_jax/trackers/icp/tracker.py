@@ -31,6 +31,7 @@ from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import depths
 from voodoo_jax.trackers.icp.sequence import track_whole
 from voodoo_jax.trackers.icp.stage import is_active
+from voodoo_jax.trackers.icp.start import eye
 from voodoo_jax.trackers.shared import report
 from voodoo_jax.trackers.shared.runner import FEW_POINTS, spans
 
@@ -55,6 +56,7 @@ def prepare(task: Task) -> list[Thread]:
     chunk = report.padded(Segment.blank(0, body.limb_count), settings.track.chunk)
     threads = [Thread(target=run.prepare), Thread(target=report.looked_at.prepare, args=(body, *chunk))]
     threads.append(Thread(target=depths.prepare, args=(body, chunk[0])))
+    threads.append(Thread(target=eye.prepare, args=(body,)))
     for thread in threads:
         thread.start()
     return threads

@@ -43,8 +43,11 @@ def _level_direction(foot: np.ndarray, origin: np.ndarray, up: np.ndarray) -> np
     return towards / distance if distance > 0.1 else np.cross(up, side)
 
 
-def standing_places(body: Body, frames: list[BodyObservation], floor: Plane, headings: int) -> list[Poses]:
-    """Rest poses at the cloud's position in evenly spread headings, the first one facing the sensor that sees most."""
+def standing_places(
+    body: Body, frames: list[BodyObservation], floor: Plane, headings: int, front: np.ndarray | None = None
+) -> list[Poses]:
+    """Rest poses at the cloud's position in evenly spread headings, the first one towards `front` or facing the sensor
+    that sees most."""
     cloud = np.concatenate([f.points for f in frames])
     up = floor.normal
     height = floor.height(cloud)
@@ -59,7 +62,8 @@ def standing_places(body: Body, frames: list[BodyObservation], floor: Plane, hea
     several = np.count_nonzero(seen) > 1
     foot = foot - 0.8 * thickness * (np.average(directions, axis=0, weights=seen) if several else towards)
     angle = 2 * np.pi * np.arange(headings)[:, None] / headings
-    direction = np.cos(angle) * towards + np.sin(angle) * np.cross(up, towards)
+    first = towards if front is None else front
+    direction = np.cos(angle) * first + np.sin(angle) * np.cross(up, first)
     poses = place(body, foot.astype(np.float32), up, direction.astype(np.float32))
     return [poses[k] for k in range(headings)]
 

@@ -12,7 +12,8 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.body_size import sized, unlikely
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.trials import opposite, standing_places
+from voodoo_jax.trackers.icp.start.eye import Seen, poses_of, seen
+from voodoo_jax.trackers.icp.trials import facing, opposite, standing_places
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 # a start that faces the other way is looked at where it costs less than so much more than the best; by hand
@@ -22,6 +23,10 @@ OFF_FLOOR, HIDDEN = 0.04, 0.35  # metres: whose lowest points are so much higher
 BADLY = 2.0  # times what a sure start leaves unexplained: a body that leaves more fits badly; by hand
 USUAL = 0.018  # metres of noise that a start is allowed in any case; by hand
 NOISY = 0.03  # metres of noise from which on a clearer start is looked for however good the first one is; by hand
+
+# where the eye sees somebody one of so many headings is tried; frames of which it sees one, and weight of the logarithm
+# of its odds against a start's facing in that of the cost: measured, experiments/eye
+FEWER, EVERY, TURNED = 3, 3, 0.3
 
 
 class StartHypothesis(NamedTuple):
@@ -49,19 +54,45 @@ class StartHypothesis(NamedTuple):
         return self.cost - self.noise**2
 
 
-def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> StartHypothesis:
-    """The best of trials in all headings from frame `at`, and of one in the poses `before`, moved there.
-
-    `rest` the body with another rest pose, to begin with that.
-    """
-    s: StartSettings = run.settings.start
+def trial(run: Runner, at: int, body: Body, before: Poses | None = None) -> StartHypothesis:
+    """The best of trials from frame `at`, see places_to_try, and of one in the poses `before`, moved there."""
     frames = tried_on(run, at)
-    places = standing_places(rest or body, frames[::-1], run.scene.floor, s.headings)
+    places = places_to_try(run, body, frames)
     if before is not None:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)
         places.append(Poses(last.rotation, last.translation + shift))
-    return best_from(run, at, body, places)
+    return ahead_first(run, best_from(run, at, body, places))
+
+
+def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> list[Poses]:
+    """Poses in the last of some frames: at rest in headings all round, or in fewer, and as the eye sees the person."""
+    person = person_in(run, frames[-1])
+    pose = None if person is None else poses_of(body, person)
+    many = run.settings.start.headings // (1 if pose is None else FEWER)
+    front = None if pose is None or person is None else person.front
+    places = standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front)
+    return places if pose is None else [*places, pose]
+
+
+def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
+    """The person in a frame as the eye sees them; None for other bodies and on an unknown floor."""
+    if run.body.scale_name != "stature" or run.scene.floor_open:
+        return None
+    return seen(frame, run.scene.floor)
+
+
+def ahead_first(run: Runner, start: StartHypothesis) -> StartHypothesis:
+    """A start or its rival, which costs the more the surer the eye is that somebody does not face so."""
+    some = run.people[start.frame : start.frame + run.settings.start.size_frames : EVERY] if start.rival else []
+    fronts = [person.front for f in some if (person := person_in(run, f)) is not None]
+    if start.rival is None or not fronts:
+        return start
+    both = [start._replace(rival=None), start.rival]
+    ahead = facing(on_host(start.body), np.stack([np.asarray(each.poses.rotation) for each in both]))
+    factor = np.exp(TURNED * np.maximum(-(ahead @ np.mean(fronts, 0)), 0.0))
+    first, second = sorted((b._replace(cost=b.cost * float(f)) for b, f in zip(both, factor)), key=lambda b: b.cost)
+    return first._replace(rival=second)
 
 
 def best_from(run: Runner, at: int, body: Body, places: list[Poses]) -> StartHypothesis:

@@ -19,6 +19,7 @@ class LaterStart:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"points"})
 
+    as_well: float = 1.2  # the earliest that costs less than so much more than the cheapest: less is tracked backwards
     clearer: float = 0.5  # a later start is taken where it costs less than this share of the first
 
     def __call__(self, run: Runner, search: Search) -> Search:
@@ -30,7 +31,8 @@ class LaterStart:
             found.append(trial(run, frame, sized_at(run, frame, low)))
             if found[-1].clear(0.0):  # who was in doubt is not easily sure again
                 break
-        cheapest = min(found, key=lambda b: b.cost)
+        least = min(b.cost for b in found)
+        cheapest = next(b for b in found if b.cost < self.as_well * least)
         best = cheapest if cheapest.cost < self.clearer * first.cost else first
         return search._replace(best=best, found=tuple(found))
 

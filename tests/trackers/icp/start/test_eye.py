@@ -1,0 +1,121 @@
+"""What the learned eye sees: voxels of points, poses of joints, people who are turned and who are nobody."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.support.in_front import in_front
+from voodoo_jax.config.options import Settings
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.rigid import Poses, compose, on_host
+from voodoo_jax.io.log_reader import read_log
+from voodoo_jax.kernels.eye import JOINTS
+from voodoo_jax.model.body import joint_centres, scaled
+from voodoo_jax.model.body_file import human, load_body
+from voodoo_jax.simulate.mcap import write_simulation
+from voodoo_jax.simulate.motion import motion_of_turns, placed
+from voodoo_jax.simulate.recording import simulate
+from voodoo_jax.simulate.sensor import tof_camera
+from voodoo_jax.trackers.front import track
+from voodoo_jax.trackers.icp.start import eye, hypothesis
+from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, ahead_first, person_in, trial
+from voodoo_jax.trackers.icp.trials import facing
+
+BODY = scaled(human(), 1.75)
+
+
+def joints_of(poses: Poses) -> np.ndarray:
+    centres = np.asarray(joint_centres(BODY, poses))
+    return centres[[BODY.topology.centres.index(name) for name in JOINTS]]
+
+
+@pytest.fixture(scope="module")
+def somebody(tmp_path_factory):
+    """Who stretches out the left arm, before they are started."""
+    turn = np.tile([1.2, 0.0, 0.0], (12, 1))
+    return in_front(tmp_path_factory.mktemp("eye") / "log.mcap", BODY, {"l_shoulder": turn}, 12)
+
+
+def test_it_sees_where_joints_are_and_which_way_they_face(somebody):
+    sim, run = somebody
+    person = person_in(run, run.people[0])
+    truth = sim.joints[0][[BODY.topology.centres.index(name) for name in JOINTS]]
+    assert person is not None
+    away = np.linalg.norm(person.joints - truth, axis=1)
+    assert away.mean() < 0.12 and person.spread.mean() < 0.2
+    assert person.front @ facing(BODY, sim.rotation[:1])[0] > 2
+
+
+def test_it_sees_the_same_wherever_up_is(somebody):
+    _, run = somebody
+    frame, floor = run.people[0], run.scene.floor
+    turn, shift = Rotation.from_euler("xyz", [0.7, -0.4, 2.0]).as_matrix(), np.array([3.0, -2.0, 1.0])
+    moved = replace(
+        frame,
+        points=(frame.points @ turn.T + shift).astype(np.float32),
+        origins=(frame.origins @ turn.T + shift).astype(np.float32),
+    )
+    normal = (turn @ floor.normal).astype(np.float32)
+    one, other = eye.seen(frame, floor), eye.seen(moved, Plane(normal, float(floor.offset + normal @ shift)))
+    assert one is not None and other is not None
+    np.testing.assert_allclose(one.joints @ turn.T + shift, other.joints, atol=0.02)
+    np.testing.assert_allclose(turn @ one.front, other.front, atol=0.3)
+
+
+def test_voxels_hold_all_points_about_the_column():
+    points = np.random.default_rng(0).normal([0, 0, 1.0], [0.2, 0.25, 0.3], (300, 3))
+    made, at = eye.tokens(np.concatenate([points, [[2.0, 0, 1], [0, 0, 2.6]]]))
+    count = np.round(9 * made[:, -1])
+    assert made.shape == (eye.TOKENS, eye.FEATURES) and np.all(at[-2:] == -1)
+    assert np.array_equal(np.bincount(at[at >= 0], minlength=eye.TOKENS), count)
+    for k in range(5):
+        np.testing.assert_allclose(made[k, :3], points[at[:-2] == k].mean(0), rtol=1e-5)
+        np.testing.assert_allclose(made[k, 3:6], 400 * points[at[:-2] == k].var(0), atol=1e-3)
+    assert not eye.tokens(np.zeros((0, 3)))[0].any()
+
+
+def test_the_body_takes_on_the_joints_that_are_seen(somebody):
+    sim, run = somebody
+    wanted = sim.joints[0][[BODY.topology.centres.index(name) for name in JOINTS]]
+    person = eye.Seen(wanted, np.full(len(JOINTS), 0.1), np.zeros(3))
+    poses = eye.poses_of(BODY, person)
+    assert poses is not None and np.linalg.norm(joints_of(poses) - wanted, axis=1).max() < 0.03
+    assert eye.poses_of(BODY, person._replace(spread=np.ones(len(JOINTS)))) is None
+    assert eye.poses_of(load_body("arm"), person) is None
+
+
+def test_dogs_and_unknown_floors_are_not_looked_at(somebody):
+    _, run = somebody
+    run = run.anew(run.people)
+    run.scene = replace(run.scene, floor_open=True)
+    assert person_in(run, run.people[0]) is None
+    run.scene, run.body = replace(run.scene, floor_open=False), load_body("dog")
+    assert person_in(run, run.people[0]) is None
+
+
+def test_a_start_that_is_turned_costs_more(somebody, monkeypatch):
+    """By the odds of its facing, so that its rival may be first."""
+    _, run = somebody
+    right = trial(run, 0, BODY)
+    ahead, turn = facing(BODY, np.asarray(right.poses.rotation)[None])[0], np.diag([-1.0, -1.0, 1.0])
+    turned = compose(Poses(np.float32([0, 0, 0, 1]), np.zeros(3, np.float32)), on_host(right.poses))
+    wrong = StartHypothesis(0, BODY, turned, 1.0, rival=StartHypothesis(0, BODY, right.poses, 1.2))
+    assert np.allclose(facing(BODY, np.asarray(turned.rotation)[None])[0], turn @ ahead, atol=1e-5)
+    found = ahead_first(run, wrong)
+    assert found.poses is right.poses and found.cost == 1.2 and found.rival.poses is turned and found.rival.cost > 1.2
+    monkeypatch.setattr(hypothesis, "person_in", lambda run, frame: None)
+    assert ahead_first(run, wrong) is wrong
+
+
+def test_somebody_with_raised_arms_is_found(tmp_path):
+    """From the first frame on; the hands are what is highest."""
+    time, up = np.arange(24) / 30, np.array([2.8, 0.0, 0.0])
+    wave = 0.15 * np.sin(8 * time)[:, None] * np.array([1.0, 0, 0])
+    moved = motion_of_turns(BODY, time, {"l_shoulder": up + wave, "r_shoulder": -up + wave})
+    sim = simulate(BODY, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
+    tracks = track(human(), read_log(write_simulation(sim, tmp_path / "raised.mcap")), Settings())
+    error = np.linalg.norm(tracks.joints - sim.joints, axis=-1)
+    assert tracks.tracked.all() and error.mean() < 0.06
+    assert float(tracks.body.scale) == pytest.approx(1.75, rel=0.08)

@@ -1,0 +1,136 @@
+"""What a learned eye sees of a person in one frame: where to start from, and which way they face.
+
+Host side, but for the net (kernels/eye.py). The weights are described in eye.md.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from voodoo_jax.compile.executable import program
+from voodoo_jax.geometry.arrays_file import arrays_in
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.kernels.eye import HIGH, JOINTS, LEFT, RIGHT, Params, ahead, forward, named
+from voodoo_jax.markers.first_pose import first_pose
+from voodoo_jax.model.body import Body
+from voodoo_jax.records.observation import BodyObservation
+
+# voxels, and numbers of each, that the net takes; size, lowest height and farthest distance from the column, metres;
+# cells along x, y and z: the weights hold for these alone, see experiments/eye
+TOKENS, FEATURES, VOXEL, LOW, RADIUS = 64, 18, 0.18, -0.12, 1.1
+GRID = np.array([13, 13, 14])  # as in experiments/eye
+FLOOR, THIN = 0.02, 0.03  # metres above the floor, and between points, of what it is asked of: as in experiments/eye
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of a covariance, as in experiments/eye
+# looks at most, each about the hips that the one before has found, if these are farther off; metres; measured there
+LOOKS, NEAR = 2, 0.05
+SURE = 0.3  # metres of own error: joints with more do not count; measured, experiments/eye
+
+
+class Seen(NamedTuple):
+    """A person in one frame."""
+
+    joints: Float[np.ndarray, "joint 3"]  # metres, fixed frame; in the order of kernels.eye.JOINTS
+    spread: Float[np.ndarray, " joint"]  # their error, metres
+    front: Float[np.ndarray, "3"]  # where the trunk faces, level, as long as the logarithm of the odds of that
+
+
+OWN = Path(__file__).with_name("eye.npz")
+
+
+@cache
+def weights(path: Path = OWN) -> Params:
+    """The weights of a net in a file."""
+    with path.open("rb") as file:
+        return {name: value.astype(np.float32) for name, value in arrays_in(file).items()}
+
+
+@program
+def told(p: Params, tok: Float[Array, "token feature"], sensor: Float[Array, "2"]) -> tuple[Array, Array, Array]:
+    """Joints, logarithm of their error, level direction that they face, as long as the logarithm of the odds of that;
+    in the frame of the view."""
+    said, odds = named(forward(p, tok, sensor))
+    way = ahead(said.joints)
+    return said.joints, said.spread, odds * way / (jnp.linalg.norm(way) + 1e-6)
+
+
+def prepare(body: Body) -> None:
+    """Compiles or loads the net, for a person."""
+    if body.scale_name == "stature":
+        told.prepare(weights(), np.zeros((TOKENS, FEATURES), np.float32), np.zeros(2, np.float32))
+
+
+def seen(frame: BodyObservation, floor: Plane) -> Seen | None:
+    """The person whose points these are; None without points above the floor."""
+    points, up = frame.points[floor.height(frame.points) > FLOOR].astype(float), floor.normal.astype(float)
+    if not len(points):
+        return None
+    sensor = frame.origins[int(np.bincount(frame.sensor).argmax())].astype(float)
+    column, looks = np.median(points, 0), LOOKS
+    while True:
+        foot = column - (column @ up - floor.offset) * up
+        turn = view(sensor - foot, up)
+        at, eye = thinned((points - foot) @ turn.T), (sensor - foot) @ turn.T
+        far = np.array([np.hypot(*eye[:2]), eye[2]], np.float32)
+        joints, spread, front = map(np.asarray, told(weights(), tokens(at)[0], far))
+        hips, looks = joints[[LEFT[1], RIGHT[1]], :2].mean(0), looks - 1
+        if looks == 0 or np.linalg.norm(hips) < NEAR:
+            return Seen(joints @ turn + foot, np.exp(spread), front @ turn[:2])
+        column = foot + hips @ turn[:2]
+
+
+def view(sensor: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The turn into the frame of the view: z up, the sensor, as it is from the origin, towards +x."""
+    level = sensor - (sensor @ up) * up
+    x = level if np.linalg.norm(level) > 1e-6 else np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(up, x), up])
+
+
+def thinned(points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "some 3"]:
+    """One point in each small voxel."""
+    key = np.floor(points / THIN).astype(np.int64) @ [4096**2, 4096, 1]
+    return points[np.unique(key, return_index=True)[1]]
+
+
+def tokens(
+    points: Float[np.ndarray, "point 3"],
+) -> tuple[Float[np.ndarray, "token feature"], Int[np.ndarray, " point"]]:
+    """Voxels of points about a column in the frame of the view, the nearest to the axis first: mean, covariance,
+    octants, number of points; and the voxel of each point, -1 of those that are in none."""
+    corner, lattice = np.array([GRID[0] / 2, GRID[1] / 2, -LOW / VOXEL]), points / VOXEL
+    cell = np.floor(lattice + corner).astype(int)
+    inside = (np.hypot(points[:, 0], points[:, 1]) <= RADIUS) & (points[:, 2] <= HIGH)
+    near = np.flatnonzero(inside & np.all((cell >= 0) & (cell < GRID), 1))
+    some, octant = points[near], (lattice[near] + corner - cell[near] > 0.5) @ [4, 2, 1]
+    _, which, count = np.unique(cell[near] @ [GRID[1] * GRID[2], GRID[2], 1], return_inverse=True, return_counts=True)
+    mean, square = (
+        np.stack([np.bincount(which, v, len(count)) for v in values], -1) / count[:, None]
+        for values in (some.T, [some[:, i] * some[:, j] for i, j in PAIRS])
+    )
+    spread = square - np.stack([mean[:, i] * mean[:, j] for i, j in PAIRS], -1)
+    share = np.bincount(8 * which + octant, minlength=8 * len(count)).reshape(-1, 8) / count[:, None]
+    away = np.hypot(mean[:, 0], mean[:, 1]) - 0.01 * np.minimum(count, 9)
+    kept = np.argsort(away, kind="stable")[:TOKENS]
+    made = np.zeros((TOKENS, FEATURES), np.float32)
+    made[: len(kept)] = np.column_stack([mean, 400 * spread, share, count / 9])[kept]
+    place, at = np.full(len(count), -1), np.full(len(points), -1)
+    place[kept] = np.arange(len(kept))
+    at[near] = place[which]
+    return made, at
+
+
+def poses_of(body: Body, person: Seen) -> Poses | None:
+    """The body with its joints where they are seen; None for a body without these joints."""
+    names, centres = body.topology.centres, len(body.topology.site_limbs)
+    known = np.array([name in names for name in JOINTS])
+    rows = np.array([centres + names.index(name) if name in names else 0 for name in JOINTS])
+    use = known & (person.spread < SURE)
+    if use.sum() < 6:
+        return None
+    turn, at, _ = first_pose(body, rows, person.joints, use, scaled_by=1.0)
+    return Poses(turn.astype(np.float32), at.astype(np.float32))
