@@ -18,7 +18,7 @@ from experiments.eye.midway import turned
 from experiments.eye.train import Pool
 from experiments.scoreboard.tracked import read_known
 from voodoo_jax.kernels.eye import JOINTS
-from voodoo_jax.trackers.icp.start.eye import weights as weights_in
+from voodoo_jax.trackers.shared.eye import weights as weights_in
 
 FAR = 0.5  # metres: who is farther off is somebody else
 SURER = (0.5, 1.0, 2.0, 3.0, 4.0)  # logarithms of odds

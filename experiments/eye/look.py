@@ -12,8 +12,8 @@ import numpy as np
 
 from experiments.eye.data import PARTS
 from voodoo_jax.kernels.eye import HIGH, JOINTS, forward, named
-from voodoo_jax.trackers.icp.start.eye import FEATURES, RADIUS, TOKENS, thinned, tokens, view
-from voodoo_jax.trackers.icp.start.eye import weights as weights_in
+from voodoo_jax.trackers.shared.eye import FEATURES, RADIUS, TOKENS, thinned, tokens, view
+from voodoo_jax.trackers.shared.eye import weights as weights_in
 
 CELL, NEAR, APART, FLOOR = 0.3, 0.35, 0.45, 0.05  # metres
 UP = np.array([0, 0, 1.0])

@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from experiments.eye.data import CLASSES, JOINTS, PARTS
 from voodoo_jax.kernels.eye import BINS, MIDDLES, OTHER, WAVES, Params, Told, ahead, forward, named
-from voodoo_jax.trackers.icp.start.eye import FEATURES
+from voodoo_jax.trackers.shared.eye import FEATURES
 
 WIDTH, DEPTH = 64, 3
 JOINT_COUNT = len(JOINTS)

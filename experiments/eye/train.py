@@ -20,7 +20,7 @@ import optax  # pyright: ignore[reportMissingImports]
 from experiments.eye import net
 from experiments.eye.data import BACKGROUND, CLASSES, SHARD
 from voodoo_jax.kernels.eye import OTHER
-from voodoo_jax.trackers.icp.start.eye import FEATURES, TOKENS, tokens, view
+from voodoo_jax.trackers.shared.eye import FEATURES, TOKENS, tokens, view
 
 RATE, WARM, KEEPS = 2e-3, 8_000, 0.998  # highest rate, crops until then, of the mean of weights
 CHECKS, ENOUGH = 24, 25  # times that it is measured, points of a person that are somebody

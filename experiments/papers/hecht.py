@@ -179,7 +179,7 @@ def followed(path: Path, seen: Seen, settings: Settings, stature: float, fixed_f
     states, heads = jax.tree.map(lambda a: a[None], state), Heads(observed, first, begin, skin, s)
     for i in order:
         heads.look(observed, i)
-    on = Begun(observed, skin, first, begin, heads, model, states, key)
+    on = Begun(observed, skin, first, begin, heads, None, model, states, key)
     every = filtered(on, states, observed, order, key, s)[1]
     found = chosen(every, descent(every))
     camera = camera_places(observed, order)

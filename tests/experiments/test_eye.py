@@ -10,7 +10,7 @@ from experiments.eye.postures import drawn
 from experiments.people.motions import PARENT, Clip
 from voodoo_jax.kernels.eye import JOINTS as NAMES
 from voodoo_jax.kernels.eye import LEFT, MIDDLES, OTHER, RIGHT, Told, forward, named
-from voodoo_jax.trackers.icp.start.eye import TOKENS, tokens
+from voodoo_jax.trackers.shared.eye import TOKENS, tokens
 
 REST = Clip(dict.fromkeys(PARENT, Rotation.identity(1)), np.zeros((1, 3)))
 

@@ -49,6 +49,7 @@ def given(head=BODY.rest[HEAD], head_seen: float = 1.0, learning: float = 0.0, *
     what = Inputs(
         seen_by_camera(**more), np.zeros((4, 3), np.float32), none, none, np.asarray(head, np.float32),
         np.float32(head_seen), UP, np.float32(0.1), np.int32(0), np.float32(learning) + no, np.bool_(True),
+        np.zeros((16, 3), np.float32), no,
     )  # fmt: skip
     return jax.tree.map(jnp.asarray, what)
 

@@ -22,7 +22,7 @@ def seen(x: np.ndarray, surface: float = 0.5, explained: float = 0.9) -> Seen:
     return Seen(
         of(x), of(np.full((FRAMES, 4, 3), 0.02)), of(np.ones((FRAMES, 16))), score, of(np.full(FRAMES, explained)),
         of(np.full(FRAMES, 0.02)), of(part), of(part), of(np.zeros(FRAMES)), of(np.zeros((FRAMES, 16))),
-        jnp.zeros(FRAMES, jnp.int32),
+        jnp.zeros(FRAMES, jnp.int32), of(np.zeros(FRAMES)),
     )  # fmt: skip
 
 
@@ -58,9 +58,14 @@ def test_a_body_turns_about_the_middle_of_its_trunk():
 
 def test_hypotheses_are_followed_back_from_the_one_that_fits_last():
     fit = jnp.array([[9.0, 0.0], [5.0, 0.0], [0.0, 1.0]])
-    every = seen(np.zeros((FRAMES, 16, 3)))._replace(fit=fit, follows=jnp.array([[1, 1], [0, 0], [0, 0]]))
+    follows = jnp.array([[1, 1], [0, 0], [0, 0]])
+    every = seen(np.zeros((FRAMES, 16, 3)))._replace(fit=fit, follows=follows, anew=jnp.zeros((3, 2)))
     np.testing.assert_array_equal(descent(every), [1, 0, 1])
     np.testing.assert_array_equal(descent(every, online=True), [0, 0, 1])
+    anew = every._replace(anew=jnp.array([[0, 0], [0, 0], [0, 1.0]]))  # the last one: before it, others fit best
+    np.testing.assert_array_equal(descent(anew), [1, 0, 1])
+    anew = every._replace(anew=jnp.array([[0, 0], [1.0, 0], [0, 0]]))
+    np.testing.assert_array_equal(descent(anew), [0, 0, 1])
 
 
 def test_smoothing_takes_noise_and_leaves_the_way():

@@ -91,7 +91,7 @@ def _nothing(count: int, dtype: Any) -> Seen:
     score = Score(none(4), none(4), none(4), none(4), none(4))
     return Seen(
         none(16, 3), none(4, 3), none(16), score, none(), none(), none(PARTS), none(PARTS), none(), none(16),
-        jnp.zeros(count, jnp.int32),
+        jnp.zeros(count, jnp.int32), none(),
     )  # fmt: skip
 
 
@@ -102,22 +102,31 @@ def hypotheses(
     particles of which each has filters of its own. Leading axis of `states` and of what is seen: hypothesis.
 
     Limbs alone have filters in the paper: a trunk that turns by 30 degrees from one frame to the next is lost by it.
+    The last body begins anew where one is guessed from this frame alone: what all have lost is found again.
     """
     count, keys = shape.hypotheses, jax.random.split(key, 4)
     apart = jax.random.permutation(keys[0], jnp.asarray(ndtri((np.arange(count) + 0.5) / count), jnp.float32))
     angle = _GOES_ON * states.rate + n.turning[0] * apart
     lean = n.turning[1] * jax.random.normal(keys[1], (count, 3))
     ahead = jax.vmap(turned_body)(states, given.dt * (angle[:, None] * given.up + lean)) if count > 1 else states
+    anew = given.guessed * jnp.asarray(np.arange(count) == max(count - 1, 1), states.x.dtype)
+    fresh = start(jax.random.fold_in(keys[1], count), body, given.guess, shape)._replace(
+        colours=states.colours, learnt=states.learnt
+    )
+    begin = lambda old, new: jnp.where(anew.reshape(-1, *[1] * (old.ndim - 1)) > 0, new, old)  # noqa: E731
+    ahead = jax.tree.map(begin, ahead, fresh)
     run = lambda state, key: frame(body, state, given, key, n, shape)  # noqa: E731
     after, seen = jax.vmap(run)(ahead, jax.random.split(keys[2], count))
-    step = jax.vmap(lambda x, before: heading(x, given.up) - heading(before, given.up))(after.x, states.x)
+    step = jax.vmap(lambda x, before: heading(x, given.up) - heading(before, given.up))(
+        after.x, begin(states.x, after.x)
+    )
     rate = jnp.clip((step + jnp.pi) % (2 * jnp.pi) - jnp.pi, -_MOST, _MOST) / given.dt
     weight = jax.nn.softmax(n.sharpness * seen.fit)
     mean = jnp.einsum("h,hpa->pa", weight, after.x)
     wide = jnp.sqrt(jnp.einsum("h,hp->p", weight, jnp.sum((after.x - mean) ** 2, -1)))
     pick = systematic(jax.random.uniform(keys[3]), weight)
     goes_on = jax.tree.map(lambda a: a[pick], after._replace(rate=rate))
-    return goes_on, seen._replace(wide=jnp.broadcast_to(wide, seen.wide.shape), follows=pick)
+    return goes_on, seen._replace(wide=jnp.broadcast_to(wide, seen.wide.shape), follows=pick, anew=anew)
 
 
 def heading(x: Float[Array, "16 3"], up: Float[Array, "3"]) -> Float[Array, ""]:
@@ -376,4 +385,6 @@ def _seen(
     facing = jnp.sum(level(frames(x).upper[0]) * toward)
     fit = image - len(LIMBS) * n.weighing.points * far + _FRONT * given.head_seen * jnp.minimum(facing, 0.0)
     explained = jnp.sum(near) / total
-    return Seen(x, spread, masses, score, explained, residual, support, off, fit, jnp.zeros(16), jnp.int32(0))
+    return Seen(
+        x, spread, masses, score, explained, residual, support, off, fit, jnp.zeros(16), jnp.int32(0), jnp.zeros(())
+    )

@@ -65,7 +65,7 @@ class LiveFlexible:
             raise SettingsError("live tracking by the flexible tracker looks through one camera or pair: read.topics")
         self._on = begun(self._body, seen, self.settings) if self._on is None else self._on._replace(seen=seen)
         if self._on is not None:
-            self._on.heads.look(seen, row)
+            self._on.look(row)
             states, every = filtered(
                 self._on, self._on.states, seen, range(row, row + 1), self._on.key, self.settings.flexible
             )

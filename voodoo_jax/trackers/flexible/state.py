@@ -64,6 +64,8 @@ class Inputs(NamedTuple):
     index: Int[Any, ""]
     learn: Float[Any, ""]  # what the image counts for the colours; 0: nothing
     valid: Bool[Any, ""]  # False: no frame, only there to fill up
+    guess: Float[Any, "16 3"]  # the body as it seems to be in this frame alone, metres
+    guessed: Float[Any, ""]  # 0 or 1
 
 
 class Seen(NamedTuple):
@@ -80,3 +82,4 @@ class Seen(NamedTuple):
     fit: Float[Array, ""]  # logarithm of the body's weight, not yet tempered
     wide: Float[Array, "16"]  # how far the hypotheses are apart, standard deviation, metres
     follows: Int[Array, ""]  # the hypothesis of this frame that the one in this place goes on from in the next frame
+    anew: Float[Array, ""]  # 1: this hypothesis began in this frame

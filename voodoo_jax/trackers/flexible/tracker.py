@@ -30,6 +30,7 @@ from voodoo_jax.trackers.flexible.flexible_body import (
     flexible_body,
     rest_points,
 )
+from voodoo_jax.trackers.flexible.guesses import Guesses
 from voodoo_jax.trackers.flexible.head import HeadFilter, Start, find_start, first_pose
 from voodoo_jax.trackers.flexible.image_features import SkinModel
 from voodoo_jax.trackers.flexible.observed import Observed, chosen_points, looks, observe, uses_dense, view_of
@@ -127,7 +128,7 @@ def followed(
         return Followed(nobody, None, 0, SkinModel(), seen)
     seen, order, states = on.seen, range(on.first, len(on.seen.features)), on.states
     for i in order:
-        on.heads.look(seen, i)
+        on.look(i)
     states, every = filtered(on, states, seen, order, on.key, s, progress)
     at = descent(every, settings.online)
     found = chosen(every, at)
@@ -210,9 +211,16 @@ class Begun(NamedTuple):
     first: int  # row
     begin: Start
     heads: Heads
+    guesses: Guesses | None  # None: one hypothesis alone, as in the paper, or an unknown floor
     model: FlexibleBody
     states: State  # before the first row; leading axis: hypothesis
     key: jax.Array
+
+    def look(self, row: int) -> None:
+        """Takes one more row, which follows the one before."""
+        self.heads.look(self.seen, row)
+        if self.guesses is not None:
+            self.guesses.look(row, self.seen.people[row], self.seen.scene.floor)
 
 
 def begun(body: Body, seen: Observed, settings: Settings) -> Begun | None:
@@ -225,7 +233,8 @@ def begun(body: Body, seen: Observed, settings: Settings) -> Begun | None:
     x = first_pose(np.asarray(model.rest), begin, seen.scene.floor.normal.astype(np.float32))
     state = start(jax.random.fold_in(key, 2**30), model, jnp.asarray(x), shape)
     states = jax.tree.map(lambda a: jnp.repeat(a[None], shape.hypotheses, 0), state)
-    return Begun(seen, skin, first, begin, Heads(seen, first, begin, skin, s), model, states, key)
+    guesses = None if shape.hypotheses == 1 or seen.scene.floor_open else Guesses(np.asarray(model.rest))
+    return Begun(seen, skin, first, begin, Heads(seen, first, begin, skin, s), guesses, model, states, key)
 
 
 def finished(on: Begun, nobody: Tracks, found: Seen, settings: Settings) -> Tracks:
@@ -240,11 +249,10 @@ def finished(on: Begun, nobody: Tracks, found: Seen, settings: Settings) -> Trac
     return rate_joints(tracks, found, on.seen.row[on.first :], least, not settings.online)
 
 
-# 7 parameters: what a chunk of frames is made of
-def _inputs(
-    seen: Observed, heads: Heads, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int, skin: SkinModel
-) -> Inputs:
-    rows = []
+# 6 parameters: what a chunk of frames is made of
+def _inputs(on: Begun, seen: Observed, at: list[int], s: FlexibleSettings, up: np.ndarray, pad: int) -> Inputs:
+    rows, heads, skin, none = [], on.heads, on.skin, np.zeros((16, 3), np.float32)
+    guesses = on.guesses.place if on.guesses is not None else {}
     for k, i in enumerate(at):
         views = looks(seen, i, s, skin)
         view, *more = (view_of(look) for look in views)
@@ -254,6 +262,7 @@ def _inputs(
             view._replace(more=tuple(more)), points, share, bare, heads.place.get(i, np.zeros(3, np.float32)),
             np.float32(float(i in heads.place)), up, np.float32(min(dt, 0.2)), np.asarray(i, np.int32),
             np.float32(float(i < s.learn_frames)), np.asarray(k < len(at) - pad),
+            guesses.get(i, none), np.float32(float(i in guesses)),
         ))  # fmt: skip
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
@@ -269,7 +278,7 @@ def filtered(
     for begin in range(0, len(frames), CHUNK):
         at = frames[begin : begin + CHUNK]
         pad = CHUNK - len(at)
-        given = jax.device_put(_inputs(seen, on.heads, at + at[-1:] * pad, s, up, pad, on.skin))
+        given = jax.device_put(_inputs(on, seen, at + at[-1:] * pad, s, up, pad))
         states, found = track_chunk(on.model, states, given, key, n, shape)
         out.append(jax.tree.map(np.asarray, found))
         if progress is not None:
@@ -285,10 +294,10 @@ def chosen(every: Seen, at: Int[np.ndarray, " frame"]) -> Seen:
 def descent(every: Seen, online: bool = False) -> Int[np.ndarray, " frame"]:
     """Of each frame the hypothesis from which the one comes that fits best in the last frame; `online`: the one that
     fits best there."""
-    fit, follows = np.asarray(every.fit), np.asarray(every.follows)
+    fit, follows, anew = (np.asarray(a) for a in (every.fit, every.follows, every.anew))
     at = fit.argmax(1)
     for i in range(len(fit) - 1, 0, -1) if not online else ():
-        at[i - 1] = follows[i - 1, at[i]]
+        at[i - 1] = at[i - 1] if anew[i, at[i]] else follows[i - 1, at[i]]  # before it began anew others fit best
     return at
 
 

@@ -35,9 +35,9 @@ from voodoo_jax.trackers.icp.pipeline import PLACE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.runner import THING_FRAMES, Runner
 from voodoo_jax.trackers.icp.stage import is_active
-from voodoo_jax.trackers.icp.start import eye
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.icp.tracker import finished, tracks_of
+from voodoo_jax.trackers.shared import eye
 from voodoo_jax.trackers.shared.confidence import AROUND
 from voodoo_jax.trackers.shared.report import looked_at, padded
 from voodoo_jax.trackers.shared.runner import FEW_POINTS

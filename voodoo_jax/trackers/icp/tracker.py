@@ -31,8 +31,7 @@ from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.segment import depths
 from voodoo_jax.trackers.icp.sequence import track_whole
 from voodoo_jax.trackers.icp.stage import is_active
-from voodoo_jax.trackers.icp.start import eye
-from voodoo_jax.trackers.shared import report
+from voodoo_jax.trackers.shared import eye, report
 from voodoo_jax.trackers.shared.runner import FEW_POINTS, spans
 
 

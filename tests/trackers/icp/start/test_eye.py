@@ -19,9 +19,10 @@ from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.front import track
-from voodoo_jax.trackers.icp.start import eye, hypothesis
+from voodoo_jax.trackers.icp.start import hypothesis
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, ahead_first, person_in, trial
 from voodoo_jax.trackers.icp.trials import facing
+from voodoo_jax.trackers.shared import eye
 
 BODY = scaled(human(), 1.75)
 

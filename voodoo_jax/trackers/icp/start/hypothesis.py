@@ -12,8 +12,8 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.body_size import sized, unlikely
 from voodoo_jax.trackers.icp.runner import Runner
-from voodoo_jax.trackers.icp.start.eye import Seen, poses_of, seen
 from voodoo_jax.trackers.icp.trials import facing, opposite, standing_places
+from voodoo_jax.trackers.shared.eye import Seen, poses_of, seen
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 # a start that faces the other way is looked at where it costs less than so much more than the best; by hand

@@ -1,0 +1,54 @@
+"""The body in single frames, as the learned eye sees it: where a lost hypothesis of the flexible tracker begins anew.
+
+Host side.
+"""
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.kernels.eye import JOINTS, OTHER
+from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
+from voodoo_jax.trackers.shared.eye import SURE, seen
+
+# what the logarithm of a frame's odds of the facing counts, as frames err alike, and the concentration of the change of
+# facing between frames (von Mises): chosen on half of experiments/stereo
+_COUNTS, _STEADY = 0.5, 6.0
+_AT = {name: i for i, name in enumerate(POINTS)}
+_NAMED = [_AT[point] for point in CENTRES]
+_FROM = [JOINTS.index(centre) for centre in CENTRES.values()]
+
+
+class Guesses:
+    """The body in each frame so far; metres, fixed frame. Left and right are as all frames so far make it likeliest,
+    since the eye takes a front for a back in one of ten frames.
+
+    **Arguments:** `rest` the flexible body at rest.
+    """
+
+    def __init__(self, rest: Float[np.ndarray, "16 3"]):
+        self.place: dict[int, Float32[np.ndarray, "16 3"]] = {}  # by row; none: the eye is not sure
+        hip, waist, shoulder = (float(rest[_AT[f"l_{name}"], 2]) for name in ("hip", "waist", "shoulder"))
+        self._waist = (waist - hip) / (shoulder - hip)
+        self._odds, self._front = 0.0, np.zeros(3)  # in the last frame: of the eye's left and right; where it faces
+
+    def look(self, row: int, person: BodyObservation, floor: Plane) -> None:
+        """In one more frame, which follows the one before."""
+        found = seen(person, floor)
+        if found is None or np.median(found.spread) > SURE:
+            self._front = np.zeros(3)
+            return
+        odds = float(np.linalg.norm(found.front))
+        front = found.front / max(odds, 1e-6)
+        alike, before = _STEADY * float(front @ self._front), self._odds
+        self._odds = _COUNTS * odds + float(
+            np.logaddexp(before + alike, -alike) - np.logaddexp(before - alike, alike)
+        )  # a step of the forward algorithm for two states
+        self._front = front
+        joints, x = found.joints if self._odds >= 0 else found.joints[OTHER], np.zeros((len(POINTS), 3), np.float32)
+        x[_NAMED] = joints[_FROM]
+        for side in "lr":
+            hip, shoulder = x[_AT[f"{side}_hip"]], x[_AT[f"{side}_shoulder"]]
+            x[_AT[f"{side}_waist"]] = hip + self._waist * (shoulder - hip)
+        self.place[row] = x
