@@ -81,8 +81,9 @@ def _joined(topology: Topology) -> Bool[np.ndarray, "limb limb"]:
     return near
 
 
-def _few(cloud: BodyObservation) -> slice:
-    return slice(None, None, len(cloud.points) // POINTS + 1)
+def evenly(points: Float32[np.ndarray, "point 3"]) -> Float32[np.ndarray, "some 3"]:
+    """At most POINTS of some points."""
+    return points[:: len(points) // POINTS + 1]
 
 
 def _beside(
@@ -95,7 +96,7 @@ def _beside(
     """Of the points nearest to each limb, the share that is not explained, and their mean distance, metres; and of
     those that are explained, the share that no other limb would explain."""
     turn = rotations(rotation).inv().as_matrix().astype(np.float32).reshape(*translation.shape, 3)
-    some = [f.points[_few(f)] for f in clouds]
+    some = [evenly(f.points) for f in clouds]
     frame = np.repeat(np.arange(len(clouds)), [len(points) for points in some])
     nearest, limb, other = map(np.concatenate, zip(*map(partial(_nearest, sizes, joined), turn, translation, some)))
     key = frame * len(sizes) + limb
@@ -142,7 +143,7 @@ def _covered(
     bare = np.full(translation.shape[:2], np.nan)
     for k, cloud in enumerate(clouds):
         found = [
-            _by_sensor(spots[k], radius, cloud.points[mine][:: len(mine) // POINTS + 1], _before(cloud, sensor), origin)
+            _by_sensor(spots[k], radius, evenly(cloud.points[mine]), _before(cloud, sensor), origin)
             for sensor, origin in enumerate(cloud.origins)
             if len(mine := np.flatnonzero(cloud.sensor == sensor)) >= FEW_POINTS
         ]
