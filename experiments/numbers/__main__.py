@@ -247,7 +247,7 @@ def main(
         for label, owner, name, value in every:
             with changed(owner, name, value):
                 compare(label, again(), before, lines)
-    out.write_text(text(json.loads(line) for line in lines.read_text().splitlines()))
+        out.write_text(text(json.loads(line) for line in lines.read_text().splitlines()))
 
 
 if __name__ == "__main__":

@@ -22,9 +22,9 @@ from voodoo_jax.trackers.shared.confidence import averaged
 
 ARM = ("upper_arm", "forearm", "hand")
 # shares: of a forearm's and hand's weight, that of points that no other limb explains; of the body's weight, the same;
-# of the hung arm's length, that would be seen. More than the first two: the arm is seen. Measured in 163 logs
-# (experiments/numbers): times or over 1.5 the last two are alike, the first one is 0.02 cm worse at 0.3 and alike at
-# 0.13; without the first two an arm of two-follow is lost (2.95 -> 4.38 cm), without the last a child is worse by 0.1
+# of the hung arm's length, that would be seen. More than the first two: the arm is seen. Measured in 163 logs: 0.13
+# and 0.3 for the first are 0.04 cm worse, the others times or over 1.5 are alike; without the first two an arm of
+# two-follow is lost (2.95 -> 4.38 cm), without the last a child is 0.1 cm worse
 OWN, SOME, BARE = 0.2, 0.003, 0.1
 # seconds from frames in which an arm is seen: less, it stays; more, it hangs. Measured: some arms that are right lie on
 # the trunk and are 1 s from such frames, none is 2 s
