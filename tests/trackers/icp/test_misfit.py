@@ -30,7 +30,7 @@ def points(rng):
 def test_a_body_on_its_points_fits(points):
     fit = found(points)
     assert fit.beside.shape == (2, len(LIMBS)) and fit.beside.mean() < 0.03 and fit.distance.mean() < 0.01
-    assert fit.bare.mean() < 0.1 and (fit.seen + fit.bare <= 1 + 1e-6).all() and fit.seen.mean() > 0.7
+    assert fit.bare.mean() < 0.1
 
 
 def test_a_body_beside_its_points_does_not(points):
@@ -43,9 +43,9 @@ def test_a_limb_without_points_is_bare_unless_another_one_hides_it(points):
     shank, head = LIMBS.index("l_shank"), LIMBS.index("head")
     low = points[points[:, 2] > 0.6]
     fit = found(low)
-    assert fit.bare[0, shank] > 0.9 and fit.seen[0, shank] == 0 and fit.bare[0, head] < 0.1
+    assert fit.bare[0, shank] > 0.9 and fit.bare[0, head] < 0.1
     behind = found(points, np.array([-0.6, 0.0, 0.0]))  # all of it behind what is seen
-    assert behind.bare[0, LIMBS.index("chest")] == 0 and behind.seen[0, LIMBS.index("chest")] == 0
+    assert behind.bare[0, LIMBS.index("chest")] == 0
 
 
 def test_a_limb_behind_furniture_is_not_bare(rng, points):
@@ -60,7 +60,6 @@ def test_a_limb_behind_furniture_is_not_bare(rng, points):
         )  # fmt: skip
         fit = misfit(BODY, np.tile(REST.rotation, (1, 1, 1)), place, [frame])
         np.testing.assert_allclose(fit.bare[0, legs], bare, atol=0.1)
-        np.testing.assert_array_equal(fit.seen, found(low, count=1).seen)
 
 
 @pytest.mark.parametrize("there, before", [(False, 0.0), (True, 0.1)])

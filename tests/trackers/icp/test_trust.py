@@ -247,24 +247,3 @@ def test_where_nobody_was_sure_nothing_is_tracked():
     assert (rate_joints(unsure, 0.4).status == Status.LOST).all()
     assert rate_joints(unsure, 0.4, ahead=False).tracked.all() and rate_joints(unsure, 0.0).tracked.all()
     assert rate_joints(good_tracks(60), 0.4).tracked.all()
-
-
-@pytest.mark.parametrize("what, doubted_joints", [("both", 4), ("one", 0), ("knees too", 0), ("upside down", 0)])
-def test_legs_that_fold_up_behind_are_doubted(what, doubted_joints):
-    """Nobody holds both so; one leg is held so, both legs are lifted by who sits, and a handstand is no folded leg."""
-    names = TOPOLOGY.centres
-    joints = np.zeros((40, CENTRES, 3), np.float32)
-    height = {"vc7": 1.2, "skullbase": 1.3} | {f"{side}_hip": 0.7 for side in "lr"}
-    height |= {f"{side}_knee": 0.55 for side in "lr"} | {f"{side}_talocrural": 0.85 for side in "lr"}
-    height |= {"one": {"l_talocrural": 0.1}, "knees too": {"l_knee": 0.8, "r_knee": 0.8}}.get(what, {})
-    height |= {"vc7": 0.2, "skullbase": 0.1} if what == "upside down" else {}
-    for name, z in height.items():
-        joints[:, names.index(name), 2] = z
-    up = np.array([0.0, 0.0, 1.0], np.float32)
-    tracks = replace(good_tracks(40), joints=joints, up=up)
-    said = rate_joints(tracks, 0.5).joint_confidence
-    assert said is not None
-    low = {names[k] for k in np.flatnonzero((said <= UNMARKED).all(0))}
-    assert len(low) == doubted_joints and low <= {f"{s}_{j}" for s in "lr" for j in ("knee", "talocrural")}
-    others = [k for k, name in enumerate(names) if name not in low]
-    assert (said[:, others] > 0.9).all()

@@ -40,7 +40,6 @@ STEADY = 0.45  # seconds over which both are compared; measured: 0 to 0.9 are al
 # metres: of a joint by the flexible tracker alone, and what a metre that both are apart counts for, standard deviations
 # along each axis; measured: 95 % of the truth of five rendered stereo logs is inside
 SPREAD, APART = 0.01, 0.25
-STUB = 0.1  # metres: limbs that are shorter turn as if they were so long; by hand
 
 
 class Choice(NamedTuple):
@@ -208,7 +207,7 @@ def _spread(
         limb = limb.copy()
         for n in np.unique(owner):
             more = wide[:, owner == n].max(1)
-            far = max(float(icp.body.sizes[n, 4]), STUB) / 2
+            far = float(icp.body.sizes[n, 4]) / 2
             limb[:, n] += more[:, None, None] * np.diag([far**-2] * 3 + [1.0] * 3)
     return limb, joint
 

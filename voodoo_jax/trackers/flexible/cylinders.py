@@ -24,7 +24,6 @@ from voodoo_jax.trackers.flexible.vectors import Vector, vectors
 
 # of the paper, with hands and feet: 12 of the limbs (limb by limb), the head, upper and lower torso
 PARTS = 15
-_FOOT_DOWN = 0.25  # how much a foot points down, share of how much it points forward: set by hand
 # how far the flat part of a torso patch reaches from side to side (share of its width), measured on rendered people
 _UPPER_SPAN, _LOWER_SPAN = (0.28, 0.72), (0.15, 0.85)
 
@@ -52,7 +51,7 @@ def limb_segments(
 ) -> tuple[Segment, Segment, Segment]:
     """The three cylinders of limbs: hands go on from forearms, feet point forward. All of shapes that go together."""
     bone = (p[2] - p[1]).unit()
-    ahead = (forward - bone * forward.dot(bone) + bone * _FOOT_DOWN).unit()
+    ahead = (forward - bone * forward.dot(bone)).unit()
     end = p[2] + bone.where(is_arm > 0, ahead) * tip
     places = ((p[0], p[1]), (p[1], p[2]), (p[2], end))
     first, second, third = (Segment(*place, radii[..., n, 0], radii[..., n, 1]) for n, place in enumerate(places))

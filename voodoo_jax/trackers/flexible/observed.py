@@ -21,10 +21,11 @@ from voodoo_jax.records.scene import Scene
 from voodoo_jax.storage.scratch import nameless_file
 from voodoo_jax.trackers.base import Unsuitable
 from voodoo_jax.trackers.flexible.image_features import Extractor, Features, Near, SkinModel, depth_points
+from voodoo_jax.trackers.flexible.physics import ANKLE
 from voodoo_jax.trackers.flexible.scores import View
+from voodoo_jax.trackers.shared.confidence import STATURE
 
 _PATIENCE = 60  # frames without an image at the beginning of a log, after which none are expected, by hand
-_OVER_FLOOR = 0.06  # metres: lower points are the floor's as often as the feet's by stereo, by hand
 _NOTHING = np.zeros((0, 3), np.float32)
 _BESIDE, _FASTEST = 0.25, 2.5  # metres from a person's points, and per second: so far hands may be next, by hand
 
@@ -282,7 +283,8 @@ def chosen_points(
     how likely it is skin, by the camera that is nearest to where it was seen from."""
     person = seen.people[i]
     points, share = np.zeros((s.points, 3), np.float32), np.zeros(s.points, np.float32)
-    good = np.flatnonzero(seen.scene.floor.height(person.points) > _OVER_FLOOR)
+    # lower points are the floor's as often as the feet's by stereo
+    good = np.flatnonzero(seen.scene.floor.height(person.points) > ANKLE * STATURE)
     chosen = np.random.default_rng([s.seed, i]).permutation(good)[: s.points]
     points[: len(chosen)] = person.points[chosen]
     share[: len(chosen)] = 1.0 if person.weight is None else person.weight[chosen]

@@ -38,10 +38,10 @@ from voodoo_jax.trackers.flexible.physics import NO_FLOOR
 from voodoo_jax.trackers.flexible.poses import centres_of, limb_poses
 from voodoo_jax.trackers.flexible.scores import Weighing, log_weight
 from voodoo_jax.trackers.flexible.state import Inputs, Numbers, Seen, Shape, State
+from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 NOBODY = "Nobody was found."
 CHUNK = 16  # frames per run of the program, whose images fit into memory: any gives the same
-_BELOW = 0.35  # share of the stature that a face is at most from the person's top: else it is a hand, by hand
 # frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
 # a weight): by hand
 _STRETCH, _EXPLAINS_MORE, _SCORES_MORE = 2.0, 0.02, 2.0
@@ -49,7 +49,6 @@ _AGREE = 0.15  # metres between passes up to which their mean is taken: on the s
 _SMOOTH = 0.047  # seconds, standard deviation: measured on the same ones
 _TRUNK = np.unique([*UPPER, *LOWER])
 _LIMB_OF = np.array([next((n for n, rows in enumerate(LIMBS) if p in rows), -1) for p in range(16)])
-_FEWEST = 120  # points of a person from which on tracking starts, by hand
 
 
 def numbers(s: FlexibleSettings, floor: Plane | None = None) -> Numbers:
@@ -157,7 +156,7 @@ def started(seen: Observed, stature: float) -> tuple[Observed, SkinModel, int, S
     found: list[tuple[Observed, SkinModel, int, Start]] = []
     for camera in range(1 + len(seen.others)):
         view, skin = seen.from_camera(camera) if camera else seen, SkinModel()
-        enough = (i for i, person in enumerate(view.people) if len(person.points) >= _FEWEST)
+        enough = (i for i, person in enumerate(view.people) if len(person.points) >= 3 * FEW_POINTS)
         if (first := next(enough, None)) is None:
             continue
         # of this camera alone: where a head is follows from the side that it sees of it
@@ -181,7 +180,6 @@ class Heads:
 
     def __init__(self, seen: Observed, first: int, begin: Start, skin: SkinModel, s: FlexibleSettings):
         self.place: dict[int, np.ndarray] = {}  # [3] by row; none: no face is seen
-        self._stature = begin.stature
         self._filter = HeadFilter(skin, begin.stature, s.head_particles, np.random.default_rng(s.seed))
         self._filter.begin(seen.features[first], begin.head, begin.face_seen)
         self._blind = not begin.face_seen
@@ -192,13 +190,10 @@ class Heads:
             return
         f, points = seen.features[i], seen.people[i].points
         found = self._filter(f)
-        if len(points) > 50:
+        if found is None and len(points) > 50:
             height = seen.scene.floor.height(points)
             top = np.median(points[height > np.percentile(height, 97)], 0).astype(np.float32)
-            if found is not None and np.linalg.norm(found - top) > _BELOW * self._stature:
-                found = None  # skin somewhere else
-            if found is None:
-                self._filter.follow(f, top)
+            self._filter.follow(f, top)
         if found is not None:
             self.place[i] = found
 

@@ -6,39 +6,15 @@ It uses the probabilities of shared/confidence.py to mark frames as LOST.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int8, Int64
+from jaxtyping import Float32, Int8, Int64
 
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
-from voodoo_jax.trackers.shared.confidence import UNMARKED, averaged, joint_confidence
+from voodoo_jax.trackers.shared.confidence import joint_confidence
 
 # somebody is there if once, for so many seconds on end, this was expected of the better half of the joints (of who is
 # cut off or behind something the others are hidden): measured, 0.60 at most for curtains, doors, robots and trolleys
 # that move, 0.66 at least for people who are less than 10 cm off. A dummy on a trolley had 0.70
 CONFIRMED, LONG = 0.63, 1.0
-# metres between hips and ankles above them, over a second: with a knee below the hip and an upright trunk nobody holds
-# both legs so. Of 235 logs of all kinds one did: its legs were on the back of a chair, behind a desk; by hand
-HEELS_UP = 0.05
-
-
-def legs_folded_up(tracks: Tracks, ahead: bool = True) -> Bool[np.ndarray, "frame joint"]:
-    """Knees and ankles of legs in an impossible pose: upright, with both ankles above the hips (HEELS_UP) and the knees
-    below.
-
-    They are fitted to furniture that hides the true ones.
-
-    **Arguments:** `ahead` as for `clues`.
-    """
-    names = tracks.body.topology.centres
-    out = np.zeros((len(tracks.status), len(names)), bool)
-    wanted = ["vc7", *(f"{side}_{joint}" for side in "lr" for joint in ("hip", "knee", "talocrural"))]
-    if tracks.up is None or not {*wanted} <= {*names}:
-        return out
-    at = [names.index(name) for name in wanted]
-    neck, *legs = averaged(tracks.joints[:, at].astype(float) @ tracks.up, ahead).T
-    (hip, knee, ankle), (hip2, knee2, ankle2) = legs[:3], legs[3:]
-    high = np.minimum(ankle, ankle2) - np.maximum(hip, hip2) > HEELS_UP
-    out[np.ix_(high & (knee < hip) & (knee2 < hip2) & (neck > ankle) & (neck > ankle2), at[2:4] + at[5:7])] = True
-    return out
 
 
 def rate_joints(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
@@ -48,7 +24,6 @@ def rate_joints(tracks: Tracks, least: float, ahead: bool = True) -> Tracks:
     **Arguments:** `ahead` as for `clues`.
     """
     confidence = joint_confidence(tracks, ahead)
-    confidence = np.where(legs_folded_up(tracks, ahead), np.minimum(confidence, np.float32(UNMARKED)), confidence)
     never = ahead and least > 0 and not confirmed(tracks.time_ns, confidence)
     status = mark_lost(tracks.status, confidence, np.inf if never else least)
     return replace(tracks, joint_confidence=confidence, status=status)

@@ -20,6 +20,7 @@ from voodoo_jax.records.segment import Segment
 from voodoo_jax.trackers.icp.limb_distance import signed_distance
 from voodoo_jax.trackers.icp.sequence import Whole
 from voodoo_jax.trackers.icp.stage import Stage
+from voodoo_jax.trackers.shared.confidence import EXPLAINED
 from voodoo_jax.trackers.shared.runner import spans
 
 FURNITURE_NOTE = remark("Things at rest that touch the body are furniture: the log was tracked without them.")
@@ -38,7 +39,7 @@ class DropUnexplained:
     most: int = 4  # times that a recording is tracked anew
     well: float = 0.99  # of the points explained, mean of all frames: nothing is left over
     every: int = 3  # of the frames in which things at rest are seen, one of so many is looked at
-    off: float = 0.06  # metres outside of all limbs: not explained
+    off: float = EXPLAINED  # metres outside of all limbs: not explained
     mostly: float = 0.7  # of the frames in which it is seen something is not explained, if it is furniture
     seen: int = 4  # frames in which it must be seen
     fewest: int = 20  # points at rest that are furniture, or there is none

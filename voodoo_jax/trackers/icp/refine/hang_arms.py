@@ -21,13 +21,17 @@ from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.shared.confidence import averaged
 
 ARM = ("upper_arm", "forearm", "hand")
-# shares by hand: of a forearm's and hand's weight, that of points that no other limb explains; of the body's weight,
-# the same; of the hung arm's length, that would be seen. More than the first two: the arm is seen
+# shares: of a forearm's and hand's weight, that of points that no other limb explains; of the body's weight, the same;
+# of the hung arm's length, that would be seen. More than the first two: the arm is seen. Measured in 163 logs: 0.13
+# and 0.3 for the first are 0.04 cm worse, the others times or over 1.5 are alike; without the first two an arm of
+# two-follow is lost (2.95 -> 4.38 cm), without the last a child is 0.1 cm worse
 OWN, SOME, BARE = 0.2, 0.003, 0.1
 # seconds from frames in which an arm is seen: less, it stays; more, it hangs. Measured: some arms that are right lie on
 # the trunk and are 1 s from such frames, none is 2 s
 STAYS, HANGS = 1.5, 2.0
-APART = 0.15  # metres, of the hand: one that is nearer to where it would hang hangs, and is seen or not; by hand
+# metres, of the hand: one that is nearer to where it would hang hangs, and is seen or not. Measured: 0.1 and 0.225 are
+# alike, without it five of 163 logs are worse by up to 0.4 cm, none better
+APART = 0.15
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,11 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.runner import Runner
 
-HIDDEN = 0.05  # share to which a limb is seen, below which nothing tells of it; by hand
+HIDDEN = 0.05  # share to which a limb is seen, below which nothing tells of it; measured: 0.033 and 0.075 are alike
 # what a shank's direction is ahead of the trunk: less by so much, and by so much of the thigh's; measured on the 18
 # recordings, whose thighs go ahead by 0.13 on average
 BACK, MORE, AHEAD = 0.15, 0.4, 0.13
-LYING, UPRIGHT = 0.3, 0.6  # cosines of the pelvis' lean: below nothing hangs, above all; by hand
+UPRIGHT = 0.5  # cosine of the pelvis' lean, from which on all hangs; measured: 0.4, 0.6, 0.9 and 1 are alike
 LEG = ("thigh", "shank", "foot")
 
 
@@ -84,7 +84,8 @@ def _hung(
     hip, knee, ankle = ([*t.children].index(limb) for limb in leg)
     pelvis = Rotation.from_quat(np.nan_to_num(poses.rotation[:, 0], nan=1.0), scalar_first=True)
     pelvis = pelvis * Rotation.from_quat(np.asarray(body.rest.rotation)[0], scalar_first=True).inv()
-    stands = np.clip((pelvis.apply([0.0, 0, 1]) @ up - LYING) / (UPRIGHT - LYING), 0.0, 1.0)
+    # the less, the more it leans: legs of who lies do not hang
+    stands = np.clip(pelvis.apply([0.0, 0, 1]) @ up / UPRIGHT, 0.0, 1.0)
     ahead = pelvis.apply([1.0, 0, 0])
     ahead = ahead - (ahead @ up)[:, None] * up
     ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-6)

@@ -21,9 +21,11 @@ from voodoo_jax.trackers.icp.start.stage import Search
 from voodoo_jax.trackers.icp.trials import place
 from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 
-WAYS = 4  # face up, to both sides and down; by hand
-SAME = np.pi / 3  # radians between the trunks of two that lie the same way; by hand
-DEEP = 0.8  # of half a trunk's depth: so far behind what is seen of it its middle lies, as for who stands; by hand
+WAYS = 4  # face up, to both sides and down: any gives the same that has these four
+SAME = 0.75 * 2 * np.pi / WAYS  # derived, radians: trunks nearer to each other's than to that lie the same way
+# of half a trunk's depth: so far behind what is seen of it its middle lies: derived, as far as a cylinder's axis lies
+# behind its near side on average
+DEEP = np.pi / 4
 
 
 @dataclass(frozen=True)
