@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.support.stances import STANCES
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.model.joint_bend import wrong_bend
-from voodoo_jax.model.pose_library import in_stance
+from voodoo_jax.model.pose_library import STANCES, in_stance
 
 BODY = scaled(human(), 1.75)
 ROUND = [k for k, name in enumerate(BODY.topology.limbs) if name[2:] in ("upper_arm", "forearm", "thigh", "shank")]

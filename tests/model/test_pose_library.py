@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from tests.support.stances import STANCES
 from voodoo_jax.geometry.rigid import apply
 from voodoo_jax.model.body import Body, joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.model.pose_library import in_stance
+from voodoo_jax.model.pose_library import STANCES, in_stance
 
 BODY = scaled(human(), 1.75)
 

@@ -102,7 +102,7 @@ class StartSettings:
     scale: float = 0.0
     """The body's scale (a person's stature) in metres; 0: measured from the cloud."""
     headings: int = 12
-    """Number of headings to try, evenly spread."""
+    """Number of headings to try, evenly spread; a third of them where the learned eye has seen a person."""
     frames: int = 6
     """Most frames over which the trials are compared."""
     seconds: float = 0.4

@@ -5,7 +5,7 @@ import numpy as np
 from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
-from voodoo_jax.model.pose_library import in_stance
+from voodoo_jax.model.pose_library import Stance, in_stance
 from voodoo_jax.trackers.icp.segment import FREE_DEPTH, IN_ANOTHER, implausible
 
 BODY = scaled(human(), 1.75)
@@ -19,7 +19,7 @@ def rated(poses: list[Poses]) -> np.ndarray:
 
 
 def stance(*turns) -> Poses:
-    body = in_stance(BODY, turns)
+    body = in_stance(BODY, Stance(turns, (1.0,)))
     assert body is not None
     return on_host(body.rest)
 

@@ -7,11 +7,12 @@ from voodoo_jax.trackers.icp.start.cut_off_size import CutOffSize
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, measured_at, sized_at, trial
 from voodoo_jax.trackers.icp.start.later_start import LaterStart
 from voodoo_jax.trackers.icp.start.lying_down import LyingDown
+from voodoo_jax.trackers.icp.start.other_stances import OtherStances
 from voodoo_jax.trackers.icp.start.stage import Search, StartStage
 from voodoo_jax.trackers.icp.start.taller_size import TallerSize
 
 # after the trials in all headings, of which the best one stands
-START: tuple[StartStage, ...] = (CutOffSize(), LyingDown(), LaterStart(), TallerSize())
+START: tuple[StartStage, ...] = (CutOffSize(), LyingDown(), LaterStart(), OtherStances(), TallerSize())
 
 
 def begin(run: Runner, at: int, before: Poses | None = None) -> StartHypothesis:

@@ -1,6 +1,7 @@
 """Passes one recording of depth through the compiled programs, and runs trials for starts. Host side."""
 
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.attachments import directions, hung_on, pointing
 from voodoo_jax.model.body import Body
+from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.solve.scan import State, Step
 from voodoo_jax.trackers.icp.trials import Trial, in_pieces, run_trials
@@ -21,14 +23,21 @@ THING_FRAMES = 2  # times the frames of a start: a held thing has few points to 
 class Runner(FrameRunner):
     """Tracks the points on one body, and runs trials for starts."""
 
+    def __init__(self, *given: Any, **named: Any):
+        super().__init__(*given, **named)
+        self.stances: dict[int, Stance] = {}  # that segments began in, by first frame, the last time they were tracked
+
     def can_start(self, at: int) -> bool:
         reach = self.people[at : at + 3 * self.settings.start.frames]
         return any(len(f.points) >= FEW_POINTS for f in reach)
 
     def anew(self, people: list[BodyObservation]) -> "Runner":
-        """The same recording with other points on the body, before its first frame."""
+        """The same recording with other points on the body, before its first frame; segments may start in the same
+        other stances again."""
         body, changes = self._given
-        return Runner(body, self.options, people, self.scene, self.settings, changes, self.visit)
+        other = Runner(body, self.options, people, self.scene, self.settings, changes, self.visit)
+        other.stances = self.stances
+        return other
 
     @property
     def offers(self) -> frozenset[str]:

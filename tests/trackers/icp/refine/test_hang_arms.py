@@ -11,7 +11,7 @@ from tests.support.segments import blank_tracks
 from voodoo_jax.geometry.rigid import Poses, apply, on_host
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
-from voodoo_jax.model.pose_library import rest_in_stance
+from voodoo_jax.model.pose_library import Stance, rest_in_stance
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.icp.misfit import misfit
@@ -27,7 +27,7 @@ FRAMES = 101  # at 20 Hz
 @pytest.fixture
 def across(rng) -> tuple[Tracks, np.ndarray]:
     """Tracks of a right arm across the trunk, without its points; and the points of all other limbs."""
-    stance = rest_in_stance(BODY, (("r_shoulder", "y", -20.0), ("r_elbow", "x", -75.0)))
+    stance = rest_in_stance(BODY, Stance((("r_shoulder", "y", -20.0), ("r_elbow", "x", -75.0)), (1.0,)))
     assert stance is not None
     away = np.array(REST.translation)
     away[ARM] -= [9.0, 0.0, 0.0]

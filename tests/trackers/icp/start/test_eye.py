@@ -7,18 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support.in_front import in_front
-from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses, compose, on_host
-from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.eye import JOINTS
 from voodoo_jax.model.body import joint_centres, scaled
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.simulate.mcap import write_simulation
-from voodoo_jax.simulate.motion import motion_of_turns, placed
-from voodoo_jax.simulate.recording import simulate
-from voodoo_jax.simulate.sensor import tof_camera
-from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.icp.start import hypothesis
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis, ahead_first, person_in, trial
 from voodoo_jax.trackers.icp.trials import facing
@@ -108,15 +101,3 @@ def test_a_start_that_is_turned_costs_more(somebody, monkeypatch):
     assert found.poses is right.poses and found.cost == 1.2 and found.rival.poses is turned and found.rival.cost > 1.2
     monkeypatch.setattr(hypothesis, "person_in", lambda run, frame: None)
     assert ahead_first(run, wrong) is wrong
-
-
-def test_somebody_with_raised_arms_is_found(tmp_path):
-    """From the first frame on; the hands are what is highest."""
-    time, up = np.arange(24) / 30, np.array([2.8, 0.0, 0.0])
-    wave = 0.15 * np.sin(8 * time)[:, None] * np.array([1.0, 0, 0])
-    moved = motion_of_turns(BODY, time, {"l_shoulder": up + wave, "r_shoulder": -up + wave})
-    sim = simulate(BODY, placed(moved, 3.2, 0.0, np.pi), tof_camera(1.2, 0.0))
-    tracks = track(human(), read_log(write_simulation(sim, tmp_path / "raised.mcap")), Settings())
-    error = np.linalg.norm(tracks.joints - sim.joints, axis=-1)
-    assert tracks.tracked.all() and error.mean() < 0.06
-    assert float(tracks.body.scale) == pytest.approx(1.75, rel=0.08)

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from voodoo_jax.geometry.rigid import Poses, compose, inverse, on_host
 from voodoo_jax.model.body import Body
-from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Turn, beyond, both, exchanged, rest_in_stance
+from voodoo_jax.model.pose_library import HIPS, SHOULDERS, Stance, Turn, beyond, both, exchanged, rest_in_stance
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.segment import Segment
 from voodoo_jax.records.stretches import stretches
@@ -143,7 +143,7 @@ def _others(
 ) -> list[Poses]:
     """The poses with the limbs on some joints as each of the stances holds them; nothing for a body without these."""
     body = on_host(body)
-    rests = [rest for turns in turned if (rest := rest_in_stance(body, turns)) is not None]
+    rests = [rest for turns in turned if (rest := rest_in_stance(body, Stance(turns, (1.0,)))) is not None]
     if len(rests) < len(turned):
         return []
     return [_with_limbs(body, rest, poses, some) for rest in rests for some in sides]

@@ -54,10 +54,13 @@ class StartHypothesis(NamedTuple):
         return self.cost - self.noise**2
 
 
-def trial(run: Runner, at: int, body: Body, before: Poses | None = None) -> StartHypothesis:
-    """The best of trials from frame `at`, see places_to_try, and of one in the poses `before`, moved there."""
+def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: Body | None = None) -> StartHypothesis:
+    """The best of trials from frame `at`, see places_to_try, and of one in the poses `before`, moved there.
+
+    `rest` the body with another rest pose, to begin with that.
+    """
     frames = tried_on(run, at)
-    places = places_to_try(run, body, frames)
+    places = places_to_try(run, rest or body, frames)
     if before is not None:
         there, last = np.median(np.concatenate([f.points for f in frames]), 0), on_host(before)
         shift = (there - np.median(last.translation, 0)).astype(np.float32)

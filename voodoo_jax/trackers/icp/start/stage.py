@@ -5,6 +5,7 @@ The name of a stage is its file, its switch (`track.skip`), its test file and it
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.stage import Named
 from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
@@ -16,6 +17,7 @@ class Search(NamedTuple):
     at: int  # frame in which it begins
     best: StartHypothesis  # may be of a later frame
     found: tuple[StartHypothesis, ...]  # standing, of this frame and of later ones
+    stance: Stance | None = None  # of the best one, if it does not stand
 
 
 @runtime_checkable

@@ -21,6 +21,8 @@ class TallerSize:
     most: int = 2  # sizes that are tried
 
     def __call__(self, run: Runner, search: Search) -> Search:
+        if search.stance is not None:
+            return search
         best = search.best
         near = [b for b in search.found if b.cost < self.alike * best.cost]
         taller = [b.body for b in near if float(b.body.scale) > 1.01 * float(best.body.scale)]
