@@ -39,6 +39,17 @@ class Draw:
 
 
 @dataclass(frozen=True)
+class Shot:
+    """What the camera records of a room, and the truth."""
+
+    camera: str
+    what: str
+    frames: list[Frame]
+    theirs: list[np.ndarray]  # of each frame: the person's points
+    joints: np.ndarray  # [frame, joint, 3] as BONES of experiments/people/figure.py are named
+
+
+@dataclass(frozen=True)
 class Found:
     """How well the person was told from the room, each a mean over the frames."""
 
@@ -51,28 +62,43 @@ class Found:
 
 def work(job: Draw) -> Found:
     """Draws a room and looks for the person in it."""
+    shot = drawn(job)
+    people = find_body(shot.frames, np.array([0, 0, 1], np.float32), human(), Settings())[1]
+    return Found(job.seed, shot.camera, shot.what, *shares_of(shot.theirs, [f.points for f in people]))
+
+
+def drawn(job: Draw, somebody: bool = True, lies: bool = False) -> Shot:
+    """Draws a room; `somebody`: the person is in it, else nobody is; `lies`: on a bed or the floor, in one pose."""
     rng = np.random.default_rng(1000 + job.seed)
     meshes = read_meshes(job.meshes)
     figure = Figure(meshes, int(rng.integers(len(meshes.vertices))))
     clip = str(rng.choice(list(CLIPS)))
-    vertices = figure.posed(moves := _clip(job, clip, rng), np.ones(len(moves.place)))[0]
-    vertices = vertices @ Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)).as_matrix().T.astype(np.float32)
+    vertices, joints = figure.posed(moves := _clip(job, clip, rng), np.ones(len(moves.place)))
+    turned = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)).as_matrix().T
+    if lies:
+        turned, vertices = Rotation.from_euler("y", -90, degrees=True).as_matrix().T @ turned, vertices[:5]
+    vertices = vertices @ turned.astype(np.float32)
+    if lies:
+        vertices[..., 2] += (bed := float(rng.choice([0.0, 0.3, 0.6]))) - vertices[..., 2].min()
     name = list(CAMERAS)[0] if rng.random() < 0.6 else str(rng.choice(list(CAMERAS)))
     camera, noise = CAMERAS[name]
+    here = vertices[0, 0].copy()
     vertices, camera = _in_view(vertices, camera, rng)
     room = room_around(vertices, rng)
+    if lies and bed:
+        (x, y), (long, wide) = vertices[0, :, :2].mean(0), np.ptp(vertices[0, :, :2], axis=0) + 0.2
+        room = replace(room, boxes=(*room.boxes, Box(float(x), float(y), (float(long), float(wide), bed))))
     empty, rays = render_room(camera, room), camera.rays().reshape(camera.height, camera.width, 3)
     origin, frames, theirs = np.array(camera.position, np.float32), [], []
     for k, frame in enumerate(vertices):
-        exact = before(empty, frame, meshes.faces, camera)
+        exact = before(empty, frame, meshes.faces, camera) if somebody else empty
         depth = add_noise(*exact, camera, noise, rng).astype(float) / 1000
         seen = depth > 0
         points = (rays * depth[..., None] + origin)[seen].astype(np.float32)
         theirs.append(points[(exact[0] < empty[0])[seen]])
         frames.append(Frame(int(k * 1e9 / RATE), points, np.zeros(len(points), np.int32), origin[None]))
-    people = find_body(frames, np.array([0, 0, 1], np.float32), human(), Settings())[1]
     what = f"{clip} by somebody of {figure.dims['stature']:.2f} m, {len(room.boxes)} things"
-    return Found(job.seed, name, what, *shares_of(theirs, [f.points for f in people]))
+    return Shot(name, what, frames, theirs, joints[: len(vertices)] @ turned + (vertices[0, 0] - here))
 
 
 def shares_of(theirs: list[np.ndarray], found: list[np.ndarray]) -> tuple[float, float]:
