@@ -17,9 +17,9 @@ WIDTH = 320  # columns of all features: a forearm at 3 m is six pixels wide, set
 COARSE = 4  # by hand: rows and columns of motion and the map of occlusion are each so many of the features'
 _GRADIENT, _DIFFERENCE = 18.0, 9.0  # grey levels above which there is an edge or a motion: noise of JPEG, measured
 _BINS = 64  # cells of Cr and Cb each in the skin model, by hand
-# how much more often than the face a colour has to be seen on clothes. Measured: 1 is 0.5 cm worse; of the room 1 is as
-# good as 2, and so is a colour that is rare on the face
-_CLOTHES = 2.0
+# how much more often than the face a colour has to be seen there, and the share of the face that has a colour: such rare
+# ones tell nothing. Measured: 1 for clothes is 0.5 cm worse, 1 for the room without rare ones an exercise 4 cm
+_CLOTHES, _ROOM, _RARE = 2.0, 2.0, 0.002
 NEAREST = 1.0  # metres, by hand: nearer people do not fit into a camera's image
 
 
@@ -80,8 +80,8 @@ class SkinModel:
             found = np.bincount(cell[mask], minlength=_BINS**2).reshape(_BINS, _BINS).astype(np.float32)
             counts.append(cv2.GaussianBlur(found / max(found.sum(), 1.0), (0, 0), 0.8))
         skin, worn, room = counts
-        self.share = (skin / np.maximum(skin + _CLOTHES * worn + room, 1e-6)).astype(np.float32)
-        self.bare = (skin / np.maximum(skin + _CLOTHES * worn, 1e-6)).astype(np.float32)
+        self.share = (skin / np.maximum(skin + _CLOTHES * worn + _ROOM * room, 1e-6)).astype(np.float32)
+        self.bare = (skin / (skin + _CLOTHES * worn + _RARE)).astype(np.float32)
 
     def map(self, cell: UInt16[np.ndarray, "row column"]) -> Float32[np.ndarray, "row column"]:
         """How likely each pixel is skin, 0..1."""
