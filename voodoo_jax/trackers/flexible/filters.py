@@ -55,8 +55,7 @@ _SWEEPS = 3  # relaxations after each pull, by hand
 # in the refinement the head may move, but less than other points: its place is measured. Measured: 2 and 4.5 are alike,
 # 1 is 0.2 cm worse
 _REFINED_MASSES = np.where(np.arange(16) == HEAD, np.float32(3), np.float32(1))
-# points of skin weigh so much more for arms, for a hand has few. Measured: without, an exercise is 5 cm worse, a punch 3
-_BARE_WEIGHT = 3.0
+_BARE_WEIGHT = 3.0  # points of skin weigh so much more for arms, by hand: a hand has few
 _REACH = 0.25  # metres: points farther from the body pull nothing; measured: 0.17 and 0.38 are alike, any 0.3 cm worse
 _NOT_CLOTHES = 0.3  # metres: any gives the same that is farther than distances tell (Weighing.cap, 0.2 m)
 _FACE = 0.11  # of the stature: skin so near the head point may be the face's, measured on rendered people

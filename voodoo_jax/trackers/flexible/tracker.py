@@ -42,8 +42,8 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
 NOBODY = "Nobody was found."
 CHUNK = 16  # frames per run of the program, whose images fit into memory: any gives the same
-# share of the stature that a face is at most from the person's top: else it is a hand. Measured: without, a punch is 1 cm
-# worse
+# share of the stature that a face is at most from the person's top: else it is a hand; measured: without, a punch is
+# 1 cm worse
 _BELOW = 0.35
 # frames over which passes are compared, and by how much the other has to be better (share of the points; logarithm of
 # a weight): by hand
