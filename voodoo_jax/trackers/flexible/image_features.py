@@ -17,7 +17,7 @@ WIDTH = 320  # columns of all features: a forearm at 3 m is six pixels wide, set
 COARSE = 4  # by hand: rows and columns of motion and the map of occlusion are each so many of the features'
 _GRADIENT, _DIFFERENCE = 18.0, 9.0  # grey levels above which there is an edge or a motion: noise of JPEG, measured
 _BINS = 64  # cells of Cr and Cb each in the skin model, by hand
-# how much more often than the face a colour has to be seen there, and the share of the face that a rare colour has, which
+# how much more often than the face a colour has to be seen there; the share of the face that a rare colour has, which
 # tells nothing. Measured: 1 for clothes is 0.5 cm worse; 1 for the room without rare ones makes an exercise 4 cm worse
 _CLOTHES, _ROOM, _RARE = 2.0, 2.0, 0.002
 NEAREST = 1.0  # metres, by hand: nearer people do not fit into a camera's image
