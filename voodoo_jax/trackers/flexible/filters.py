@@ -45,9 +45,8 @@ from voodoo_jax.trackers.flexible.vectors import Vector, kept, vectors
 from voodoo_jax.trackers.shared.confidence import EXPLAINED
 
 _PROJECTIONS = 3  # sweeps over a particle's constraints: more change little, by hand
-_DAMPING = (
-    0.6  # share of the dangling body's velocity lost in a frame; measured: 0.4 and 0.9 are alike, all is 1.0 cm worse
-)
+# share of the dangling body's velocity lost in a frame; measured: 0.4 and 0.9 are alike, all is 1.0 cm worse
+_DAMPING = 0.6
 # points' worth with which a body point stays where it is in the refinement, and how far it goes where its points pull
 # it: over one, as springs take some of it back. Measured: 2.7 and 6 are alike, 1.8 is as good, 0.8 0.3 to 1.3 cm worse
 _HOLD, _PULL = 4.0, 1.2

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from voodoo_jax.geometry.plane import Plane
-from voodoo_jax.kernels.eye import JOINTS, OTHER
+from voodoo_jax.kernels.eye import JOINTS
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, POINTS
 from voodoo_jax.trackers.shared.eye import SURE, seen
@@ -46,7 +46,8 @@ class Guesses:
             np.logaddexp(before + alike, -alike) - np.logaddexp(before - alike, alike)
         )  # a step of the forward algorithm for two states
         self._front = front
-        joints, x = found.joints if self._odds >= 0 else found.joints[OTHER], np.zeros((len(POINTS), 3), np.float32)
+        joints = (found if self._odds >= 0 else found.exchanged).joints
+        x = np.zeros((len(POINTS), 3), np.float32)
         x[_NAMED] = joints[_FROM]
         for side in "lr":
             hip, shoulder = x[_AT[f"{side}_hip"]], x[_AT[f"{side}_shoulder"]]

@@ -15,7 +15,7 @@ from voodoo_jax.compile.executable import program
 from voodoo_jax.geometry.arrays_file import arrays_in
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.kernels.eye import HIGH, JOINTS, LEFT, RIGHT, Params, ahead, forward, named
+from voodoo_jax.kernels.eye import HIGH, JOINTS, LEFT, OTHER, RIGHT, Params, ahead, forward, named
 from voodoo_jax.markers.first_pose import first_pose
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
@@ -37,6 +37,11 @@ class Seen(NamedTuple):
     joints: Float[np.ndarray, "joint 3"]  # metres, fixed frame; in the order of kernels.eye.JOINTS
     spread: Float[np.ndarray, " joint"]  # their error, metres
     front: Float[np.ndarray, "3"]  # where the trunk faces, level, as long as the logarithm of the odds of that
+
+    @property
+    def exchanged(self) -> "Seen":
+        """The person with left and right exchanged: the eye takes a front for a back sometimes."""
+        return Seen(self.joints[OTHER], self.spread[OTHER], -self.front)
 
 
 OWN = Path(__file__).with_name("eye.npz")

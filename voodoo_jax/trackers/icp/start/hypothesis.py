@@ -69,13 +69,14 @@ def trial(run: Runner, at: int, body: Body, before: Poses | None = None, rest: B
 
 
 def places_to_try(run: Runner, body: Body, frames: list[BodyObservation]) -> list[Poses]:
-    """Poses in the last of some frames: at rest in headings all round, or in fewer, and as the eye sees the person."""
+    """Poses in the last of some frames: at rest in headings all round, or in fewer, and as the eye sees the person,
+    left and right as it says and exchanged."""
     person = person_in(run, frames[-1])
-    pose = None if person is None else poses_of(body, person)
-    many = run.settings.start.headings // (1 if pose is None else FEWER)
-    front = None if pose is None or person is None else person.front
-    places = standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front)
-    return places if pose is None else [*places, pose]
+    seen_as = [] if person is None else [poses_of(body, each) for each in (person, person.exchanged)]
+    poses = [pose for pose in seen_as if pose is not None]
+    many = run.settings.start.headings // (FEWER if poses else 1)
+    front = person.front if poses and person is not None else None
+    return [*standing_places(body, frames[::-1], run.scene.floor, max(many, 1), front), *poses]
 
 
 def person_in(run: Runner, frame: BodyObservation) -> Seen | None:
