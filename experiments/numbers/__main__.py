@@ -39,20 +39,12 @@ TRACKERS, OUT = "voodoo_jax.trackers.", Path(__file__).with_name("numbers.md")
 RATING = {
     "icp.misfit": ("POINTS", "EXPLAINED", "AROUND", "OWN", "NOISE", "USUAL", "ALONG", "WIDER"),
     "shared.confidence": (
-        "AROUND",
-        "DEEP",
-        "TOGETHER",
-        "PLENTY",
-        "USUAL",
-        "UNUSUAL",
-        "SMALL",
-        "LEAST_SHARE",
-        "LEAST_DISTANCE",
+        "AROUND", "DEEP", "TOGETHER", "PLENTY", "USUAL", "UNUSUAL", "SMALL", "LEAST_SHARE", "LEAST_DISTANCE",
     ),
     "icp.refine.hang_legs": ("HIDDEN",),
     "icp.refine.hang_arms": ("OWN", "SOME", "BARE", "APART"),
-}
-PEOPLE = {"icp.people": ("ROUNDS", "CLEARLY", "MOVED", "FRAMES", "SLIVER", "WHOLE", "CLOSE", "AROUND")}
+}  # fmt: skip
+PEOPLE = {"icp.people": ("MOVED", "FRAMES", "SLIVER", "WHOLE", "CLOSE", "AROUND")}
 
 
 class Found(NamedTuple):
