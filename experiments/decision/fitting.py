@@ -11,10 +11,8 @@ from jaxtyping import Bool, Float
 from experiments.decision.table import Row
 
 KNOTS = 5  # of each curve, at quantiles from 2 to 98 %
-SMOOTH, PULL = (
-    1e-4,
-    1e-3,
-)  # weights of squared second differences and of squared values: of three each the best left out
+# weights of squared second differences and of squared values: of three each the best left out
+SMOOTH, PULL = 1e-4, 1e-3
 MISSED = 10.0  # things that never move are found to be none later on, who is missed is not
 
 

@@ -112,6 +112,7 @@ def hypotheses(
     angle = _GOES_ON * states.rate + n.turning[0] * apart
     lean = n.turning[1] * jax.random.normal(keys[1], (count, 3))
     ahead = jax.vmap(turned_body)(states, given.dt * (angle[:, None] * given.up + lean)) if count > 1 else states
+    # the last of several; a single one, as in the paper, never
     anew = given.guessed * jnp.asarray(np.arange(count) == max(count - 1, 1), states.x.dtype)
     fresh = start(jax.random.fold_in(keys[1], count), body, given.guess, shape)._replace(
         colours=states.colours, learnt=states.learnt
