@@ -200,6 +200,26 @@ def test_entries_of_others_are_not_read(shared, tmp_path, monkeypatch, how):
     assert not own.exists()
 
 
+def test_a_start_links_no_executables_and_they_are_found_all_the_same(shared):
+    """Thousands of versions' executables lie in a developer's folder."""
+    keep("x", b"program")
+    (shared[0] / "jit-cache").write_bytes(zlib.compress(b"of jax"))
+    (shared[0] / "jit-cache").chmod(0o600)
+    (shared[1] / "program-x-cache").unlink()
+    link_all(*shared)
+    assert {path.name for path in shared[1].iterdir()} == {"jit-cache"}
+    assert kept("x") == b"program"
+
+
+def test_what_was_not_used_for_long_goes(shared):
+    for name in ("used", "unused"):
+        keep(name, b"program")
+        os.utime(shared[0] / f"program-{name}-cache", (0, 0))
+    assert kept("used") == b"program"
+    cache_dir._sweep(shared[0])
+    assert {path.name for path in shared[0].glob("*-cache")} == {"program-used-cache"}
+
+
 def test_entries_are_this_user_s_alone_whatever_the_umask(shared):
     before = os.umask(0)
     try:

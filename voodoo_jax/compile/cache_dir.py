@@ -1,7 +1,8 @@
 """Compiled programs kept for later processes: jax's persistent compilation cache, made safe for many at once.
 
 jax writes an entry in place, so that a process that is killed meanwhile leaves half of one for good. Here each process
-writes into a folder of its own and links whole entries to the shared one.
+writes into a folder of its own and links whole entries to the shared one. Executables that this package keeps itself
+(`keep`) are read where they are: of thousands a process needs a few.
 
 An entry is a program that is run, so whoever can write one can run code as this user. A folder is used only if it is
 this user's and nobody else can write in it; files are opened without following links, and read only if they are this
@@ -33,6 +34,7 @@ ZSTD = b"\x28\xb5\x2f\xfd"  # how what is packed so begins (RFC 8878); jax packs
 PATIENCE = 300.0  # seconds that a process waits for what another one compiles
 DIGEST = 32  # bytes of checksum before an entry of `keep`
 OLD_SECONDS = 2 * 86_400  # a process's folder of another machine that is older was left by a killed one
+UNUSED_SECONDS = 30 * 86_400  # an entry that nobody has asked for so long is of code that has changed since
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # mode bits: somebody else can write
 # absent on Windows; a pipe in place of a file must not keep a process waiting
 OPENED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -213,7 +215,9 @@ def kept(name: str) -> bytes | None:
     for shared, own in list(_own.values()):
         for folder in (own, shared):
             with suppress(OSError):
-                data = _read(_entry(folder, name))
+                data = _read(entry := _entry(folder, name))
+                with suppress(OSError):  # a folder that can only be read
+                    os.utime(entry)  # see _sweep
                 if hashlib.sha256(data[DIGEST:]).digest() == data[:DIGEST]:
                     return zlib.decompress(data[DIGEST:])
                 spoiled(name)
@@ -264,7 +268,10 @@ def link_all(source: Path, target: Path) -> None:
         for name in os.listdir(source):
             if not name.endswith("-cache") or name in there:
                 continue
-            if source.name.startswith("run-") and not _complete(source / name):
+            own = source.name.startswith("run-")
+            if name.startswith(OURS) and not own:  # see kept
+                continue
+            if own and not _complete(source / name):
                 (source / name).unlink(missing_ok=True)
                 continue
             _link(source / name, target / name)
@@ -351,7 +358,12 @@ def process_runs(pid: int) -> bool:
 
 
 def _sweep(shared: Path) -> None:
-    """Removes what killed processes have left."""
+    """Removes what killed processes have left, and what has not been used for long."""
+    with os.scandir(shared) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                if entry.name.endswith("-cache") and time.time() - entry.stat().st_mtime > UNUSED_SECONDS:
+                    os.unlink(entry)
     for lock in shared.glob(f"{LOCK}*"):
         with suppress(OSError):
             if time.time() - lock.lstat().st_mtime > OLD_SECONDS:
