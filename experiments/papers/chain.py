@@ -21,7 +21,7 @@ from voodoo_jax.kernels.landmarks import Features
 from voodoo_jax.model.body import Body, joint_centres
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.observation import BodyObservation, whole
-from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.records.tracks import Evidence, Tracks
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.padding import pad_features, pad_frames
 from voodoo_jax.solve.scan import State, Step, TrackOptions, at_rest, options_from, track_chunk
@@ -142,11 +142,13 @@ def as_tracks(one: Begun, found: Run) -> Tracks:
         return np.concatenate([np.full((one.first, *array.shape[1:]), np.nan, array.dtype), array])
 
     count = len(one.clouds)
+    evidence = Evidence.blank(count, one.body.limb_count)
+    evidence.steps[one.first :] = found.steps
+    evidence.limb_weight[:] = 1.0
     return replace(
         one.source, time_ns=np.array([f.time_ns for f in one.clouds], np.int64), rotation=filled(found.rotation),
         translation=filled(found.translation), joints=filled(found.joints), status=np.full(count, 2, np.int8),
-        steps=np.concatenate([np.zeros(one.first, int), found.steps]),
-        limb_weight=np.ones((count, one.body.limb_count), np.float32), joint_confidence=None,
+        evidence=evidence, joint_confidence=None,
     )  # fmt: skip
 
 
