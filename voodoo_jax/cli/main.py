@@ -128,7 +128,7 @@ def run_info(command: Info) -> int:
     """0 if every log could be read, 1 if one could not, 2 if none was named or found."""
     if not command.logs:
         raise Stop("name at least one log")
-    from voodoo_jax.io.limits import limited
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.io.log_reader import LogError, survey
     from voodoo_jax.storage.urls import expanded
 

@@ -8,12 +8,12 @@ from voodoo_jax.cli.printing import Stop, stopping, tell
 
 def run_view(command: View) -> int:
     """0 if it was shown until Ctrl-C, 1 if something cannot be read, 2 if nothing could be begun."""
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.config.options import Settings, SettingsError
     from voodoo_jax.config.toml import check_settings
     from voodoo_jax.detect.opening import read_log
     from voodoo_jax.exporters.npz import TracksFileError, read_everybody
-    from voodoo_jax.io.convert.in_passing import as_mcap
-    from voodoo_jax.io.limits import limited
+    from voodoo_jax.io.convert.sources import as_mcap
     from voodoo_jax.io.log_reader import LogError
 
     if not 1 <= len(command.what) <= 2:

@@ -13,7 +13,7 @@ from math import hypot
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-from voodoo_jax.config.bounds import LARGEST, LEAST, SIZES
+from voodoo_jax.config.limited import LARGEST, LEAST, SIZES
 from voodoo_jax.config.options import Change, LimitSettings, Settings, SettingsError
 from voodoo_jax.storage.troubles import small_text
 

@@ -11,8 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32
 
-from voodoo_jax.detect.body_likelihood import TELLING
-from voodoo_jax.detect.lying import LOOKED_AT
+from voodoo_jax.detect.body_likelihood import LOOKED_AT, TELLING
 from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_spacing

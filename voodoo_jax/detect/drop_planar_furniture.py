@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from voodoo_jax.detect.stage import Target, by_windows
-from voodoo_jax.detect.static_points import Resting, resting
+from voodoo_jax.detect.stillness import Resting, resting
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation, assigned
 

@@ -1,22 +1,44 @@
-"""A log opened for tracking: what it says of units and clocks is compared with what it shows. Host side."""
+"""A log opened for tracking: what it says of units and clocks is compared with what it shows; depth cameras that smear
+edges are detected by their first images. Host side."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from voodoo_jax.config.options import DetectSettings, ReadSettings
 from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.crops import with_crops
-from voodoo_jax.detect.delays import offsets
-from voodoo_jax.detect.late_transforms import late_transforms
+from voodoo_jax.detect.delays import late_transforms, offsets
 from voodoo_jax.detect.misplaced import with_sensors_in_place
-from voodoo_jax.detect.smeared_edges import without_smeared_edges
-from voodoo_jax.detect.units import with_units
+from voodoo_jax.detect.units import FIRST, with_units
+from voodoo_jax.geometry.depth_edges import SMEARED, between_edges
 from voodoo_jax.io.container import LogFile, Place
-from voodoo_jax.io.convert.in_passing import as_mcap
+from voodoo_jax.io.convert.sources import as_mcap
 from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
+from voodoo_jax.records.messages import Image
 from voodoo_jax.records.recording import Recording
 
 PERSON = Build(1.70, 0.44)  # where nobody says who is looked for: the size of the body file `human`, measured
+
+
+def without_smeared_edges(reader: LogReader) -> LogReader:
+    """The reader, without points at smeared depth edges, and with a note."""
+    found = frozenset(topic for topic in reader.sensors if _smeared(reader, topic))
+    for topic in sorted(found):
+        reader.say(
+            f"Depth edges in '{topic}' are smeared, as by a filter of its camera: points between near and far "
+            "objects are left out."
+        )
+    return reader.without_sheets(found) if found else reader
+
+
+def _smeared(reader: LogReader, topic: str) -> bool:
+    if not reader.is_image(topic):
+        return False
+    images = [content for s in reader.sampled(topic, FIRST) if isinstance(content := s.content, Image)]
+    shares = [between_edges(z) for image in images if (z := reader.depth(topic, image)) is not None]
+    return bool(shares) and float(np.median(shares)) > SMEARED
 
 
 def open_checked(

@@ -28,8 +28,7 @@ from voodoo_jax.model.body import Body, scaled
 from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.records.observation import BodyObservation, whole
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Scene, Subject
 
 # once floor and walls are found
 SCENE: tuple[SceneStage, ...] = (FindGravity(), RaiseFloor(), SteadySensors())

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.body_likelihood import Build, mostly_lie
 from voodoo_jax.detect.camera_motion import Planes, steady_scene
-from voodoo_jax.detect.lying import mostly_lie
 from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.records.observation import BodyObservation

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel, Schema
 
+from voodoo_jax.config.limited import TIME, limits
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.io.clocks import Stamps, shifts
+from voodoo_jax.io.clocks import Stamps, note_of, shifts
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
-from voodoo_jax.io.decode.colour import COLOUR_KIND
+from voodoo_jax.io.decode.image_codec import COLOUR_KIND
 from voodoo_jax.io.decode.registry import (
     DECODE_ERRORS,
     DEPTH_KINDS,
@@ -25,16 +26,13 @@ from voodoo_jax.io.decode.registry import (
     reason_unused,
 )
 from voodoo_jax.io.given import given_cameras, given_transforms
-from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
-from voodoo_jax.io.limits import TIME, limits
+from voodoo_jax.io.landmark_table import Gathered, gather, unit_of, without_held, without_placeholders
 from voodoo_jax.io.pictures import UNSEARCHED, camera_topics
-from voodoo_jax.io.recorder_clock import note_of
 from voodoo_jax.io.several_files import open_files
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic, Unused
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
-from voodoo_jax.io.unseen import without_held, without_placeholders
 from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, many, moved
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of

@@ -15,21 +15,18 @@ from jaxtyping import Float, Float32, Int64
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.io.as_shown import with_images_as_shown, with_settled_frames
-from voodoo_jax.io.calibrations import calibration_of
-from voodoo_jax.io.camera_key_points import with_key_points
+from voodoo_jax.io.as_shown import TELLING, with_images_as_shown, with_settled_frames
+from voodoo_jax.io.calibrations import calibration_of, fitted, leeway
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
-from voodoo_jax.io.decode.depth_codec import raw_of
+from voodoo_jax.io.decode.image_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_pass import UNREADABLE, FramePass, Progress
 from voodoo_jax.io.given import given_transforms
-from voodoo_jax.io.image_fit import fitted, leeway
-from voodoo_jax.io.image_planes import TELLING
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.measuring import Measuring
 from voodoo_jax.io.pictures import shape_of
-from voodoo_jax.io.pose_rays import NAMES
+from voodoo_jax.io.pose_rays import NAMES, with_key_points
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.repeats import Repeats
 from voodoo_jax.records.messages import Cloud, Image, many, stride

@@ -19,7 +19,7 @@ from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.model.marker_names import LEAST, Known, places_of, split_place, subjects
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 
 OWN = " marker "  # in the names of such points: no body file has it
 ROOM = 16  # set by hand: markers on one limb that there is room for; more come in steps of so many

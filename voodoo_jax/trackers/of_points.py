@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from voodoo_jax.detect.pipeline import find_people, only_named
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Scene, Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.icp.entry import IcpTracker

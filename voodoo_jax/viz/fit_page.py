@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from voodoo_jax.model.body import Body
-from voodoo_jax.records.markup import Html, all_of, filled
+from voodoo_jax.records.notes import Html, all_of, filled
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.sketch import compared
 from voodoo_jax.viz.template import page

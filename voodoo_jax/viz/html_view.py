@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.exporters.frames import upright
 from voodoo_jax.exporters.limb_shapes import profile, side_of
 from voodoo_jax.geometry.rotations import rotations
-from voodoo_jax.records.markup import filled, for_script
+from voodoo_jax.records.notes import filled, for_script
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks, expected_share
 from voodoo_jax.storage.atomic import replacing

@@ -10,7 +10,7 @@ import numpy as np
 from voodoo_jax._version import __version__
 from voodoo_jax.exporters.frames import seconds
 from voodoo_jax.model.body import segment_lengths
-from voodoo_jax.records.markup import Html, all_of, filled
+from voodoo_jax.records.notes import Html, all_of, filled
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.sketch import strip, time_line, untracked

@@ -2,7 +2,7 @@
 
 from importlib import resources
 
-from voodoo_jax.records.markup import Html, filled
+from voodoo_jax.records.notes import Html, filled
 
 
 def template(name: str) -> Html:

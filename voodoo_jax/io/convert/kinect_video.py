@@ -15,10 +15,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.config.limited import too_large
 from voodoo_jax.io.convert.depth_images import COLOUR as COLOUR_IMAGE
 from voodoo_jax.io.convert.depth_images import COLOUR_INFO, MILLIMETRE, camera_file, depth_image, pinhole
 from voodoo_jax.io.convert.target import START_NS, ConvertError, Put, new_log, putter
-from voodoo_jax.io.limits import too_large
 from voodoo_jax.storage.guarded import Answer
 
 DEPTH, COLOUR = "depth_optical", "color_optical"

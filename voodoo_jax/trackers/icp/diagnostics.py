@@ -1,16 +1,22 @@
-"""Notes for the user on a tracked recording: data left out, unknown or implausible."""
+"""Notes for the user on a tracked recording: data left out, unknown or implausible; reliability of a log as a whole,
+whose errors affect all joints equally."""
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.config.options import Settings
 from voodoo_jax.markers.diagnostics import FEW, LISTED, SHOWN, name_notes
 from voodoo_jax.markers.own_sites import Named
+from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import remark
+from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.trackers.icp.log_doubts import log_doubts
-from voodoo_jax.trackers.icp.right_level import Level
-from voodoo_jax.trackers.icp.right_scale import LEVEL, Scale
+from voodoo_jax.trackers.icp.right_level import Level, level_of
+from voodoo_jax.trackers.icp.right_scale import LEVEL, Scale, scale_of
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.shared.notes import implausible
 
@@ -18,6 +24,24 @@ NOISY = 0.05  # metres: more than a depth camera's noise at 5 m
 # degrees and metres by which sensors seem to move at most where that is no more than noise and drift of distances make
 # of walls; measured: two at rest seem to move by 0.5 degrees and 9 cm, two in hands or shaken by 1.6 and 6, 5 and 16 cm
 TURNED, SHIFTED = 1.0, 0.12
+
+
+class LogDoubts(NamedTuple):
+    """Estimates about a log's distances and its fixed frame."""
+
+    scale: Scale
+    level: Level
+
+    @property
+    def right(self) -> float:
+        """Probability that both are right, 0..1."""
+        return self.scale.right * self.level.right
+
+
+def log_doubts(body: Body, scene: Scene, people: list[BodyObservation], settings: Settings) -> LogDoubts:
+    """Estimates about a log from its main body and its floor; `body` with the estimated size. Settings by the user
+    override them."""
+    return LogDoubts(scale_of(body, scene, people, settings), level_of(scene, people, settings))
 
 
 def _moved(T: Float[np.ndarray, "frame 4 4"]) -> str:

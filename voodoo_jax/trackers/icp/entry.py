@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from voodoo_jax.detect.pipeline import find_people
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.icp.people import track_subjects

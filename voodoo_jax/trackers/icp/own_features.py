@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Rays
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 
 # metres beside somebody's points: a line of sight meets them; a detector's error at 3 m. Measured: 0.067 and 0.15 give
 # 2 and 9 of 550 features to somebody else (experiments/numbers)

@@ -13,12 +13,11 @@ from jaxtyping import Bool, Float, Float32, Int8
 
 from voodoo_jax.detect.visibility import has_far_sides
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.storage.cores import at_once
 from voodoo_jax.trackers.base import Task
-from voodoo_jax.trackers.icp.limb_distance import body_distance
-from voodoo_jax.trackers.icp.misfit import AROUND, evenly
+from voodoo_jax.trackers.icp.misfit import AROUND, body_distance, evenly
 from voodoo_jax.trackers.icp.own_features import with_own_features
 from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating

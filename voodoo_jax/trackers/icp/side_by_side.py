@@ -14,11 +14,11 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.records.observation import BodyObservation, joined
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS
+from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.stretches import stretches
-from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Status, Tracks
 from voodoo_jax.solve.scan import State, Visit, at_rest, options_from
-from voodoo_jax.trackers.icp.limb_distance import body_distance
+from voodoo_jax.trackers.icp.misfit import body_distance
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 

@@ -7,7 +7,7 @@ from voodoo_jax.detect.pipeline import only_named
 from voodoo_jax.markers.own_sites import apart_by_names
 from voodoo_jax.markers.upward import with_upward
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.markers.tracker import prepare, track_named

@@ -23,8 +23,8 @@ from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks, scale_confidence
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import options_from

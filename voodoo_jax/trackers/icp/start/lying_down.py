@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.detect.lying import Extent, extent
+from voodoo_jax.detect.body_likelihood import Extent, extent
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.geometry.rotations import rotations
