@@ -1,7 +1,6 @@
 """A log opened for tracking: what it says of units and clocks is compared with what it shows; depth cameras that smear
 edges are detected by their first images. Host side."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -77,11 +76,7 @@ def _checked(path: Place | LogFile, settings: ReadSettings, build: Build, detect
     return without_smeared_edges(with_crops(with_units(open_log(path, settings), build, detect)))
 
 
-def read_log(
-    path: Place,
-    settings: ReadSettings | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Recording:
+def read_log(path: Place, settings: ReadSettings | None = None) -> Recording:
     """Read a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`. Recordings of other formats
     are converted in passing.
 
@@ -89,5 +84,5 @@ def read_log(
     `settings.max_points` is less than 1.
     """
     with as_mcap(path, (settings or ReadSettings()).types) as (log, notes):
-        read = read_whole(open_checked(log, settings), progress)
+        read = read_whole(open_checked(log, settings))
     return read if log is path else replace(read, path=str(path), notes=(*notes, *read.notes))

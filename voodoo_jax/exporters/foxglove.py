@@ -307,8 +307,6 @@ def body_entities(body: Body, person: int = 1) -> list[SceneEntity]:
     """One SceneEntity per limb, id = limb name, in the frame `voodoo/<limb>` that it moves with (`voodoo/2/<limb>` of
     person 2); no timestamp. The main person's limbs differ in colour; each other person has one colour. Metadata of
     each entity: a0, b0, a1, b1, length in metres, as in Body.sizes.
-
-    Metadata of each entity: a0, b0, a1, b1, length in metres, as in Body.sizes.
     """
     entities = []
     for i, (name, sizes) in enumerate(zip(body.topology.limbs, np.asarray(body.sizes, float))):

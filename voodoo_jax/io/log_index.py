@@ -204,7 +204,7 @@ class Scan:
             if isinstance(content, Image) and topic.kind == COLOUR_KIND:
                 topic.kind = "image"
         if isinstance(content, list):
-            static = is_static(schema, channel)
+            static = is_static(channel)
             for transform in content:
                 if static or abs(transform.stamp_ns) >= TIME:
                     self.tree.add(transform, static)
@@ -237,7 +237,7 @@ class Scan:
             topic.log_times.append(message.log_time)
 
     def _mirrors(self, settings: ReadSettings) -> dict[str, str]:
-        return check_pairs("read.mirror", settings.mirror, numbers=False)
+        return check_pairs("read.mirror", settings.mirror)
 
     def _mirrored(self, name: str, found: Gathered, settings: ReadSettings) -> Gathered:
         """3D features with the axis turned round that a user names."""
@@ -248,7 +248,7 @@ class Scan:
 
     def _settle_unit(self, name: str, found: Gathered, settings: ReadSettings) -> None:
         """Brings 3D features to metres."""
-        given = check_pairs("read.scale", settings.scale, numbers=True)
+        given = check_pairs("read.scale", settings.scale)
         unit = float(given.get(name, 0.0)) or unit_of(found)
         if self.topics[name].kind == PAIRS:
             self.units[name] = unit
@@ -262,7 +262,7 @@ class Scan:
 
     def _bring_clocks_together(self, settings: ReadSettings, known: bool) -> None:
         """Shifts the stamps of measurements and transforms that are of another clock than the others'."""
-        delays = {n: float(by) for n, by in check_pairs("read.delays", settings.delays, numbers=True).items()}
+        delays = {n: float(by) for n, by in check_pairs("read.delays", settings.delays).items()}
         for name in delays.keys() - self.topics.keys():
             self.notes.append(f"read.delays does not count here: the log has no topic '{name}'.")
         as_array = lambda numbers: np.array(numbers, np.int64)  # noqa: E731

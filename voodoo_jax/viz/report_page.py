@@ -1,22 +1,92 @@
-"""The report of a folder of results as one self-contained HTML file: a row for each log."""
+"""Self-contained HTML files: the report of a folder of results, with a row for each log, and that of a fit with its
+text and tables, both bodies and the figure."""
 
 import os
-from collections.abc import Iterable
+import re
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from voodoo_jax._version import __version__
 from voodoo_jax.exporters.frames import seconds
-from voodoo_jax.model.body import segment_lengths
+from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.records.notes import Html, all_of, filled
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.viz.sketch import strip, time_line, untracked
-from voodoo_jax.viz.template import page, template
+from voodoo_jax.viz.sketch import compared, strip, time_line, untracked
 
 MOST_STRETCHES = 4  # of time that are named; of more their number
+
+
+def write_fit_page(
+    report: str, bodies: Sequence[tuple[Body, Body]], figure: bytes, path: str | os.PathLike[str]
+) -> Path:
+    """Writes the page and returns its path.
+
+    **Arguments:** `report` Markdown of headings, paragraphs and tables; `bodies` of each person before the fit and
+    after it; `figure` a PNG.
+
+    Raises OSError.
+    """
+    title, _, rest = report.partition("\n")
+    drawings = all_of(
+        filled("@HEAD@@BODIES@", HEAD=filled("<h3>person @K@</h3>", K=k) if len(bodies) > 1 else "",
+               BODIES=Html(compared(*pair)))
+        for k, pair in enumerate(bodies, 1)
+    )  # fmt: skip
+    body = filled(
+        "<h1>@TITLE@</h1>@TEXT@<h2>Bodies</h2><p>Coloured: fitted, left and right; dashed: before. From the front and "
+        'from the left.</p>@DRAWINGS@<h2>Loss and parameters</h2><img alt="loss and parameters" '
+        'src="data:image/png;base64,@FIGURE@">',
+        TITLE=title.lstrip("# "), TEXT=all_of(_html(rest)), DRAWINGS=drawings, FIGURE=b64encode(figure).decode(),
+    )  # fmt: skip
+    with replacing(path) as partial:
+        partial.write_text(page("fit", title.lstrip("# "), body), encoding="utf-8")
+    return Path(path)
+
+
+def _html(text: str) -> Iterable[Html]:
+    """HTML of headings, tables and paragraphs in Markdown."""
+    blocks = re.split(r"\n\s*\n|\n(?=#)|(?<=\|)\n(?=[^|])", text)
+    for kind, block in ((_kind(block), block.strip()) for block in blocks if block.strip()):
+        if kind == "heading":
+            first, _, rest = block.partition("\n")
+            level = len(first) - len(first.lstrip("#"))
+            yield filled("<h@N@>@TEXT@</h@N@>", N=level, TEXT=first.lstrip("# "))
+            yield from _html(rest)
+        elif kind == "table":
+            yield _table(block.splitlines())
+        else:
+            yield filled("<p>@TEXT@</p>", TEXT=block)
+
+
+def _kind(block: str) -> str:
+    return {"#": "heading", "|": "table"}.get(block.strip()[0], "text")
+
+
+def _table(lines: list[str]) -> Html:
+    cells = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines]
+    head = all_of(filled("<th>@CELL@</th>", CELL=cell) for cell in cells[0])
+    rows = all_of(
+        filled("<tr>@CELLS@</tr>", CELLS=all_of(filled("<td>@CELL@</td>", CELL=cell) for cell in row))
+        for row in cells[2:]
+    )
+    return filled("<table><thead><tr>@HEAD@</tr></thead><tbody>@ROWS@</tbody></table>", HEAD=head, ROWS=rows)
+
+
+def template(name: str) -> Html:
+    """Text of a file of this package."""
+    return Html(resources.files("voodoo_jax.viz").joinpath(name).read_text(encoding="utf-8"))
+
+
+def page(name: str, title: str, body: Html) -> Html:
+    """A self-contained page, with the common style and that of viz/NAME.css."""
+    styles = Html(template("page.css") + template(f"{name}.css"))
+    return filled(template("page.html"), STYLE=styles, BODY=Html(body.rstrip("\n")), TITLE=title)
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def reason_unused(schema: Schema | None, channel: Channel) -> str:
     return "no depth, calibration or transforms"
 
 
-def is_static(schema: Schema | None, channel: Channel) -> bool:
+def is_static(channel: Channel) -> bool:
     """Whether transforms on this channel are static."""
     if channel.topic.rstrip("/").endswith("tf_static") or channel.metadata.get("latching") == "1":
         return True

@@ -287,7 +287,7 @@ class LiveLog:
             return
         shifts = self.reader.scan.shifts if hasattr(self, "reader") else {}
         for t in transforms:
-            if is_static(schema, channel):
+            if is_static(channel):
                 self._static[t.child, t.parent] = t
                 continue
             by = shifts.get(f"{channel.topic} {t.child}", 0)
