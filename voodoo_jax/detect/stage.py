@@ -66,7 +66,8 @@ class Named(Protocol):
 
     name: ClassVar[str]
     looks_ahead: ClassVar[bool]  # uses later frames: left out with Settings.online
-    needs: ClassVar[frozenset[str]]  # "person": passed over for animals and machines
+    # else it is passed over. Of detection: "person" (animals and machines are none); of tracking: of Runner.offers
+    needs: ClassVar[frozenset[str]]
 
 
 @runtime_checkable

@@ -36,7 +36,7 @@ from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
 from jaxtyping import Bool, Float, Float32
 from mcap.writer import Writer
-from mcap_protobuf.schema import build_file_descriptor_set, register_schema
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from voodoo_jax._version import __version__
 from voodoo_jax.exporters.limb_shapes import loft, profile
@@ -112,17 +112,12 @@ class FoxgloveServer:
         except RuntimeError as problem:
             raise OSError(f"no server at {host}:{port}: {problem}") from problem
         self.url = f"ws://{host}:{self._server.port}"
-        self._channel = {name: self._made(foxglove, name, topic) for name, topic in self._said.channels().items()}
-
-    def _made(self, foxglove: Any, name: str, topic: str) -> Any:
-        if name in TOPICS:
-            described = TOPICS[name].DESCRIPTOR
-            data = build_file_descriptor_set(TOPICS[name]).SerializeToString()
-            schema, encoding = foxglove.Schema(name=described.full_name, encoding="protobuf", data=data), "protobuf"
-        else:
-            text = json.dumps(QUALITY_SCHEMA).encode()
-            schema, encoding = foxglove.Schema(name="voodoo_jax.Quality", encoding="jsonschema", data=text), "json"
-        return foxglove.Channel(topic, schema=schema, message_encoding=encoding, context=self._context)
+        self._channel: dict[str, Any] = {}
+        for content, topic in self._said.channels().items():
+            name, how, data, encoding = schema_of(content)
+            schema = foxglove.Schema(name=name, encoding=how, data=data)
+            channel = foxglove.Channel(topic, schema=schema, message_encoding=encoding, context=self._context)
+            self._channel[content] = channel
 
     def frame(self, tracks: Tracks) -> None:
         """Takes one more frame."""
@@ -230,15 +225,20 @@ class BodyMessages:
         return update
 
 
+def schema_of(name: str) -> tuple[str, str, bytes, str]:
+    """Name, encoding and content of the schema of a kind of messages (of BodyMessages.channels), and their encoding."""
+    if name not in TOPICS:
+        return "voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode(), "json"
+    data = build_file_descriptor_set(TOPICS[name]).SerializeToString()
+    return TOPICS[name].DESCRIPTOR.full_name, "protobuf", data, "protobuf"
+
+
 def register_channels(writer: Writer, said: BodyMessages) -> dict[str, int]:
     """Numbers of a person's channels in a file, by content."""
     numbers = {}
     for name, topic in said.channels().items():
-        if name in TOPICS:
-            numbers[name] = writer.register_channel(topic, "protobuf", register_schema(writer, TOPICS[name]))
-        else:
-            schema = writer.register_schema("voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode())
-            numbers[name] = writer.register_channel(topic, "json", schema)
+        *schema, encoding = schema_of(name)
+        numbers[name] = writer.register_channel(topic, encoding, writer.register_schema(*schema))
     return numbers
 
 

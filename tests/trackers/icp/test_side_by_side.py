@@ -19,8 +19,7 @@ from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import in_one_picture, simulate
 from voodoo_jax.simulate.sensor import tof_camera
 from voodoo_jax.trackers.icp.misfit import AROUND, body_distance
-from voodoo_jax.trackers.icp.people import close_in, touching_in
-from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
+from voodoo_jax.trackers.icp.people import close_in, owned_in_turn, touching_in
 
 COUNT, RATE, STOLEN = 24, 15.0, 10
 SCENE = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)

@@ -25,7 +25,8 @@ FASTEST, SLOWEST = 1e6, 1e-6  # files a second
 READERS = {
     ".bag": ("ros_bags", "convert", "types"), ".db3": ("ros_bags", "convert", "types"),
     ".mkv": ("kinect_video", "convert", "camera"),
-    ".json": ("skeletons", "convert"), ".skeleton": ("skeletons", "convert"), ".csv": ("tables", "convert", "rate"),
+    ".json": ("skeletons", "convert"), ".skeleton": ("skeletons", "convert"),
+    ".csv": ("markers", "convert_table", "rate"),
     ".c3d": ("markers", "convert_c3d"), ".trc": ("markers", "convert_trc"),
     ".pcd": ("clouds", "convert", "rate"), ".ply": ("clouds", "convert", "rate"),
 }  # fmt: skip

@@ -191,11 +191,7 @@ def raw_of(image: Image) -> np.ndarray | None:
     if image.packed is None:
         return image.raw
     body = image.packed[image.start :]
-    raw = (
-        stored(body, "depth")
-        if body.startswith(PNG)
-        else _rvl(body[8:], image.shape[0] * image.shape[1]).reshape(image.shape)
-    )
+    raw = stored(body, "depth") if body.startswith(PNG) else _rvl(body[8:], image.shape)
     if raw.shape != image.shape or raw.dtype != np.uint16:
         raise ValueError(f"the depth image is {raw.shape} of {raw.dtype}, not {image.shape} of 16 bits")
     if image.encoding != "32FC1" or image.start == 0:

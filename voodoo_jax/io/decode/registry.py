@@ -1,12 +1,17 @@
 """Decodes the bytes of ROS 2 and Foxglove messages: the table of supported types and their decoders."""
 
+import json
 import re
 import struct
 from collections.abc import Callable
+from datetime import UTC, datetime
 from functools import lru_cache
+from importlib import import_module
 from typing import Any
 
+from google.protobuf import json_format
 from google.protobuf.message import DecodeError as ProtobufError
+from google.protobuf.message import Message
 from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
@@ -50,6 +55,37 @@ DECODE_ERRORS = (
     MemoryError,
     RecursionError,
 )
+
+
+@lru_cache(64)
+def _kind(name: str) -> type[Message]:
+    short = name.rsplit(".", 1)[-1]
+    try:
+        return getattr(import_module(f"foxglove_schemas_protobuf.{short}_pb2"), short)
+    except ImportError as problem:
+        raise ValueError(f"{name} is not a Foxglove message") from problem
+
+
+def message_of(name: str, data: bytes) -> Message:
+    """The message with a name such as foxglove.PointCloud. Raises ValueError for other data."""
+    try:
+        return json_format.ParseDict(_as_protobuf(json.loads(data)), _kind(name)(), ignore_unknown_fields=True)
+    except (json_format.ParseError, OSError, OverflowError) as problem:
+        raise ValueError(str(problem)) from problem
+
+
+def _as_protobuf(value: Any, key: str = "") -> Any:
+    """Times as protobuf has them in JSON: Foxglove writes {"sec": 1, "nsec": 2}."""
+    if isinstance(value, list):
+        return [_as_protobuf(item) for item in value] if value and isinstance(value[0], dict | list) else value
+    if not isinstance(value, dict):
+        return value
+    if "sec" in value and value.keys() <= {"sec", "nsec", "nanosec"}:
+        part = f"{int(value.get('nsec', value.get('nanosec', 0))):09d}"
+        if key == "lifetime":
+            return f"{int(value['sec'])}.{part}s"
+        return f"{datetime.fromtimestamp(int(value['sec']), UTC):%Y-%m-%dT%H:%M:%S}.{part}Z"
+    return {name: _as_protobuf(item, name) for name, item in value.items()}
 
 
 def kind_of(schema: Schema | None, channel: Channel) -> str:
@@ -225,7 +261,7 @@ def _protobuf(schema: Schema) -> Callable[[bytes], Any]:
 
 
 def _json(schema: Schema) -> Callable[[bytes], Any]:
-    from voodoo_jax.io.decode.foxglove_json import message_of  # the schemas of Foxglove: only for such logs
+    from voodoo_jax.io.decode.registry import message_of  # the schemas of Foxglove: only for such logs
 
     convert = _TYPES[schema.name][1]
     return lambda data: convert(message_of(schema.name, data))
