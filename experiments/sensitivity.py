@@ -49,7 +49,7 @@ from voodoo_jax.detect import (
 from voodoo_jax.detect.opening import open_checked
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 
 PACKAGE = Path(pipeline.__file__).parent
 FACTORS = 1.5, 1 / 1.5

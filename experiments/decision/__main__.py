@@ -34,7 +34,7 @@ HEAD = [
 ]  # fmt: skip
 UP = np.array([0, 0, 1], np.float32)
 NAMES = tuple(name.replace("wrist", "radiocarpal").replace("ankle", "talocrural") for name in BONES)
-# somebody is in it; and lies, who is no body of the kind that is looked for: see detect/lying.py
+# somebody is in it; and lies, who is no body of the kind that is looked for: see detect/body_likelihood.py
 ROOMS = {"rooms": (True, False), "nobody": (False, False), "lying": (True, True)}
 CHANGED = ("bow-active", "guide-happy")  # recordings that are changed as in experiments/stress
 UNTRUE = ("scene second person walks behind", "one-and-a-mannequin")  # people, or what looks like them, without a truth

@@ -222,8 +222,8 @@ def _live(source: Path, out: Path, one: Sound) -> Made:
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of
     from voodoo_jax.io.container import LogError
-    from voodoo_jax.io.live.foxglove_client import FoxgloveClient
     from voodoo_jax.io.live.frames import LiveLog
+    from voodoo_jax.io.live.sources import FoxgloveClient
     from voodoo_jax.model.body_file import load_on_host
 
     if one.main.endswith(".mcap"):

@@ -27,7 +27,7 @@ from experiments.sensitivity import FACTORS, changed
 from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.opening import open_checked
 from voodoo_jax.detect.pipeline import find_people
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import LogInfo, Task
 from voodoo_jax.trackers.icp import misfit, people, pipeline, tracker

@@ -7,9 +7,10 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 
+from experiments.foxglove_log import depth_image, foxglove_log, put_camera
 from experiments.people.figure import BONES
 from experiments.people.pictures import JPEG, Rig
-from voodoo_jax.simulate.mcap import depth_image, foxglove_log, put_camera, save_truth
+from voodoo_jax.simulate.mcap import save_truth
 from voodoo_jax.simulate.recording import FIXED_FRAME
 from voodoo_jax.simulate.sensor import Camera
 

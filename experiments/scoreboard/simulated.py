@@ -11,12 +11,13 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import voodoo_jax as vj
+from experiments.foxglove_log import depth_image, foxglove_log, put_camera
 from voodoo_jax.config.options import DetectSettings, StartSettings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import open_log
 from voodoo_jax.model.body import scaled, site_points
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.simulate.mcap import depth_image, foxglove_log, put_camera, write_simulation
+from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import Motion, make_motion, placed
 from voodoo_jax.simulate.recording import Simulation, simulate
 from voodoo_jax.simulate.room import Box, Room

@@ -15,7 +15,7 @@ from tests.support.helpers import wait_for
 from tests.support.small_logs import FLAGS, arrays_of, assert_same, small_log
 from tests.support.waving import SMALL, waving_log
 from voodoo_jax.cli.main import main
-from voodoo_jax.exporters.live import FoxgloveServer
+from voodoo_jax.exporters.foxglove import FoxgloveServer
 from voodoo_jax.exporters.npz import read_tracks_npz
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.live.sources import open_source

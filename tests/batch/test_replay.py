@@ -18,6 +18,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 import voodoo_jax.trackers.shared.runner
+from experiments.scoreboard.simulated import write_log
 from tests.support import logs
 from voodoo_jax.batch.output_paths import folders_within, logs_of
 from voodoo_jax.batch.replay import output_paths, replay
@@ -85,7 +86,9 @@ def demo_run(tmp_path_factory) -> Run:
 
 @pytest.fixture(scope="module")
 def wave_log(tmp_path_factory) -> Path:
-    return write_simulation(person("wave", 2.0, 1.83), tmp_path_factory.mktemp("wave") / "wave.mcap", format="foxglove")
+    simulation = person("wave", 2.0, 1.83)
+    path = write_simulation(simulation, tmp_path_factory.mktemp("wave") / "wave.mcap")  # and its truth
+    return write_log(path, {"depth": simulation})
 
 
 def programs() -> int:

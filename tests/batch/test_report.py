@@ -16,7 +16,7 @@ from voodoo_jax.exporters.npz import write_tracks_npz
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.records.tracks import Status
-from voodoo_jax.viz.sketch import compared, strip, time_line, untracked
+from voodoo_jax.viz.report_page import compared, strip, time_line, untracked
 
 
 def words(page: str) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from voodoo_jax.batch.shards import parse_shard, shard_of
+from voodoo_jax.batch.output_paths import parse_shard, shard_of
 
 
 @pytest.fixture

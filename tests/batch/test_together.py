@@ -15,7 +15,7 @@ import voodoo_jax as vj
 from tests.support.helpers import SOLVE, all_finite, two_limb_frames, two_limbs, wait_for
 from tests.support.small_logs import FLAGS, SETTINGS, arrays_of, assert_same, small_body, small_log
 from voodoo_jax.batch import lanes
-from voodoo_jax.batch.request_batcher import in_turns
+from voodoo_jax.batch.lanes import in_turns
 from voodoo_jax.cli.main import main
 from voodoo_jax.config.options import TrackSettings
 from voodoo_jax.solve.padding import pad_frames

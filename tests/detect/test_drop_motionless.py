@@ -9,8 +9,7 @@ import pytest
 from tests.support.rooms import FLOOR
 from tests.support.still_things import block, sway, watched
 from voodoo_jax.detect.drop_motionless import NOTE, DropMotionless
-from voodoo_jax.detect.static_points import resting
-from voodoo_jax.detect.stillness import Stillness, directions
+from voodoo_jax.detect.stillness import Stillness, directions, resting
 from voodoo_jax.records.scene import Scene
 
 STAGE = DropMotionless()

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from tests.support.beside_a_box import BOX, seen, somebody
 from tests.support.rooms import FLOOR, ORIGIN
 from voodoo_jax.detect.drop_planar_furniture import flat_faces, without_faces
-from voodoo_jax.detect.static_points import OFTEN, resting
+from voodoo_jax.detect.stillness import OFTEN, resting
 
 
 def off(mesh: trimesh.Trimesh, points) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from voodoo_jax.detect.in_the_way import FEWEST, KEPT, in_the_way
+from voodoo_jax.detect.visibility import FEWEST, KEPT, in_the_way
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation, with_places
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame, grid, room
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.lying import extent, mostly_lie, who_lies
+from voodoo_jax.detect.body_likelihood import extent, mostly_lie, who_lies
 from voodoo_jax.detect.raise_floor import with_beds
 from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.records.observation import whole

@@ -8,7 +8,7 @@ from tests.support.logs import START, Log, ros_cloud, ros_tf
 from tests.support.rooms import box, figure, room
 from voodoo_jax import read_log
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.detect.misplaced import Surface, correction, normals_of
+from voodoo_jax.detect.opening import Surface, correction, normals_of
 
 HOME, UP = np.array([0, 0.3, 1.2]), np.array([0, 0, 1.0])
 

@@ -11,7 +11,7 @@ import pytest
 
 from experiments.fit.__main__ import exercise
 from voodoo_jax.cli.main import main
-from voodoo_jax.compile.sequential_map import one_by_one
+from voodoo_jax.compile.xla_options import one_by_one
 from voodoo_jax.config.fit_options import FitSettings
 from voodoo_jax.config.options import FeatureSettings, Settings
 from voodoo_jax.fitting.checkpoint import Progress, load_progress, save_progress

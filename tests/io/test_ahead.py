@@ -7,7 +7,7 @@ import pytest
 
 from voodoo_jax.config.limited import limited, limits
 from voodoo_jax.config.options import LimitSettings
-from voodoo_jax.io.ahead import ahead
+from voodoo_jax.storage.cores import ahead
 
 
 def test_all_come_in_order_and_some_are_made_before_they_are_asked_for():

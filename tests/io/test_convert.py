@@ -26,8 +26,7 @@ from voodoo_jax.exporters.formats import export
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.convert.clouds import read_pcd
 from voodoo_jax.io.convert.errors import ConvertError
-from voodoo_jax.io.convert.in_passing import as_mcap
-from voodoo_jax.io.convert.sources import convert
+from voodoo_jax.io.convert.sources import as_mcap, convert
 from voodoo_jax.model.body_file import load_body
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import make_motion, placed

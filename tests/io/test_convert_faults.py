@@ -11,7 +11,7 @@ from tests.support.faults import fail_writing
 from voodoo_jax.config.limited import limited
 from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.exporters.formats import export
-from voodoo_jax.exporters.live import GrowingTracks
+from voodoo_jax.exporters.foxglove import GrowingTracks
 from voodoo_jax.io.convert.errors import ConvertError
 from voodoo_jax.io.convert.sources import convert
 from voodoo_jax.storage.troubles import NotWritten

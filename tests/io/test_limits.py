@@ -13,12 +13,11 @@ import zstandard
 from mcap.records import Channel, Schema
 
 from tests.support.logs import PERIOD, START, K, depth_log, ros_point, ros_tf
+from voodoo_jax.config.limited import limited
 from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.geometry.lens import pixel_rays
-from voodoo_jax.io.decode.depth_codec import packed_depth
-from voodoo_jax.io.decode.image_codec import stored
+from voodoo_jax.io.decode.image_codec import packed_depth, stored
 from voodoo_jax.io.decode.registry import Decoder
-from voodoo_jax.io.limits import limited
 from voodoo_jax.io.log_reader import LogError, read_log, survey
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
 from voodoo_jax.model.body_file import BodyFileError, load_on_host

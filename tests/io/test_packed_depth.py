@@ -22,7 +22,7 @@ from tests.support.logs import (
     ros_image,
 )
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.decode.depth_codec import packed_depth, raw_of
+from voodoo_jax.io.decode.image_codec import packed_depth, raw_of
 from voodoo_jax.io.log_reader import LogError, read_log, survey
 
 A, B = 101.0, -4.0  # of 32FC1: steps of 2 cm at 1.5 m

@@ -126,8 +126,8 @@ class Sees(Knowing):
 
 
 def test_key_points_of_several_cameras_alone_are_triangulated(tmp_path, net, monkeypatch):
-    monkeypatch.setattr("voodoo_jax.io.camera_key_points.PoseNet", Sees)
-    monkeypatch.setattr("voodoo_jax.io.camera_key_points.pose_files", lambda place: (b"", b""))
+    monkeypatch.setattr("voodoo_jax.io.pose_rays.PoseNet", Sees)
+    monkeypatch.setattr("voodoo_jax.io.pose_rays.pose_files", lambda place: (b"", b""))
     log, count = Log(), 6
     for c, place in enumerate(CAMERAS):
         q = tuple(turn_of(c).as_quat().tolist())

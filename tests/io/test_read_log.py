@@ -226,13 +226,12 @@ def test_image_and_cloud_of_one_camera_are_used_once(tmp_path):
 def test_two_logs_at_once_and_streaming(tmp_path):
     a = open_log(depth_log(6).write(tmp_path / "a.mcap", chunk_size=4000))
     b = open_log(cloud_log(ros_cloud(START, "lidar", CLOUD), base_tf()).write(tmp_path / "b.mcap"))
-    seen = []
-    first = a.frames(lambda done, total: seen.append((done, total)))
+    first = a.frames()
     one = next(first)
     close(next(b.frames()).points, turned(CLOUD))
     rest = list(first)
     close(rest[-1].points, in_base(depth_points(depth_metres(5))))
-    assert len(a) == 1 + len(rest) == 6 and seen == [(i, 6) for i in range(1, 7)]
+    assert len(a) == 1 + len(rest) == 6
     np.testing.assert_array_equal(next(a.frames()).points, one.points)  # can be read again
     assert len(read_log(tmp_path / "b.mcap")) == 1
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from voodoo_jax.io.landmark_table import Gathered
-from voodoo_jax.io.unseen import without_held, without_placeholders
+from voodoo_jax.io.landmark_table import Gathered, without_held, without_placeholders
 
 NAMES, COUNT, PERIOD = [f"m{k}" for k in range(8)], 60, 20_000_000
 

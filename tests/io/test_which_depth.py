@@ -6,9 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.logs import START, Log, ros_calibration, ros_image, ros_tf
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.image_planes import flat_share
+from voodoo_jax.io.as_shown import flat_share, word
 from voodoo_jax.io.log_reader import open_log, read_log, survey
-from voodoo_jax.io.which_depth import word
 
 SIZE = (60, 80)
 K = np.array([[70.0, 0, 39.5], [0, 70, 29.5], [0, 0, 1]])

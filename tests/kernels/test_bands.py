@@ -7,8 +7,8 @@ import pytest
 
 from tests.support.helpers import cast, random_like, random_rotations, scipy_rotation, turned, two_limbs
 from voodoo_jax.geometry.rigid import Poses, apply, compose, inverse, quat_exp
-from voodoo_jax.kernels.absolute_orientation import align
 from voodoo_jax.kernels.bands import link_moments, prior_moments
+from voodoo_jax.kernels.eigen import align
 from voodoo_jax.model.body import Body, bands
 from voodoo_jax.model.body_file import load_body
 

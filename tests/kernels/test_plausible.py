@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.helpers import all_finite, frame_points, frustum_mesh, icp_options, scipy_rotation, seen_points
 from voodoo_jax.geometry.rigid import Poses
-from voodoo_jax.kernels.joint_limits import check, joint_angles, limit_links
-from voodoo_jax.kernels.self_collision import apart, contact_links, contacts
+from voodoo_jax.kernels.joint_limits import apart, check, contact_links, contacts, joint_angles, limit_links
 from voodoo_jax.model.body_file import human, load_body
 from voodoo_jax.simulate.motion import pose_body
 from voodoo_jax.solve.frame import solve_frame

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.helpers import all_finite, central_difference, random_rotations, scipy_rotation
 from voodoo_jax.geometry.rigid import matrix
-from voodoo_jax.kernels.absolute_orientation import align, horn_matrix, top_eigenpair
+from voodoo_jax.kernels.eigen import align, horn_matrix, top_eigenpair
 
 pytestmark = pytest.mark.usefixtures("compiled_in_a_hurry")
 

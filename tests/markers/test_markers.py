@@ -13,11 +13,10 @@ from voodoo_jax.config.options import FeatureSettings, ReadSettings, Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.kernels.landmarks import named_points
-from voodoo_jax.markers.chain import Chain
 from voodoo_jax.markers.diagnostics import in_few_lines
 from voodoo_jax.markers.first_pose import agreed, first_pose, rigid
 from voodoo_jax.markers.own_sites import named_subject
-from voodoo_jax.markers.priors import Priors
+from voodoo_jax.markers.priors import Chain, Priors
 from voodoo_jax.markers.size_fit import Fit, Markers, personal
 from voodoo_jax.markers.table import marker_table, places, without_gaps
 from voodoo_jax.model.body import joint_centres, scaled, segment_lengths, with_proportions

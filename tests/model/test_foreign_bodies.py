@@ -16,7 +16,7 @@ from voodoo_jax.exporters.formats import export
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.model.body import joint_centres, segment_lengths
 from voodoo_jax.model.body_file import BodyFileError
-from voodoo_jax.model.foreign.frustum_fit import fit_frustum
+from voodoo_jax.model.foreign.assembly import fit_frustum
 from voodoo_jax.model.foreign.sources import body_from
 
 # name, parent, kind, origin in the parent (metres), axis, limits (radians), shape in the link: kind, size, centre

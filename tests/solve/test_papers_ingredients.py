@@ -9,9 +9,9 @@ from tests.support.helpers import frame_points, icp_options, two_limbs
 from voodoo_jax.config.options import FeatureSettings
 from voodoo_jax.config.presets import preset
 from voodoo_jax.geometry.rigid import Poses, apply
-from voodoo_jax.kernels.absolute_orientation import align
 from voodoo_jax.kernels.assignment import sampled
 from voodoo_jax.kernels.correspondences import FREE, ON_BODY, Points, Sampling, match, sums
+from voodoo_jax.kernels.eigen import align
 from voodoo_jax.kernels.frustum import closest_point
 from voodoo_jax.kernels.landmarks import Features, feature_sums
 from voodoo_jax.model.body import bands

@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
+from voodoo_jax.config.limited import limited, limits
 from voodoo_jax.config.options import LimitSettings
-from voodoo_jax.io.limits import limited, limits
 from voodoo_jax.storage import cores
 
 

@@ -11,11 +11,16 @@ import numpy as np
 import platformdirs
 import pytest
 
+from tests.support.rooms import FLOOR
 from tests.support.small_logs import SETTINGS, small_body, small_log
+from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect import stage
+from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.disk_buffer import WITHOUT, spilled
+from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.scene import Scene
 from voodoo_jax.storage import scratch
 from voodoo_jax.trackers.front import track
 from voodoo_jax.trackers.shared import sequence
@@ -87,9 +92,18 @@ def test_one_window_is_in_memory_at_a_time(monkeypatch):
             born.append(weakref.ref(frame))
             yield frame
 
+    class Same(stage.WindowStage):
+        def change(self, window, target):
+            return window
+
+    class Copied(stage.WindowStage):
+        def change(self, window, target):
+            return list(window)
+
+    target = Tracklets(Scene(FLOOR, (), True), Build(1.7, 0.5), DetectSettings())
     frames: Iterable[BodyObservation] = measured()
-    for change in (lambda window: window, lambda window: list(window), lambda window: window):
-        frames = stage.by_windows(frames, change)
+    for each in (Same(), Copied(), Same()):
+        frames = each(frames, target)
     times, most = [], 0
     for frame in frames:
         times.append(frame.time_ns)

@@ -28,7 +28,7 @@ def called(node: ast.Call) -> str:
 def test_arrays_over_bytes_are_made_by_one_function():
     bare = re.compile(r"(^|\.)(as_strided|frombuffer|sliding_window_view|memmap|fromfile)$|^np\.ndarray$")
     found = {name for name, node in calls(*READERS) if bare.search(called(node))}
-    assert found == {"geometry/from_bytes.py"}
+    assert found == {"geometry/arrays_file.py"}
 
 
 def test_arrays_are_read_from_files_by_one_function():
@@ -52,12 +52,12 @@ def test_one_place_puts_text_into_markup():
     for path in sorted(ROOT.rglob("*.py")):
         name = path.relative_to(ROOT).as_posix()
         tree = ast.parse(path.read_text())
-        if name not in ("records/markup.py", "viz/sketch.py"):  # drawings are numbers and words of ours
+        if name not in ("records/notes.py", "viz/report_page.py"):  # drawings are numbers and words of ours
             for node in ast.walk(tree):
                 if isinstance(node, ast.JoinedStr):
                     text = "".join(str(part.value) for part in node.values if isinstance(part, ast.Constant))
                     assert not re.search(r"</?(a|b|p|h\d|td|tr|th|li|ul|img|span|div|table|script)[ >]", text), name
-        assert "from html import" not in path.read_text() or name == "records/markup.py", name
+        assert "from html import" not in path.read_text() or name == "records/notes.py", name
 
 
 def test_foreign_files_are_parsed_behind_the_guard_only():
@@ -70,15 +70,14 @@ def test_foreign_files_are_parsed_behind_the_guard_only():
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             if any(map(parsers.match, names)):
                 found.add(path.relative_to(ROOT).as_posix())
-    writes = {"exporters/foxglove.py", "exporters/gltf.py", "exporters/limb_meshes.py", "viz/viewer.py"}
+    writes = {"exporters/foxglove.py", "exporters/gltf.py", "exporters/skeleton.py", "viz/viewer.py"}
     behind = {"io/convert/clouds.py", "io/convert/kinect_video.py", "io/convert/ros_bags.py"}
     behind |= {"model/foreign/urdf.py", "model/foreign/skinned_mesh.py"}
     assert behind <= found <= behind | writes
     loads = {name for name, node in calls() if called(node) in ("trimesh.load", "av.open", "ezc3d.c3d")}
     own = {"exporters/c3d.py"}  # writes them
     assert (
-        loads
-        == behind - {"model/foreign/skinned_mesh.py", "io/convert/ros_bags.py"} | {"io/convert/c3d_files.py"} | own
+        loads == behind - {"model/foreign/skinned_mesh.py", "io/convert/ros_bags.py"} | {"io/convert/markers.py"} | own
     )
 
 

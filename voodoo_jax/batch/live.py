@@ -12,15 +12,14 @@ from voodoo_jax.batch.log_job import output_paths, remove_others, remove_partial
 from voodoo_jax.batch.outcome import Outcome, outcome_of
 from voodoo_jax.batch.replay import parameters_of
 from voodoo_jax.compile.cache_dir import keep_compiled
+from voodoo_jax.config.limited import limited
 from voodoo_jax.config.options import Settings, SettingsError
 from voodoo_jax.detect.opening import open_checked
 from voodoo_jax.detect.pipeline import build_of
-from voodoo_jax.exporters.foxglove import write_tracks_mcap
-from voodoo_jax.exporters.live import Publisher
+from voodoo_jax.exporters.foxglove import Publisher, write_tracks_mcap
 from voodoo_jax.exporters.npz import write_tracks_npz
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import on_device
-from voodoo_jax.io.limits import limited
 from voodoo_jax.io.live.frames import LiveLog
 from voodoo_jax.io.live.sources import URLS, Source
 from voodoo_jax.io.log_reader import LogReader

@@ -76,8 +76,8 @@ def track_log(
     Raises LogError, also after `timeout` seconds if that is not 0; Unsuitable."""
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of
-    from voodoo_jax.io.ahead import ahead
     from voodoo_jax.io.container import LogError
+    from voodoo_jax.storage.cores import ahead
     from voodoo_jax.trackers.base import Task, source_of_log, tracker_of
 
     until = time.monotonic() + timeout if timeout else math.inf
@@ -134,8 +134,8 @@ def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4,
 def do_job(job: Job, progress: Progress | None = None, visit: Visit | None = None) -> Outcome:
     """Tracks one log and writes its results; `visit` runs the program, None: in this process. Errors are reported in
     the outcome."""
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.io.container import LogError
-    from voodoo_jax.io.limits import limited
     from voodoo_jax.trackers.base import Unsuitable
 
     began = time.perf_counter()
@@ -167,7 +167,7 @@ def _done(job: Job, progress: Progress | None, visit: Visit | None) -> Outcome:
     from voodoo_jax.exporters.foxglove import write_tracks_mcap
     from voodoo_jax.exporters.npz import read_tracks_npz, write_tracks_npz
     from voodoo_jax.io.container import LogError
-    from voodoo_jax.io.convert.in_passing import as_mcap
+    from voodoo_jax.io.convert.sources import as_mcap
     from voodoo_jax.trackers.base import Unsuitable
     from voodoo_jax.trackers.smoothing import smooth
 

@@ -13,9 +13,8 @@ from tqdm.auto import tqdm  # a bar in terminals and notebooks alike, 1 MB
 
 from voodoo_jax.batch.log_job import Job, draw, output_paths, output_places, track_log
 from voodoo_jax.batch.outcome import Outcome, outcome_of_arrays
-from voodoo_jax.batch.output_paths import folders_within, logs_of
+from voodoo_jax.batch.output_paths import folders_within, largest_first, logs_of, parse_shard, shard_of
 from voodoo_jax.batch.process_pool import Report, Results, default_workers, in_process, in_workers, may_have_gpu
-from voodoo_jax.batch.shards import largest_first, parse_shard, shard_of
 from voodoo_jax.batch.worker_start import can_copy, in_a_copy
 from voodoo_jax.compile.cache_dir import safe_folder
 from voodoo_jax.config.options import Settings, SettingsError
@@ -220,7 +219,7 @@ def _engine(
 
         return on_ray(jobs, report, ray)
     if engine == "batch":
-        from voodoo_jax.batch.device_batch import in_batch
+        from voodoo_jax.batch.lanes import in_batch
 
         return in_batch(jobs, report)
     count = min(workers or default_workers(len(jobs)), len(jobs))

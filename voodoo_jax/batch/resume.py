@@ -6,6 +6,7 @@ import zipfile
 import zlib
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -19,7 +20,7 @@ from voodoo_jax.exporters.npz import tracks_arrays
 from voodoo_jax.io.chunks import READ_ERRORS
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
-from voodoo_jax.storage.urls import Readable, is_url, log_parts, opened, person_place
+from voodoo_jax.storage.urls import is_url, log_parts, opened, person_place
 
 KEPT = ("body_json", "residual", "tracked", "seconds", "notes")  # of a tracks file
 BLOCK = 1 << 16  # bytes of each sample of a log
@@ -27,7 +28,7 @@ BLOCK = 1 << 16  # bytes of each sample of a log
 BROKEN = (OSError, ValueError, KeyError, EOFError, StopIteration, zipfile.BadZipFile, zlib.error, *READ_ERRORS)
 
 
-def log_fingerprint(stream: Readable, whole: bool = True) -> str:
+def log_fingerprint(stream: Any, whole: bool = True) -> str:
     """A fingerprint of a log: its length and all its bytes, so that a repaired copy is another log and a copy elsewhere
     is the same. Not `whole`, for stores that are far: its bytes at the start, the end and two places between; the end
     holds the index and checksums. Raises OSError.

@@ -8,6 +8,7 @@ from tqdm.auto import tqdm
 from voodoo_jax.cli.commands import FitCommand
 from voodoo_jax.cli.printing import Stop, say, stopping, tell
 from voodoo_jax.config.fit_options import check_fit
+from voodoo_jax.config.limited import limited
 from voodoo_jax.config.options import Settings
 from voodoo_jax.config.toml import settings_text
 from voodoo_jax.fitting.checkpoint import Progress
@@ -16,7 +17,6 @@ from voodoo_jax.fitting.front import fit
 from voodoo_jax.fitting.gauss_newton import FitError
 from voodoo_jax.fitting.report import write_report
 from voodoo_jax.fitting.result import Fit
-from voodoo_jax.io.limits import limited
 from voodoo_jax.io.log_reader import LogError
 from voodoo_jax.model.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.records.notes import shown

@@ -53,7 +53,7 @@ def run_live(command: Live) -> int:
 
 def _publishers(command: Live, mcap: str, stack: ExitStack) -> list:
     """What frames are given to. Raises OSError."""
-    from voodoo_jax.exporters.live import FoxgloveServer, GrowingTracks
+    from voodoo_jax.exporters.foxglove import FoxgloveServer, GrowingTracks
     from voodoo_jax.storage.atomic import made_folder
 
     made_folder(command.out)

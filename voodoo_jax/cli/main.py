@@ -41,11 +41,12 @@ if TYPE_CHECKING:
     from voodoo_jax.batch.outcome import Outcome
 
 ALL_HELP = "--help-all"
-# each has a function run_<name>, here or in a module <name> of this package
+# each has a function run_<name>, here or in a module <name> of this package, or in `files`
 NAMES = {
     Replay: "replay", Info: "info", Demo: "demo", Live: "live", Export: "export", Convert: "convert", View: "view",
     BodyCommand: "body", FitCommand: "fit",
 }  # fmt: skip
+APART = ("live", "fit")  # what they import takes long, or is theirs alone
 ALL = 1 << 20  # characters of a list of logs: not cut
 _T = TypeVar("_T")
 
@@ -128,7 +129,7 @@ def run_info(command: Info) -> int:
     """0 if every log could be read, 1 if one could not, 2 if none was named or found."""
     if not command.logs:
         raise Stop("name at least one log")
-    from voodoo_jax.io.limits import limited
+    from voodoo_jax.config.limited import limited
     from voodoo_jax.io.log_reader import LogError, survey
     from voodoo_jax.storage.urls import expanded
 
@@ -279,7 +280,9 @@ def _run(command: Command, base: Settings) -> int:
     own = {Replay: run_replay, Info: run_info, Demo: run_demo}
     for kind, name in NAMES.items():
         if isinstance(command, kind):
-            run = own.get(kind) or getattr(import_module(f"voodoo_jax.cli.{name}"), f"run_{name}")
+            run = own.get(kind) or getattr(
+                import_module(f"voodoo_jax.cli.{name if name in APART else 'files'}"), f"run_{name}"
+            )
             try:
                 return run(command, base) if kind is FitCommand else run(command)
             except Stop as why:

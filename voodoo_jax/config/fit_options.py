@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from voodoo_jax.config.bounds import check_bounds
+from voodoo_jax.config.limited import check_bounds
 
 # least and most of each number: with fewer frames or points nothing is determined, with more memory ends
 BOUNDS: dict[str, tuple[float, float]] = {

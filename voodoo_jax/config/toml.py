@@ -13,7 +13,7 @@ from math import hypot
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-from voodoo_jax.config.bounds import LARGEST, LEAST, SIZES
+from voodoo_jax.config.limited import LARGEST, LEAST, SIZES
 from voodoo_jax.config.options import Change, LimitSettings, Settings, SettingsError
 from voodoo_jax.storage.troubles import small_text
 
@@ -40,7 +40,7 @@ def _check(stage: str, f: Field, value: Any) -> Any:
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
             raise SettingsError(f"{name} = {value!r}: must be a list of texts")
         if name in _PAIRS:
-            check_pairs(name, tuple(value), numbers=_PAIRS[name])
+            check_pairs(name, tuple(value))
         return tuple(value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value) if abs(value) <= LARGEST else float("inf")  # some are too large for that, too
@@ -59,8 +59,9 @@ def _check(stage: str, f: Field, value: Any) -> Any:
     return value
 
 
-def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, str]:
-    """Words like "face=10" as a dictionary. Raises SettingsError."""
+def check_pairs(name: str, words: tuple[str, ...]) -> dict[str, str]:
+    """Words like "face=10" of an option as a dictionary. Raises SettingsError."""
+    numbers, example = _PAIRS[name]
     for word in words:
         key, _, value = word.partition("=")
         try:
@@ -75,7 +76,7 @@ def check_pairs(name: str, words: tuple[str, ...], numbers: bool) -> dict[str, s
         except ValueError:
             good = False
         if not good:
-            raise SettingsError(f"{name}: '{word}' must look like {_EXAMPLES[name]}")
+            raise SettingsError(f"{name}: '{word}' must look like {example}")
     return dict(word.split("=", 1) for word in words)
 
 
@@ -241,33 +242,22 @@ def settings_text(settings: "Settings | None" = None) -> str:
 # by the names of their tables; "": what stands before all tables
 _STAGES: dict[str, Any] = {"": Settings} | {f.name: f.type for f in fields(Settings) if is_dataclass(f.type)}
 _OF_ALL = {f.name: f for f in fields(Settings) if f.name not in (*_STAGES, "changes")}
-# texts like "face=10", and whether a number stands behind the equals sign
+# texts like "face=10": whether a number stands behind the equals sign, and what they look like
 _PAIRS = {
-    "features.names": False,
-    "features.weights": True,
-    "read.parts": False,
-    "read.labels": False,
-    "read.weights": True,
-    "read.scale": True,
-    "read.delays": True,
-    "read.mirror": False,
-    "read.radial": False,
+    "features.names": (False, "name=point, such as face=sellion"),
+    "features.weights": (True, "name=number, such as face=10"),
+    "read.parts": (False, "topic=part, such as /people/points=body or /hands/left=l_forearm"),
+    "read.labels": (False, "number=part, such as 3=head, 7=body or 0=free"),
+    "read.weights": (True, "topic=number, such as /stereo/points=0.5"),
+    "read.scale": (True, "topic=metres per unit, such as /camera/depth=0.001"),
+    "read.delays": (True, "topic=seconds, such as /lidar/points=0.25"),
+    "read.mirror": (False, "topic=axis (x, y, z or none), such as /markers=z"),
+    "read.radial": (False, "topic=yes or no, such as /tof/distance=yes"),
 }
 # seconds between two clocks may be those since 1970; no unit of length is smaller than a picometre
 _PAIR_BOUNDS = {"read.delays": (-4e9, 4e9), "read.scale": (1e-12, LARGEST)}
 # those that may be inf: all pairs or features count, as in the papers
 _ENDLESS = ("features.max_distance", "features.robust_scale", "solve.max_distance", "solve.robust_scale")
-_EXAMPLES = {
-    "features.names": "name=point, such as face=sellion",
-    "features.weights": "name=number, such as face=10",
-    "read.parts": "topic=part, such as /people/points=body or /hands/left=l_forearm",
-    "read.labels": "number=part, such as 3=head, 7=body or 0=free",
-    "read.weights": "topic=number, such as /stereo/points=0.5",
-    "read.scale": "topic=metres per unit, such as /camera/depth=0.001",
-    "read.mirror": "topic=axis (x, y, z or none), such as /markers=z",
-    "read.radial": "topic=yes or no, such as /tof/distance=yes",
-    "read.delays": "topic=seconds, such as /lidar/points=0.25",
-}
 _BOUNDS: dict[str, tuple[float, float]] = {
     **{f"limits.{f.name}": (1, 1 << 60) for f in fields(LimitSettings) if f.name != "seconds"},
     "read.max_points": (1, MOST),

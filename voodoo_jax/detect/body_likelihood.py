@@ -1,10 +1,26 @@
-"""Chooses the object that is most likely the body, before it is known. Host side, NumPy."""
+"""Chooses the object that is most likely the body, before it is known; and finds people lying on the floor, a bed or a
+sofa: low, long objects no larger than a body. Host side, NumPy.
+
+Carpets, mattresses and dogs fit this, too; tracklets.py checks whether the object moves.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
+from voodoo_jax.geometry.plane import Plane
+from voodoo_jax.records.observation import BodyObservation
+
+LONG = 1.5  # times as long as it is high: who sits on the floor with straight legs is not; by hand
+# of the body's height: how long who lies is, with knees drawn up or arms overhead; by hand
+SHORTEST, LONGEST = 0.5, 1.3
+HIGHEST = 0.5  # likewise, from the lowest to the highest point: shoulders are a quarter as wide; by hand
+# of the square of the body's height: the area that is seen of it; by hand (0.05 to 0.15 in 14 simulated people, the top
+# and front of a bed have 0.3 and more)
+SMALL, LARGE = 0.03, 0.25
+BROADEST = 0.35  # of the body's height: the width of the half of the points that is nearest to the length; by hand
+LOOKED_AT = 30  # frames, evenly spread; by hand
 LOOSE = 0.5  # of its height, or more: so high an animal or a machine may be as well
 SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
 FEWEST = 50  # points of a thing that may be it
@@ -18,6 +34,64 @@ PART, UPPER, LEAST = 0.3, 0.75, 0.45
 SPREAD, SQUAT = 0.8, 0.75  # of its height: what is wider and lower is a counter or a sofa; by hand
 TALLEST = 1.35  # of its height: what is higher is not the body; by hand
 BROAD = 1.5  # times that area: what is even broader at the top is less likely to be the body
+
+
+class Extent(NamedTuple):
+    """How some points lie."""
+
+    axis: Float[np.ndarray, "3"]  # level unit vector along which they are longest
+    middle: Float[np.ndarray, "3"]  # of them, fixed frame, metres
+    length: float  # metres along the axis
+    height: float  # metres from the lowest to the highest one
+    width: float  # metres, level, of the half of them that is nearest to the axis
+
+    @property
+    def lies(self) -> bool:
+        """Whether the points are low and long."""
+        return self.length > LONG * self.height
+
+
+def extent(points: Float32[np.ndarray, "point 3"], floor: Plane) -> Extent:
+    """Extent of some points, without outliers."""
+    level, height = floor.level(points).astype(float), floor.height(points).astype(float)
+    away = level - level.mean(0)
+    axis = np.linalg.eigh(away.T @ away)[1][:, -1]
+    along = away @ axis
+    first, last = np.percentile(along, [1, 99])
+    low, high = np.percentile(height, [1, 99])
+    aside = away - along[:, None] * axis
+    centre = np.median(aside, 0)
+    width = 2 * float(np.median(np.linalg.norm(aside - centre, axis=1)))
+    middle = level.mean(0) + (first + last) / 2 * axis + centre + np.median(height) * floor.normal
+    return Extent(axis, middle, float(last - first), float(high - low), width)
+
+
+def mostly_lie(frames: list[BodyObservation], floor: Plane) -> bool:
+    """Whether the points of most frames are low and long."""
+    seen = [f for f in frames if len(f.points) >= FEWEST]
+    return bool(np.mean([extent(f.points, floor).lies for f in seen[:: len(seen) // LOOKED_AT + 1]] or [False]) > 0.5)
+
+
+def who_lies(
+    points: Float32[np.ndarray, "point 3"],
+    label: Int[np.ndarray, " point"],
+    area: Float[np.ndarray, " point"],
+    floor: Plane,
+    height: float,
+) -> int:
+    """Label of the largest object that may be a lying body; -1 if there is none.
+
+    **Arguments:** as for `candidate`; `height` of the body, metres.
+    """
+    best, largest = -1, 0.0
+    for k in np.flatnonzero(np.bincount(label) >= FEWEST):
+        mine = label == k
+        found, size = extent(points[mine], floor), float(area[mine].sum())
+        long = SHORTEST * height <= found.length <= LONGEST * height
+        flat = found.lies and found.height <= HIGHEST * height and found.width <= BROADEST * height
+        if long and flat and SMALL * height**2 <= size <= LARGE * height**2 and size > largest:
+            best, largest = int(k), size
+    return best
 
 
 class Build(NamedTuple):

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from voodoo_jax.detect.late_transforms import FAR
+from voodoo_jax.detect.delays import FAR
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.detect.units import AT_ZERO, SPREAD
-from voodoo_jax.io.image_fit import CROPPED
+from voodoo_jax.io.calibrations import CROPPED
 from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.records.recording import Frame
 

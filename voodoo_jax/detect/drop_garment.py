@@ -4,16 +4,14 @@ narrow columns, and a single wide piece there is not a limb. Host side, NumPy; l
 If it were left in, the legs would spread to fit its rim, and the trunk would follow them.
 """
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
 
-from voodoo_jax.detect.body_likelihood import TELLING
-from voodoo_jax.detect.lying import LOOKED_AT
-from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
+from voodoo_jax.detect.body_likelihood import LOOKED_AT, TELLING
+from voodoo_jax.detect.stage import Target, WindowStage, lies_there
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.records.observation import BodyObservation, assigned
@@ -30,7 +28,7 @@ class Pieces(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DropGarment:
+class DropGarment(WindowStage):
     """Removes a single wide piece below the hips of a person who stands or walks, if most frames show it.
 
     Numbers were chosen by hand, on ten recordings of people without garments (pieces at most 0.17 wide in nine of ten
@@ -39,8 +37,6 @@ class DropGarment:
     """
 
     name: ClassVar = "drop_garment"
-    looks_ahead: ClassVar = True
-    needs: ClassVar = frozenset({"person"})
 
     frames: int = 8  # of somebody upright, at least, if anything is decided
     upright: float = 0.85  # so high is the top of who stands
@@ -56,11 +52,8 @@ class DropGarment:
     slab: float = 0.02  # height of the slices
     link: float = 3.0  # times the distance of neighbouring points: points so near in a slice are of one piece
 
-    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            return window if shows_who_lies(window, target) else self.without(window, target.finder.scene.floor)
-
-        return by_windows(frames, change)
+    def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
+        return window if lies_there(window, target) else self.without(window, target.finder.scene.floor)
 
     def without(self, frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
         """The frames without such a piece; the same frames if there is none."""

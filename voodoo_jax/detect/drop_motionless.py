@@ -1,12 +1,11 @@
 """Rejects objects that never move: dummies, coat stands, walls. Host side, NumPy; looks ahead."""
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
+from voodoo_jax.detect.stage import Target, WindowStage, lies_there
 from voodoo_jax.detect.stillness import Stillness, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
@@ -17,14 +16,12 @@ NOTE = (
 
 
 @dataclass(frozen=True)
-class DropMotionless:
+class DropMotionless(WindowStage):
     """Removes all points of an object that never moves. Numbers were chosen by hand:
     noise alone moves 1.4 % of the directions, so that of 40 directions 10 % or more move once in 1000 times; people who
     stand for the first half second of the 18 recordings move in 80 % or more."""
 
     name: ClassVar = "drop_motionless"
-    looks_ahead: ClassVar = True
-    needs: ClassVar = frozenset({"person"})
 
     frames: int = 20  # with points, at least, if anything is decided
     seconds: float = 2.0  # and so long: who stands still for a moment is not a thing
@@ -32,16 +29,13 @@ class DropMotionless:
     fewest: int = 12  # such directions
     moving: float = 0.1  # of them, in which somebody moves at least
 
-    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            if not self.is_thing(window, target.stillness) or shows_who_lies(window, target):
-                return window  # a lying person was found by a limb that moved
-            scene = target.finder.scene
-            if NOTE not in scene.notes:
-                target.finder.scene = replace(scene, notes=(*scene.notes, NOTE))
-            return [frame.only(np.zeros(0, int)) for frame in window]
-
-        return by_windows(frames, change)
+    def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
+        if not self.is_thing(window, target.stillness) or lies_there(window, target):
+            return window  # a lying person was found by a limb that moved
+        scene = target.finder.scene
+        if NOTE not in scene.notes:
+            target.finder.scene = replace(scene, notes=(*scene.notes, NOTE))
+        return [frame.only(np.zeros(0, int)) for frame in window]
 
     def is_thing(self, frames: list[BodyObservation], stillness: Stillness) -> bool:
         """Whether the points never move; False if there are too few to decide."""

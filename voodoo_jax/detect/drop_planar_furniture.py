@@ -1,7 +1,6 @@
 """Removes flat faces of furniture that the body touches all the time: seats, backs, fronts of sofas, tables. People are
 not flat to some millimetres. Host side, NumPy; looks ahead."""
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -12,8 +11,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from voodoo_jax.detect.stage import Target, by_windows
-from voodoo_jax.detect.static_points import Resting, resting
+from voodoo_jax.detect.stage import Target, WindowStage
+from voodoo_jax.detect.stillness import Resting, resting
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation, assigned
 
@@ -53,15 +52,13 @@ class Face:
 
 
 @dataclass(frozen=True)
-class DropPlanarFurniture:
+class DropPlanarFurniture(WindowStage):
     """Removes flat faces that the body touches all the time; for people only, since a machine may have flat faces."""
 
     name: ClassVar = "drop_planar_furniture"
-    looks_ahead: ClassVar = True
-    needs: ClassVar = frozenset({"person"})
 
-    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        return by_windows(frames, lambda window: without_faces(window, target.finder.scene.floor))
+    def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
+        return without_faces(window, target.finder.scene.floor)
 
 
 def without_faces(frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:

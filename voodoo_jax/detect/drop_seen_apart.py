@@ -1,6 +1,6 @@
 """Removes objects that were seen apart from the body in other frames. Host side, NumPy; looks ahead."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32
 from voodoo_jax.config.options import DetectSettings
 from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.detect.segmentation import stands_aside
-from voodoo_jax.detect.stage import Target, by_windows
+from voodoo_jax.detect.stage import Target, WindowStage
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components, within
 from voodoo_jax.records.observation import BodyObservation, assigned
@@ -19,19 +19,15 @@ HEAD = 0.8  # of its height: what reaches so high after a thing is taken out was
 
 
 @dataclass(frozen=True)
-class DropSeenApart:
+class DropSeenApart(WindowStage):
     """Removes objects that were seen apart from the body, before or afterwards."""
 
     name: ClassVar = "drop_seen_apart"
-    looks_ahead: ClassVar = True
     needs: ClassVar = frozenset()
 
-    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            finder = target.finder
-            return without_things(window, finder.scene.floor, finder.apart(), finder.settings.link)
-
-        return by_windows(frames, change)
+    def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
+        finder = target.finder
+        return without_things(window, finder.scene.floor, finder.apart(), finder.settings.link)
 
 
 def without_things(

@@ -5,7 +5,6 @@ Their tops are seen at a flat angle, in rows too far apart to detect a face (dro
 fitted to them, so that no point would stay unexplained (drop_unexplained).
 """
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -13,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import KDTree
 
-from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
+from voodoo_jax.detect.stage import Target, WindowStage, lies_there
 from voodoo_jax.detect.stillness import NOISE, Directions, Stillness, moves, seen_long
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components
@@ -35,13 +34,11 @@ class Top(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DropWideStill:
+class DropWideStill(WindowStage):
     """Removes objects that never move while a person does, with a straight front or a level top wider than a person. It
     keeps the legs of a sitting person, which are in front of the seat. Numbers were chosen by hand."""
 
     name: ClassVar = "drop_wide_still"
-    looks_ahead: ClassVar = True
-    needs: ClassVar = frozenset({"person"})
 
     frames: int = 15  # with points, at least, if anything is decided
     seconds: float = 1.0  # and so long
@@ -60,14 +57,11 @@ class DropWideStill:
     thick: float = 0.03  # metres from its height: what lies there, too, is on it
     margin: float = 0.15  # metres beyond its outline: its edges are seen in part, and together with others
 
-    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
-        def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            if shows_who_lies(window, target):
-                return window  # who lies is as wide as a table, and may move no more than an arm
-            finder = target.finder
-            return self.without(window, finder.scene.floor, target.stillness, finder.beside())
-
-        return by_windows(frames, change)
+    def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
+        if lies_there(window, target):
+            return window  # who lies is as wide as a table, and may move no more than an arm
+        finder = target.finder
+        return self.without(window, finder.scene.floor, target.stillness, finder.beside())
 
     def without(
         self,

@@ -10,9 +10,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Int
 
-from voodoo_jax.detect.body_likelihood import TELLING
+from voodoo_jax.detect.body_likelihood import TELLING, extent
 from voodoo_jax.detect.drop_motionless import DropMotionless
-from voodoo_jax.detect.lying import extent
 from voodoo_jax.detect.stillness import NOISE, directions, filled, seen_long
 from voodoo_jax.detect.visibility import Nearest
 from voodoo_jax.geometry.plane import Plane

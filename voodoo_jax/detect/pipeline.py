@@ -24,12 +24,10 @@ from voodoo_jax.detect.stage import SCENE_EVERY, SCENE_FRAMES, Named, PointStage
 from voodoo_jax.detect.steady_sensors import SteadySensors
 from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.detect.weigh_by_noise import WeighByNoise
-from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.model.rest_shape import rest_box, rest_height
+from voodoo_jax.model.body import Body, rest_box, rest_height, scaled
 from voodoo_jax.records.observation import BodyObservation, whole
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Scene, Subject
 
 # once floor and walls are found
 SCENE: tuple[SceneStage, ...] = (FindGravity(), RaiseFloor(), SteadySensors())

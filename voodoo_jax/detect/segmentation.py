@@ -11,12 +11,11 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build, candidate
+from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build, candidate, who_lies
 from voodoo_jax.detect.clearing import Cleared, Clearing, distances
 from voodoo_jax.detect.cut_in_two import joined
 from voodoo_jax.detect.heads import each_person
-from voodoo_jax.detect.in_the_way import in_the_way
-from voodoo_jax.detect.lying import who_lies
+from voodoo_jax.detect.visibility import in_the_way
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import even_share, fair_share, inside, picked
 from voodoo_jax.geometry.voxels import Counted, Grid, about_within, cells_of, touching, within

@@ -3,7 +3,7 @@
 The name of a stage is its file, its switch (`detect.skip`), its test file and its row in experiments/ablation.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import ClassVar, Protocol, runtime_checkable
@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import Build
+from voodoo_jax.detect.body_likelihood import Build, mostly_lie
 from voodoo_jax.detect.camera_motion import Planes, steady_scene
-from voodoo_jax.detect.lying import mostly_lie
 from voodoo_jax.detect.segmentation import BodySegmenter
 from voodoo_jax.detect.stillness import Stillness
 from voodoo_jax.records.observation import BodyObservation
@@ -67,7 +66,8 @@ class Named(Protocol):
 
     name: ClassVar[str]
     looks_ahead: ClassVar[bool]  # uses later frames: left out with Settings.online
-    needs: ClassVar[frozenset[str]]  # "person": passed over for animals and machines
+    # else it is passed over. Of detection: "person" (animals and machines are none); of tracking: of Runner.offers
+    needs: ClassVar[frozenset[str]]
 
 
 @runtime_checkable
@@ -84,21 +84,28 @@ class PointStage(Named, Protocol):
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]: ...
 
 
-def shows_who_lies(window: list[BodyObservation], target: Target) -> bool:
+def lies_there(window: list[BodyObservation], target: Target) -> bool:
     """Whether the body was found as a lying person, and lies in most of these frames."""
     return target.finder.lies and mostly_lie(window, target.finder.scene.floor)
 
 
-def by_windows(
-    frames: Iterable[BodyObservation], change: Callable[[list[BodyObservation]], list[BodyObservation]]
-) -> Iterator[BodyObservation]:
-    """Applies a change to windows of successive frames. Frames that were yielded are not kept, so that each stage keeps
-    one window in memory."""
-    stream = iter(frames)
-    while window := list(islice(stream, WINDOW)):
-        changed = change(window)
-        if changed is not window:
-            window.clear()
-        changed.reverse()
-        while changed:
-            yield changed.pop()
+class WindowStage:
+    """A correction of the points on a person by windows of successive frames. Frames that were yielded are not kept, so
+    that each stage keeps one window in memory."""
+
+    looks_ahead: ClassVar[bool] = True
+    needs: ClassVar[frozenset[str]] = frozenset({"person"})
+
+    def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
+        """The corrected frames of a window; the same list if nothing changes."""
+        raise NotImplementedError
+
+    def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
+        stream = iter(frames)
+        while window := list(islice(stream, WINDOW)):
+            changed = self.change(window, target)
+            if changed is not window:
+                window.clear()
+            changed.reverse()
+            while changed:
+                yield changed.pop()

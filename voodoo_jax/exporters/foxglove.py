@@ -1,4 +1,5 @@
-"""Tracks as an MCAP file for Foxglove: frames, poses, the body, quality, and the parameters.
+"""Tracks as an MCAP file for Foxglove: frames, poses, the body, quality, and the parameters; and published frame by
+frame: a growing file, and a Foxglove WebSocket server.
 
 Frames: `voodoo/<limb>` (the limb frame of model/body.py) and `voodoo/joint/<name>`, both in the tracks' fixed frame.
 """
@@ -8,7 +9,11 @@ import json
 import math
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from importlib import import_module
 from itertools import chain
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -31,15 +36,16 @@ from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
 from jaxtyping import Bool, Float, Float32
 from mcap.writer import Writer
-from mcap_protobuf.schema import register_schema
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from voodoo_jax._version import __version__
 from voodoo_jax.exporters.limb_shapes import loft, profile
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.body_file import format_body
 from voodoo_jax.records.tracks import Status, Tracks
-from voodoo_jax.storage.atomic import replacing
+from voodoo_jax.storage.atomic import begun, moved, replacing
 
+CHUNK = 1 << 14  # bytes of the file after which a chunk is closed, that a reader may have it: some frames; by hand
 SCENE_PERIOD_NS = 1_000_000_000  # the body is written again this often, for readers that seek without looking back
 SAME_RATIO = 0.02  # ends whose axis ratios differ less are one CylinderPrimitive
 QUALITY_SCHEMA = {
@@ -54,6 +60,73 @@ QUALITY_SCHEMA = {
         "status": {"type": "integer", "description": ", ".join(f"{s.value} {s.name}" for s in Status)},
     },
 }
+
+
+@runtime_checkable
+class Publisher(Protocol):
+    """Takes tracks of one frame each."""
+
+    def frame(self, tracks: Tracks) -> None: ...
+    def close(self) -> None: ...
+
+
+class GrowingTracks:
+    """A `.voodoo.mcap` file that can be read while it is written, in Foxglove or by another program. It replaces an
+    earlier one with its first frame; without a frame, nothing changes. Raises OSError."""
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self._target, self._partial = Path(path), begun(path)
+        self._file = open(self._partial, "wb")
+        self._writer, self._said, self._count = Writer(self._file, chunk_size=CHUNK), BodyMessages(), 0
+        self._writer.start(profile="", library="voodoo_jax live")
+        self._channel = register_channels(self._writer, self._said)
+
+    def frame(self, tracks: Tracks) -> None:
+        """Takes one more frame."""
+        stamp, data = int(tracks.time_ns[0]), self._said.of(tracks, 0, float(tracks.confidence[0]))
+        for name, message in data.items():
+            self._writer.add_message(self._channel[name], stamp, message, stamp, self._count)
+        self._file.flush()
+        if not self._count:
+            moved(self._partial, self._target)
+        self._count += 1
+
+    def close(self) -> None:
+        try:
+            self._writer.finish()
+        finally:
+            with suppress(OSError):  # its disk is full, which was said
+                self._file.close()
+            self._partial.unlink(missing_ok=True)
+
+
+class FoxgloveServer:
+    """A server for Foxglove, or any program with its protocol. Raises ImportError without foxglove-sdk, OSError if the
+    port is not available."""
+
+    def __init__(self, port: int, host: str = "127.0.0.1"):
+        foxglove: Any = import_module("foxglove")
+        self._said, self._context = BodyMessages(), foxglove.Context()
+        try:
+            self._server = foxglove.start_server(name="voodoo-jax", host=host, port=port, context=self._context)
+        except RuntimeError as problem:
+            raise OSError(f"no server at {host}:{port}: {problem}") from problem
+        self.url = f"ws://{host}:{self._server.port}"
+        self._channel: dict[str, Any] = {}
+        for content, topic in self._said.channels().items():
+            name, how, data, encoding = schema_of(content)
+            schema = foxglove.Schema(name=name, encoding=how, data=data)
+            channel = foxglove.Channel(topic, schema=schema, message_encoding=encoding, context=self._context)
+            self._channel[content] = channel
+
+    def frame(self, tracks: Tracks) -> None:
+        """Takes one more frame."""
+        stamp = int(tracks.time_ns[0])
+        for name, message in self._said.of(tracks, 0, float(tracks.confidence[0])).items():
+            self._channel[name].log(message, log_time=stamp)
+
+    def close(self) -> None:
+        self._server.stop()
 
 
 def write_tracks_mcap(
@@ -152,15 +225,20 @@ class BodyMessages:
         return update
 
 
+def schema_of(name: str) -> tuple[str, str, bytes, str]:
+    """Name, encoding and content of the schema of a kind of messages (of BodyMessages.channels), and their encoding."""
+    if name not in TOPICS:
+        return "voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode(), "json"
+    data = build_file_descriptor_set(TOPICS[name]).SerializeToString()
+    return TOPICS[name].DESCRIPTOR.full_name, "protobuf", data, "protobuf"
+
+
 def register_channels(writer: Writer, said: BodyMessages) -> dict[str, int]:
     """Numbers of a person's channels in a file, by content."""
     numbers = {}
     for name, topic in said.channels().items():
-        if name in TOPICS:
-            numbers[name] = writer.register_channel(topic, "protobuf", register_schema(writer, TOPICS[name]))
-        else:
-            schema = writer.register_schema("voodoo_jax.Quality", "jsonschema", json.dumps(QUALITY_SCHEMA).encode())
-            numbers[name] = writer.register_channel(topic, "json", schema)
+        *schema, encoding = schema_of(name)
+        numbers[name] = writer.register_channel(topic, encoding, writer.register_schema(*schema))
     return numbers
 
 
@@ -229,8 +307,6 @@ def body_entities(body: Body, person: int = 1) -> list[SceneEntity]:
     """One SceneEntity per limb, id = limb name, in the frame `voodoo/<limb>` that it moves with (`voodoo/2/<limb>` of
     person 2); no timestamp. The main person's limbs differ in colour; each other person has one colour. Metadata of
     each entity: a0, b0, a1, b1, length in metres, as in Body.sizes.
-
-    Metadata of each entity: a0, b0, a1, b1, length in metres, as in Body.sizes.
     """
     entities = []
     for i, (name, sizes) in enumerate(zip(body.topology.limbs, np.asarray(body.sizes, float))):

@@ -14,8 +14,7 @@ import numpy as np
 
 from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.frames import ANIMATION, seconds
-from voodoo_jax.exporters.limb_meshes import SIDE_COLOURS, limb_meshes
-from voodoo_jax.exporters.skeleton import Skeleton, skeleton
+from voodoo_jax.exporters.skeleton import SIDE_COLOURS, Skeleton, limb_meshes, skeleton
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 

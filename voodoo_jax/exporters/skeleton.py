@@ -11,15 +11,20 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.frames import known, upright
+from voodoo_jax.exporters.limb_shapes import loft, profile, side_of
 from voodoo_jax.geometry.rotations import rotations, shortest_turns
 from voodoo_jax.model.body import Body, tree_order
 from voodoo_jax.model.joint_names import row_of
 from voodoo_jax.records.tracks import Tracks
+
+SIDES = ("middle", "left", "right")
+# red, green, blue, 0..1 (linear): left warm, right cool, so that sides are told apart
+SIDE_COLOURS = {"middle": (0.55, 0.55, 0.55), "left": (0.85, 0.25, 0.12), "right": (0.10, 0.30, 0.80)}
 
 
 class _Part(NamedTuple):
@@ -313,3 +318,37 @@ def _continuous(turn: Float[np.ndarray, "frame bone 4"]) -> None:
     if len(turn) > 1:
         flips = np.where((turn[1:] * turn[:-1]).sum(-1) < 0, -1.0, 1.0)
         turn[1:] *= np.cumprod(flips, 0)[..., None]
+
+
+@dataclass(frozen=True, eq=False)
+class LimbMesh:
+    """All limbs of one side, metres, in the bind pose and the axes of the skeleton."""
+
+    side: str
+    vertices: Float[np.ndarray, "vertex 3"]
+    normals: Float[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
+    bones: Int[np.ndarray, " vertex"]  # bone that moves the vertex
+
+
+def limb_meshes(body: Body, bones: Skeleton) -> list[LimbMesh]:
+    """One mesh for each side that the body has."""
+    turn, place = bones.bind_limbs
+    parts: dict[str, list] = {side: [] for side in SIDES}
+    for limb, name in enumerate(body.topology.limbs):
+        points, faces = loft(profile(body, limb))
+        corners = points[faces]  # faces do not share vertices: edges of the ends are sharp
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        there = np.linalg.norm(normals, axis=1) > 0.5  # at the end of a round limb faces have no area
+        vertices, smooth = corners[there].reshape(-1, 3), np.repeat(normals[there], 3, 0)
+        parts[side_of(name)].append(
+            (turn[limb].apply(vertices) + place[limb], turn[limb].apply(smooth), bones.main[limb])
+        )
+    found = []
+    for side, pieces in parts.items():
+        if pieces:
+            vertices, normals = (np.concatenate([piece[k] for piece in pieces]) for k in (0, 1))
+            owner = np.concatenate([np.full(len(piece[0]), piece[2]) for piece in pieces])
+            found.append(LimbMesh(side, vertices, normals, np.arange(len(vertices)).reshape(-1, 3), owner))
+    return found

@@ -8,8 +8,7 @@ import os
 
 import numpy as np
 
-from voodoo_jax.records.track_table import track_columns
-from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks, track_columns
 from voodoo_jax.storage.atomic import replacing
 
 DIGITS = {"_s": 9, "_m": 6, "_confidence": 4, "_deg": 3}  # behind the point, by how a column's name ends

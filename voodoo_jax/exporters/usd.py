@@ -15,8 +15,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
 from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.frames import Z_UP, seconds, usual_rate
-from voodoo_jax.exporters.limb_meshes import SIDE_COLOURS, limb_meshes
-from voodoo_jax.exporters.skeleton import Skeleton, skeleton
+from voodoo_jax.exporters.skeleton import SIDE_COLOURS, Skeleton, limb_meshes, skeleton
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
 

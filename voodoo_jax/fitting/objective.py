@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from voodoo_jax.compile.sequential_map import one_by_one
+from voodoo_jax.compile.xla_options import one_by_one
 from voodoo_jax.fitting.parameters import Changes, Maps, changed, changed_options, changes_at
 from voodoo_jax.geometry.rigid import Poses, rotate
 from voodoo_jax.geometry.robust import geman_mcclure_root

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.viz.fit_page import write_fit_page
+from voodoo_jax.viz.report_page import write_fit_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import CRCValidationError
 
-from voodoo_jax.io.limits import limits, too_large
+from voodoo_jax.config.limited import limits, too_large
 from voodoo_jax.records.notes import SENTENCE, plain, plain_name
 
 ZSTD = b"\x28\xb5\x2f\xfd"  # how data packed with zstd begin

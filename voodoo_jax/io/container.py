@@ -21,6 +21,7 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, ChunkIndex, DataEnd, Message, Schema, Statistics
 from mcap.summary import Summary
 
+from voodoo_jax.config.limited import TIME, limits
 from voodoo_jax.io.chunks import (
     READ_ERRORS,
     ZSTD,
@@ -33,8 +34,7 @@ from voodoo_jax.io.chunks import (
     unpacked_message,
     words,
 )
-from voodoo_jax.io.limits import TIME, limits
-from voodoo_jax.io.recorder_clock import SetBack, put_after, set_backs
+from voodoo_jax.io.clocks import SetBack, put_after, set_backs
 from voodoo_jax.records.notes import INCOMPLETE
 from voodoo_jax.storage.scratch import named_file
 

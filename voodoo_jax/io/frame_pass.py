@@ -22,7 +22,6 @@ from voodoo_jax.io.stereo_pairs import StereoReader
 from voodoo_jax.records.messages import Cloud, Image
 from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Picture, joined_rays
 
-Progress = Callable[[int, int], None]
 AHEAD = 2 * UNPACKERS  # frames: so that no thread waits for the next pair of images
 Part = tuple[int, int, Measured | Future[Cloud]]  # number of a sensor, and of its message; a pair's is being matched
 UNREADABLE = "cannot be decoded, left out"
@@ -58,7 +57,7 @@ class FramePass:
         self._stereo = StereoReader(scan.topics, scan.tree, pairs, settings)
         plan.parts.forget()
 
-    def frames(self, progress: Progress | None = None) -> Iterator[Frame]:
+    def frames(self) -> Iterator[Frame]:
         """Frames in the order of their stamps, see LogReader.frames."""
         scan, plan, stereo = self._scan, self._plan, self._stereo
         extra = plan.pictures.frame_of if plan.pictures is not None else {}
@@ -67,7 +66,7 @@ class FramePass:
             missing[i] += 1
         used = {*self._sensors, *stereo.rights, *(name for name, _ in extra)}
         wanted = lambda s, c: c.topic in used and scan.kind(s, c) == scan.topics[c.topic].kind  # noqa: E731
-        done, following, complete = 0, 0, 0
+        following = complete = 0
         ahead = AHEAD if stereo.pairs else 0  # frames whose images are matched while those before are used
         for topic, number, item, partner in stereo.items(guarded(scan.log, wanted)):
             if (topic, number) in extra:
@@ -78,10 +77,7 @@ class FramePass:
             i = self._frame_of.get((self._sensors.get(topic, -1), number))
             if i is None or item[0] is None:
                 continue
-            done += 1
             scan.log.clock.check()
-            if progress is not None:
-                progress(done, len(self._frame_of))
             missing[i] -= 1
             try:
                 self._take(i, topic, number, item, partner)
@@ -94,8 +90,6 @@ class FramePass:
                 following += 1
         # What follows the last depth message; of frames with depth only if the file was changed between the passes.
         for i in range(following, len(missing)):
-            if progress is not None and not self._frame_of:
-                progress(i + 1, len(missing))
             yield from self._complete(i)
 
     def _take(self, i: int, topic: str, number: int, item: Item, partner: Item | None) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from voodoo_jax.config.limited import PLACE, QUATERNION
 from voodoo_jax.config.options import SettingsError
-from voodoo_jax.io.limits import PLACE, QUATERNION
 from voodoo_jax.io.transforms import Transform
 from voodoo_jax.records.messages import Calibration, frame_name
 from voodoo_jax.storage.troubles import small_text

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel, Schema
 
+from voodoo_jax.config.limited import TIME, limits
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.io.clocks import Stamps, shifts
+from voodoo_jax.io.clocks import Stamps, note_of, shifts
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
-from voodoo_jax.io.decode.colour import COLOUR_KIND
+from voodoo_jax.io.decode.image_codec import COLOUR_KIND
 from voodoo_jax.io.decode.registry import (
     DECODE_ERRORS,
     DEPTH_KINDS,
@@ -25,16 +26,13 @@ from voodoo_jax.io.decode.registry import (
     reason_unused,
 )
 from voodoo_jax.io.given import given_cameras, given_transforms
-from voodoo_jax.io.landmark_table import Gathered, gather, unit_of
-from voodoo_jax.io.limits import TIME, limits
+from voodoo_jax.io.landmark_table import Gathered, gather, unit_of, without_held, without_placeholders
 from voodoo_jax.io.pictures import UNSEARCHED, camera_topics
-from voodoo_jax.io.recorder_clock import note_of
 from voodoo_jax.io.several_files import open_files
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic, Unused
 from voodoo_jax.io.topic_roles import decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
-from voodoo_jax.io.unseen import without_held, without_placeholders
 from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, many, moved
 from voodoo_jax.records.notes import plain
 from voodoo_jax.storage.urls import bag_of
@@ -206,7 +204,7 @@ class Scan:
             if isinstance(content, Image) and topic.kind == COLOUR_KIND:
                 topic.kind = "image"
         if isinstance(content, list):
-            static = is_static(schema, channel)
+            static = is_static(channel)
             for transform in content:
                 if static or abs(transform.stamp_ns) >= TIME:
                     self.tree.add(transform, static)
@@ -239,7 +237,7 @@ class Scan:
             topic.log_times.append(message.log_time)
 
     def _mirrors(self, settings: ReadSettings) -> dict[str, str]:
-        return check_pairs("read.mirror", settings.mirror, numbers=False)
+        return check_pairs("read.mirror", settings.mirror)
 
     def _mirrored(self, name: str, found: Gathered, settings: ReadSettings) -> Gathered:
         """3D features with the axis turned round that a user names."""
@@ -250,7 +248,7 @@ class Scan:
 
     def _settle_unit(self, name: str, found: Gathered, settings: ReadSettings) -> None:
         """Brings 3D features to metres."""
-        given = check_pairs("read.scale", settings.scale, numbers=True)
+        given = check_pairs("read.scale", settings.scale)
         unit = float(given.get(name, 0.0)) or unit_of(found)
         if self.topics[name].kind == PAIRS:
             self.units[name] = unit
@@ -264,7 +262,7 @@ class Scan:
 
     def _bring_clocks_together(self, settings: ReadSettings, known: bool) -> None:
         """Shifts the stamps of measurements and transforms that are of another clock than the others'."""
-        delays = {n: float(by) for n, by in check_pairs("read.delays", settings.delays, numbers=True).items()}
+        delays = {n: float(by) for n, by in check_pairs("read.delays", settings.delays).items()}
         for name in delays.keys() - self.topics.keys():
             self.notes.append(f"read.delays does not count here: the log has no topic '{name}'.")
         as_array = lambda numbers: np.array(numbers, np.int64)  # noqa: E731

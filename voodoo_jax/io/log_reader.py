@@ -15,21 +15,18 @@ from jaxtyping import Float, Float32, Int64
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.io.as_shown import with_images_as_shown, with_settled_frames
-from voodoo_jax.io.calibrations import calibration_of
-from voodoo_jax.io.camera_key_points import with_key_points
+from voodoo_jax.io.as_shown import TELLING, with_images_as_shown, with_settled_frames
+from voodoo_jax.io.calibrations import calibration_of, fitted, leeway
 from voodoo_jax.io.container import LogError, LogFile, Place, guarded
-from voodoo_jax.io.decode.depth_codec import raw_of
+from voodoo_jax.io.decode.image_codec import raw_of
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
-from voodoo_jax.io.frame_pass import UNREADABLE, FramePass, Progress
+from voodoo_jax.io.frame_pass import UNREADABLE, FramePass
 from voodoo_jax.io.given import given_transforms
-from voodoo_jax.io.image_fit import fitted, leeway
-from voodoo_jax.io.image_planes import TELLING
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
 from voodoo_jax.io.measuring import Measuring
 from voodoo_jax.io.pictures import shape_of
-from voodoo_jax.io.pose_rays import NAMES
+from voodoo_jax.io.pose_rays import NAMES, with_key_points
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.repeats import Repeats
 from voodoo_jax.records.messages import Cloud, Image, many, stride
@@ -68,14 +65,14 @@ def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "Lo
         raise LogError(f"{damaged(scan, problem)} {scan.part_of}".strip()) from problem
 
 
-def read_log(path: Place, settings: ReadSettings | None = None, progress: Progress | None = None) -> Recording:
+def read_log(path: Place, settings: ReadSettings | None = None) -> Recording:
     """Reads a whole log into memory: see `open_log`, `LogReader.frames` and `Recording`. Raises as `open_log`."""
-    return read_whole(open_log(path, settings), progress)
+    return read_whole(open_log(path, settings))
 
 
-def read_whole(log: "LogReader", progress: Progress | None = None) -> Recording:
+def read_whole(log: "LogReader") -> Recording:
     """All frames of an opened log in memory. Raises as `LogReader.frames`."""
-    frames = tuple(log.frames(progress))
+    frames = tuple(log.frames())
     return Recording(
         log.path, log.fixed_frame, log.up, log.sensors, frames, features=log.features, notes=log.notes,
         origin=log.origin, up_is_given=log.up_is_given, sure=log.sure,
@@ -105,9 +102,9 @@ class LogReader:
         self._decoder, self._repeats = Decoder(), Repeats()
         self.sure = 1.0  # probability that places are right for which a calibration was assumed
         self.placed: tuple[str, ...] = ()  # transforms that were found, as read.transform says them
-        scales = check_pairs("read.scale", settings.scale, numbers=True)
-        radial = check_pairs("read.radial", settings.radial, numbers=False)
-        mirrors = check_pairs("read.mirror", settings.mirror, numbers=False)
+        scales = check_pairs("read.scale", settings.scale)
+        radial = check_pairs("read.radial", settings.radial)
+        mirrors = check_pairs("read.mirror", settings.mirror)
         self.measuring = Measuring(
             scan.topics, scan.tree, plan.fixed_frame, settings, plan.parts,
             scales={name: float(value) for name, value in scales.items()},
@@ -242,7 +239,7 @@ class LogReader:
                 continue
             try:
                 content = decoder.message(schema, channel, message.data)
-                distances = self._distances(topic, content)
+                distances = _distances(content)
             except DECODE_ERRORS:
                 continue
             if len(distances) >= TELLING:
@@ -259,19 +256,6 @@ class LogReader:
             return None
         sensor = np.zeros(len(measured.points), np.int32)
         return Frame(at, measured.points.astype(np.float32), sensor, measured.origin[None].astype(np.float32))
-
-    def _distances(self, topic: str, content: Cloud | Image) -> np.ndarray:
-        """Of a few thousand points from the sensor, in the usual unit; without those that saw nothing."""
-        if isinstance(content, Image):
-            raw = raw_of(content)
-            k = stride(*content.shape, FEW_POINTS)
-            # nothing, and the largest number, which some drivers write for it
-            z = np.zeros(0) if raw is None else raw[::k, ::k].ravel()
-            z = z[(z > 0) & (z < 65535)] if z.dtype == np.uint16 else z
-            found = z.astype(float) * content.unit
-        else:
-            found = np.linalg.norm(content.points(FEW_POINTS), axis=1)
-        return found[np.isfinite(found) & (found > 0)]
 
     def __len__(self) -> int:
         """Number of frames planned; fewer come out if messages turn out to be broken or have no transform."""
@@ -312,11 +296,9 @@ class LogReader:
         counted += [f"'{topic}': {many(n)} {BEGAN}." for topic, n in self._repeats.began.items()]
         return counted + self._plan.parts.losses()
 
-    def frames(
-        self, progress: Progress | None = None, origins: Float[np.ndarray, "sensor 3"] | None = None
-    ) -> Iterator[Frame]:
-        """Frames in the order of their stamps. `progress` gets the number of depth messages (without any: frames) done,
-        and of all; `origins` are the last positions of sensors (NaN: unknown), updated in place.
+    def frames(self, origins: Float[np.ndarray, "sensor 3"] | None = None) -> Iterator[Frame]:
+        """Frames in the order of their stamps. `origins` are the last positions of sensors (NaN: unknown), updated in
+        place.
 
         Raises LogError if not one message can be used.
         """
@@ -326,7 +308,7 @@ class LogReader:
             self.scan, self._plan, self._settings, self.measuring, self._decoder, self._repeats, self.counted,
             self.no_origins() if origins is None else origins,
         )  # fmt: skip
-        yield from made.frames(progress)
+        yield from made.frames()
         if not made.made:
             text = " ".join([f"'{self.path}': no depth message can be used.", *self._losses(), made.error]).strip()
             if any(what == UNREADABLE for _, what in self.counted):
@@ -336,3 +318,17 @@ class LogReader:
     def no_origins(self) -> Float[np.ndarray, "sensor 3"]:
         """Positions of sensors before their first measurement: NaN."""
         return np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
+
+
+def _distances(content: Cloud | Image) -> np.ndarray:
+    """Of a few thousand points from the sensor, in the usual unit; without those that saw nothing."""
+    if isinstance(content, Image):
+        raw = raw_of(content)
+        k = stride(*content.shape, FEW_POINTS)
+        # nothing, and the largest number, which some drivers write for it
+        z = np.zeros(0) if raw is None else raw[::k, ::k].ravel()
+        z = z[(z > 0) & (z < 65535)] if z.dtype == np.uint16 else z
+        found = z.astype(float) * content.unit
+    else:
+        found = np.linalg.norm(content.points(FEW_POINTS), axis=1)
+    return found[np.isfinite(found) & (found > 0)]

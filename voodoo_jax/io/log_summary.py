@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 from voodoo_jax.config.options import FeatureSettings, ReadSettings
 from voodoo_jax.io.container import LogError, Place
-from voodoo_jax.io.convert.in_passing import as_mcap
+from voodoo_jax.io.convert.sources import as_mcap
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE

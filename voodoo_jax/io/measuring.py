@@ -9,9 +9,8 @@ from jaxtyping import Bool, Float, Float32, Int32
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
 from voodoo_jax.geometry.depth_edges import on_sheets
-from voodoo_jax.io.calibrations import BODY_OPTICAL, calibration_of, lens_of
-from voodoo_jax.io.decode.depth_codec import raw_of
-from voodoo_jax.io.image_fit import fitted, moved
+from voodoo_jax.io.calibrations import BODY_OPTICAL, calibration_of, fitted, lens_of, moved
+from voodoo_jax.io.decode.image_codec import raw_of
 from voodoo_jax.io.point_labels import Parts
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import HOLD_NS, TransformTree

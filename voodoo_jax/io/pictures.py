@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int64
 
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import calibration_of, lens_of, rectified
+from voodoo_jax.io.calibrations import calibration_of, fitted, lens_of, rectified
 from voodoo_jax.io.container import Item
+from voodoo_jax.io.decode.image_codec import pixels
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
-from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.stereo_pairs import STEREO_USE, make_rig, picture_of
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.records.messages import Calibration, Colour, Image
@@ -140,16 +141,10 @@ def _shape(image: Colour) -> tuple[int, int]:
     """Rows and columns; of a packed image its header's."""
     if image.step:
         return image.shape
-    from voodoo_jax.io.decode.image_codec import pixels
-
     return pixels(image).shape[:2] if image.shape == (0, 0) else image.shape
 
 
 def _single(image: Colour, K: tuple[float, ...], D: tuple[float, ...], model: str) -> tuple[np.ndarray, ...]:
-    import cv2
-
-    from voodoo_jax.io.decode.image_codec import pixels
-
     found = pixels(image)
     if any(D):
         found = cv2.remap(found, *_undone(K, D, model, found.shape[:2]), cv2.INTER_LINEAR)
@@ -168,10 +163,6 @@ def _undone(K: tuple[float, ...], D: tuple[float, ...], model: str, shape: tuple
 
 
 def _both(images: tuple[Colour, Colour], rig: "Rig") -> tuple[np.ndarray, ...]:
-    import cv2
-
-    from voodoo_jax.io.decode.image_codec import pixels
-
     out = []
     for image, mapping in zip(images, rig.maps):
         found = pixels(image)

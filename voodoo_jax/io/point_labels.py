@@ -31,9 +31,9 @@ class Parts:
     """
 
     def __init__(self, topics: dict[str, Topic], uses: dict[str, str], settings: ReadSettings):
-        self._of_topic = check_pairs("read.parts", settings.parts, numbers=False)
-        labels = check_pairs("read.labels", settings.labels, numbers=False)
-        weights = check_pairs("read.weights", settings.weights, numbers=True)
+        self._of_topic = check_pairs("read.parts", settings.parts)
+        labels = check_pairs("read.labels", settings.labels)
+        weights = check_pairs("read.weights", settings.weights)
         self._weights = {name: float(weight) for name, weight in weights.items()}
         self._labels = {int(value): part for value, part in labels.items()}
         self._fields = {

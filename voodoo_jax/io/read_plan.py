@@ -1,4 +1,5 @@
-"""The plan for reading a log: the fixed frame, the sensors connected to it, and the messages of each frame."""
+"""The plan for reading a log: the fixed frame, the sensors connected to it, and the messages of each frame; and
+which sensors are dense enough to give frames, for a person is tracked by a single one."""
 
 import re
 from collections import Counter, defaultdict
@@ -9,7 +10,7 @@ from jaxtyping import Float32, Float64, Int64
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.config.toml import direction
-from voodoo_jax.io.calibrations import frame_of
+from voodoo_jax.io.calibrations import calibration_of, frame_of
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.registry import DEPTH_KINDS
 from voodoo_jax.io.frame_sync import clean_stamps, in_pauses, join_one, plan_frames
@@ -17,13 +18,14 @@ from voodoo_jax.io.landmark_plan import plan_features, plan_key_points
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.pictures import PicturePlan, plan_pictures
 from voodoo_jax.io.point_labels import BODY, FREE, Parts
-from voodoo_jax.io.reference_sensors import dense
 from voodoo_jax.io.skin_rays import plan_skin
 from voodoo_jax.io.stereo_pairs import STEREO_USE, picture_of
-from voodoo_jax.io.topic import DEPTH_USES, Problem, Unused
-from voodoo_jax.records.messages import PAIRS, RAYS
+from voodoo_jax.io.topic import DEPTH_USES, Problem, Topic, Unused
+from voodoo_jax.records.messages import PAIRS, RAYS, Colour, Image, stride
 from voodoo_jax.records.recording import NO_RAYS, Pairs, Rays, joined_rays
 
+_CELL = 0.1  # of azimuth and sine of the elevation: 0.01 steradians
+_THIN = 1 / 3  # of the densest sensor's density; a spinning scanner of 16 lines has a quarter of a small depth camera's
 PAUSE = 3.0  # seconds without a frame that a user should know of
 FAR = 1000.0  # metres: float32 has steps of 0.06 mm there, and of 25 cm in UTM
 NEEDED = (
@@ -36,6 +38,32 @@ NEEDED_FEATURES = (
     "foxglove.SceneUpdate) or 2D detections (vision_msgs/msg/Detection2DArray, foxglove.ImageAnnotations) with the "
     "camera's calibration"
 )
+
+
+def dense(topics: dict[str, Topic], names: list[str], max_points: int) -> list[str]:
+    """Those of the depth topics that are about as dense as the densest of them (points per solid angle)."""
+    density = {name: _density(topics, name, max_points) for name in names}
+    most = max((d for d in density.values() if np.isfinite(d)), default=0.0)
+    return [name for name in names if density[name] >= _THIN * most]
+
+
+def _density(topics: dict[str, Topic], name: str, max_points: int) -> float:
+    """Points per steradian where the sensor sees anything; inf if the first message does not tell."""
+    sample = topics[name].sample
+    if isinstance(sample, Image | Colour):  # Colour: the left one of a stereo pair
+        c = calibration_of(topics, name)
+        if c is None:
+            return np.inf
+        height, width = sample.shape if any(sample.shape) else (c.height, c.width)
+        scale = (width / c.width) * (height / c.height) if c.width and c.height else 1.0
+        return float(c.K[0, 0] * c.K[1, 1] * scale) / stride(height, width, max_points) ** 2
+    points = sample.points(max_points)
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.linalg.norm(points, axis=1)
+        points, distance = points[(distance > 0) & (distance < 1e4)], distance[(distance > 0) & (distance < 1e4)]
+    cells = np.column_stack([np.arctan2(points[:, 1], points[:, 0]), points[:, 2] / distance])
+    seen = len(np.unique(np.floor(cells / _CELL), axis=0))
+    return len(points) / (seen * _CELL**2) if seen else np.inf
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from voodoo_jax.io.decode.depth_codec import raw_of
-from voodoo_jax.io.image_planes import TELLING
+from voodoo_jax.io.as_shown import TELLING
+from voodoo_jax.io.decode.image_codec import raw_of
 from voodoo_jax.records.messages import Cloud, Image
 
 # share of the pixels with data that differ between pictures of a sensor with noise, at least: without noise only who

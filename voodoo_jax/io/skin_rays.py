@@ -7,11 +7,11 @@ from jaxtyping import Bool, Float, Int64
 from scipy.spatial import KDTree
 
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import lens_of
+from voodoo_jax.io.calibrations import fitted, lens_of
 from voodoo_jax.io.container import guarded
+from voodoo_jax.io.decode.image_codec import pixels
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
-from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.landmark_plan import FeaturePlan
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.pictures import UNSEARCHED
@@ -79,7 +79,6 @@ def plan_skin(scan: Scan, fixed: str, times: Int64[np.ndarray, " frame"], weight
 
 def _find(scan: Scan, names: set[str], wanted: set[tuple[str, int]], counted: Counter) -> dict:
     """(rows, columns) of the image and pixels [region, 2], by (topic, number of the message)."""
-    from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only where skin is asked for
     from voodoo_jax.sensors.skin_colour import SkinFinder
 
     finders = {name: SkinFinder() for name in names}

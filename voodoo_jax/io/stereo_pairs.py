@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.io.calibrations import calibration_of, rectified
+from voodoo_jax.io.calibrations import calibration_of, fitted, rectified
 from voodoo_jax.io.container import UNPACKERS, Item
+from voodoo_jax.io.decode.image_codec import pixels
 from voodoo_jax.io.decode.registry import Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
-from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.topic import Topic
 from voodoo_jax.io.transforms import TransformTree
 from voodoo_jax.records.messages import Cloud, Colour, Image
@@ -167,7 +167,6 @@ class StereoReader:
         return self._pool.submit(copy_context().run, self._cloud, left[1].topic, contents, upwards)
 
     def _cloud(self, topic: str, contents: Sequence[Colour | Image], upwards: np.ndarray | None) -> Cloud:
-        from voodoo_jax.io.decode.image_codec import pixels  # with OpenCV: only for logs with pairs
         from voodoo_jax.sensors.stereo_matching import UPWARDS, StereoMatcher
 
         images = [pixels(picture) for content in contents if (picture := picture_of(content)) is not None]

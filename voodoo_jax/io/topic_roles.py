@@ -2,15 +2,14 @@
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import bare, calibration_of, camera_of
+from voodoo_jax.io.as_shown import compared
+from voodoo_jax.io.calibrations import bare, calibration_of, camera_of, fitted
 from voodoo_jax.io.container import LogError
-from voodoo_jax.io.decode.colour import COLOUR_KIND
+from voodoo_jax.io.decode.image_codec import COLOUR_KIND
 from voodoo_jax.io.decode.registry import DEPTH_KINDS, FEATURE_KINDS
-from voodoo_jax.io.image_fit import fitted
 from voodoo_jax.io.point_labels import label_field
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
 from voodoo_jax.io.topic import DEPTH_USES, Problem, Topic, Unused
-from voodoo_jax.io.which_depth import compared
 from voodoo_jax.records.messages import DEPTH_ENCODINGS, RAYS, Colour, Image
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 from scipy.spatial.transform import Rotation, Slerp
 
-from voodoo_jax.io.limits import PLACE, QUATERNION, TIME, limits
+from voodoo_jax.config.limited import PLACE, QUATERNION, TIME, limits
 
 # of a frame that jumps between two places: samples that tell it, how far (metres, with so many for a radian), how near
 # to where it was before (of the jump), and in how many of the samples; by hand

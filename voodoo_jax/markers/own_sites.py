@@ -19,7 +19,7 @@ from voodoo_jax.model.body import Body, Topology
 from voodoo_jax.model.marker_names import LEAST, Known, places_of, split_place, subjects
 from voodoo_jax.model.marker_sets import V1_NAMES
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 
 OWN = " marker "  # in the names of such points: no body file has it
 ROOM = 16  # set by hand: markers on one limb that there is room for; more come in steps of so many
@@ -52,7 +52,7 @@ def named_subjects(people: list[BodyObservation], topology: Topology, settings: 
 def _known(names: Mapping[str, str], topology: Topology, settings: FeatureSettings) -> Known:
     """Meanings of one subject's names; full name, and the name without the subject's."""
     points = (*topology.sites, *topology.centres)
-    given = check_pairs("features.names", settings.names, numbers=False)
+    given = check_pairs("features.names", settings.names)
     said, joints = {}, {}
     for full, name in names.items():
         word = full if full in given else name
@@ -113,8 +113,8 @@ def with_names(
 
 def with_meanings(settings: FeatureSettings, known: Known, points: Collection[str]) -> FeatureSettings:
     """The settings with the meanings of names that are among the body's `points`; existing entries stay."""
-    given = check_pairs("features.names", settings.names, numbers=False)
-    weighed = check_pairs("features.weights", settings.weights, numbers=True)
+    given = check_pairs("features.names", settings.names)
+    weighed = check_pairs("features.weights", settings.weights)
     places = {n: split_place(p)[0] for n, p in known.places.items()}
     names = tuple(f"{n}={p}" for n, p in places.items() if n not in given and p in points)
     weights = tuple(f"{n}={w:g}" for n, w in known.weights.items() if n not in weighed)
@@ -124,7 +124,7 @@ def with_meanings(settings: FeatureSettings, known: Known, points: Collection[st
 def with_own_names(settings: FeatureSettings, own: Mapping[str, str]) -> FeatureSettings:
     """The settings with the points that `with_own_sites` gave the markers, in place of their former entries for
     these."""
-    given = check_pairs("features.names", settings.names, numbers=False)
+    given = check_pairs("features.names", settings.names)
     names = {**{n: p for n, p in given.items() if n not in own}, **own}
     return replace(settings, names=tuple(f"{n}={p}" for n, p in names.items()))
 

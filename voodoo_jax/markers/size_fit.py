@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.robust import geman_mcclure_root
 from voodoo_jax.kernels.landmarks import named_points
-from voodoo_jax.markers.chain import Chain
 from voodoo_jax.markers.first_pose import first_pose
-from voodoo_jax.markers.priors import SCALE, Priors
+from voodoo_jax.markers.priors import SCALE, Chain, Priors
 from voodoo_jax.model.body import Body, with_rest_from_joints
 from voodoo_jax.model.marker_sets import V1_NAMES
 

@@ -13,6 +13,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from voodoo_jax.geometry.rigid import AnyArray, Poses, apply, on_device, on_host, rotate
 
@@ -222,3 +223,20 @@ def segment_lengths(body: Body) -> dict[str, float]:
         length = np.sqrt(np.sum((ends[start] - ends[end]) ** 2))
         found.setdefault(name, []).append(float(length))
     return {name: sum(values) / len(values) for name, values in found.items()}
+
+
+def rest_box(body: Body) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Lowest and highest coordinates of all limbs' end ellipses in the rest pose, metres."""
+    turn = Rotation.from_quat(np.asarray(body.rest.rotation), scalar_first=True).as_matrix()
+    sizes = np.asarray(body.sizes, np.float64)
+    bottom = np.asarray(body.rest.translation, np.float64)
+    ends = np.stack([bottom, bottom + sizes[:, 4:] * turn[:, :, 2]])
+    reach = np.stack(
+        [np.hypot(sizes[:, k, None] * turn[:, :, 0], sizes[:, k + 1, None] * turn[:, :, 1]) for k in (0, 2)]
+    )
+    return np.min(ends - reach, (0, 1)), np.max(ends + reach, (0, 1))
+
+
+def rest_height(body: Body) -> float:
+    """Height of the body above the floor in its rest pose, metres: its stature, or the top of its highest limb."""
+    return float(body.scale) if body.scale_name == "stature" else float(rest_box(body)[1][2])

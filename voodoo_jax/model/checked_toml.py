@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import numpy as np
 from jaxtyping import Float
 
-from voodoo_jax.config.bounds import LARGEST, LEAST
+from voodoo_jax.config.limited import LARGEST, LEAST
 from voodoo_jax.config.toml import nearest
 
 LONGEST = 200  # characters of a name

@@ -273,7 +273,7 @@ def human_points() -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def describe_names(names: Iterable[str], settings: FeatureSettings) -> list[str]:
     """Sentences on the meanings of a log's names for the default body, and the setting for the unknown ones."""
-    given = check_pairs("features.names", settings.names, numbers=False)
+    given = check_pairs("features.names", settings.names)
     points, limbs = human_points()
     notes = []
     for subject, group in subjects(names).items():

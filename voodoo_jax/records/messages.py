@@ -68,7 +68,7 @@ class Image:
     raw: np.ndarray | None  # [row, column] view; None if the encoding is none of depth
     unit: float  # metres per raw unit
     colour: Colour | None = None  # if it is one of colour or grey
-    packed: bytes | None = None  # a compressed depth image, instead of `raw`; `io.decode.depth_codec` unpacks it
+    packed: bytes | None = None  # a compressed depth image, instead of `raw`; `io.decode.image_codec` unpacks it
     start: int = 0  # bytes before the image itself in `packed`
     calibration: "Calibration | None" = None  # if it comes with the image
 

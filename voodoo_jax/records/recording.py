@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32
 
-from voodoo_jax.records.markup import filled
+from voodoo_jax.records.notes import filled
 
 
 @dataclass(frozen=True)

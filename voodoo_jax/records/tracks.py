@@ -11,10 +11,30 @@ from jaxtyping import Bool, Float, Float32, Float64, Int, Int8, Int32, Int64
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.isb_angles import Angles, joint_angles
 from voodoo_jax.model.joint_names import joint_row, named
-from voodoo_jax.records.markup import all_of, filled
-from voodoo_jax.records.track_table import track_columns
+from voodoo_jax.records.notes import all_of, filled
 
 SURE = 0.9  # share of the frames in which a joint is expected within 10 cm: below it is named; by hand
+
+
+def track_columns(tracks: "Tracks") -> dict[str, np.ndarray]:
+    """Columns by name, which says the unit: stamps, `tracked`, residual, joint centres (fixed frame), their confidence,
+    joint angles. NaN where there is nothing."""
+    stamps = np.asarray(tracks.time_ns, np.int64)
+    columns: dict[str, np.ndarray] = {
+        "time_ns": stamps,
+        "time_s": (stamps - stamps[:1]) / 1e9,
+        "tracked": np.asarray(tracks.tracked),
+        "residual_m": np.asarray(tracks.evidence.residual, float),
+    }
+    names = tracks.joint_names
+    for i, name in enumerate(names):
+        columns |= {f"{name}_{axis}_m": tracks.joints[:, i, k].astype(float) for k, axis in enumerate("xyz")}
+    sure = tracks.joint_confidence
+    for i, name in enumerate(names):
+        nothing = np.full(len(stamps), np.nan)
+        columns[f"{name}_confidence"] = nothing if sure is None else sure[:, i].astype(float)
+    angles = tracks.angles()
+    return columns | {f"{name}_deg": values for name, values in zip(angles.columns, np.degrees(angles.table).T)}
 
 
 class Status(IntEnum):

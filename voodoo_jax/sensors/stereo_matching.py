@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from voodoo_jax.records.messages import stride
-from voodoo_jax.sensors.disparity import (
+from voodoo_jax.sensors.quick_stereo import (
     AROUND,
+    EVERY,
     NOWHERE,
     Grey,
     Pixels,
@@ -19,9 +20,9 @@ from voodoo_jax.sensors.disparity import (
     brightness,
     mirror,
     places,
+    quick_disparity,
     refined,
 )
-from voodoo_jax.sensors.quick_stereo import EVERY, quick_disparity
 from voodoo_jax.sensors.stereo_rig import Rig
 
 WIDEST = 1000  # pixels; wider images are halved before they are matched, until they are not

@@ -1,4 +1,4 @@
-"""Writes a simulated recording: MCAP with ROS 2 or Foxglove messages, and its truth in a file beside it."""
+"""Writes a simulated recording: MCAP with ROS 2 messages, and its truth in a file beside it."""
 
 import json
 import os
@@ -8,15 +8,10 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.io.convert.target import Put, putter
 from voodoo_jax.model.body import segment_lengths
 from voodoo_jax.simulate.colour import ColourSimulation
 from voodoo_jax.simulate.recording import Simulation
@@ -28,21 +23,18 @@ CHUNK_SIZE = 1 << 20
 JPEG = 90  # quality
 
 
-def write_simulation(simulation: Simulation, path: str | os.PathLike[str], format: str = "ros2") -> Path:
+def write_simulation(simulation: Simulation, path: str | os.PathLike[str]) -> Path:
     """Writes `path` (MCAP) and `<stem>.truth.npz` beside it; equal simulations give equal bytes. Returns `path`.
 
-    ros2: sensor_msgs/Image 16UC1 and CameraInfo, transform on /tf_static; foxglove: RawImage, CameraCalibration,
-    FrameTransform on /tf. Depth in millimetres. Truth: time_ns [frame], joints [frame, centre, 3] metres, names, dims
-    (JSON, metres). Files appear under their names only when complete. Raises OSError, ValueError for another format.
+    ROS 2's sensor_msgs/Image 16UC1 in millimetres, CameraInfo, transform on /tf_static. Truth: time_ns [frame], joints
+    [frame, centre, 3] metres, names, dims (JSON, metres). Files appear under their names only when complete. Raises
+    OSError.
     """
-    return _write(simulation, [_View("/depth", OPTICAL_FRAME, simulation.camera, simulation.depth)], path, format)
+    return _write(simulation, [_View("/depth", OPTICAL_FRAME, simulation.camera, simulation.depth)], path)
 
 
 def write_colour(
-    simulation: ColourSimulation,
-    path: str | os.PathLike[str],
-    format: str = "ros2",
-    beside: Sequence[ColourSimulation] = (),
+    simulation: ColourSimulation, path: str | os.PathLike[str], beside: Sequence[ColourSimulation] = ()
 ) -> Path:
     """As `write_simulation`, with JPEG images: of a pair on /stereo/left/image/compressed and /stereo/right/..., of one
     camera on /colour/image/compressed; camera_info beside each, depth as there.
@@ -50,7 +42,7 @@ def write_colour(
     **Arguments:** `beside` the same motion as further cameras see it; their topics begin with /camera2, /camera3, ...
     """
     views = [view for number, s in enumerate((simulation, *beside)) for view in _views(s, number)]
-    return _write(simulation, views, path, format)
+    return _write(simulation, views, path)
 
 
 class _View(NamedTuple):
@@ -86,12 +78,10 @@ def _views(s: ColourSimulation, number: int) -> list[_View]:
     return found
 
 
-def _write(s: Simulation | ColourSimulation, views: list[_View], path: str | os.PathLike[str], format: str) -> Path:
+def _write(s: Simulation | ColourSimulation, views: list[_View], path: str | os.PathLike[str]) -> Path:
     """Writes the log and its truth."""
-    if format not in ("ros2", "foxglove"):
-        raise ValueError(f"format is 'ros2' or 'foxglove', not '{format}'")
-    path, fill = Path(path), _ros2 if format == "ros2" else _foxglove
-    _replace(path, lambda stream: fill(views, s.time_ns.tolist(), s.fixed_frame, stream))
+    path = Path(path)
+    _replace(path, lambda stream: _ros2(views, s.time_ns.tolist(), s.fixed_frame, stream))
     _replace(path.with_name(f"{path.stem}.truth.npz"), lambda stream: _save_truth(s, stream))
     return path
 
@@ -120,7 +110,7 @@ def _replace(path: Path, fill: Callable[[BinaryIO], None]) -> None:
         fill(stream)
 
 
-def _matrices(camera: Camera, baseline: float = 0.0) -> tuple[list[float], list[float], list[float]]:
+def matrices(camera: Camera, baseline: float = 0.0) -> tuple[list[float], list[float], list[float]]:
     """Row-major k, r, p of a calibration; `baseline` metres to the left camera of its pair."""
     k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     p = [camera.fx, 0.0, camera.cx, 0.0 - camera.fx * baseline, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
@@ -194,7 +184,7 @@ def _ros2_place(put: Ros2Put, stamp: int, views: list[_View], fixed_frame: str) 
 
 
 def _ros2_info(put: Ros2Put, stamp: int, view: _View) -> None:
-    camera, (k, r, p) = view.camera, (np.array(m) for m in _matrices(view.camera, view.baseline))
+    camera, (k, r, p) = view.camera, (np.array(m) for m in matrices(view.camera, view.baseline))
     roi = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0) | {"do_rectify": False}
     put(f"{view.name}/camera_info", stamp, "sensor_msgs/msg/CameraInfo", {
         "header": _header(stamp, view.frame), "height": camera.height, "width": camera.width,
@@ -209,53 +199,3 @@ def _ros2_depth(put: Ros2Put, stamp: int, view: _View, image: np.ndarray) -> Non
         "header": _header(stamp, view.frame), "height": camera.height, "width": camera.width, "encoding": "16UC1",
         "is_bigendian": 0, "step": 2 * camera.width, "data": image.astype("<u2").reshape(-1).view(np.uint8),
     })  # fmt: skip
-
-
-def _foxglove(views: list[_View], times: list[int], fixed_frame: str, stream: BinaryIO) -> None:
-    with foxglove_log(stream) as put:
-        for view in views if times else ():
-            info = f"{view.name}/camera_info"
-            put_camera(put, times[0], view.camera, fixed_frame, view.frame, info, view.baseline)
-        for i, stamp in enumerate(times):
-            for view in views:
-                if view.is_colour:
-                    message = CompressedImage(frame_id=view.frame, format="jpeg", data=_jpeg(view.images[i]))
-                else:
-                    message = depth_image(view.camera, view.frame, view.images[i])
-                put(view.topic, stamp, message)
-
-
-@contextmanager
-def foxglove_log(stream: BinaryIO) -> Iterator[Put]:
-    """A function that writes Foxglove messages, with a stamp if they have one, into a log, which is closed at the
-    end."""
-    writer = Writer(stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
-    writer.start(profile="", library="voodoo_jax")
-    yield putter(writer)
-    writer.finish()
-
-
-# 6 parameters and how far the camera is from the left one of its pair
-def put_camera(
-    put: Put, stamp: int, camera: Camera, fixed_frame: str, frame: str, topic: str, baseline: float = 0.0
-) -> None:
-    """Writes a camera's pose to /tf, and its calibration."""
-    transform = FrameTransform(parent_frame_id=fixed_frame, child_frame_id=frame)
-    part = transform.translation
-    part.x, part.y, part.z = camera.position
-    turn = transform.rotation
-    turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(camera.rotation).as_quat().tolist()
-    put("/tf", stamp, transform)
-    k, r, p = _matrices(camera, baseline)
-    put(topic, stamp, CameraCalibration(
-        frame_id=frame, width=camera.width, height=camera.height, distortion_model="plumb_bob", D=[0.0] * 5, K=k, R=r,
-        P=p,
-    ))  # fmt: skip
-
-
-def depth_image(camera: Camera, frame: str, image: np.ndarray) -> RawImage:
-    """Writes an image in millimetres."""
-    return RawImage(
-        frame_id=frame, width=camera.width, height=camera.height, encoding="16UC1", step=2 * camera.width,
-        data=image.astype("<u2").tobytes(),
-    )  # fmt: skip

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from voodoo_jax.geometry.rigid import Poses, compose, quat_normalize
-from voodoo_jax.kernels.absolute_orientation import align
 from voodoo_jax.kernels.bands import link_moments
 from voodoo_jax.kernels.correspondences import sums
+from voodoo_jax.kernels.eigen import align
 from voodoo_jax.kernels.gauss_newton import as_motions, coupled_twists, stretched
 from voodoo_jax.solve.pulls import (
     IcpOptions,

@@ -182,7 +182,7 @@ def _ridged(slope: Float[Array, "all all"]) -> Float[Array, "all all"]:
 
 def solved(slope: Float[Array, "all all"], rhs: Float[Array, " all"]) -> Float[Array, " all"]:
     """Solution of a linear system whose matrix has no derivative, one after the other under vmap on a CPU: two batches
-    of matrices at LAPACK at once wait for each other's threads (see compile.sequential_map)."""
+    of matrices at LAPACK at once wait for each other's threads (see compile.xla_options)."""
     slope = jax.lax.stop_gradient(slope)
     one = jnp.linalg.solve
     if jax.default_backend() == "cpu":

@@ -17,7 +17,7 @@ class FeatureNames:
     def __init__(self, topology: Topology, settings: FeatureSettings):
         points = {name: i for i, name in enumerate((*topology.sites, *topology.centres))}
         # a site and a joint centre of one name: the centre, which tracks report
-        alias = PLUG_IN_GAIT | check_pairs("features.names", settings.names, numbers=False)
+        alias = PLUG_IN_GAIT | check_pairs("features.names", settings.names)
         self.rows: dict[str, tuple[int, ...]] = {name: (row,) for name, row in points.items()}
         for name, targets in alias.items():
             known = tuple(
@@ -25,7 +25,7 @@ class FeatureNames:
             )
             if known:
                 self.rows[name] = known
-        weights = check_pairs("features.weights", settings.weights, numbers=True)
+        weights = check_pairs("features.weights", settings.weights)
         self.weights = {self.plain(name): float(value) for name, value in weights.items()}
         self.weight = settings.weight
 

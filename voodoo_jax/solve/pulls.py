@@ -92,7 +92,7 @@ class Seen(NamedTuple):
     info: StepInfo
     found: Match
     squares: Float[Array, ""]  # weighted sum of squared distances of the points, square metres
-    measured: Float[Array, "limb 4 4"]  # sums over points of kernels.absolute_orientation
+    measured: Float[Array, "limb 4 4"]  # sums over points of kernels.eigen
     second: Float[Array, "limb 3 3"] | None  # None: not asked for
     named: FeatureSums | None
 

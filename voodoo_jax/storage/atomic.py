@@ -14,9 +14,6 @@ def replacing(path: str | os.PathLike[str], ending: str = "") -> Iterator[Path]:
     """Yields a temporary path in the same folder; it becomes `path` at the end, or is removed after an exception.
     `ending` is the suffix of the temporary name, for libraries that choose a format by it. Raises NotWritten if the
     system refuses to write it.
-
-    `ending` is how the temporary name ends, for libraries that tell formats by it. Raises NotWritten, with a sentence,
-    where the system does not let it be written.
     """
     target = Path(path)
     partial = _partial(target, ending)

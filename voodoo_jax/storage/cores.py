@@ -1,15 +1,63 @@
-"""Number of usable cores, for all processes here and for this process alone; runs work on several cores."""
+"""Number of usable cores, for all processes here and for this process alone; runs work on several cores, and computes
+the next items of a stream in another thread."""
 
 import os
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import copy_context
 from pathlib import Path
-from threading import Thread
-from typing import TypeVar
+from queue import Full, Queue
+from threading import Event, Thread
+from typing import NamedTuple, TypeVar
 
+Item = TypeVar("Item")
+PATIENCE = 0.2  # seconds after which the other thread looks whether anybody still waits for it
 T = TypeVar("T")
 R = TypeVar("R")
+
+
+class _End(NamedTuple):
+    """Nothing comes any more."""
+
+    error: BaseException | None  # because of this
+
+
+def ahead(items: Iterable[Item], count: int) -> Iterator[Item]:
+    """The same items in the same order, up to `count` of them computed in advance, in a separate thread (NumPy, OpenCV
+    and decompression release the GIL). Exceptions are raised at their item. The thread ends with the iteration; it has
+    the same limits as the caller."""
+    made: Queue[Item | _End] = Queue(count)
+    stopped = Event()
+
+    def put(item: Item | _End) -> bool:
+        while not stopped.is_set():
+            try:
+                made.put(item, timeout=PATIENCE)
+                return True
+            except Full:
+                continue
+        return False
+
+    def make() -> None:
+        error: BaseException | None = None
+        try:
+            for item in items:
+                if not put(item):
+                    break
+        except BaseException as problem:  # for who asks
+            error = problem
+        put(_End(error))
+
+    thread = Thread(target=copy_context().run, args=(make,), daemon=True)
+    thread.start()
+    try:
+        while not isinstance(item := made.get(), _End):
+            yield item
+        if item.error is not None:
+            raise item.error
+    finally:
+        stopped.set()
+        thread.join()
 
 
 def at_once(work: Callable[[T], R], items: Sequence[T]) -> list[R]:

@@ -1,4 +1,4 @@
-"""Parses foreign files in a restricted process (see confinement.py): a file that crashes its reader, never ends or
+"""Parses foreign files in a restricted process (see guarded.py): a file that crashes its reader, never ends or
 needs too much memory results in an error message only. Results are bytes and sentences of checked length."""
 
 import atexit

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from voodoo_jax.storage.atomic import made_folder
 from voodoo_jax.storage.troubles import check_file, small_text
@@ -206,17 +206,9 @@ def byte_size(place: str) -> int:
         return 0
 
 
-@runtime_checkable
-class Readable(Protocol):
-    """An open file of any store."""
-
-    def read(self, size: int = -1, /) -> bytes: ...
-    def seek(self, offset: int, whence: int = 0, /) -> int: ...
-
-
 @contextmanager
 def opened(place: str) -> Iterator[Any]:
-    """Opens a file for reading at any position: a Readable. Raises OSError."""
+    """Opens a file of any store for reading at any position. Raises OSError."""
     if not is_url(place):
         check_file(place)
         with open(place, "rb") as stream:

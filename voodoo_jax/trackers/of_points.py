@@ -2,27 +2,26 @@
 all that a recording has."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from voodoo_jax.detect.pipeline import find_people, only_named
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Scene, Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import Task, Tracker
-from voodoo_jax.trackers.icp.entry import IcpTracker
-from voodoo_jax.trackers.icp.people import main_first, numbered
-from voodoo_jax.trackers.icp.tracker import placed, track_poses
-from voodoo_jax.trackers.markers.entry import MarkerTracker
-from voodoo_jax.trackers.markers.tracker import track_named
+from voodoo_jax.trackers.icp.people import main_first, numbered, track_subjects
+from voodoo_jax.trackers.icp.tracker import placed, prepare, track_poses
+from voodoo_jax.trackers.markers.tracker import prepare as prepare_named
+from voodoo_jax.trackers.markers.tracker import track_all_named, track_named
 from voodoo_jax.trackers.shared.runner import names_alone
 
 
 class PointTracker(Tracker):
-    """The ICP tracker, or that of named points for recordings of these alone."""
+    """Fits limbs to 3D points (Knoop et al. 2006, 2007); for recordings of named points alone, to these."""
 
     def prepare(self, task: Task) -> None:
-        (IcpTracker() if task.source.sensors else MarkerTracker()).prepare(task)
+        (prepare if task.source.sensors else prepare_named)(task)
 
     def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
         source, found = task.source, find_people if task.source.sensors else only_named
@@ -31,7 +30,10 @@ class PointTracker(Tracker):
 
     def follow(self, task: Task, people: list[Subject]) -> list[Tracks]:
         """Tracks of people who were found before."""
-        return (MarkerTracker() if names_alone(people[0].frames) else IcpTracker()).follow(task, people)
+        if names_alone(people[0].frames):
+            return track_all_named(task, people)
+        each = task.progress and (lambda count, tell=task.progress: tell(count / len(people)))
+        return track_subjects(replace(task, progress=each), people)
 
 
 def track_person(task: Task, scene: Scene, people: list[BodyObservation]) -> Tracks:

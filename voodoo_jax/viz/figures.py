@@ -2,11 +2,13 @@
 
 import os
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
+from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+DPI = 72  # matplotlib's inline backend's own
 STATUS_WORDS: dict[int, str] = {
     Status.TRACKED: "tracked",
     Status.NOT_STARTED: "not started",
@@ -33,6 +36,15 @@ RAY_COLOUR, RAY_LENGTH = "#2a9d4a", 8.0  # metres
 Drawing = tuple[np.ndarray, np.ndarray, tuple[int, int, int]]
 SIDE_MAPS = {"left": "Oranges", "right": "Blues", "middle": "Greys"}  # of matplotlib
 PERSON_MAPS = ("Greens", "Purples", "YlOrBr", "RdPu", "GnBu")  # of the second person and so on
+
+
+class ShownFigure(Figure):
+    """A figure without global plot state that a notebook shows as the last value of a cell."""
+
+    def _repr_png_(self) -> bytes:
+        stream = BytesIO()
+        self.savefig(stream, format="png", dpi=DPI)
+        return stream.getvalue()
 
 
 def spread(length: int, count: int) -> Int[np.ndarray, " chosen"]:
@@ -71,7 +83,7 @@ def show(
     in the fixed frame, drawn as crosses. Raises ValueError if there is no frame or the truth has another number of
     frames.
     """
-    from voodoo_jax.viz.shown import ShownFigure
+    from voodoo_jax.viz.figures import ShownFigure
 
     people = [tracks] if isinstance(tracks, Tracks) else list(tracks)
     tracks = people[0]

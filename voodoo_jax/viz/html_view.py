@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from voodoo_jax.exporters.frames import upright
 from voodoo_jax.exporters.limb_shapes import profile, side_of
 from voodoo_jax.geometry.rotations import rotations
-from voodoo_jax.records.markup import filled, for_script
+from voodoo_jax.records.notes import filled, for_script
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.tracks import Tracks, expected_share
 from voodoo_jax.storage.atomic import replacing
 from voodoo_jax.viz.figures import STATUS_WORDS
 from voodoo_jax.viz.overlay import drawn_over
-from voodoo_jax.viz.template import template
+from voodoo_jax.viz.report_page import template
 
 MOST_FRAMES = 900  # of a longer log every second one is shown, every third, ...
 POINTS = 700_000  # of all frames together: 6 bytes each, 5.6 MB as text

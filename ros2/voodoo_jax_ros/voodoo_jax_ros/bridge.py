@@ -76,7 +76,7 @@ class TopicSource:
 
 
 class Given:
-    """A publisher (voodoo_jax.exporters.live.Publisher) that makes ROS messages of each frame.
+    """A publisher (voodoo_jax.exporters.foxglove.Publisher) that makes ROS messages of each frame.
 
     **Arguments:** `make` makes a message of a type by its name and fields; `publish` takes what it is ("tf", "body",
     "diagnostics") and the message.

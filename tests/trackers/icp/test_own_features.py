@@ -5,9 +5,8 @@ import numpy as np
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Rays
-from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.subject import Subject
-from voodoo_jax.trackers.icp.own_features import with_own_features
+from voodoo_jax.records.scene import Scene, Subject
+from voodoo_jax.trackers.icp.people import with_own_features
 
 SCENE = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)
 EYE = np.array([[0, 0, 1.2]], np.float32)

@@ -14,9 +14,7 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.solve.scan import options_from
-from voodoo_jax.trackers.icp.diagnostics import notes_on
-from voodoo_jax.trackers.icp.log_doubts import log_doubts
-from voodoo_jax.trackers.icp.right_level import NO_DOUBT, level_odds, level_of
+from voodoo_jax.trackers.icp.diagnostics import NO_DOUBT, level_odds, level_of, log_doubts, notes_on
 from voodoo_jax.trackers.icp.runner import Runner
 
 USUAL, MOUNT = Settings(), np.array([[0.0, 0.0, 1.25]], np.float32)

@@ -12,17 +12,14 @@ from voodoo_jax.io.log_reader import read_log
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import human
 from voodoo_jax.records.observation import whole
-from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Scene, Subject
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import motion_of_turns, placed
 from voodoo_jax.simulate.recording import in_one_picture, simulate
 from voodoo_jax.simulate.sensor import tof_camera
-from voodoo_jax.trackers.icp.limb_distance import body_distance
-from voodoo_jax.trackers.icp.misfit import AROUND
-from voodoo_jax.trackers.icp.people import close_in, touching_in
-from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
+from voodoo_jax.trackers.icp.misfit import AROUND, body_distance
+from voodoo_jax.trackers.icp.people import close_in, owned_in_turn, touching_in
 
 COUNT, RATE, STOLEN = 24, 15.0, 10
 SCENE = Scene(Plane(np.array([0, 0, 1], np.float32), 0.0), (), False)

@@ -12,9 +12,8 @@ from voodoo_jax.config.options import DetectSettings, Settings, StartSettings
 from voodoo_jax.detect.pipeline import find_body
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.io.log_reader import read_log
-from voodoo_jax.model.body import joint_centres, scaled
+from voodoo_jax.model.body import joint_centres, rest_box, rest_height, scaled
 from voodoo_jax.model.body_file import human, load_body
-from voodoo_jax.model.rest_shape import rest_box, rest_height
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.simulate.mcap import write_simulation
 from voodoo_jax.simulate.motion import make_motion, placed

@@ -7,9 +7,9 @@ import numpy as np
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
-from voodoo_jax.geometry.from_bytes import array_at
+from voodoo_jax.config.limited import too_large
+from voodoo_jax.geometry.arrays_file import array_at
 from voodoo_jax.io.convert.target import ConvertError, content, named_times, new_log, putter
-from voodoo_jax.io.limits import too_large
 from voodoo_jax.storage.guarded import Answer
 
 TOPIC, FRAME = "/points", "sensor"

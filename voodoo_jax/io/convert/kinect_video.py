@@ -15,10 +15,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.config.limited import too_large
 from voodoo_jax.io.convert.depth_images import COLOUR as COLOUR_IMAGE
 from voodoo_jax.io.convert.depth_images import COLOUR_INFO, MILLIMETRE, camera_file, depth_image, pinhole
 from voodoo_jax.io.convert.target import START_NS, ConvertError, Put, new_log, putter
-from voodoo_jax.io.limits import too_large
 from voodoo_jax.storage.guarded import Answer
 
 DEPTH, COLOUR = "depth_optical", "color_optical"
@@ -56,7 +56,7 @@ def convert(source: Path, target: Answer, camera: Path | None = None) -> list[st
             size = streams.depth.width, streams.depth.height
             if trouble := too_large("its depth images have", size[0] * size[1], "pixels", "pixels"):
                 raise ConvertError(f"'{source}': {trouble}")
-            put("/depth/camera_info", START_NS, _depth_camera(streams, size, camera, source, notes))
+            put("/depth/camera_info", START_NS, _depth_camera(streams, size, camera, source))
             colour = _colour(streams, put, notes)
             count = 0
             for packet in container.demux([s for s in (streams.depth, colour) if s is not None]):
@@ -102,10 +102,7 @@ def _streams(container: Any, source: Path) -> _Streams:
     return _Streams(depth, colour, cameras, mode)
 
 
-# 5 parameters
-def _depth_camera(
-    streams: _Streams, size: tuple[int, int], camera: Path | None, source: Path, notes: list[str]
-) -> CameraCalibration:
+def _depth_camera(streams: _Streams, size: tuple[int, int], camera: Path | None, source: Path) -> CameraCalibration:
     if camera is not None:
         given = camera_file(camera)
         if (given["width"], given["height"]) != size:

@@ -1,16 +1,29 @@
-"""C3D and TRC: named points over time, in the axes of the file, metres, from one second on."""
+"""Named points over time, in the axes of the file, metres, from one second on: C3D, TRC, and tables (CSV).
 
+C3D files are read by ezc3d, and by py-c3d what that does not support (MIPS, parameters of other types). Tables are
+exports of Motive, and any with columns NAME_x, NAME_y, NAME_z. Motive (OptiTrack): a first line of `Format Version` and
+so on, then lines of types, names and axes, then a line for each frame; its labelled markers are used, or without any
+the origins of its bones. Y is up. Other tables (FreeMoCap, pandas): a line of names, then one for each frame, with a
+column of times in seconds or at a given rate.
+"""
+
+import csv
 import re
+import warnings
 from collections import Counter
+from io import BytesIO, StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
-from voodoo_jax.io.convert.c3d_files import points_of
 from voodoo_jax.io.convert.target import START_NS, ConvertError, check_points, content, new_log, putter, scene_of_points
 from voodoo_jax.storage.guarded import Answer
 
+USUAL_HZ = 30.0  # of most cameras, where neither the file nor a user says it
+AXIS = re.compile(r"(.+?)[ _.:\-\[(]*([xyz])\W*(?:mm|cm|m)?\W*", re.IGNORECASE)
+TIMES = re.compile(r"(frame_?)?(time|timestamps?|seconds|t)(\W*\(?(s|sec|seconds)\)?)?(_s|_sec)?", re.IGNORECASE)
 TOPIC, FRAME = "/markers", "lab"
 QUANTITIES = "ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS"  # parameters of POINT that list what is no place
 PLACES = "MARKERS", "MODELED_MARKERS"  # that list what is one
@@ -20,6 +33,143 @@ WORDS = {
     "dm": ("decimeters", "decimetres"), "in": ("inches",),
 }  # fmt: skip
 SHORTEST = 4  # letters of a word for a unit: the format's first programs kept so many of each name
+
+
+def convert_table(source: Path, target: Answer, rate: float = 0.0) -> list[str]:
+    """Points of a table; empty fields and NaN are missing. Raises ConvertError, OSError."""
+    with StringIO(content(source).decode("utf-8-sig", "replace"), newline="") as stream:
+        rows = [row for row in csv.reader(stream) if row]
+    try:
+        if rows and rows[0][0].strip() == "Format Version":
+            return _motive(source, target, rows)
+        return _table(source, target, rows, rate)
+    except (ValueError, IndexError) as problem:
+        if isinstance(problem, ConvertError):
+            raise
+        raise ConvertError(f"'{source}' cannot be read as a table of points: {problem}") from problem
+
+
+def _motive(source: Path, target: Answer, rows: list[list[str]]) -> list[str]:
+    head = dict(zip(rows[0][::2], rows[0][1::2]))
+    above = next(i for i, row in enumerate(rows) if row[0].strip() == "Frame")
+    kinds, names, what = rows[1], rows[2], rows[above - 1]  # between them are numbers and parents
+    time = next(k for k, word in enumerate(rows[above]) if word.startswith("Time"))
+    place = [k for k in range(time + 1, len(what)) if what[k].strip() == "Position"]
+    groups = [place[i : i + 3] for i in range(0, len(place), 3)]
+    kind = lambda g: kinds[g[0]].strip().lower()  # noqa: E731
+    marked = [g for g in groups if kind(g).endswith("marker")]
+    named = [g for g in marked if not names[g[0]].strip().lower().startswith("unlabeled")]
+    # of what was measured and what was solved for it the first
+    single = {names[g[0]].strip(): g for g in sorted(named or marked, key=lambda g: kind(g) == "marker")}
+    chosen = list(single.values()) or [g for g in groups if kind(g) == "bone"]
+    if not chosen:
+        raise ConvertError(f"'{source}' has neither markers nor bones")
+    table = _numbers(rows[above + 1 :], len(what))
+    unit = unit_name(head.get("Length Units", "")) or unit_by_size(_points(table, chosen), source, "")
+    labels = [names[g[0]].strip() for g in chosen]
+    write_markers(target, source, labels, _points(table, chosen) * METRES[unit], table[:, time], "y")
+    return []
+
+
+def _table(source: Path, target: Answer, rows: list[list[str]], rate: float) -> list[str]:
+    columns: dict[str, dict[str, int]] = {}
+    for k, name in enumerate(rows[0]):
+        if found := AXIS.fullmatch(name.strip()):
+            columns.setdefault(found[1], {}).setdefault(found[2].lower(), k)
+    groups = {name: [axes[a] for a in "xyz"] for name, axes in columns.items() if len(axes) == 3}
+    if not groups:
+        raise ConvertError(f"'{source}' has no columns NAME_x, NAME_y, NAME_z, and is no export of Motive")
+    table, notes = _numbers(rows[1:], len(rows[0])), []
+    points = _points(table, list(groups.values()))
+    unit = unit_by_size(points, source, "")
+    if unit != "m":
+        notes.append(f"'{source}' names no unit: judged by size, it is {unit}")
+    time = next((k for k, name in enumerate(rows[0]) if TIMES.fullmatch(name.strip())), None)
+    if time is not None and not rate and np.isfinite(table[:, time]).all():
+        seconds = table[:, time]
+    else:
+        seconds = np.arange(len(table)) / (rate or USUAL_HZ)
+        if not rate:
+            notes.append(f"'{source}' has no times: {USUAL_HZ:g} frames a second are assumed (to override: --rate)")
+    write_markers(target, source, list(groups), points * METRES[unit], seconds, "")
+    return notes
+
+
+def _numbers(rows: list[list[str]], width: int) -> np.ndarray:
+    """[row, column]; NaN where there is no number."""
+    return np.array([[_number_or_nan(v) for v in (row + [""] * width)[:width]] for row in rows], float).reshape(
+        -1, width
+    )
+
+
+def _number_or_nan(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+def _points(table: np.ndarray, columns: list[list[int]]) -> np.ndarray:
+    points = table[:, columns]
+    return np.where((points == 0).all(2, keepdims=True), np.nan, points)
+
+
+class Points(NamedTuple):
+    """The points of a file, in its unit, and its group POINT: {parameter: {"value": [...]}}."""
+
+    group: dict[str, Any]
+    places: Float[np.ndarray, "frame point 3"]
+    missing: Bool[np.ndarray, "frame point"]
+    rate: float
+
+
+def points_of(source: Path) -> Points:
+    """The points of a file. Raises ConvertError, with the message of ezc3d."""
+    try:
+        import ezc3d  # noqa: F401
+    except ImportError as problem:
+        raise ConvertError('C3D files need ezc3d: pip install "voodoo_jax[c3d]"') from problem
+    try:
+        return _by_ezc3d(source)
+    except (OSError, RuntimeError, KeyError, IndexError, ValueError, SystemError) as problem:
+        try:
+            found = _by_c3d(source)
+        except Exception:  # it has errors of all kinds; the other's say more
+            raise ConvertError(f"'{source}' cannot be read as C3D; ezc3d says: {problem}") from problem
+        return found
+
+
+def _by_ezc3d(source: Path) -> Points:
+    import ezc3d
+
+    file = ezc3d.c3d(str(source))
+    point = file["parameters"]["POINT"]
+    places = np.asarray(file["data"]["points"][:3], float).transpose(2, 1, 0)
+    residual = np.asarray(file["data"]["meta_points"]["residuals"], float)[0].T
+    return Points(point, places, residual < 0, float(point["RATE"]["value"][0]))
+
+
+def _by_c3d(source: Path) -> Points:
+    import c3d
+
+    with BytesIO(content(source)) as stream, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        reader = c3d.Reader(stream)
+        frames = [np.array(points) for _, points, _ in reader.read_frames(copy=True)]
+        points: Any = reader.get("POINT")
+        group = {key.upper(): {"value": _values(value)} for key, value in points.param_items()}
+        rate = float(reader.point_rate)
+    table = np.array(frames, float).reshape(len(frames), -1, 5)
+    return Points(group, table[:, :, :3], table[:, :, 3] < 0, rate)
+
+
+def _values(parameter: Any) -> list[Any]:
+    """A parameter's texts, with bytes that are not UTF-8 as ezc3d gives them."""
+    if parameter.bytes_per_element > 0:  # numbers, which nobody asks for
+        return []
+    width = parameter.dimensions[0] if parameter.dimensions else parameter.total_bytes
+    data = bytes(parameter.bytes)
+    return [data[at : at + width].decode("utf-8", "surrogateescape") for at in range(0, len(data), max(width, 1))]
 
 
 def convert_c3d(source: Path, target: Answer) -> list[str]:

@@ -1,5 +1,12 @@
-"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message, in ROS 2's encoding."""
+"""ROS 1 bags (.bag) and SQLite bags of ROS 2 (.db3, or their folder): every message, in ROS 2's encoding.
 
+`driver_types.msg` has message definitions for bags without them (SQLite bags before Iron), as the drivers' packages
+define them (Livox, RealSense, ZED, vision_msgs 4, point_cloud_interfaces, mocap4r2_msgs); others can be given as files.
+Bags of the RealSense viewer and SDK have image and calibration of a stream in `/device_0/sensor_0/Depth_0/image/data`
+and `.../info/camera_info`; the unit of depth counts is the option Depth_Units (librealsense, src/media/ros).
+"""
+
+import re
 from bz2 import BZ2Decompressor
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -7,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import lz4.frame
+import numpy as np
 from mcap.writer import Writer
 from rosbags.convert.converter import STATIC_MSGTYPE_RENAMES, migrate_bytes
 from rosbags.highlevel import AnyReader, AnyReaderError
@@ -16,16 +24,97 @@ from rosbags.rosbag2 import ReaderError as Bag2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
-from voodoo_jax.io.convert.definitions import WAY_OUT, register
-from voodoo_jax.io.convert.realsense import depth_units, in_metres, plain_topic, unit_of
+from voodoo_jax.config.limited import limits, too_large
 from voodoo_jax.io.convert.target import ConvertError, new_log
 from voodoo_jax.io.decode.by_fields import kind_by_fields
 from voodoo_jax.io.decode.registry import KINDS
-from voodoo_jax.io.limits import limits, too_large
 from voodoo_jax.storage.guarded import Answer
-from voodoo_jax.storage.troubles import check_file
+from voodoo_jax.storage.troubles import check_file, small_text
 
+BUILT_IN, FIRST = Path(__file__).with_name("driver_types.msg"), "livox_ros_driver2/msg/CustomMsg"
+WAY_OUT = "give its definition, the .msg file of its package: --read.types FILE.msg (voodoo-jax convert: --types)"
+IMAGE = re.compile(r"^(/device_\d+)/sensor_\d+/(\w+?)_(\d+)/(?:image/data|info/(camera_info))$")
+UNITS = re.compile(r"^(/device_\d+)/sensor_\d+/option/Depth[_ ]Units/value$")
+MILLIMETRE = 0.001
+CLOSE = 1e-6  # metres: units that differ by less are one
 BROKEN = (AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError, AssertionError, KeyError, ValueError)
+
+
+def register(store: Any, wanted: Sequence[str], given: Sequence[str]) -> set[str]:
+    """Adds missing definitions to a typestore, first those of the given files; returns the names in `wanted` that it
+    now knows. Raises ConvertError for a file without definitions."""
+    missing = {name for name in wanted if name not in store.fielddefs}
+    if missing:
+        types = get_types_from_msg(small_text(BUILT_IN), FIRST) | _of_files(given, missing)
+        store.register({name: fields for name, fields in types.items() if name not in store.fielddefs})
+    return {name for name in missing if name in store.fielddefs}
+
+
+def _of_files(given: Sequence[str], missing: set[str]) -> dict[str, Any]:
+    """Types that files define, each with those beside it in its folder."""
+    found: dict[str, Any] = {}
+    for place in map(Path, given):
+        try:
+            package = _package(place, missing)
+            for path in [*sorted(place.parent.glob("*.msg")), place]:
+                found |= get_types_from_msg(small_text(path), f"{package}/msg/{path.stem}")
+        except (OSError, ValueError, KeyError, TypesysError) as problem:
+            raise ConvertError(f"read.types: '{place}' is not a message definition (.msg): {problem}") from problem
+    return found
+
+
+def _package(path: Path, missing: set[str]) -> str:
+    """Of a definition: as its folder says (PACKAGE/msg/TYPE.msg), or as the bag does that lacks it."""
+    if path.parent.name == "msg":
+        return path.resolve().parent.parent.name
+    return next((name.split("/")[0] for name in sorted(missing) if name.endswith(f"/{path.stem}")), path.parent.name)
+
+
+def plain_topic(topic: str) -> str:
+    """The common topic of an image and its calibration; others are unchanged."""
+    match = IMAGE.match(topic)
+    if match is None:
+        return topic
+    device, stream, number, info = match.groups()
+    name = stream.lower() + (f"_{number}" if number != "0" else "")
+    return f"{device}/{name}/{'camera_info' if info else 'image'}"
+
+
+def depth_units(reader: Any) -> dict[str, float]:
+    """Metres per depth count, by device, if it is not a millimetre."""
+    found: dict[str, float] = {}
+    connections = [c for c in reader.connections if UNITS.match(c.topic)]
+    for connection, _, raw in reader.messages(connections=connections) if connections else ():
+        device = UNITS.match(connection.topic)[1]  # type: ignore[index]
+        unit = float(reader.deserialize(raw, connection.msgtype).data)
+        if unit > 0 and abs(unit - MILLIMETRE) > CLOSE:
+            found.setdefault(device, unit)
+    return found
+
+
+def unit_of(topic: str, kind: str, units: dict[str, float]) -> float | None:
+    """Metres per count of a topic's images; None: they are millimetres, or no depth images."""
+    match = IMAGE.match(topic)
+    if match is None or not kind.endswith("/Image") or match[2].lower() != "depth":
+        return None
+    return units.get(match[1])
+
+
+def in_metres(store: Any, data: bytes, kind: str, unit: float) -> bytes:
+    """Converts a message of 16-bit counts (CDR) to metres, 32 bits."""
+    image = store.deserialize_cdr(data, kind)
+    order = ">" if image.is_bigendian else "<"
+    rows = np.asarray(image.data).reshape(image.height, image.step)[:, : 2 * image.width]
+    metres = np.ascontiguousarray(rows).view(f"{order}u2") * np.float64(unit)
+    values = {name: getattr(image, name) for name in ("header", "height", "width")}
+    made = store.types[kind](
+        **values,
+        encoding="32FC1",
+        is_bigendian=0,
+        step=4 * image.width,
+        data=metres.astype("<f4").view(np.uint8).ravel(),
+    )
+    return bytes(store.serialize_cdr(made, kind))
 
 
 def convert(source: Path, target: Answer, types: Sequence[str] = ()) -> list[str]:

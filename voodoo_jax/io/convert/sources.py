@@ -1,7 +1,9 @@
-"""The table of convertible formats and their converters."""
+"""The table of convertible formats and their converters; converts logs temporarily."""
 
 import os
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -9,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from voodoo_jax.config.limited import limited, limits
 from voodoo_jax.config.options import LimitSettings
+from voodoo_jax.io.container import LogError, Place
 from voodoo_jax.io.convert.errors import LIBRARY, ConvertError
 from voodoo_jax.records.notes import SENTENCE, as_few, plain
 from voodoo_jax.storage.atomic import replacing
@@ -22,7 +25,8 @@ FASTEST, SLOWEST = 1e6, 1e-6  # files a second
 READERS = {
     ".bag": ("ros_bags", "convert", "types"), ".db3": ("ros_bags", "convert", "types"),
     ".mkv": ("kinect_video", "convert", "camera"),
-    ".json": ("skeletons", "convert"), ".skeleton": ("skeletons", "convert"), ".csv": ("tables", "convert", "rate"),
+    ".json": ("skeletons", "convert"), ".skeleton": ("skeletons", "convert"),
+    ".csv": ("markers", "convert_table", "rate"),
     ".c3d": ("markers", "convert_c3d"), ".trc": ("markers", "convert_trc"),
     ".pcd": ("clouds", "convert", "rate"), ".ply": ("clouds", "convert", "rate"),
 }  # fmt: skip
@@ -31,6 +35,24 @@ FILES = {
     ".pcd": "a point cloud", ".ply": "a point cloud", ".json": "skeletons of a Kinect, Nuitrack or ZED",
     ".skeleton": "NTU RGB+D", ".csv": "Motive, or columns NAME_x",
 }  # fmt: skip
+
+
+@contextmanager
+def as_mcap(log: Place, types: Sequence[str] = ()) -> Iterator[tuple[Any, list[str]]]:
+    """The log as MCAP, itself or a temporary copy, and notes of the conversion.
+
+    **Arguments:** `types` as read.types. Raises LogError.
+    """
+    if not isinstance(log, str | os.PathLike) or not is_foreign(log):
+        yield log, []
+        return
+    with tempfile.TemporaryDirectory(prefix="voodoo-") as folder:
+        target = os.path.join(folder, f"{os.path.basename(os.path.abspath(log))}.mcap")
+        try:
+            notes = convert(log, target, types=types)
+        except (ConvertError, OSError) as problem:
+            raise LogError(str(problem)) from problem
+        yield target, notes
 
 
 def is_foreign(path: str | os.PathLike[str]) -> bool:

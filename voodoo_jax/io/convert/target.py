@@ -12,8 +12,8 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from voodoo_jax.config.limited import TIME, limits, too_large
 from voodoo_jax.io.convert.errors import LIBRARY, ConvertError
-from voodoo_jax.io.limits import TIME, limits, too_large
 from voodoo_jax.storage.guarded import Answer
 from voodoo_jax.storage.troubles import NotReadable, small_file
 

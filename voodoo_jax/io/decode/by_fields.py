@@ -87,7 +87,7 @@ def _found(store: Typestore, name: str) -> tuple[str, Callable[[Any], Any] | Non
         camera = next((c for c in cameras if "depth" in c.lower()), cameras[0] if cameras else "")
         return "image", lambda m: _image(m, images[0], camera)
     if clouds := _of(store, name, CLOUD):
-        return "point cloud", lambda m: depth.CONVERTERS[CLOUD](getattr(m, clouds[0]))
+        return "point cloud", lambda m: depth.CONVERTERS[CLOUD][1](getattr(m, clouds[0]))
     for field, kind in _lists(store, name):
         names = sorted((s for s in _strings(store, kind) if "name" in s or "label" in s), key=lambda s: "subject" in s)
         names = [s for s in names if "subject" not in s and "segment" not in s]
@@ -109,8 +109,8 @@ def _stamp(m: Any) -> tuple[int, str]:
 
 
 def _image(m: Any, image: str, camera: str) -> Image:
-    found, (stamp, frame) = depth.CONVERTERS[IMAGE](getattr(m, image)), _stamp(m)
-    calibration = depth.CONVERTERS[CAMERA](getattr(m, camera)) if camera else None
+    found, (stamp, frame) = depth.CONVERTERS[IMAGE][1](getattr(m, image)), _stamp(m)
+    calibration = depth.CONVERTERS[CAMERA][1](getattr(m, camera)) if camera else None
     if calibration is not None and calibration.K[0, 0] <= 0:
         calibration = None
     # some drivers fill in the outer header only

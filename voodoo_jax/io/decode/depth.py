@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from voodoo_jax.geometry.from_bytes import array_at
-from voodoo_jax.io.decode.colour import colour_image
-from voodoo_jax.io.decode.image_codec import PIXELS
-from voodoo_jax.io.limits import too_large
+from voodoo_jax.config.limited import too_large
+from voodoo_jax.geometry.arrays_file import array_at
+from voodoo_jax.io.decode.image_codec import PIXELS, colour_image
 from voodoo_jax.io.transforms import Transform, plausible
 from voodoo_jax.records.messages import (
     DEPTH_ENCODINGS,
@@ -208,16 +207,16 @@ def _image(
 
 
 CONVERTERS = {
-    "stereo_msgs/msg/DisparityImage": _ros_disparity,
-    "sensor_msgs/msg/PointCloud2": ros_cloud,
-    "sensor_msgs/msg/Image": _ros_image,
-    "sensor_msgs/msg/LaserScan": _ros_laser,
-    "sensor_msgs/msg/CameraInfo": _ros_calibration,
-    "tf2_msgs/msg/TFMessage": _ros_tf,
-    "foxglove.PointCloud": _foxglove_cloud,
-    "foxglove.RawImage": _foxglove_image,
-    "foxglove.LaserScan": _foxglove_laser,
-    "foxglove.CameraCalibration": _foxglove_calibration,
-    "foxglove.FrameTransform": lambda m: [_foxglove_transform(m)],
-    "foxglove.FrameTransforms": lambda m: [_foxglove_transform(t) for t in m.transforms],
+    "stereo_msgs/msg/DisparityImage": ("image", _ros_disparity),
+    "sensor_msgs/msg/PointCloud2": ("point cloud", ros_cloud),
+    "sensor_msgs/msg/Image": ("image", _ros_image),
+    "sensor_msgs/msg/LaserScan": ("laser scan", _ros_laser),
+    "sensor_msgs/msg/CameraInfo": ("calibration", _ros_calibration),
+    "tf2_msgs/msg/TFMessage": ("transforms", _ros_tf),
+    "foxglove.PointCloud": ("point cloud", _foxglove_cloud),
+    "foxglove.RawImage": ("image", _foxglove_image),
+    "foxglove.LaserScan": ("laser scan", _foxglove_laser),
+    "foxglove.CameraCalibration": ("calibration", _foxglove_calibration),
+    "foxglove.FrameTransform": ("transforms", lambda m: [_foxglove_transform(m)]),
+    "foxglove.FrameTransforms": ("transforms", lambda m: [_foxglove_transform(t) for t in m.transforms]),
 }

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.geometry.from_bytes import array_at
+from voodoo_jax.geometry.arrays_file import array_at
 from voodoo_jax.records.messages import FARTHEST, Features
 
 _STAMP, _PLACE = struct.Struct("<iI"), struct.Struct("<3d")  # as CDR has them, little-endian

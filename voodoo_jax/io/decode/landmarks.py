@@ -6,7 +6,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.model.marker_names import numbered_names
-from voodoo_jax.records.messages import Features, Named, features, frame_name, pb_stamp, ros_stamp, xyz, xyzw
+from voodoo_jax.records.messages import (
+    PAIRS,
+    RAYS,
+    Features,
+    Named,
+    features,
+    frame_name,
+    pb_stamp,
+    ros_stamp,
+    xyz,
+    xyzw,
+)
 
 # visualization_msgs/msg/Marker
 _ADD, _DELETE, _DELETE_ALL = 0, 2, 3
@@ -142,15 +153,15 @@ def _scene(m: Any) -> Features:
 
 
 CONVERTERS = {
-    "vision_msgs/msg/Detection2DArray": _detections,
-    "geometry_msgs/msg/PointStamped": _ros_point,
-    "geometry_msgs/msg/PoseStamped": _ros_pose,
-    "geometry_msgs/msg/PoseArray": _ros_poses,
-    "visualization_msgs/msg/Marker": lambda m: _markers([m]),
-    "visualization_msgs/msg/MarkerArray": lambda m: _markers(m.markers),
-    "foxglove.ImageAnnotations": _annotations,
-    "foxglove.Point3InFrame": _foxglove_point,
-    "foxglove.PoseInFrame": lambda m: _foxglove_poses(m, [m.pose] if m.HasField("pose") else []),
-    "foxglove.PosesInFrame": lambda m: _foxglove_poses(m, m.poses),
-    "foxglove.SceneUpdate": _scene,
+    "vision_msgs/msg/Detection2DArray": (RAYS, _detections),
+    "geometry_msgs/msg/PointStamped": (PAIRS, _ros_point),
+    "geometry_msgs/msg/PoseStamped": (PAIRS, _ros_pose),
+    "geometry_msgs/msg/PoseArray": (PAIRS, _ros_poses),
+    "visualization_msgs/msg/Marker": (PAIRS, lambda m: _markers([m])),
+    "visualization_msgs/msg/MarkerArray": (PAIRS, lambda m: _markers(m.markers)),
+    "foxglove.ImageAnnotations": (RAYS, _annotations),
+    "foxglove.Point3InFrame": (PAIRS, _foxglove_point),
+    "foxglove.PoseInFrame": (PAIRS, lambda m: _foxglove_poses(m, [m.pose] if m.HasField("pose") else [])),
+    "foxglove.PosesInFrame": (PAIRS, lambda m: _foxglove_poses(m, m.poses)),
+    "foxglove.SceneUpdate": (PAIRS, _scene),
 }

@@ -10,8 +10,8 @@ import numpy as np
 import zstandard
 from jaxtyping import Float32
 
+from voodoo_jax.config.limited import limits, too_large
 from voodoo_jax.io.decode.depth import foxglove_pose, ros_cloud
-from voodoo_jax.io.limits import limits, too_large
 from voodoo_jax.records.messages import Cloud, frame_name, pb_stamp, ros_stamp
 
 _EITHER = 32 + zlib.MAX_WBITS  # of zlib and gzip, as the head says
@@ -144,6 +144,6 @@ def _grid(points: Float32[np.ndarray, "point 3"]) -> np.ndarray:
 
 
 CONVERTERS = {
-    "point_cloud_interfaces/msg/CompressedPointCloud2": _ros_packed,
-    "foxglove.CompressedPointCloud": _foxglove_packed,
+    "point_cloud_interfaces/msg/CompressedPointCloud2": ("point cloud", _ros_packed),
+    "foxglove.CompressedPointCloud": ("point cloud", _foxglove_packed),
 }

@@ -1,12 +1,17 @@
 """Decodes the bytes of ROS 2 and Foxglove messages: the table of supported types and their decoders."""
 
+import json
 import re
 import struct
 from collections.abc import Callable
+from datetime import UTC, datetime
 from functools import lru_cache
+from importlib import import_module
 from typing import Any
 
+from google.protobuf import json_format
 from google.protobuf.message import DecodeError as ProtobufError
+from google.protobuf.message import Message
 from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
@@ -15,51 +20,20 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from voodoo_jax.config.limited import limits, too_large
 from voodoo_jax.config.options import LimitSettings
-from voodoo_jax.io.decode import colour, depth, landmarks, packed_cloud
+from voodoo_jax.io.decode import depth, image_codec, landmarks, packed_cloud
 from voodoo_jax.io.decode.by_fields import kind_by_fields, starts_with_header, structure_converter
-from voodoo_jax.io.decode.colour import COLOUR_KIND
 from voodoo_jax.io.decode.landmark_layout import Remembering
-from voodoo_jax.io.limits import limits, too_large
 from voodoo_jax.records.messages import PAIRS, RAYS
 
-KINDS = {
-    "sensor_msgs/msg/PointCloud2": "point cloud",
-    "point_cloud_interfaces/msg/CompressedPointCloud2": "point cloud",
-    "sensor_msgs/msg/Image": "image",
-    "stereo_msgs/msg/DisparityImage": "image",
-    "sensor_msgs/msg/CompressedImage": COLOUR_KIND,
-    "sensor_msgs/msg/LaserScan": "laser scan",
-    "sensor_msgs/msg/CameraInfo": "calibration",
-    "tf2_msgs/msg/TFMessage": "transforms",
-    "vision_msgs/msg/Detection2DArray": RAYS,
-    "geometry_msgs/msg/PointStamped": PAIRS,
-    "geometry_msgs/msg/PoseStamped": PAIRS,
-    "geometry_msgs/msg/PoseArray": PAIRS,
-    "visualization_msgs/msg/Marker": PAIRS,
-    "visualization_msgs/msg/MarkerArray": PAIRS,
-    "foxglove.PointCloud": "point cloud",
-    "foxglove.CompressedPointCloud": "point cloud",
-    "foxglove.RawImage": "image",
-    "foxglove.CompressedImage": COLOUR_KIND,
-    "foxglove.LaserScan": "laser scan",
-    "foxglove.CameraCalibration": "calibration",
-    "foxglove.FrameTransform": "transforms",
-    "foxglove.FrameTransforms": "transforms",
-    "foxglove.ImageAnnotations": RAYS,
-    "foxglove.Point3InFrame": PAIRS,
-    "foxglove.PoseInFrame": PAIRS,
-    "foxglove.PosesInFrame": PAIRS,
-    "foxglove.SceneUpdate": PAIRS,
-}
 DEPTH_KINDS = ("image", "point cloud", "laser scan")
 FEATURE_KINDS = (RAYS, PAIRS)
-_CONVERTERS: dict[str, Callable[[Any], Any]] = {
-    **depth.CONVERTERS,
-    **packed_cloud.CONVERTERS,
-    **colour.CONVERTERS,
-    **landmarks.CONVERTERS,
-}
+# what the messages of each type are used for, and what converts them
+_TYPES: dict[str, tuple[str, Callable[[Any], Any]]] = (
+    depth.CONVERTERS | packed_cloud.CONVERTERS | image_codec.CONVERTERS | landmarks.CONVERTERS
+)
+KINDS = {name: kind for name, (kind, _) in _TYPES.items()}
 _ENCODINGS = {
     ("cdr", "ros2msg"), ("cdr", "ros2idl"), ("ros1", "ros1msg"), ("protobuf", "protobuf"), ("json", "jsonschema"),
 }  # fmt: skip
@@ -81,6 +55,37 @@ DECODE_ERRORS = (
     MemoryError,
     RecursionError,
 )
+
+
+@lru_cache(64)
+def _kind(name: str) -> type[Message]:
+    short = name.rsplit(".", 1)[-1]
+    try:
+        return getattr(import_module(f"foxglove_schemas_protobuf.{short}_pb2"), short)
+    except ImportError as problem:
+        raise ValueError(f"{name} is not a Foxglove message") from problem
+
+
+def message_of(name: str, data: bytes) -> Message:
+    """The message with a name such as foxglove.PointCloud. Raises ValueError for other data."""
+    try:
+        return json_format.ParseDict(_as_protobuf(json.loads(data)), _kind(name)(), ignore_unknown_fields=True)
+    except (json_format.ParseError, OSError, OverflowError) as problem:
+        raise ValueError(str(problem)) from problem
+
+
+def _as_protobuf(value: Any, key: str = "") -> Any:
+    """Times as protobuf has them in JSON: Foxglove writes {"sec": 1, "nsec": 2}."""
+    if isinstance(value, list):
+        return [_as_protobuf(item) for item in value] if value and isinstance(value[0], dict | list) else value
+    if not isinstance(value, dict):
+        return value
+    if "sec" in value and value.keys() <= {"sec", "nsec", "nanosec"}:
+        part = f"{int(value.get('nsec', value.get('nanosec', 0))):09d}"
+        if key == "lifetime":
+            return f"{int(value['sec'])}.{part}s"
+        return f"{datetime.fromtimestamp(int(value['sec']), UTC):%Y-%m-%dT%H:%M:%S}.{part}Z"
+    return {name: _as_protobuf(item, name) for name, item in value.items()}
 
 
 def kind_of(schema: Schema | None, channel: Channel) -> str:
@@ -106,7 +111,7 @@ def reason_unused(schema: Schema | None, channel: Channel) -> str:
     return "no depth, calibration or transforms"
 
 
-def is_static(schema: Schema | None, channel: Channel) -> bool:
+def is_static(channel: Channel) -> bool:
     """Whether transforms on this channel are static."""
     if channel.topic.rstrip("/").endswith("tf_static") or channel.metadata.get("latching") == "1":
         return True
@@ -224,7 +229,7 @@ def _fields(store: Typestore, name: str, above: tuple[str, ...], known: dict[str
 @lru_cache(64)
 def _ros(schema_name: str, encoding: str, definition: bytes, within: LimitSettings) -> Callable[[bytes], Any]:
     store, name = _types(schema_name, encoding, definition, within)
-    convert = _CONVERTERS.get(name) or structure_converter(store, name)
+    convert = _TYPES[name][1] if name in _TYPES else structure_converter(store, name)
     if convert is None:
         raise ValueError(f"{name} has no usable field")
     read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
@@ -251,12 +256,12 @@ def _protobuf(schema: Schema) -> Callable[[bytes], Any]:
     decode = DecoderFactory().decoder_for("protobuf", schema)
     if decode is None:
         raise ValueError("not a protobuf schema")
-    convert = _CONVERTERS[schema.name]
+    convert = _TYPES[schema.name][1]
     return lambda data: convert(decode(data))
 
 
 def _json(schema: Schema) -> Callable[[bytes], Any]:
-    from voodoo_jax.io.decode.foxglove_json import message_of  # the schemas of Foxglove: only for such logs
+    from voodoo_jax.io.decode.registry import message_of  # the schemas of Foxglove: only for such logs
 
-    convert = _CONVERTERS[schema.name]
+    convert = _TYPES[schema.name][1]
     return lambda data: convert(message_of(schema.name, data))

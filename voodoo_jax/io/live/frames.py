@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel, Schema
 
+from voodoo_jax.config.limited import limits
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.io.chunks import Clock, LogError
 from voodoo_jax.io.container import Item, LogFile
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, DEPTH_KINDS, FEATURE_KINDS, Decoder, is_static, kind_of
 from voodoo_jax.io.frame_sync import period_of
-from voodoo_jax.io.limits import limits
-from voodoo_jax.io.live.foxglove_client import ITEM
-from voodoo_jax.io.live.sources import Source
+from voodoo_jax.io.live.sources import ITEM, Source
 from voodoo_jax.io.log_index import Known, Scan
 from voodoo_jax.io.log_reader import LogReader
 from voodoo_jax.io.read_plan import Plan, make_plan
@@ -288,7 +287,7 @@ class LiveLog:
             return
         shifts = self.reader.scan.shifts if hasattr(self, "reader") else {}
         for t in transforms:
-            if is_static(schema, channel):
+            if is_static(channel):
                 self._static[t.child, t.parent] = t
                 continue
             by = shifts.get(f"{channel.topic} {t.child}", 0)

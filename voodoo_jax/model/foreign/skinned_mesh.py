@@ -11,7 +11,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax.config.limited import too_large
-from voodoo_jax.geometry.from_bytes import array_at
+from voodoo_jax.geometry.arrays_file import array_at
 from voodoo_jax.model.checked_toml import BodyFileError
 from voodoo_jax.model.foreign.assembly import Piece, assembled
 from voodoo_jax.storage.troubles import small_file

@@ -7,8 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from voodoo_jax.config.bounds import LARGEST
-from voodoo_jax.config.limited import limited, limits
+from voodoo_jax.config.limited import LARGEST, limited, limits
 from voodoo_jax.config.options import LimitSettings
 from voodoo_jax.model.checked_toml import BodyFileError
 from voodoo_jax.storage.guard import Refused, Room, guarded

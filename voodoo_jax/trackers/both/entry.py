@@ -8,14 +8,14 @@ from voodoo_jax.config.options import ReadSettings, Settings
 from voodoo_jax.detect.pipeline import find_people
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.tracks import Tracks, scale_confidence
 from voodoo_jax.trackers.base import Task, Tracker
 from voodoo_jax.trackers.both.merge import merged
 from voodoo_jax.trackers.flexible.entry import FlexibleTracker
 from voodoo_jax.trackers.flexible.observed import Watching
 from voodoo_jax.trackers.flexible.tracker import check_suited, follow
-from voodoo_jax.trackers.icp.log_doubts import log_doubts
+from voodoo_jax.trackers.icp.diagnostics import log_doubts
 from voodoo_jax.trackers.icp.people import main_first, numbered
 from voodoo_jax.trackers.of_points import PointTracker
 from voodoo_jax.trackers.shared.notes import looked_at_again

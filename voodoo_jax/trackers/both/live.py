@@ -8,8 +8,7 @@ import numpy as np
 from voodoo_jax.config.options import Settings
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.scene import Scene
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.records.scene import Scene, Subject
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.trackers.base import LogInfo
 from voodoo_jax.trackers.both.entry import together

@@ -1,4 +1,4 @@
 """The tracker by articulated ICP (Knoop et al. 2006, 2007).
 
-Public: `entry.IcpTracker`, `tracker.track_person`, `people.track_subjects`.
+Public: `tracker.track_poses`, `people.track_subjects`.
 """

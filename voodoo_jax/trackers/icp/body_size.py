@@ -5,8 +5,7 @@ import numpy as np
 from voodoo_jax.config.options import StartSettings
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_gap, point_spacing
-from voodoo_jax.model.body import Body, scaled
-from voodoo_jax.model.rest_shape import rest_height
+from voodoo_jax.model.body import Body, rest_height, scaled
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.shared.confidence import STATURE, STATURES
 

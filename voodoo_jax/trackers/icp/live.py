@@ -27,10 +27,9 @@ from voodoo_jax.solve.padding import FEATURE_BUCKETS, bucket
 from voodoo_jax.solve.scan import State, at_rest, options_from
 from voodoo_jax.trackers.base import LogInfo
 from voodoo_jax.trackers.icp.confidence import rate_joints
-from voodoo_jax.trackers.icp.diagnostics import notes_on
+from voodoo_jax.trackers.icp.diagnostics import log_doubts, notes_on
 from voodoo_jax.trackers.icp.initialise import begin, clearer
 from voodoo_jax.trackers.icp.joint_spread import with_passes
-from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.pipeline import PLACE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.runner import THING_FRAMES, Runner

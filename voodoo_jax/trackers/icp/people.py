@@ -1,29 +1,42 @@
-"""Tracks several people in one recording separately, and assigns points between them. Host side.
+"""Tracks several people in one recording separately, and assigns points and features to one person each. Host side.
 
 At first, points are assigned by people's places in the previous frame (detect/tracklets.py), which is wrong where they
 touch. Once all are tracked, a point near several people is assigned to the one with the nearest limb, and people whose
 points changed are tracked again.
+
+While people are close to each other all of them are tracked frame by frame together: else an arm that swings in front
+of another person would become theirs, and their body would explain it well enough to keep it. In each frame every point
+is assigned to the person with the nearest predicted limb, and after the solve to the one with the nearest solved limb.
+
+A detector names two faces "face" alike. A 3D feature is assigned to the person with the nearest points, a line of sight
+to the first person along it.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int8
+from jaxtyping import Bool, Float, Float32, Int, Int8
 
+from voodoo_jax.config.options import Settings
 from voodoo_jax.detect.visibility import has_far_sides
-from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.records.subject import Subject
+from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.records.observation import BodyObservation, joined
+from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Pairs, Rays
+from voodoo_jax.records.scene import Subject
+from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Status, Tracks
+from voodoo_jax.solve.scan import State, Visit, at_rest, options_from
 from voodoo_jax.storage.cores import at_once
 from voodoo_jax.trackers.base import Task
-from voodoo_jax.trackers.icp.limb_distance import body_distance
-from voodoo_jax.trackers.icp.misfit import AROUND, evenly
-from voodoo_jax.trackers.icp.own_features import with_own_features
-from voodoo_jax.trackers.icp.side_by_side import owned_in_turn
+from voodoo_jax.trackers.icp.misfit import AROUND, body_distance, evenly
+from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
+# metres beside somebody's points: a line of sight meets them; a detector's error at 3 m. Measured: 0.067 and 0.15 give
+# 2 and 9 of 550 features to somebody else (experiments/numbers)
+IN_ITS_WAY = 0.1
 CLOSE = 0.15  # metres: whose points are so near to somebody's limbs may be mixed up; measured: with 0.25 0.2 cm worse
 # times track.prior_interval from copy to copy of a scan: over it the pull to the prediction is weakest (solve/scan);
 # measured: somebody with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
@@ -38,6 +51,148 @@ MOVED, FRAMES = 0.02, 3
 # of the area that is usually seen of somebody: who shows less is not tracked, and who shows so much is wholly in view.
 # Measured: with 0 for the first 7 % of who is said to be there in two-crossing are wrong, for the second 3.8 cm more
 SLIVER, WHOLE = 0.12, 0.5
+
+
+def with_own_features(subjects: list[Subject]) -> list[Subject]:
+    """Each subject with only their own features of each frame; unchanged if these are all."""
+    frames = [list(subject.frames) for subject in subjects]
+    for at, seen in enumerate(zip(*frames)):
+        if not (seen[0].rays.names or seen[0].pairs.names) or not any(len(f.points) for f in seen):
+            continue
+        of_pairs, of_rays = owners_of_pairs(seen[0].pairs, seen), owners_of_rays(seen[0].rays, seen)
+        for k, own in enumerate(seen):
+            frames[k][at] = replace(own, pairs=_some(own.pairs, of_pairs == k), rays=_some(own.rays, of_rays == k))
+    return [replace(s, frames=own) for s, own in zip(subjects, frames)]
+
+
+def owners_of_pairs(pairs: Pairs, seen: tuple[BodyObservation, ...]) -> Int[np.ndarray, " pair"]:
+    """The person with the nearest points, for each feature."""
+    places = np.asarray(pairs.points, float).reshape(-1, 3)
+    return np.argmin([[_least(np.linalg.norm(f.points - p, axis=1)) for p in places] for f in seen], 0).astype(int)
+
+
+def owners_of_rays(rays: Rays, seen: tuple[BodyObservation, ...]) -> Int[np.ndarray, " ray"]:
+    """The first person along each line of sight; if it meets no person, the one whose points it passes most closely."""
+    return np.argmin([_in_the_way(rays, f) for f in seen], 0).astype(int)
+
+
+def _in_the_way(rays: Rays, seen: BodyObservation) -> Float[np.ndarray, " ray"]:
+    """Distance of a person along each line, metres; for people beside the line, its distance from them, ranked after
+    all others."""
+    out = []
+    for origin, direction in zip(np.asarray(rays.origins, float), np.asarray(rays.directions, float)):
+        to = seen.points - origin
+        along = to @ direction
+        aside = np.linalg.norm(to - along[:, None] * direction, axis=1)
+        hit = (aside < IN_ITS_WAY) & (along > 0)
+        out.append(_least(along[hit]) if hit.any() else 1e6 + _least(aside[along > 0]))
+    return np.array(out)
+
+
+def _least(values: np.ndarray) -> float:
+    return float(np.min(values, initial=1e9))
+
+
+def _some(features, keep: np.ndarray):
+    """Pairs or rays, those to keep; the same object where that is all of them."""
+    if keep.all():
+        return features
+    arrays = {k: v[keep] for k, v in vars(features).items() if k != "names" and v is not None}  # weights may be None
+    return replace(features, names=tuple(n for n, k in zip(features.names, keep) if k), **arrays)
+
+
+@dataclass
+class Walker:
+    """A person who is tracked frame by frame."""
+
+    run: Runner
+    state: State
+    seconds: float = 0.0  # from one frame to the next
+
+    @property
+    def predicted(self) -> Poses:
+        """Predicted poses in the next frame."""
+        state = self.state
+        return Poses(state.poses.rotation, state.poses.translation + np.float32(self.seconds) * state.velocity)
+
+    def distance(self, poses: Poses, points: np.ndarray, most: float) -> np.ndarray:
+        """Distances of points from the nearest limb's surface, metres; at most `most`."""
+        sizes = np.asarray(self.run.body.sizes, np.float32)
+        return body_distance(sizes, np.asarray(poses.rotation), np.asarray(poses.translation), points, most)
+
+    def solved(self, frame: BodyObservation, at: int) -> State:
+        """The state after a frame with these points."""
+        self.run.people[at] = frame
+        return self.run.one(self.state, at)
+
+
+def owned_in_turn(
+    subjects: list[Subject], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"], settings: Settings,
+    near: float, visit: Visit | None = None,
+) -> list[list[BodyObservation]]:  # fmt: skip
+    """All people's frames, with points of people who are `close` assigned anew.
+
+    **Arguments:** `tracks` of the subjects so far, in whose poses each stretch of close frames begins; `near` metres: a
+    point farther from every surface keeps its owner.
+    """
+    frames = [list(subject.frames) for subject in subjects]
+    for start, end in stretches(np.sum(close, 0) > 1):
+        who = [k for k in range(len(subjects)) if close[k, start:end].any()]
+        who = [k for k in who if tracks[k].status[start] == Status.TRACKED]
+        if len(who) < 2:
+            continue
+        # tracked alone before they are close, as long as trials are: until it is known how fast they are
+        lead = max(0, start - settings.start.frames)
+        while lead < start and any(tracks[k].status[lead] != Status.TRACKED for k in who):
+            lead += 1
+        walkers = {k: _walker(subjects[k], frames[k], tracks[k], settings, lead, visit) for k in who}
+        for at in range(lead, end):
+            _walk(walkers, frames, at, near if at >= start else None)
+    return frames
+
+
+def _walker(
+    subject: Subject, frames: list[BodyObservation], tracks: Tracks, settings: Settings, at: int, visit: Visit | None
+) -> Walker:
+    """A person at rest in the tracked poses of a frame."""
+    options = options_from(settings.solve, settings.track, settings.features)
+    # by points alone, which are what changes hands; nor does the body become another one on the way
+    plain = [replace(f, rays=NO_RAYS, pairs=NO_PAIRS, other=False) for f in frames]
+    run = Runner(tracks.body, options, plain, subject.scene, settings, visit=visit)
+    run.length = 1  # one frame is asked for at a time: a program of its own, not a chunk of many
+    return Walker(run, at_rest(Poses(tracks.rotation[at], tracks.translation[at])))
+
+
+def _walk(walkers: dict[int, Walker], frames: list[list[BodyObservation]], at: int, near: float | None) -> None:
+    """Tracks the next frame; reassigns points if `near` is given. `frames` of all people, changed in place."""
+    who = list(walkers)
+    own = [frames[k][at] for k in who]
+    everything = joined(own)
+    owner = np.repeat(np.arange(len(who)), [len(f.points) for f in own])
+    for w in walkers.values():
+        w.seconds = (w.run.people[at].time_ns - w.run.people[at - 1].time_ns) / 1e9 if at else 0.0
+    states = {k: w.state for k, w in walkers.items()}
+    for ahead in (True, False) if near is not None else (False,):
+        if near is not None:
+            poses = {k: w.predicted if ahead else states[k].poses for k, w in walkers.items()}
+            owner = _nearest(walkers, poses, everything, owner, near)
+        for j, k in enumerate(who):
+            some = everything.only(owner == j)
+            mine = replace(own[j], points=some.points, sensor=some.sensor, part=some.part, weight=some.weight)
+            if len(mine.points) >= FEW_POINTS:
+                states[k] = walkers[k].solved(replace(mine, rays=NO_RAYS, pairs=NO_PAIRS), at)
+            frames[k][at] = mine
+    for k, w in walkers.items():
+        w.state = states[k]
+
+
+def _nearest(
+    walkers: dict[int, Walker], poses: dict[int, Poses], seen: BodyObservation, owner: Int[np.ndarray, " point"],
+    near: float,
+) -> Int[np.ndarray, " point"]:  # fmt: skip
+    """The person with the nearest surface, for each point; the previous owner if none is near."""
+    distance = np.stack([w.distance(poses[k], seen.points, near) for k, w in walkers.items()])
+    return np.where(np.min(distance, 0) < near, np.argmin(distance, 0), owner)
 
 
 def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:

@@ -4,19 +4,11 @@ The name of a stage is its file, its switch (`track.skip`), its test file and it
 """
 
 from collections.abc import Iterable
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
+from voodoo_jax.detect.stage import Named as Named
 from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.shared.segment import Followed
-
-
-@runtime_checkable
-class Named(Protocol):
-    """Attributes of every stage."""
-
-    name: ClassVar[str]
-    looks_ahead: ClassVar[bool]  # uses later frames: left out with Settings.online
-    needs: ClassVar[frozenset[str]]  # of Runner.offers: else it is passed over
 
 
 @runtime_checkable

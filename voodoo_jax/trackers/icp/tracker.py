@@ -15,16 +15,14 @@ from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Rays
-from voodoo_jax.records.scene import Scene
+from voodoo_jax.records.scene import Scene, Subject
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks, scale_confidence
 from voodoo_jax.solve.scan import options_from
 from voodoo_jax.trackers.base import LogInfo, Task
 from voodoo_jax.trackers.icp.confidence import rate_joints
-from voodoo_jax.trackers.icp.diagnostics import notes_on
+from voodoo_jax.trackers.icp.diagnostics import log_doubts, notes_on
 from voodoo_jax.trackers.icp.joint_spread import with_passes
-from voodoo_jax.trackers.icp.log_doubts import log_doubts
 from voodoo_jax.trackers.icp.misfit import Misfit, misfit
 from voodoo_jax.trackers.icp.pipeline import FINISH, PLACE, REFINE
 from voodoo_jax.trackers.icp.runner import Runner

@@ -17,14 +17,22 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.markers.diagnostics import FEW, MIRRORED, marker_notes, name_notes, residuals
 from voodoo_jax.markers.label_swaps import Exchange, jumps, put_right
-from voodoo_jax.markers.own_sites import Named, with_names, with_own_names, with_own_sites, without_own_sites
+from voodoo_jax.markers.own_sites import (
+    Named,
+    apart_by_names,
+    with_names,
+    with_own_names,
+    with_own_sites,
+    without_own_sites,
+)
 from voodoo_jax.markers.table import TO_START, marker_start, marker_table, sized_by_markers, without_gaps
+from voodoo_jax.markers.upward import with_upward
 from voodoo_jax.model.attachments import loaded, prepared
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import as_few
 from voodoo_jax.records.observation import BodyObservation
+from voodoo_jax.records.scene import Subject
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.records.subject import Subject
 from voodoo_jax.records.tracks import Tracks, scale_confidence
 from voodoo_jax.solve.names import FeatureNames
 from voodoo_jax.solve.scan import options_from
@@ -136,3 +144,18 @@ def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray,
     unmarked = tracks.evidence.limb_weight[:, np.array(tracks.body.topology.centre_limbs, int)] <= 0
     # not np.fmin: where there is none, there is none
     return np.where(unmarked, np.minimum(found, np.float32(UNMARKED)), found)
+
+
+def track_all_named(task: Task, people: list[Subject]) -> list[Tracks]:
+    """Tracks of everybody whom names tell apart, or of as many as settings ask for."""
+    settings, source = task.settings, task.source
+    if settings.detect.people != 1:
+        people = apart_by_names(people[0], task.body.topology, settings.features)[: settings.detect.people or None]
+    several = sum(bool(one.name) for one in people)
+    each = task.progress and (lambda count, tell=task.progress: tell(count / len(people)))
+    tracks = []
+    for one in people:
+        whose = [f"Named points of {several} people: these tracks are of '{one.name}'."] if one.name else []
+        own = replace(task, progress=each, source=source.noted(*whose))
+        tracks.append(replace(track_named(own, one), person=one.number, people=len(people)))
+    return tracks if source.up_is_given else with_upward(tracks, source.up)

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
 
+from voodoo_jax.detect.body_likelihood import mostly_lie
 from voodoo_jax.detect.disk_buffer import spilled
-from voodoo_jax.detect.lying import mostly_lie
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.notes import remark
 from voodoo_jax.records.observation import BodyObservation, assigned

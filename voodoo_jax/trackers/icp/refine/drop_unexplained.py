@@ -11,13 +11,13 @@ from scipy.spatial import KDTree
 
 from voodoo_jax.detect.disk_buffer import spilled
 from voodoo_jax.detect.stage import WINDOW
-from voodoo_jax.detect.static_points import resting
+from voodoo_jax.detect.stillness import resting
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import remark
 from voodoo_jax.records.observation import BodyObservation, assigned
 from voodoo_jax.records.segment import Segment
-from voodoo_jax.trackers.icp.limb_distance import signed_distance
+from voodoo_jax.trackers.icp.misfit import signed_distance
 from voodoo_jax.trackers.icp.sequence import Whole
 from voodoo_jax.trackers.icp.stage import Stage
 from voodoo_jax.trackers.shared.confidence import EXPLAINED

@@ -5,13 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.detect.lying import Extent, extent
+from voodoo_jax.detect.body_likelihood import Extent, extent
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import Poses
 from voodoo_jax.geometry.rotations import rotations
-from voodoo_jax.model.body import Body, scaled
+from voodoo_jax.model.body import Body, rest_box, scaled
 from voodoo_jax.model.pose_library import CURLED, in_stance
-from voodoo_jax.model.rest_shape import rest_box
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.trackers.icp.body_size import rarity
 from voodoo_jax.trackers.icp.runner import Runner
