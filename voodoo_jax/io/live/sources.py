@@ -190,11 +190,7 @@ def open_source(place: str, idle: float) -> Source:
 
     **Arguments:** `idle` seconds without growth after which a file is finished. Raises LogError.
     """
-    if place.startswith(URLS):
-        from voodoo_jax.io.live.sources import FoxgloveClient
-
-        return FoxgloveClient(place)
-    return GrowingFile(place, idle)
+    return FoxgloveClient(place) if place.startswith(URLS) else GrowingFile(place, idle)
 
 
 class Reassembled:
