@@ -328,8 +328,9 @@ def single_record(opcode: int, body: bytes) -> list:
     stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.MESSAGE:
         return [Message.read(stream, len(body))]
-    kind = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}.get(opcode)
-    return [kind.read(stream)] if kind else []
+    if opcode == Opcode.SCHEMA:
+        return [Schema.read(stream)]
+    return [Channel.read(stream)] if opcode == Opcode.CHANNEL else []
 
 
 def check_head(path: str, file: str, growing: bool = False) -> int:
