@@ -8,7 +8,7 @@ from voodoo_jax.config.options import Settings
 from voodoo_jax.config.output_style import Style
 from voodoo_jax.exporters.formats import FORMATS, export, gaps_note
 from voodoo_jax.records.notes import SENTENCE, plain
-from voodoo_jax.records.tracks import Tracks
+from voodoo_jax.records.tracks import Tracks, given_from
 from voodoo_jax.storage.urls import NPZ, person_place
 
 VIEW = ".html"
@@ -44,7 +44,6 @@ def write_exports(people: Sequence[Tracks], npz: Path, formats: Sequence[str], s
 def write_view(people: Sequence[Tracks], npz: Path, settings: Settings, log: str) -> list[str]:
     """Writes `<log>.html` beside the tracks, which reads the log once more. Returns why that failed, or nothing."""
     from voodoo_jax.io.log_reader import open_log
-    from voodoo_jax.records.tracks import given_from
     from voodoo_jax.viz.html_view import write_html
 
     target = npz.with_name(npz.name.removesuffix(NPZ) + VIEW)

@@ -166,17 +166,13 @@ def visit_lanes(asked: list[tuple], lanes: int) -> list[tuple[State, Step]]:
     out: dict[int, tuple[State, Step]] = {}
     for numbers in alike.values():
         mine = [asked[number] for number in numbers]
-        idle = (*mine[0][:5], _nobody(mine[0][5]), *mine[0][6:])
+        idle = (*mine[0][:5], mine[0][5]._replace(track=np.full_like(mine[0][5].track, NOBODY)), *mine[0][6:])
         stacked = jax.tree.map(
             lambda *x: np.stack([np.asarray(each) for each in x]), *mine, *[idle] * (lanes - len(mine))
         )
         found = jax.tree.map(np.asarray, program_of(jax.default_backend() != "cpu")(*stacked))
         out |= {number: jax.tree.map(lambda x, k=k: x[k], found) for k, number in enumerate(numbers)}
     return [out[number] for number in range(len(asked))]
-
-
-def _nobody(visits: Visits) -> Visits:
-    return visits._replace(track=np.full_like(visits.track, NOBODY))
 
 
 @cache

@@ -20,7 +20,7 @@ from voodoo_jax.model.body import Body
 from voodoo_jax.records.notes import SENTENCE, plain
 from voodoo_jax.records.tracks import Tracks, for_users
 from voodoo_jax.storage.atomic import check_writable
-from voodoo_jax.storage.cores import own_cores
+from voodoo_jax.storage.cores import ahead, own_cores
 from voodoo_jax.storage.troubles import NotWritten
 from voodoo_jax.storage.urls import TRACKS, delivered, fetched, is_url, joined, log_name, opened, person_place, removed
 
@@ -77,7 +77,6 @@ def track_log(
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of
     from voodoo_jax.io.container import LogError
-    from voodoo_jax.storage.cores import ahead
     from voodoo_jax.trackers.base import Task, source_of_log, tracker_of
 
     until = time.monotonic() + timeout if timeout else math.inf
@@ -117,8 +116,9 @@ def draw(people: list[Tracks], target: Path, settings: Settings, count: int = 4,
     frames only."""
     from voodoo_jax.detect.opening import open_checked
     from voodoo_jax.detect.pipeline import build_of
+    from voodoo_jax.exporters.frames import spread
     from voodoo_jax.records.recording import Recording
-    from voodoo_jax.viz.figures import picture, spread
+    from voodoo_jax.viz.figures import picture
 
     tracks = people[0]
     build = build_of(tracks.body, settings.start.scale)

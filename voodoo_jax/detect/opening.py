@@ -69,7 +69,7 @@ def with_sensors_in_place(reader: LogReader) -> LogReader:
     known = _surfaces(coarse, first, times)
     for topic in others if known else ():
         mine = _surfaces(coarse, topic, times)
-        T, sure = correction(_joined(known), mine, reader.up)
+        T, sure = correction(Surface(*map(np.concatenate, zip(*known))), mine, reader.up)
         away = max((_apart(one.points, T, STILL) for one in mine if len(one.points)), default=0.0)
         lines = "", ""
         if away > (OFF if sure else RIGHT) and reader.frame_name(topic) not in given:
@@ -215,10 +215,6 @@ def normals_of(patches: Float[np.ndarray, "patch point 3"]) -> tuple[np.ndarray,
     normals = best / np.maximum(size.max(1), 1e-30)[:, None]
     least = np.einsum("ki,kij,kj->k", normals, C, normals)
     return normals, least < FLAT * np.trace(C, axis1=1, axis2=2)
-
-
-def _joined(surfaces: list[Surface]) -> Surface:
-    return Surface(*(np.concatenate(parts) for parts in zip(*surfaces)))
 
 
 def without_smeared_edges(reader: LogReader) -> LogReader:

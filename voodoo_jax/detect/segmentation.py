@@ -285,7 +285,8 @@ class BodySegmenter:
         large = np.flatnonzero(doubtful)
         if self.hidden or (len(large) < 2 and not (beside[large] >= APART * count[large]).any()):
             return taken
-        low = {k: mine for k in large if len(large) > 1 and self._is_low(mine := points[label == k])}
+        some = {k: points[label == k] for k in large if len(large) > 1}
+        low = {k: mine for k, mine in some.items() if self.scene.floor.top(mine) < 0.5 * self.body.height}
         near[list(low)] *= LOW  # a box may have more points than the body
         main = int(np.argmax(near))
         for k, mine in low.items():
@@ -301,9 +302,6 @@ class BodySegmenter:
             )
             taken[k] = not (apart and within(mine, self.others, STILL).sum() >= APART * len(mine))
         return taken
-
-    def _is_low(self, thing) -> bool:
-        return self.scene.floor.top(thing) < 0.5 * self.body.height
 
     def _is_left(self, thing, body, last) -> bool:
         """Whether a low thing is still, and beside the body: furniture that it has left."""

@@ -50,7 +50,58 @@ Item = tuple[Schema | None, Channel, Message]
 Place = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]  # of a log: a file, a folder, or several files
 
 
-class LogFile:
+class Reassembled:
+    """Makes messages of records of an MCAP file: `channels` and `schemas` by id, `counts` of messages per channel."""
+
+    def __init__(self):
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.counts: Counter[int] = Counter()
+        self._schema_room = limits().schemas_bytes
+        self._left_out: set[tuple[int, str]] = set()  # numbers and names of schemas for which there was no room
+        self._lost = self._absurd = 0  # messages of no known channel, and at impossible times
+
+    def items(
+        self, records: list, wanted: Callable[[Schema | None, Channel], bool] = lambda *_: True
+    ) -> Iterator[Item]:
+        """The messages of wanted channels in some successive records, such as a chunk's, in order of log time."""
+        held = []
+        for record in records:
+            kind = type(record)
+            if kind is Message:
+                held.append(record)
+            elif kind is Schema:
+                self._learn(record)
+            elif kind is Channel:
+                self.channels[record.id] = clean_channel(record)
+        held.sort(key=_BY_TIME)
+        for message in held:
+            channel = self.channels.get(message.channel_id)
+            if channel is None:
+                self._lost += 1
+                continue
+            if message.log_time >= TIME:
+                self._absurd += 1
+                continue
+            self.counts[channel.id] += 1
+            schema = self.schemas.get(channel.schema_id)
+            if wanted(schema, channel):
+                yield schema, channel, unpacked_message(channel, message)
+
+    def _learn(self, schema: Schema) -> None:
+        """Keeps a schema, if there is room for it."""
+        schema = clean_schema(schema)
+        if self.schemas.get(schema.id) == schema:
+            return
+        self._schema_room -= len(schema.data)
+        if self._schema_room >= 0:
+            self.schemas[schema.id] = schema
+        else:
+            self._left_out.add((schema.id, schema.name))
+            self.schemas.pop(schema.id, None)
+
+
+class LogFile(Reassembled):
     """An MCAP file, read by its index where that can be trusted and else from start to end.
 
     After `messages` has run through: `channels` and `schemas` by id, `counts` messages met per channel id, `declared`
@@ -62,17 +113,13 @@ class LogFile:
     set_backs: tuple[SetBack, ...] = ()
 
     def __init__(self, path: str | os.PathLike[str]):
+        super().__init__()
         self.path = os.fspath(path)
         self._file = self._unpacked()
         self.size = check_head(self.path, self._file)
         self.clock = Clock(self.size)
-        self._schema_room = limits().schemas_bytes
-        self._left_out: set[tuple[int, str]] = set()  # numbers and names of schemas for which there was no room
-        self.channels: dict[int, Channel] = {}
-        self.schemas: dict[int, Schema] = {}
         self.declared: dict[int, int] | None = None
         self.time_range: tuple[int, int] | None = None
-        self.counts: Counter[int] = Counter()
         self.damage: list[str] = []
         self._trouble = ""  # why the index is not used, if that is a sign of damage
         self._kept: dict[int, list] = {}  # records of the chunk at each place in the file
@@ -88,52 +135,19 @@ class LogFile:
                 source = self._indexed(stream, self._summary, wanted)
             else:
                 source = self._linear(stream)
-            lost = absurd = 0
+            self._lost = self._absurd = 0
             for records in source:
                 self.clock.check()
-                held = []
-                for record in records:
-                    kind = type(record)
-                    if kind is Message:
-                        held.append(record)
-                    elif kind is Schema:
-                        self._learn(record)
-                    elif kind is Channel:
-                        self.channels[record.id] = clean_channel(record)
-                held.sort(key=_BY_TIME)
-                for message in held:
-                    channel = self.channels.get(message.channel_id)
-                    if channel is None:
-                        lost += 1
-                        continue
-                    if message.log_time >= TIME:
-                        absurd += 1
-                        continue
-                    self.counts[channel.id] += 1
-                    schema = self.schemas.get(channel.schema_id)
-                    if wanted(schema, channel):
-                        yield schema, channel, unpacked_message(channel, message)
-            if lost:
-                self.damage.append(f"Messages of no known channel, left out: {lost}.")
-            if absurd:
-                self.damage.append(f"Messages with an impossible log time, left out: {absurd}.")
+                yield from self.items(records, wanted)
+            if self._lost:
+                self.damage.append(f"Messages of no known channel, left out: {self._lost}.")
+            if self._absurd:
+                self.damage.append(f"Messages with an impossible log time, left out: {self._absurd}.")
             if self._left_out:
                 self.damage.append(
                     f"Schemas beyond {limits().schemas_bytes} bytes together, left out: {len(self._left_out)} "
                     "(--limits.schemas_bytes)."
                 )
-
-    def _learn(self, schema: Schema) -> None:
-        """Keeps a schema, if there is room for it."""
-        schema = clean_schema(schema)
-        if self.schemas.get(schema.id) == schema:
-            return
-        self._schema_room -= len(schema.data)
-        if self._schema_room >= 0:
-            self.schemas[schema.id] = schema
-        else:
-            self._left_out.add((schema.id, schema.name))
-            self.schemas.pop(schema.id, None)
 
     def _unpacked(self) -> str:
         """The file itself, or an unpacked copy of one that was compressed as a whole, for as long as this lives."""
@@ -284,12 +298,8 @@ class LogFile:
                 elif opcode == Opcode.FOOTER:
                     stop = "" if stream.read() == MAGIC else "the file ends before its closing mark"
                     break
-                elif opcode == Opcode.SCHEMA and not ended:
-                    yield [Schema.read(ReadDataStream(BytesIO(body)))]
-                elif opcode == Opcode.CHANNEL and not ended:
-                    yield [Channel.read(ReadDataStream(BytesIO(body)))]
-                elif opcode == Opcode.MESSAGE:
-                    yield [Message.read(ReadDataStream(BytesIO(body)), length)]
+                elif not ended or opcode == Opcode.MESSAGE:
+                    yield single_record(opcode, body)
             except READ_ERRORS as error:
                 bad.append(f"at byte {position}: {words(error)}")
             if not ended:
@@ -311,6 +321,16 @@ class LogFile:
         if bad:
             first = "the first " if len(bad) > 1 else ""
             self.damage.append(f"{len(bad)} of {max(total, len(bad))} chunks cannot be read ({first}{bad[0]}).")
+
+
+def single_record(opcode: int, body: bytes) -> list:
+    """The schema, channel or message of a record outside of chunks, or nothing."""
+    stream = ReadDataStream(BytesIO(body))
+    if opcode == Opcode.MESSAGE:
+        return [Message.read(stream, len(body))]
+    if opcode == Opcode.SCHEMA:
+        return [Schema.read(stream)]
+    return [Channel.read(stream)] if opcode == Opcode.CHANNEL else []
 
 
 def check_head(path: str, file: str, growing: bool = False) -> int:

@@ -97,10 +97,7 @@ def _turn_to(axis: Sequence[float]):
 
 def with_limbs(body: Body, names: Sequence[str], present: bool) -> Body:
     """The body with limbs present or absent, and with them their descendants; held things only by name. Raises
-    ValueError for an unknown limb, the root, and a limb whose parent is absent.
-
-    Raises ValueError for an unknown limb, the root, and a limb whose parent is absent.
-    """
+    ValueError for an unknown limb, the root, and a limb whose parent is absent."""
     t = body.topology
     unknown = sorted(set(names) - set(t.limbs))
     if unknown:

@@ -156,10 +156,7 @@ def places_from_joints(body: Body, rest: Poses) -> Float[Any, "limb 3"]:
 
 def with_proportions(body: Body, lengths: Mapping[str, float], girth: float = 1.0) -> Body:
     """The body with the named limbs longer by a factor (their children move along) and all radii by `girth`. The rest
-    pose follows from the joints; the root stays. Raises ValueError for an unknown limb.
-
-    The rest pose follows from the joints; the root stays. Raises ValueError for an unknown limb.
-    """
+    pose follows from the joints; the root stays. Raises ValueError for an unknown limb."""
     body = on_host(body)
     t = body.topology
     if unknown := set(lengths) - set(t.limbs):

@@ -168,7 +168,7 @@ class _Found(NamedTuple):
 
 
 def _of_person(body: Body, conventions: tuple[Convention, ...]) -> list[_Found]:
-    limbs, rest = body.topology.limbs, _rest(body)
+    limbs, rest = body.topology.limbs, Rotation.from_quat(np.asarray(body.rest.rotation, float), scalar_first=True)
     found = []
     for how in conventions:
         for side in ("l_", "r_") if how.paired else ("",):
@@ -213,10 +213,6 @@ def _of_joint_frames(body: Body) -> list[_Found]:
 
     names = ("swing_x", "swing_y", "twist")
     return [_Found(name, names, t.parents[j], t.children[j], reader(j)) for j, name in enumerate(t.joints)]
-
-
-def _rest(body: Body) -> Rotation:
-    return Rotation.from_quat(np.asarray(body.rest.rotation, float), scalar_first=True)
 
 
 def _carried(read, parent: Rotation, child: Rotation, turns: Float[np.ndarray, "frame 2 3 3"]) -> np.ndarray:

@@ -47,6 +47,10 @@ class Status(IntEnum):
     LOST = 3  # the body does not explain the points, or hardly a joint can be trusted; poses are the best guess
 
 
+STATUS_WORDS = {int(status): status.name.lower().replace("_", " ") for status in Status}
+STATUS_WORDS[Status.FEATURES] = "features only"
+
+
 def expected_share(confidence: Float32[np.ndarray, "frame joint"]) -> Float32[np.ndarray, " frame"]:
     """Mean over the joints that there is a confidence of; NaN where there is none."""
     known = np.isfinite(confidence)

@@ -79,10 +79,7 @@ Visit = Callable[..., tuple[State, Step]]  # as track_visits
 
 def cost_of(step: Step) -> Float[AnyArray, "*frame"]:
     """Cost of each frame, square metres: how badly its measurements are explained. Trials and passes are compared by
-    it. Features count little: a wrong detection weighs more than the difference of front and back. They break ties.
-
-    Features hardly count: a wrong detection weighs more than front and back differ. They break ties.
-    """
+    it. Features count little: a wrong detection weighs more than the difference of front and back. They break ties."""
     return step.residual**2 + 0.02 * (1 - step.explained) + FEATURE_SHARE * step.feature_residual**2
 
 
@@ -149,11 +146,7 @@ def predict(
 ) -> Poses:
     """Poses after `seconds`: a share of the velocity continues; hidden limbs move with their parents, and back to rest.
     Over long intervals limbs do not swing on, and the body moves with the mean of its points (`cloud`: metres, and
-    their number).
-
-    Over long intervals limbs do not swing on, and the body goes where the mean of its points (`cloud`: metres, and
-    their number) went.
-    """
+    their number)."""
     on = options.damping * seconds
     over = jnp.maximum(jnp.abs(seconds) - options.prior_interval, 0.0)
     swing = on - options.damping * jnp.sign(seconds) * (over - SWING * (1.0 - jnp.exp(-over / SWING)))

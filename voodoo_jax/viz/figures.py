@@ -7,28 +7,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from voodoo_jax.exporters.frames import spread
 from voodoo_jax.exporters.limb_shapes import limb_rings, side_of
 from voodoo_jax.records.recording import Frame, Recording
-from voodoo_jax.records.tracks import Status, Tracks, given_from
+from voodoo_jax.records.tracks import STATUS_WORDS, Tracks, given_from
 from voodoo_jax.storage.atomic import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 DPI = 72  # matplotlib's inline backend's own
-STATUS_WORDS: dict[int, str] = {
-    Status.TRACKED: "tracked",
-    Status.NOT_STARTED: "not started",
-    Status.NO_DATA: "no data",
-    Status.LOST: "lost",
-    Status.FEATURES: "features only",
-}
 LABELS = {"cloud": "cloud, from the sensor", "front": "body, from the sensor", "side": "body, from the side"}
 MARK: dict = {"marker": "D", "markersize": 3.2, "color": "#f2c200", "markeredgecolor": "black", "markeredgewidth": 0.5}
 RAY_COLOUR, RAY_LENGTH = "#2a9d4a", 8.0  # metres
@@ -45,11 +38,6 @@ class ShownFigure(Figure):
         stream = BytesIO()
         self.savefig(stream, format="png", dpi=DPI)
         return stream.getvalue()
-
-
-def spread(length: int, count: int) -> Int[np.ndarray, " chosen"]:
-    """Indices of `count` evenly spaced frames of `length`."""
-    return np.unique(np.linspace(0, length - 1, max(1, min(count, length))).round().astype(int))
 
 
 def picture(
@@ -72,7 +60,7 @@ def show(
     recording: Recording,
     frames: int = 4,
     truth: Float[np.ndarray, "frame joint 3"] | None = None,
-) -> "Figure":
+) -> Figure:
     """Figure of evenly spaced frames, one column each: the camera image with the body over it, if the recording has
     images; the cloud; the body over the cloud; the body from the side.
 
@@ -83,8 +71,6 @@ def show(
     in the fixed frame, drawn as crosses. Raises ValueError if there is no frame or the truth has another number of
     frames.
     """
-    from voodoo_jax.viz.figures import ShownFigure
-
     people = [tracks] if isinstance(tracks, Tracks) else list(tracks)
     tracks = people[0]
     if not len(recording) or not len(tracks.time_ns):

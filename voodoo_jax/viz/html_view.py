@@ -17,9 +17,8 @@ from voodoo_jax.exporters.limb_shapes import profile, side_of
 from voodoo_jax.geometry.rotations import rotations
 from voodoo_jax.records.notes import filled, for_script
 from voodoo_jax.records.recording import Frame
-from voodoo_jax.records.tracks import Tracks, expected_share
+from voodoo_jax.records.tracks import STATUS_WORDS, Tracks, expected_share
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.viz.figures import STATUS_WORDS
 from voodoo_jax.viz.overlay import drawn_over
 from voodoo_jax.viz.report_page import template
 
@@ -57,7 +56,7 @@ def write_html(people: Sequence[Tracks], frames: Iterable[Frame], path: str | os
         "name": Path(first.source).name,
         "about": _about(people),
         "notes": list(first.notes),
-        "words": {str(int(key)): word for key, word in STATUS_WORDS.items()},
+        "words": {str(key): word for key, word in STATUS_WORDS.items()},
         "times": [round(float(t), 4) for t in (first.time_ns[shown] - first.time_ns[0]) / 1e9],
         "floor": _floor(people, turn),
         "eye": _eye(seen.origin, middle),

@@ -17,14 +17,13 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from voodoo_jax._version import __version__
-from voodoo_jax.exporters.frames import seconds, upright
+from voodoo_jax.exporters.frames import seconds, spread, upright
 from voodoo_jax.exporters.limb_shapes import limb_rings, rings, side_of
 from voodoo_jax.model.body import Body, segment_lengths
 from voodoo_jax.records.notes import Html, all_of, filled
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
-from voodoo_jax.viz.figures import spread
 
 CLASSES = {"left": "l", "right": "r", "middle": "m"}  # of outlines, for a page's style sheet
 CELL = 100.0  # width of a cell in the drawing's units; numbers are rounded to whole ones

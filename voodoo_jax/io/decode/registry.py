@@ -261,7 +261,5 @@ def _protobuf(schema: Schema) -> Callable[[bytes], Any]:
 
 
 def _json(schema: Schema) -> Callable[[bytes], Any]:
-    from voodoo_jax.io.decode.registry import message_of  # the schemas of Foxglove: only for such logs
-
     convert = _TYPES[schema.name][1]
     return lambda data: convert(message_of(schema.name, data))

@@ -12,10 +12,8 @@ import struct
 import threading
 import time
 from collections import deque
-from io import BytesIO
 from typing import Any, BinaryIO, Protocol, runtime_checkable
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
 
@@ -29,7 +27,7 @@ from voodoo_jax.io.chunks import (
     clean_schema,
     unpacked_message,
 )
-from voodoo_jax.io.container import MAGIC, Item, check_head
+from voodoo_jax.io.container import MAGIC, Item, Reassembled, check_head, single_record
 from voodoo_jax.io.decode.registry import kind_of
 
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
@@ -190,45 +188,7 @@ def open_source(place: str, idle: float) -> Source:
 
     **Arguments:** `idle` seconds without growth after which a file is finished. Raises LogError.
     """
-    if place.startswith(URLS):
-        from voodoo_jax.io.live.sources import FoxgloveClient
-
-        return FoxgloveClient(place)
-    return GrowingFile(place, idle)
-
-
-class Reassembled:
-    """Makes messages, with channels and schemas, from records of an MCAP file."""
-
-    def __init__(self):
-        self._channels: dict[int, Channel] = {}
-        self._schemas: dict[int, Schema] = {}
-        self._room = limits().schemas_bytes
-
-    def items(self, records: list) -> list[Item]:
-        """The messages of some successive records, such as those of a chunk, in order of log time."""
-        held: list[Message] = []
-        for record in records:
-            if isinstance(record, Message):
-                held.append(record)
-            elif isinstance(record, Schema):
-                self._learn(record)
-            elif isinstance(record, Channel):
-                self._channels.setdefault(record.id, clean_channel(record))
-        held.sort(key=lambda message: message.log_time)
-        found = []
-        for message in held:
-            channel = self._channels.get(message.channel_id)
-            if channel is not None and message.log_time < TIME:
-                found.append((self._schemas.get(channel.schema_id), channel, unpacked_message(channel, message)))
-        return found
-
-    def _learn(self, record: Schema) -> None:
-        if record.id in self._schemas:
-            return
-        self._room -= len(record.data)
-        if self._room >= 0:
-            self._schemas[record.id] = clean_schema(record)
+    return FoxgloveClient(place) if place.startswith(URLS) else GrowingFile(place, idle)
 
 
 class GrowingFile:
@@ -322,14 +282,10 @@ class GrowingFile:
 
     def _items(self, opcode: int, body: bytes) -> list[Item]:
         try:
-            if opcode == Opcode.CHUNK:
-                return self._records.items(chunk_records(body, Budget(len(body)))[0])
-            if opcode == Opcode.SCHEMA:
-                return self._records.items([Schema.read(ReadDataStream(BytesIO(body)))])
-            if opcode == Opcode.CHANNEL:
-                return self._records.items([Channel.read(ReadDataStream(BytesIO(body)))])
-            if opcode == Opcode.MESSAGE:
-                return self._records.items([Message.read(ReadDataStream(BytesIO(body)), len(body))])
+            records = (
+                chunk_records(body, Budget(len(body)))[0] if opcode == Opcode.CHUNK else single_record(opcode, body)
+            )
+            return list(self._records.items(records))
         except READ_ERRORS as error:
             self._bad += 1
             self.notes[:] = [f"{self._bad} chunks cannot be read (the last one: {error})."]

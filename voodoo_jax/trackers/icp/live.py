@@ -34,7 +34,6 @@ from voodoo_jax.trackers.icp.pipeline import PLACE
 from voodoo_jax.trackers.icp.refine.place_joints import Gaps, PlaceJoints, band_gaps, persons_body, sensor_places
 from voodoo_jax.trackers.icp.runner import THING_FRAMES, Runner
 from voodoo_jax.trackers.icp.stage import is_active
-from voodoo_jax.trackers.icp.start.hypothesis import StartHypothesis
 from voodoo_jax.trackers.icp.tracker import finished, tracks_of
 from voodoo_jax.trackers.shared import eye
 from voodoo_jax.trackers.shared.confidence import AROUND
@@ -200,7 +199,7 @@ class LiveTracker:
                     continue
                 start = begin(run, at, before)
                 state = at_rest(start.poses)
-                doubt = _doubtful(start, self.settings)
+                doubt = start.unexplained > WRONG * self.settings.start.sure
             chunk = _Chunk(at, min(DOUBT if doubt else SPAN, self.settings.track.chunk), tried < at, self.settings)
             while self._there(at) and not chunk.over and not (run.people[at].other and at > chunk.first):
                 state, row = run.one(state, at)
@@ -219,10 +218,6 @@ class LiveTracker:
                 yield from self._start_frames(at)
                 if (better := clearer(run, at)) is not None:
                     state, doubt = at_rest(better.poses), False
-
-
-def _doubtful(start: StartHypothesis, settings: Settings) -> bool:
-    return start.unexplained > WRONG * settings.start.sure
 
 
 class _Chunk:

@@ -213,7 +213,7 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
     each = at_once if visit is None else lambda work, some: [work(one) for one in some]
     people = each(_tracked, [(task, s, begin) for s, begin in zip(subjects, begins)])
     if shares and not settings.changes:
-        seen = each(_rated, people)
+        seen = each(lambda one: with_rating(one.run, one.tracks), people)
         touching = touching_in(subjects, seen, close_in(seen))
         frames = owned_in_turn(subjects, seen, touching, settings, AROUND, visit)
         anew = np.flatnonzero(_exchanged(subjects, frames)).tolist()
@@ -231,10 +231,6 @@ def track_subjects(task: Task, subjects: list[Subject]) -> list[Tracks]:
 
 def _tracked(work: tuple[Task, Subject, int]) -> Unplaced:
     return track_poses(*work)
-
-
-def _rated(one: Unplaced) -> Tracks:
-    return with_rating(one.run, one.tracks)
 
 
 def main_first(found: list[Tracks]) -> list[int]:

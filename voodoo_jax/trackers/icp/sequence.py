@@ -50,7 +50,7 @@ class Whole:
 
     def tracked_anew(self, people: list[BodyObservation], stages: tuple[Stage, ...]) -> "Whole":
         """The recording tracked again, with other points on the body."""
-        return track_whole(self.run.anew(people), self.begin, self.enough, stages, first=self.first)
+        return track_whole(self.run.anew(people), self.begin, self.first, self.enough, stages)
 
 
 @runtime_checkable
@@ -63,15 +63,14 @@ class RecordingStage(Named, Protocol):
 def track_whole(
     run: Runner,
     begin: int,
+    first: int,
     enough: Bool[np.ndarray, " frame"],
     stages: tuple[Stage, ...],
     progress: Progress | None = None,
-    first: int | None = None,
 ) -> Whole:
     """Tracks from frame `begin` on; each segment goes through the stages. Then tracks backwards from there to frame
     `first`, if it is earlier. `enough` see Whole."""
     segment = Followed.blank(len(run.people), run.body.limb_count)
-    first = begin if first is None else first
     follow(run, begin, enough, segment, Stages(stages), progress)
     if first < begin and segment.status[begin] == Status.TRACKED:
         segment.put(backwards(run, segment.pose_at(begin), first, begin + 1)[:-1])

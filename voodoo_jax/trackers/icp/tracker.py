@@ -78,10 +78,8 @@ def track_poses(task: Task, subject: Subject, begin: int = 0) -> Unplaced:
     changes = loaded(settings.changes)
     options = options_from(settings.solve, settings.track, settings.features)
     run = Runner(prepared(task.body, changes), options, people, subject.scene, settings, changes, task.visit)
-    if at < begin < len(people) and enough[begin] and settings.looks_ahead("track"):
-        whole = track_whole(run, begin, enough, REFINE, task.progress, at)
-    else:
-        whole = track_whole(run, at, enough, REFINE, task.progress)
+    later = at < begin < len(people) and enough[begin] and settings.looks_ahead("track")
+    whole = track_whole(run, begin if later else at, at, enough, REFINE, task.progress)
     for stage in FINISH:
         if is_active(whole.run, stage):
             whole = stage(whole)

@@ -174,10 +174,6 @@ def to_rest(body: Body, tracks: Tracks, frames: np.ndarray, limb: int, v: np.nda
     return rotate(body.rest.rotation[limb], unrotate(tracks.rotation[frames, limb], v)).astype(float)
 
 
-def _from_rest(body: Body, tracks: Tracks, frames: np.ndarray, limb: int, v: np.ndarray) -> np.ndarray:
-    return rotate(tracks.rotation[frames, limb], unrotate(body.rest.rotation[limb], v))
-
-
 def sensor_places(people: list[BodyObservation]) -> Float64[np.ndarray, "frame 3"] | None:
     """Where the sensor is in the fixed frame, metres; None where there is not one sensor alone."""
     if any(len(f.origins) != 1 for f in people):
@@ -261,7 +257,8 @@ class PlaceJoints:
             if side == "r_":
                 shift[:, 1] *= -1
             limb = limb_of(body, side, LIMBS[name][0])
-            joints[frames, k] += _from_rest(body, tracks, frames, limb, shift).astype(joints.dtype)
+            shift = rotate(tracks.rotation[frames, limb], unrotate(body.rest.rotation[limb], shift))
+            joints[frames, k] += shift.astype(joints.dtype)
         return replace(tracks, joints=joints, joint_covariance=covariance)
 
     def gap_features(self, gaps: Gaps, told: Learned) -> Float64[np.ndarray, " gap"]:
