@@ -1,4 +1,4 @@
-"""The limits that hold here: what is asked for beyond them is refused (see io/limits.py, docs/limits.md)."""
+"""The limits in force; inputs beyond them are refused (see io/limits.py, docs/limits.md)."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32
 
 from voodoo_jax.detect.body_likelihood import TELLING
 from voodoo_jax.detect.lying import LOOKED_AT
-from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
+from voodoo_jax.detect.stage import Target, by_windows, shows_lying_person
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.records.observation import BodyObservation, assigned
@@ -58,7 +58,7 @@ class DropGarment:
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            return window if shows_who_lies(window, target) else self.without(window, target.finder.scene.floor)
+            return window if shows_lying_person(window, target) else self.without(window, target.finder.scene.floor)
 
         return by_windows(frames, change)
 

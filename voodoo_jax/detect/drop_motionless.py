@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
+from voodoo_jax.detect.stage import Target, by_windows, shows_lying_person
 from voodoo_jax.detect.stillness import Stillness, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
@@ -34,7 +34,7 @@ class DropMotionless:
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            if not self.is_thing(window, target.stillness) or shows_who_lies(window, target):
+            if not self.is_thing(window, target.stillness) or shows_lying_person(window, target):
                 return window  # a lying person was found by a limb that moved
             scene = target.finder.scene
             if NOTE not in scene.notes:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import KDTree
 
-from voodoo_jax.detect.stage import Target, by_windows, shows_who_lies
+from voodoo_jax.detect.stage import Target, by_windows, shows_lying_person
 from voodoo_jax.detect.stillness import NOISE, Directions, Stillness, moves, seen_long
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components
@@ -62,7 +62,7 @@ class DropWideStill:
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         def change(window: list[BodyObservation]) -> list[BodyObservation]:
-            if shows_who_lies(window, target):
+            if shows_lying_person(window, target):
                 return window  # who lies is as wide as a table, and may move no more than an arm
             finder = target.finder
             return self.without(window, finder.scene.floor, target.stillness, finder.beside())

@@ -17,8 +17,8 @@ FEWER = 0.9  # of the voxels without an offset: measured 0.68 with 0.15 s, 1.00 
 
 
 def late_transforms(reader: LogReader) -> dict[str, float]:
-    """Seconds by which the stamps of topics of transforms are late, where the room tells. Sensors that stand still tell
-    nothing, and neither does one that hardly moves."""
+    """Seconds by which the stamps of transform topics are late, where the static room determines them. Sensors at rest,
+    or hardly moving, determine none."""
     found: dict[str, float] = {}
     for topic in reader.sensors:
         topics = reader.moved_by(topic)
@@ -44,7 +44,7 @@ def _late(reader: LogReader, topic: str) -> float:
         return 0.0
 
     def voxels(late: float) -> float:
-        """Voxels that are filled, as a share of the points, if the transforms are so many seconds late."""
+        """Number of filled voxels, as a share of the points, if the transforms are late by that many seconds."""
         cells = []
         for at, points in looks:
             if (there := tree.lookup(reader.fixed_frame, name, at + round(late * 1e9))) is not None:

@@ -59,7 +59,7 @@ def mostly_lie(frames: list[BodyObservation], floor: Plane) -> bool:
     return bool(np.mean([extent(f.points, floor).lies for f in seen[:: len(seen) // LOOKED_AT + 1]] or [False]) > 0.5)
 
 
-def who_lies(
+def find_lying(
     points: Float32[np.ndarray, "point 3"],
     label: Int[np.ndarray, " point"],
     area: Float[np.ndarray, " point"],

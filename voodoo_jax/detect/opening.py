@@ -60,10 +60,10 @@ def read_log(
     settings: ReadSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Recording:
-    """Read a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`. Recordings of other formats
-    are converted in passing.
+    """Reads a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`. Recordings of other
+    formats are converted first.
 
-    Raises LogError if the log cannot be read, holds nothing to track, or its units are in doubt; ValueError if
+    Raises LogError if the log cannot be read, has no usable measurements, or its units are ambiguous; ValueError if
     `settings.max_points` is less than 1.
     """
     with as_mcap(path, (settings or ReadSettings()).types) as (log, notes):

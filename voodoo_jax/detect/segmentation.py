@@ -16,7 +16,7 @@ from voodoo_jax.detect.clearing import Cleared, Clearing, distances
 from voodoo_jax.detect.cut_in_two import joined
 from voodoo_jax.detect.heads import each_person
 from voodoo_jax.detect.in_the_way import in_the_way
-from voodoo_jax.detect.lying import who_lies
+from voodoo_jax.detect.lying import find_lying
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import even_share, fair_share, inside, picked
 from voodoo_jax.geometry.voxels import Counted, Grid, about_within, cells_of, touching, within
@@ -334,7 +334,7 @@ class BodySegmenter:
         places = self.clearing.places(points)
 
         if self.lies:
-            best = who_lies(points, label, area, self.scene.floor, self.body.height)
+            best = find_lying(points, label, area, self.scene.floor, self.body.height)
             self.likely = float(best >= 0)
             if best >= 0 or self.scene is not self._given:
                 return best

@@ -84,7 +84,7 @@ class PointStage(Named, Protocol):
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]: ...
 
 
-def shows_who_lies(window: list[BodyObservation], target: Target) -> bool:
+def shows_lying_person(window: list[BodyObservation], target: Target) -> bool:
     """Whether the body was found as a lying person, and lies in most of these frames."""
     return target.finder.lies and mostly_lie(window, target.finder.scene.floor)
 

@@ -1,8 +1,10 @@
-"""Which way is up where nothing but named points was recorded: laboratories have y up as often as z. Host side, NumPy.
+"""Estimates the upward direction of recordings of named points alone: in laboratories y is up as often as z. Host side,
+NumPy.
 
-The bodies that were tracked tell it: who stands or walks has the head over the feet, rests on these, and moves the
-trunk more than the foot that stands. What the log says is doubted only where bodies do not stand along it, and who lies
-stays lying: that is told by what rests, and by where the floor is, for laboratories have their zero on it.
+It uses the tracked bodies: a person who stands or walks has the head above the feet, rests on the feet, and moves the
+trunk more than the foot on the floor. The direction that the log states is kept unless bodies do not stand along it.
+For people who lie, the resting parts and the height of the floor decide, since laboratories have their zero on the
+floor.
 """
 
 from collections.abc import Sequence
@@ -29,8 +31,8 @@ PELVIS, SIDES = ("l_hip", "r_hip"), ("l_talocrural", "r_talocrural")
 
 
 def with_upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> list[Tracks]:
-    """Tracks of everybody in a recording of named points with the upward direction, and a note if it differs from the
-    log's, `stated`."""
+    """Tracks of all people in a recording of named points, with the upward direction, and a note if it differs from
+    that of the log, `stated`."""
     found = upward(people, stated)
     if found @ stated > ALONG:
         return list(people)
@@ -102,8 +104,8 @@ def _way(tracks: Tracks) -> _Way:
 
 
 def _lies(tracks: Tracks, stands: np.ndarray, lies: np.ndarray) -> float:
-    """Logarithm of the odds, by the resting parts and the floor, that a person does not stand along one direction but
-    lies, with another one up."""
+    """Logarithm of the odds, by the resting parts and the floor, that a person lies, with another direction up, and
+    does not stand along this one."""
     found = [_at(tracks, names) for names in (("vc7",), PELVIS, SIDES[:1], SIDES[1:])]
     if any(x is None for x in found) or not tracks.tracked.any():
         return 0.0

@@ -57,8 +57,7 @@ def joined_rays(some: Sequence[Rays]) -> Rays:
 
 @dataclass(frozen=True)
 class Picture:
-    """A calibrated colour image, or a rectified pair of them, still packed: a log that is not asked for its images
-    decodes none."""
+    """A calibrated colour image, or a rectified pair, still packed: images that are not used are never decoded."""
 
     topic: str
     stamp_ns: int  # nanoseconds
@@ -71,10 +70,10 @@ class Picture:
 
 @dataclass(frozen=True)
 class Frame:
-    """What all sensors measured at one time, in the recording's fixed frame.
+    """The measurements of all sensors at one time, in the recording's fixed frame.
 
-    `points` are of three kinds (Knoop 2007, sec. 5.1): `free`, nobody has said yet whether they belong to the body;
-    `body`, somebody has; `limb`, even to which limb.
+    `points` are of three kinds (Knoop 2007, sec. 5.1): `free`, on the body or elsewhere; `body`, assigned to the body;
+    `limb`, assigned to a limb.
     """
 
     time_ns: int  # stamp of the leading sensor (message header), nanoseconds

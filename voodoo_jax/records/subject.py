@@ -1,4 +1,4 @@
-"""Somebody in a recording, and what was seen of them."""
+"""A person in a recording, and their measurements."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from voodoo_jax.records.scene import Scene
 
 @dataclass(frozen=True)
 class Subject:
-    """Somebody in a recording. Several people are several subjects."""
+    """A person in a recording. Several people are several subjects."""
 
     number: int  # from 1: who is seen longest
     scene: Scene

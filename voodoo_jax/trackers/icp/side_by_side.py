@@ -52,7 +52,7 @@ def owned_in_turn(
     subjects: list[Subject], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"], settings: Settings,
     near: float, visit: Visit | None = None,
 ) -> list[list[BodyObservation]]:  # fmt: skip
-    """All people's frames, with points of people who are `close` assigned anew.
+    """All people's frames, with points of people who are `close` assigned again.
 
     **Arguments:** `tracks` of the subjects so far, in whose poses each stretch of close frames begins; `near` metres: a
     point farther from every surface keeps its owner.

@@ -14,7 +14,7 @@ from voodoo_jax.trackers.markers.tracker import prepare, track_named
 
 
 class MarkerTracker(Tracker):
-    """Limbs that are fitted to named points, each of which has a place of its own on the body."""
+    """Fits limbs to named points, each with a place of its own on the body."""
 
     def prepare(self, task: Task) -> None:
         prepare(task)
@@ -24,7 +24,7 @@ class MarkerTracker(Tracker):
         return self.follow(task, only_named(frames, source.up, task.body, task.settings, source.up_is_given))
 
     def follow(self, task: Task, people: list[Subject]) -> list[Tracks]:
-        """Tracks of everybody whom names tell apart, or of as many as settings ask for."""
+        """Tracks of all people that the names distinguish, at most as many as the settings allow."""
         settings, source = task.settings, task.source
         if settings.detect.people != 1:
             people = apart_by_names(people[0], task.body.topology, settings.features)[: settings.detect.people or None]
