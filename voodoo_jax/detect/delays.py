@@ -18,7 +18,7 @@ from voodoo_jax.io.log_reader import LogReader
 
 WINDOW, MOST = 15.0, 80  # seconds at the beginning, and messages of each sensor in them, that are looked at; by hand
 POINTS = 8000  # of each message; by hand
-SHARE = 0.5  # of the messages: so many have points that tell; by hand
+SHARE = 0.5  # of the messages have points of the body, at least; by hand
 REACH, STEP = 1.0, 0.01  # seconds: so far offsets are looked for, and how finely; by hand
 LEAST, BETTER, APART = 0.06, 0.5, 0.04  # seconds, share of the distance at no offset, metres less than that; by hand
 CLOSE = 0.08  # metres: so near both must be then, measured 0.02 to 0.03; else it is not the same that they see

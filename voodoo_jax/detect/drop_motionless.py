@@ -26,11 +26,11 @@ class DropMotionless:
     looks_ahead: ClassVar = True
     needs: ClassVar = frozenset({"person"})
 
-    frames: int = 20  # with points, at least, if anything is decided
-    seconds: float = 2.0  # and so long: who stands still for a moment is not a thing
-    often: float = 0.8  # of these frames: a direction in which something is seen so often is asked
+    frames: int = 20  # with points, at least, for a decision
+    seconds: float = 2.0  # at least: a person may stand still for a moment
+    often: float = 0.8  # of these frames: directions with points in so many are tested
     fewest: int = 12  # such directions
-    moving: float = 0.1  # of them, in which somebody moves at least
+    moving: float = 0.1  # of them show motion if a person is there, at least
 
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]:
         def change(window: list[BodyObservation]) -> list[BodyObservation]:

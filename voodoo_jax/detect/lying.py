@@ -12,8 +12,8 @@ from voodoo_jax.detect.body_likelihood import FEWEST
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation
 
-LONG = 1.5  # times as long as it is high: who sits on the floor with straight legs is not; by hand
-# of the body's height: how long who lies is, with knees drawn up or arms overhead; by hand
+LONG = 1.5  # times as long as it is high: a person sitting on the floor with straight legs is shorter; by hand
+# of the body's height: length of a lying person, with knees drawn up or arms overhead; by hand
 SHORTEST, LONGEST = 0.5, 1.3
 HIGHEST = 0.5  # likewise, from the lowest to the highest point: shoulders are a quarter as wide; by hand
 # of the square of the body's height: the area that is seen of it; by hand (0.05 to 0.15 in 14 simulated people, the top

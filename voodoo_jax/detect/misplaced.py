@@ -31,8 +31,8 @@ YAWS, SHIFTS, TRIED, STEPS = (-6.0, -3.0, 0.0, 3.0, 6.0), (-0.15, 0.0, 0.15), 4,
 # cosine between normals of one surface, or of an upright one and up; of a patch's extent, squared, at most; by hand
 FACING, FLAT = 0.8, 0.05
 NOISE = 0.015  # metres, of depth at 3 metres (Khoshelham and Elberink 2012, doi:10.3390/s120201437: 0.013)
-ON, OFF = 4 * NOISE, 2 * NOISE  # so near one surface ends; less is usual for calibrations, and between halves; by hand
-STAYS = 0.7  # of the frames: in so many something is where what is at rest is; by hand
+ON, OFF = 4 * NOISE, 2 * NOISE  # distances from which two surfaces are different, and up to which they agree; by hand
+STAYS = 0.7  # share of the frames with points at the place of a static surface; by hand
 
 
 class Surface(NamedTuple):

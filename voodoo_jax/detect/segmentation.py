@@ -64,7 +64,7 @@ class BodySegmenter:
         self.hidden = False  # in part, by somebody else: what seems to be apart from the body, or left by it, may be it
         self.taken = np.zeros(0, int)  # indices of the points taken from the last frame
         self.thins = False  # whether points may be left out where the body has many more than are kept (detect.points)
-        self._steps = 0  # then: by so many the share of them is less that is looked at
+        self._steps = 0  # then: exponent of STEP, the share of them that is used
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         self.lies = False  # whether what is low and long may be it, see `lying`

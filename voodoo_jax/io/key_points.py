@@ -15,12 +15,12 @@ from jaxtyping import Float, Int64
 from voodoo_jax.records.recording import Pairs, Rays, joined_rays
 
 MEET = 0.15  # metres between lines of sight to a point of one person, in the median, at most; by hand
-CLOSE = 0.08  # metres of a line of sight from the point that the others tell: what is farther off is wrong; by hand
-APART = 0.998  # cosine between lines of sight: of more parallel ones nothing is told; by hand
+CLOSE = 0.08  # metres of a line of sight from the point that the others give: one farther off is wrong; by hand
+APART = 0.998  # cosine between lines of sight: more parallel ones determine no point; by hand
 LEAST = 6  # points of a person that two cameras have to see; by hand
-AWAY = 0.5  # metres that somebody moves from frame to frame, at most; by hand
-GONE = 30  # frames for which somebody who is not seen is waited for; by hand
-BRIEF = 0.1  # of the frames with anybody: who is seen in fewer is nobody; by hand
+AWAY = 0.5  # metres that a person moves from frame to frame, at most; by hand
+GONE = 30  # frames without detections after which a person is gone; by hand
+BRIEF = 0.1  # of the frames with a person: one seen in fewer is none; by hand
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,20 @@ from jaxtyping import Bool, Float
 
 from voodoo_jax.records.tracks import Tracks
 
-UPRIGHT = np.cos(np.radians(40))  # of the way from the feet to the neck: nearer to upwards somebody stands; by hand
-SELDOM = 0.1  # of the frames: who stands in so many does stand; by hand
-CLIMB = 1.5  # metres: hips that go farther go along the floor, not upwards; by hand
-# between trunk and legs of who stands straight: in 12 laboratories they are upright to 4 degrees (measured)
+UPRIGHT = np.cos(np.radians(40))  # of the direction from the feet to the neck for a standing person; by hand
+SELDOM = 0.1  # of the frames, in which a standing person stands at least; by hand
+CLIMB = 1.5  # metres: hips that move farther move along the floor, not upwards; by hand
+# between trunk and legs of a person who stands straight: in 12 laboratories they are upright to 4 degrees (measured)
 STRAIGHT = np.cos(np.radians(15))
-KNEES = np.cos(np.radians(35))  # bent by no more; by hand
-ALONG = np.cos(np.radians(8))  # so near to an axis of the frame upwards is that axis; by hand
-SPAN = 0.5  # seconds over which it is looked at who rests: noise of markers is little over them; by hand
-REST = 0.03  # metres per second: a trunk that is slower rests; by hand
-ANKLE, FLOOR = 0.08, 0.1  # metres above the floor, of who stands and of the lowest joint of who lies; by hand
-LIES = -1.0  # logarithm of the odds that somebody is recorded lying while the log says nothing wrong; by hand
+KNEES = np.cos(np.radians(35))  # of the largest bend of a straight knee; by hand
+ALONG = np.cos(np.radians(8))  # of the largest angle at which upwards is an axis of the frame; by hand
+SPAN = 0.5  # seconds over which rest is tested: noise of markers is small over them; by hand
+REST = 0.03  # metres per second: a slower trunk rests; by hand
+ANKLE, FLOOR = (
+    0.08,
+    0.1,
+)  # metres above the floor: a standing ankle, a lying person's lowest joint; by hand
+LIES = -1.0  # prior logarithm of the odds that a person lies and the log is right; by hand
 PELVIS, SIDES = ("l_hip", "r_hip"), ("l_talocrural", "r_talocrural")
 
 

@@ -13,8 +13,8 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Pairs, Rays
 from voodoo_jax.records.subject import Subject
 
-# metres beside somebody's points: a line of sight meets them; a detector's error at 3 m. Measured: 0.067 and 0.15 give
-# 2 and 9 of 550 features to somebody else (experiments/numbers)
+# metres from a person's points within which a line of sight meets them: a detector's error at 3 m. 0.067 and 0.15 give
+# 2 and 9 of 550 features to another person (measured, experiments/numbers)
 IN_ITS_WAY = 0.1
 
 
