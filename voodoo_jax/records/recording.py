@@ -93,19 +93,19 @@ class Frame:
 
 @dataclass(frozen=True)
 class Recording:
-    """A log held in memory. `up` is the fixed frame's best known upward direction (unit vector)."""
+    """A log held in memory."""
 
-    path: str
-    fixed_frame: str
-    up: Float32[np.ndarray, "3"]
+    path: str  # of the log
+    fixed_frame: str  # name of the frame of all positions
+    up: Float32[np.ndarray, "3"]  # estimate of the upward direction in the fixed frame, unit vector
     sensors: tuple[str, ...]  # topic of each depth sensor, in the order of Frame.origins
-    frames: tuple[Frame, ...]
-    features: tuple[str, ...] = ()  # topics that gave rays and pairs
-    notes: tuple[str, ...] = ()  # what was left out, missing or damaged, one sentence each
-    # in the fixed frame, metres: all places of the frames are given from there; 0 but for large coordinates such as UTM
+    frames: tuple[Frame, ...]  # measurements of all sensors, in order of time
+    features: tuple[str, ...] = ()  # topics of 2D features and named points
+    notes: tuple[str, ...] = ()  # missing, damaged and unused parts of the log, one sentence each
+    # origin of all coordinates of the frames, in the fixed frame, metres; 0 except for large coordinates such as UTM
     origin: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    up_is_given: bool = False  # by a user, who knows better than what the frames show
-    sure: float = 1.0  # probability that places are right for which a calibration was assumed
+    up_is_given: bool = False  # by the setting read.up, which overrules the measurements
+    sure: float = 1.0  # probability that positions are right, below 1 where a part of the calibration was assumed
 
     def __len__(self) -> int:
         return len(self.frames)
