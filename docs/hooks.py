@@ -141,8 +141,10 @@ def field_table(path: Path, name: str) -> str:
                 above.insert(0, comments[at])
                 at -= 1
             said = " ".join([*above, comments.get(node.end_lineno or node.lineno, "")]).strip()
+            if not said:
+                log.warning("the public field '%s.%s' has no comment", name, ast.unparse(node.target))
             rows.append(f"| `{ast.unparse(node.target)}` | `{ast.unparse(node.annotation)}` | {said} |")
-    return "\n".join(["| field | type | |", "|---|---|---|", *rows])
+    return "\n".join(["| field | type | meaning |", "|---|---|---|", *rows])
 
 
 def check_all_named(markdown: str) -> None:

@@ -15,6 +15,7 @@ from voodoo_jax.batch.summary_file import write_summary
 from voodoo_jax.exporters.npz import write_tracks_npz
 from voodoo_jax.model.body import scaled
 from voodoo_jax.model.body_file import load_body
+from voodoo_jax.records.notes import remark
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.viz.report_page import compared, strip, time_line, untracked
 
@@ -32,7 +33,7 @@ def words(page: str) -> str:
 def page(tmp_path_factory) -> tuple[str, object]:
     """A report of three logs, two of them of another part of an array job, one with two people."""
     folder = tmp_path_factory.mktemp("tracks <b>")
-    tracks = replace(make_tracks(), notes=("see </td> & so",))
+    tracks = replace(make_tracks(), notes=("see </td> & so", remark("nothing to do")))
     sure = np.full_like(tracks.joint_confidence, 0.95)
     sure[:, tracks.body.topology.centres.index("l_knee")] = 0.4
     tracks = replace(tracks, joint_confidence=sure)
@@ -53,7 +54,7 @@ def test_what_was_found_and_what_is_in_doubt_is_told(page):
     said = words(text)
     assert "3 logs: 2 tracked, 1 failed" in said and "tracks &lt;b&gt;" in text
     assert [m[1] for m in re.finditer(r"<b>([\w.]+\.mcap)</b>", text)] == ["bad.mcap", "gone.mcap", "walk.mcap"]
-    assert "no <log>" in said and "see </td> & so" in said and "gone.tracks.npz" in said
+    assert "no <log>" in said and "see </td> & so" in said and "nothing to do" not in said and "gone.tracks.npz" in said
     assert "stature 1.830 m" in said and "person 2" in said and "91 % expected" in said
     assert "not tracked: 0.0 to 0.1 s, 1.3 s" in said
     assert said.count("0.0 to 0.1 s, 1.3 s see") == 2  # what the tracks' notes say
@@ -63,7 +64,7 @@ def test_what_was_found_and_what_is_in_doubt_is_told(page):
 def test_it_needs_nothing_from_elsewhere_and_its_links_lead_somewhere(page):
     text, folder = page
     links = dict((word, address) for address, word in re.findall(r'<a href="([^"]*)">([^<]*)</a>', text))
-    assert set(links) == {"play and turn", "tracks", "bvh"}
+    assert set(links) == {"3D view", "tracks", "bvh"}
     assert all((folder / address).exists() for address in links.values())
     assert not re.search(r"src\s*=|https?://|@import|url\(|@[A-Z]+@", text)
 

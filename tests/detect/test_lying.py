@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.rooms import FLOOR, ORIGIN, box, build_of, figure, frame, grid, room
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import extent, mostly_lie, who_lies
+from voodoo_jax.detect.body_likelihood import extent, find_lying, mostly_lie
 from voodoo_jax.detect.raise_floor import with_beds
 from voodoo_jax.detect.tracklets import Tracklets
 from voodoo_jax.records.observation import whole
@@ -63,7 +63,7 @@ def test_how_things_lie():
 def test_what_is_as_large_as_a_body(thing, person):
     points = thing.astype(np.float32)
     label, area = np.zeros(len(points), int), np.full(len(points), AREA)
-    assert (who_lies(points, label, area, FLOOR, TALL) == 0) is person
+    assert (find_lying(points, label, area, FLOOR, TALL) == 0) is person
 
 
 @pytest.mark.parametrize("on", [0.0, 0.5])

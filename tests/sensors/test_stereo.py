@@ -177,7 +177,7 @@ def test_broken_and_missing_images_are_said(tmp_path):
     assert sorted(recording.notes) == [
         f"'{NAMES[0]}': 1 message cannot be decoded, left out.",
         f"'{NAMES[0]}': 1 message left out, without an image of the other camera at the same time.",
-        "The log has no transforms: results are in the frame 'left_optical' of the sensor.",
+        "(The log has no transforms: results are in the frame of its measurements, 'left_optical'.)",
         "The log is damaged: 1 message that frames were to be made of is lost.",
     ]
 

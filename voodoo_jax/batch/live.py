@@ -114,10 +114,10 @@ class LiveJob:
 
 
 def track_live(job: LiveJob, source: Source, publishers: list[Publisher], say: Say, progress: Say) -> Outcome:
-    """Tracks until the source ends (or somebody sets `source.ended`), and writes the results.
+    """Tracks until the source ends (or a caller sets `source.ended`), and writes the results.
 
-    **Arguments:** `say` is told what happens, `progress` every now and then how it goes. Raises LogError,
-    SettingsError, Unsuitable; OSError where results cannot be written.
+    **Arguments:** `say` receives messages, `progress` the progress every two seconds. Raises LogError, SettingsError,
+    Unsuitable; OSError if results cannot be written.
     """
     settings = job.settings
     made_folder(job.out)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from voodoo_jax.records.notes import DAMAGED, INCOMPLETE, plain
+from voodoo_jax.records.notes import DAMAGED, INCOMPLETE, is_remark, plain
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.urls import fetched, joined
 
@@ -93,7 +93,7 @@ class Outcome:
             line += f", picture {self.picture}"
         if not self.ok:
             line += "; NOTHING TRACKED"
-        notes = [note for note in (*self.notes, *self.told) if remarks or not note.startswith("(")]
+        notes = [note for note in (*self.notes, *self.told) if remarks or not is_remark(note)]
         return "\n".join([line, *(f"    {note}" for note in notes)])
 
     def rows(self) -> list[dict[str, Any]]:

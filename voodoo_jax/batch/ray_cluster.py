@@ -28,10 +28,10 @@ SUBMITTED = 1000  # tasks that Ray holds at once: it gets machines for what wait
 def on_ray(jobs: list[Job], report: Report, tasks: RayTasks) -> Results:
     """Runs the jobs on the cluster that RAY_ADDRESS names or that runs here already, else on one started here.
 
-    Gives number and outcome of each as it is done; tasks that are left are cancelled when the iterator is closed or
-    interrupted. Logs and results must be at the same paths or URLs on all machines. `report` is told how far each is,
-    whichever machine does it, and 0 where it is begun anew: a task whose process or machine was lost is, as often as
-    `tasks` says. Raises ValueError if ray is missing or no cluster answers.
+    Yields number and outcome of each finished job; closing or interrupting the iterator cancels the others. Logs and
+    results must be at the same paths or URLs on all machines. `report` receives the progress of each job, and 0 when a
+    job restarts because its process or machine was lost; `tasks` limits the number of restarts. Raises ValueError if
+    ray is missing or no cluster answers.
     """
     ray = _ray()
     mine = not ray.is_initialized()

@@ -82,29 +82,28 @@ def replay(
     log_timeout: float = 0.0,
     ray: RayTasks | None = None,
 ) -> list[Outcome]:
-    """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`, those of
-    logs below a given folder into folders as theirs (see output_paths.py).
+    """Tracks a body in each log and writes `<stem>.tracks.npz` and `<stem>.voodoo.mcap` into `out`. Results of logs
+    below a given folder keep the folder structure (see output_paths.py).
 
-    A log that cannot be read or tracked is reported in its Outcome, and the others are tracked. Files appear
-    under their final names only when complete. Logs that an earlier run has finished with the same settings, body and
-    version are skipped. `replay.jsonl` in `out` has a line for each person of each log. `<stem>.tracks.npz` has the
-    person in view for longest, `<stem>.2.tracks.npz`, ... have the others, and `<stem>.voodoo.mcap` shows all.
+    A log that cannot be read or tracked is reported in its Outcome, and the others are tracked. Files appear under
+    their final names only when complete. Logs that an earlier run has finished with the same settings, body and version
+    are skipped. `replay.jsonl` in `out` has a line for each person of each log. `<stem>.tracks.npz` has the person in
+    view for longest, `<stem>.2.tracks.npz`, ... have the others, and `<stem>.voodoo.mcap` shows all.
 
     **Arguments:** `logs` and `out` paths, or URLs (see storage/urls.py); `smooth_seconds` see
-    trackers.smoothing.smooth; `picture` draws `<stem>.png` too; `html` writes `<stem>.html`, a view for a browser;
-    `report` writes `report.html`, with a row for each log whose results are in `out`; `export` formats to which tracks
-    are exported besides (exporters/formats.py), such as "bvh"; `style` how joints and bones are called; `again` does
-    finished logs anew; `verbose` prints notes that ask for nothing, too; `workers` processes that track, 0: as many as
-    are good for this machine, 1: a copy of this process, or this one where it cannot be copied (see worker_start.py);
-    `engine` "batch": in this process, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster;
-    `shard` "2/8": the second of eight parts of the logs only; `compile_cache` folder for compiled programs, "": the
-    user's, "off": none; `log_timeout` seconds after which a log is given up, 0: never; `ray` what a log asks of a Ray
-    cluster.
+    trackers.smoothing.smooth; `picture` also draws `<stem>.png`; `html` writes `<stem>.html`, a page for a browser;
+    `report` writes `report.html`, with a row for each log with results in `out`; `export` further formats of the tracks
+    (exporters/formats.py), such as "bvh"; `style` names of joints and bones; `again` tracks finished logs again;
+    `verbose` also prints notes that need no action; `workers` number of tracking processes, 0: chosen for this machine,
+    1: a copy of this process, or this one if it cannot be copied (see worker_start.py); `engine` "batch": in this
+    process, several logs as one batch on all of JAX's devices; "ray": on a Ray cluster; `shard` "2/8": only the second
+    of eight parts of the logs; `compile_cache` folder for compiled programs, "": the user's, "off": none; `log_timeout`
+    seconds after which a log fails, 0: never; `ray` resources of each log on a Ray cluster.
 
     **Returns:** an Outcome for each log (of the shard), in the order of `logs`.
 
     Raises ValueError if two logs would write the same files, or an argument cannot be used; NotWritten if nothing can
-    be written in `out`; NotSummedUp, when all else is done, if replay.jsonl or the report cannot.
+    be written in `out`; NotSummedUp, after all logs, if replay.jsonl or the report cannot be written.
     """
     from voodoo_jax.batch.resume import recipe_key
     from voodoo_jax.batch.summary_file import summary_name, write_summary

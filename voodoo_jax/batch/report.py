@@ -66,7 +66,7 @@ def _links(npz: str, folder: str) -> Iterable[tuple[str, str]]:
     if not npz:
         return
     stem = npz.removesuffix(NPZ)
-    names = {"play and turn": stem + VIEW, "picture": f"{stem}.png", "Foxglove": stem + TRACKS, "tracks": npz}
+    names = {"3D view": stem + VIEW, "picture": f"{stem}.png", "Foxglove": stem + TRACKS, "tracks": npz}
     names |= {name: joined(os.path.dirname(npz), exported_name(npz, name)) for name in FORMATS}
     for word, place in names.items():
         if is_url(place):

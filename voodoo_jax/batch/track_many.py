@@ -29,20 +29,19 @@ def track_many(
     lanes: int = 0,
     quiet: bool = False,
 ) -> list[Tracks]:
-    """Tracks many recordings as one batch, or one recording with many bodies or settings: what is given once goes with
-    each of the others.
+    """Tracks many recordings as one batch, or one recording with many bodies or settings: an argument given once is
+    used for all.
 
-    Each goes its own way through starts and passes; where all of them have frames to be tracked, that is one run of one
-    program. All of JAX's devices are used: several GPUs, or a processor's cores after
-    `jax.config.update("jax_num_cpu_devices", n)`. Logs in files are done sooner by `replay_logs` with its workers on a
-    processor, for those read them on all cores, too.
+    Each recording has its own starts and passes; one run of one program tracks the waiting frames of all of them. All
+    of JAX's devices are used: several GPUs, or a processor's cores after `jax.config.update("jax_num_cpu_devices", n)`.
+    On a processor, `replay_logs` is faster for logs in files, since its workers also read on all cores.
 
-    **Arguments:** `lanes` how many are tracked at once; 0: one on each device, 32 if it is a GPU.
+    **Arguments:** `lanes` number of recordings tracked at once; 0: one on each device, 32 if it is a GPU.
 
-    **Returns:** for each what `track` returns, up to rounding; for so many lanes the same to the last bit whatever
-    others are beside it.
+    **Returns:** for each the result of `track`, up to rounding; for one number of lanes equal to the last bit,
+    independent of the other recordings.
 
-    Raises ValueError if sequences differ in length, and whatever `track` raises, with a note where.
+    Raises ValueError if sequences differ in length, and the errors of `track`, with a note on the recording.
     """
     listed = lambda x: tuple(x) if isinstance(x, Sequence) and not isinstance(x, str) else (x,)  # noqa: E731
     given = [listed(x) for x in (bodies, recordings, settings or Settings())]

@@ -86,7 +86,7 @@ class Replay:
     for further people. --help lists common options, --help-all also all settings, such as --start.scale.
     """
 
-    logs: Positional[tuple[str, ...]] = ()
+    logs: Annotated[Positional[tuple[str, ...]], arg(metavar="LOG ...")] = ()
     """Logs (MCAP, or any format that convert reads): files, folders, or URLs such as s3://bucket/*.mcap."""
     body: Annotated[str, arg(help=BODY_HELP)] = ""
     preset: Preset = "default"
@@ -106,7 +106,7 @@ class Live:
     --help lists common options, --help-all also all settings.
     """
 
-    source: Positional[str] = ""
+    source: Annotated[Positional[str], arg(metavar="SOURCE")] = ""
     """A growing .mcap file, the folder of a bag, or ws://HOST:PORT."""
     out: str = "voodoo-out"
     """Folder for the results; created if missing."""
@@ -147,7 +147,7 @@ class Export:
     docs/results.md describes the contents, units and axes of each format.
     """
 
-    tracks: Positional[tuple[Path, ...]] = ()
+    tracks: Annotated[Positional[tuple[Path, ...]], arg(metavar="TRACKS ...")] = ()
     """Files <log>.tracks.npz of replay, or folders of them."""
     formats: Annotated[str, arg(name="as", help=FORMATS_HELP)] = ""
     out: Path | None = None
@@ -166,7 +166,7 @@ class Convert:
     these.
     """
 
-    sources: Positional[tuple[Path, ...]] = ()
+    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="RECORDING ...")] = ()
     """Recordings: files or folders."""
     out: Path | None = None
     """The log (.mcap) of one recording, or a folder for the logs of several."""
@@ -184,8 +184,8 @@ class Convert:
 class Info:
     """Show the topics of logs, and which of them replay would use."""
 
-    logs: Positional[tuple[Path, ...]]
-    """MCAP logs, or folders of them."""
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG ...")]
+    """Logs (MCAP, or any format that convert reads), or folders of them."""
     read: ReadSettings = field(default_factory=ReadSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
 
@@ -197,7 +197,7 @@ class View:
     To share a view, use replay --html instead: it writes a self-contained file.
     """
 
-    what: Positional[tuple[Path, ...]] = ()
+    what: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG [TRACKS]")] = ()
     """The log and, optionally, <log>.tracks.npz; further people (<log>.2.tracks.npz, ...) are shown as well."""
     port: int = 8080
     """Port on localhost; if it is in use, the next free one."""
@@ -232,7 +232,7 @@ class FitCommand:
     and keeps the proportions. Ctrl-C stops the fit; the same command continues it.
     """
 
-    logs: Positional[tuple[Path, ...]] = ()
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG ...")] = ()
     """MCAP logs, or folders of them."""
     out: Path = Path("body.toml")
     """Body file to write if it is better; for several people, -1, -2, ... is added to its name."""
@@ -257,7 +257,7 @@ class BodyCommand:
     Notes list parts that fit badly. Track with `voodoo-jax replay LOG --body FILE --start.scale N`; this prints N.
     """
 
-    source: Positional[Path | None] = None
+    source: Annotated[Positional[Path | None], arg(metavar="FILE")] = None
     """A .urdf, .glb or .gltf file."""
     out: Path = Path("body.toml")
     """Body file to write."""

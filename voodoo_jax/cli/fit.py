@@ -81,8 +81,8 @@ def run_fit(command: FitCommand, settings: Settings) -> int:
 
 
 def _write(command: FitCommand, settings: Settings, found: Fit, bodies: list[Path]) -> list[Path]:
-    """Writes the report and, if it is better or asked for, the body and the settings; what was written. Raises
-    OSError."""
+    """Writes the report and, if the body is better or `--keep-anyway` is set, body and settings. Returns the paths.
+    Raises OSError."""
     config = command.out.with_suffix(".config.toml")
     files = list(write_report(found, command.out.with_suffix(".md")))
     written = found.better or command.keep_anyway

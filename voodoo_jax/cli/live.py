@@ -12,7 +12,7 @@ say = partial(printing.say, "live")
 
 
 def run_live(command: Live) -> int:
-    """0 if somebody was tracked, 1 if nobody was or the source cannot be used, 2 if nothing could be begun."""
+    """0 if a person was tracked, 1 if none was or the source cannot be used, 2 if nothing could be started."""
     from voodoo_jax.compile.cache_dir import CacheError, safe_folder, use_compile_cache
     from voodoo_jax.config.limited import limited
     from voodoo_jax.config.options import SettingsError

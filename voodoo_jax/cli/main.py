@@ -52,7 +52,7 @@ _T = TypeVar("_T")
 
 
 def body_name(command: Replay) -> str:
-    """The body that is asked for, or that of the preset."""
+    """The body that the command names, or that of the preset."""
     return command.body or PRESET_BODIES[command.preset]
 
 
@@ -237,7 +237,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _quietly(do: Callable[[], _T]) -> _T:
-    """What `do` returns; ends this process where nobody reads any more what is printed, as of `| head -1`."""
+    """The result of `do`; ends this process if the reader of its output has closed the pipe, as in `| head -1`."""
     try:
         try:
             return do()
@@ -254,7 +254,7 @@ def _quietly(do: Callable[[], _T]) -> _T:
 
 
 def _of_printing(problem: Exception) -> bool:
-    """Whether an error is of what was to be printed: nobody reads it any more, or its disk is full."""
+    """Whether an error comes from printing: the reader has closed the pipe, or the output's disk is full."""
     if isinstance(problem, BrokenPipeError):
         return True
     if not isinstance(problem, OSError) or isinstance(problem, NotWritten):

@@ -8,7 +8,7 @@ from voodoo_jax.records.notes import SENTENCE, plain, shown
 
 
 def tell(*texts: object, flush: bool = False) -> None:
-    """What was asked for, line by line, on standard output."""
+    """Prints results, line by line, to standard output."""
     print("\n".join(shown(str(text)) for text in texts), flush=flush)
 
 

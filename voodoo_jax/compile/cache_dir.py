@@ -4,9 +4,9 @@ jax writes an entry in place, so that a process that is killed meanwhile leaves 
 writes into a folder of its own and links whole entries to the shared one. Executables that this package keeps itself
 (`keep`) are read where they are: of thousands a process needs a few.
 
-An entry is a program that is run, so whoever can write one can run code as this user. A folder is used only if it is
-this user's and nobody else can write in it; files are opened without following links, and read only if they are this
-user's, too.
+An entry is a program that is run, so whoever can write one can run code as this user. A folder is used only if it
+belongs to this user and no other user can write in it; files are opened without following links, and read only if they
+belong to this user, too.
 """
 
 import atexit
@@ -45,11 +45,11 @@ _warned: set[str] = set()  # what has been said
 
 
 class CacheError(ValueError):
-    """The folder that somebody named for compiled programs is not safe."""
+    """The folder that the user named for compiled programs is not safe."""
 
 
 def cache_folder(asked: str) -> str:
-    """The folder that is meant: a path as it is, "off" for none (empty); where nothing is asked for that of the
+    """The folder for compiled programs: the path `asked`, or none (empty) for "off". If `asked` is empty: that of the
     environment variable VOODOO_JAX_COMPILE_CACHE, or one in the user's cache."""
     asked = asked or os.environ.get("VOODOO_JAX_COMPILE_CACHE", "")
     if asked:
@@ -93,8 +93,8 @@ def _warn(problem: str) -> None:
 
 
 def safe_folder(asked: str, say: Callable[[str], None] = _warn) -> str:
-    """As cache_folder, but where that folder must not be used: a CacheError if it was asked for, and else none, and
-    `say` why."""
+    """As cache_folder; if that folder must not be used: CacheError if the user named it, otherwise none, and `say`
+    gives the reason."""
     folder = cache_folder(asked)
     try:
         problem = refused(folder) if folder else ""
@@ -308,7 +308,7 @@ def _link(source: Path, target: Path) -> None:
 
 
 def _trusted(status: os.stat_result) -> bool:
-    """Whether a file is an ordinary one, this user's, and nobody else can write it."""
+    """Whether a file is an ordinary one of this user that others cannot write."""
     if os.name != "posix":
         return True
     return stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid() and not status.st_mode & OTHERS
@@ -323,7 +323,7 @@ def _read(path: Path) -> bytes:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Makes a file anew, this user's alone. Raises OSError."""
+    """Creates a file that only this user can read. Raises OSError."""
     path.unlink(missing_ok=True)
     made = os.open(path, OPENED | os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o600)
     with os.fdopen(made, "wb") as stream:

@@ -82,9 +82,9 @@ _IMAGES = ReadSettings(images=True, matching="none")  # what the flexible tracke
 
 
 def online(settings: Settings, lag: float = 0.0) -> Settings:
-    """The settings without a look into the future: every frame is tracked by what came before it, but for the half
-    second after each start, over which starts and the person's size are compared.
+    """Settings that use no later frames, except for the half second after each start, in which starts and sizes are
+    compared.
 
-    **Arguments:** `lag` seconds by which results may be late: so much of what comes after a frame tells of it, too.
+    **Arguments:** `lag` seconds by which results may be late: that much of what follows a frame is used as well.
     """
     return replace(settings, online=True, online_lag=lag or settings.online_lag)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RayTasks:
-    """What each log holds of the cluster, and how often it is begun anew where its process or machine was lost."""
+    """Resources of each log on the cluster, and the number of restarts after its process or machine was lost."""
 
     num_cpus: int = 1
     num_gpus: float = 0.0  # below 1: a share of one; 0: processors compute
@@ -13,7 +13,7 @@ class RayTasks:
 
 
 def check_ray_tasks(tasks: RayTasks) -> None:
-    """Raises ValueError for what cannot be asked for."""
+    """Raises ValueError for resources that are impossible."""
     if tasks.num_cpus < 1:
         raise ValueError(f"--ray-cpus {tasks.num_cpus}: must be 1 or more")
     if tasks.num_gpus < 0 or (tasks.num_gpus > 1 and not float(tasks.num_gpus).is_integer()):

@@ -12,8 +12,8 @@ from jaxtyping import Float, Float32, Int
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.records.observation import BodyObservation
 
-LONG = 1.5  # times as long as it is high: who sits on the floor with straight legs is not; by hand
-# of the body's height: how long who lies is, with knees drawn up or arms overhead; by hand
+LONG = 1.5  # times as long as it is high: a person sitting on the floor with straight legs is shorter; by hand
+# of the body's height: length of a lying person, with knees drawn up or arms overhead; by hand
 SHORTEST, LONGEST = 0.5, 1.3
 HIGHEST = 0.5  # likewise, from the lowest to the highest point: shoulders are a quarter as wide; by hand
 # of the square of the body's height: the area that is seen of it; by hand (0.05 to 0.15 in 14 simulated people, the top
@@ -22,18 +22,18 @@ SMALL, LARGE = 0.03, 0.25
 BROADEST = 0.35  # of the body's height: the width of the half of the points that is nearest to the length; by hand
 LOOKED_AT = 30  # frames, evenly spread; by hand
 LOOSE = 0.5  # of its height, or more: so high an animal or a machine may be as well
-SLIM = 0.6  # of its width at rest: what is not even so wide is less likely to be the body
+SLIM = 0.6  # of its width at rest: a slimmer object is less likely the body
 FEWEST = 50  # points of a thing that may be it
-TELLING = 30  # points of somebody in a frame, at least: fewer tell nothing of them; by hand
+TELLING = 30  # points of a person in a frame, at least: fewer are not informative; by hand
 HEAD = (0.15, 0.06)  # the highest part of a body: of its height, and its area, of height times width
-NEAR = 4.0  # metres from the sensor: who is farther away is less likely to be meant
-HEADS = 0.6  # of its height: what is above somebody and higher is their head, if it is alone; by hand
-# how likely it is what hangs in the air: as head and trunk of who stands behind something or is cut off do; the highest
-# that its lower end may be, of its top, and how long it is at least, metres; by hand
+NEAR = 4.0  # metres from the sensor: people farther away are less likely the main one
+HEADS = 0.6  # of its height: a single object above a body, and higher, is its head; by hand
+# likelihood of objects that float, as head and trunk of a person behind something or cut off by the image do; highest
+# lower end, as a share of the top's height, and least length, metres; by hand
 PART, UPPER, LEAST = 0.3, 0.75, 0.45
-SPREAD, SQUAT = 0.8, 0.75  # of its height: what is wider and lower is a counter or a sofa; by hand
-TALLEST = 1.35  # of its height: what is higher is not the body; by hand
-BROAD = 1.5  # times that area: what is even broader at the top is less likely to be the body
+SPREAD, SQUAT = 0.8, 0.75  # of its height: a wider and lower object is a counter or a sofa; by hand
+TALLEST = 1.35  # of its height: a higher object is not the body; by hand
+BROAD = 1.5  # times that area: an object even broader at the top is less likely the body
 
 
 class Extent(NamedTuple):
@@ -72,7 +72,7 @@ def mostly_lie(frames: list[BodyObservation], floor: Plane) -> bool:
     return bool(np.mean([extent(f.points, floor).lies for f in seen[:: len(seen) // LOOKED_AT + 1]] or [False]) > 0.5)
 
 
-def who_lies(
+def find_lying(
     points: Float32[np.ndarray, "point 3"],
     label: Int[np.ndarray, " point"],
     area: Float[np.ndarray, " point"],
@@ -98,8 +98,8 @@ class Build(NamedTuple):
     """Size of the body in its rest pose."""
 
     height: float  # metres
-    width: float  # level, from end to end, metres
-    loose: float = 0.0  # it may as well be so much smaller or larger, as a share of that
+    width: float  # horizontal, from end to end, metres
+    loose: float = 0.0  # uncertainty of its size, as a share
 
     @property
     def reach(self) -> float:

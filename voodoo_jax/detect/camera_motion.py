@@ -23,16 +23,16 @@ FAR, FASTER = 0.2, 0.6  # metres from a plane, of the points on it at first, and
 WIDE, FINE = 3.0, 0.005  # times the noise in the end; metres of noise, at least
 LEVEL, UPRIGHT = 0.03, 0.07  # metres of noise of floors and walls, at first
 STEPS = 15
-CALM, EVERY = 30, 3  # after so many frames in which nothing has moved, one of so many is asked
+CALM, EVERY = 30, 3  # frames without motion after which only every third is tested
 SETTLED = 0.0005  # metres
 SHAKEN = 0.015  # metres, root mean square, by which the planes seem to have moved: less is noise
-NOISY = 0.4  # of the planes' noise: so much more of it is noise in any case
-COUNT = 100  # so many measurements all points together count as: their errors are alike
+NOISY = 0.4  # of the planes' noise: an increase by that share is noise in any case
+COUNT = 100  # weight of all points together, as a number of measurements: their errors are correlated
 STIFF = np.array([0.02, 0.02, 0.02, 0.03, 0.03, 0.03])  # radians and metres from frame to frame: what nothing tells
-FORGET = 0.98  # from frame to frame: of where the sensors are thought to be, as far as nothing tells
-FEWEST = 0.05  # of the points on planes: with less nothing is known
+FORGET = 0.98  # factor from frame to frame on the estimated motion where no plane determines it
+FEWEST = 0.05  # of the points are on planes: with fewer the motion is unknown
 STILL = np.eye(4)
-TIMES = 2  # floor and walls are found anew while that takes out how sensors move
+TIMES = 2  # repetitions of finding floor and walls after removing the motion
 ALIKE = 0.05, 0.15  # radians and metres: one wall, found twice for its noise
 
 

@@ -19,8 +19,8 @@ from voodoo_jax.geometry.voxels import within
 from voodoo_jax.records.observation import BodyObservation
 
 COLUMN = 0.05  # metres, of strips from top to bottom, and between places in the gap: two in a limb's width; by hand
-SHARED = 0.5  # of the strips of the narrower piece: in so many the other one is above or below it; by hand
-GAP = 0.9  # metres: what hides more hides all from the chest to the shanks; by hand
+SHARED = 0.5  # of the strips of the narrower piece have the other one above or below it; by hand
+GAP = 0.9  # metres: a larger one would hide all from the chest to the shanks; by hand
 DEEP = 0.3  # metres, level, from edge to edge: a chest is 0.25 deep (ANSUR II), and people lean; by hand
 WIDE = 0.65  # of the body's height: no legs are spread wider in a step, and no trunk with its arms; by hand
 NEARER = 0.1  # metres: what hides the gap is so much nearer; the noise of depth is less; by hand

@@ -25,7 +25,7 @@ COARSE = 0.05  # seconds between offsets that are tried at first: measured, voxe
 FEWER = 0.9  # of the voxels without an offset: measured 0.68 with 0.15 s, 1.00 without
 WINDOW, MOST = 15.0, 80  # seconds at the beginning, and messages of each sensor in them, that are looked at; by hand
 POINTS = 8000  # of each message; by hand
-SHARE = 0.5  # of the messages: so many have points that tell; by hand
+SHARE = 0.5  # of the messages have points of the body, at least; by hand
 REACH, STEP = 1.0, 0.01  # seconds: so far offsets are looked for, and how finely; by hand
 LEAST, BETTER, APART = 0.06, 0.5, 0.04  # seconds, share of the distance at no offset, metres less than that; by hand
 CLOSE = 0.08  # metres: so near both must be then, measured 0.02 to 0.03; else it is not the same that they see
@@ -34,8 +34,8 @@ ALIKE = 0.77  # cosine, 40 degrees: so alike directions of view show the same si
 
 
 def late_transforms(reader: LogReader) -> dict[str, float]:
-    """Seconds by which the stamps of topics of transforms are late, where the room tells. Sensors that stand still tell
-    nothing, and neither does one that hardly moves."""
+    """Seconds by which the stamps of transform topics are late, where the static room determines them. Sensors at rest,
+    or hardly moving, determine none."""
     found: dict[str, float] = {}
     for topic in reader.sensors:
         topics = reader.moved_by(topic)
@@ -61,7 +61,7 @@ def _late(reader: LogReader, topic: str) -> float:
         return 0.0
 
     def voxels(late: float) -> float:
-        """Voxels that are filled, as a share of the points, if the transforms are so many seconds late."""
+        """Number of filled voxels, as a share of the points, if the transforms are late by that many seconds."""
         cells = []
         for at, points in looks:
             if (there := tree.lookup(reader.fixed_frame, name, at + round(late * 1e9))) is not None:

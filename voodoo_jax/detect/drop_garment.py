@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from voodoo_jax.detect.body_likelihood import LOOKED_AT, TELLING
-from voodoo_jax.detect.stage import Target, WindowStage, lies_there
+from voodoo_jax.detect.stage import Target, WindowStage, shows_lying_person
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.point_cloud import point_spacing
 from voodoo_jax.records.observation import BodyObservation, assigned
@@ -38,22 +38,22 @@ class DropGarment(WindowStage):
 
     name: ClassVar = "drop_garment"
 
-    frames: int = 8  # of somebody upright, at least, if anything is decided
-    upright: float = 0.85  # so high is the top of who stands
-    mostly: float = 0.6  # of the frames of somebody upright show it
+    frames: int = 8  # of an upright person, at least, for a decision
+    upright: float = 0.85  # height of the top of a standing person
+    mostly: float = 0.6  # of the frames of an upright person show it
     wide: float = 0.2  # no leg is so wide, nor are both of them
     aside: float = 0.25  # of its width: its middle is so near to that of the trunk; a box beside the body is not
-    ahead: float = 0.2  # its middle is so near to that of the trunk along the line of sight: knees of who sits are not
+    ahead: float = 0.2  # likewise along the line of sight, at most: knees of a sitting person are farther
     low: float = 0.3  # from here ...
     hands: float = 0.4  # ... to here there is such a piece at most heights; hands hang above
-    heights: float = 0.7  # of these heights: who sits has a chair below, but no wide thing from there up to the hips
+    heights: float = 0.7  # of these heights: a chair is below a sitting person, not wide up to the hips
     feet: float = 0.03  # all is taken out from here ...
     hips: float = 0.55  # ... to here that is so wide
     slab: float = 0.02  # height of the slices
     link: float = 3.0  # times the distance of neighbouring points: points so near in a slice are of one piece
 
     def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
-        return window if lies_there(window, target) else self.without(window, target.finder.scene.floor)
+        return window if shows_lying_person(window, target) else self.without(window, target.finder.scene.floor)
 
     def without(self, frames: list[BodyObservation], floor: Plane) -> list[BodyObservation]:
         """The frames without such a piece; the same frames if there is none."""

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from voodoo_jax.detect.stage import Target, WindowStage, lies_there
+from voodoo_jax.detect.stage import Target, WindowStage, shows_lying_person
 from voodoo_jax.detect.stillness import Stillness, moves, seen_long
 from voodoo_jax.records.observation import BodyObservation
 
@@ -23,14 +23,14 @@ class DropMotionless(WindowStage):
 
     name: ClassVar = "drop_motionless"
 
-    frames: int = 20  # with points, at least, if anything is decided
-    seconds: float = 2.0  # and so long: who stands still for a moment is not a thing
-    often: float = 0.8  # of these frames: a direction in which something is seen so often is asked
+    frames: int = 20  # with points, at least, for a decision
+    seconds: float = 2.0  # at least: a person may stand still for a moment
+    often: float = 0.8  # of these frames: directions with points in so many are tested
     fewest: int = 12  # such directions
-    moving: float = 0.1  # of them, in which somebody moves at least
+    moving: float = 0.1  # of them show motion if a person is there, at least
 
     def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
-        if not self.is_thing(window, target.stillness) or lies_there(window, target):
+        if not self.is_thing(window, target.stillness) or shows_lying_person(window, target):
             return window  # a lying person was found by a limb that moved
         scene = target.finder.scene
         if NOTE not in scene.notes:

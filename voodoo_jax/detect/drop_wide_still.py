@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import KDTree
 
-from voodoo_jax.detect.stage import Target, WindowStage, lies_there
+from voodoo_jax.detect.stage import Target, WindowStage, shows_lying_person
 from voodoo_jax.detect.stillness import NOISE, Directions, Stillness, moves, seen_long
 from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.voxels import components
@@ -40,25 +40,25 @@ class DropWideStill(WindowStage):
 
     name: ClassVar = "drop_wide_still"
 
-    frames: int = 15  # with points, at least, if anything is decided
+    frames: int = 15  # with points, at least, for a decision
     seconds: float = 1.0  # and so long
-    often: float = 0.4  # of these frames: a direction in which something is seen so often is asked
-    moving: float = 0.1  # of the directions in which something moves, at least: somebody is there
-    wide: float = 0.9  # metres, level: shoulders are half as wide, and who spreads their arms moves them
+    often: float = 0.4  # of these frames: directions with points in so many are tested
+    moving: float = 0.1  # of the directions show motion if a person is there, at least
+    wide: float = 0.9  # metres, horizontal: shoulders are half as wide, and people who spread their arms move them
     link: float = 0.35  # metres between directions that hang together: rows of a table's top are so far apart
     deep: float = 0.2  # metres, level, of a table's top, at least
-    slab: float = 0.1  # metres: of so high slices each is asked whether it is wide
-    straight: float = 0.05  # metres from a line: what is so near is on a straight front
+    slab: float = 0.1  # metres: height of the slices that are tested for width
+    straight: float = 0.05  # metres from a line of the points on a straight front
     # of tops that were seen beside the body:
-    dense: float = 0.07  # of the points seen beside the body: so many are on a top
-    bare: float = 0.3  # of its points: so many there may be above it, or it is a slice of something high
+    dense: float = 0.07  # of the points seen beside the body are on a top, at least
+    bare: float = 0.3  # of its points may be above it, at most: otherwise it is a slice of something high
     lowest: float = 0.55  # metres: of a table's top; seats are lower
     highest: float = 1.3  # metres: of a counter's top
-    thick: float = 0.03  # metres from its height: what lies there, too, is on it
+    thick: float = 0.03  # metres from its height of the points on it
     margin: float = 0.15  # metres beyond its outline: its edges are seen in part, and together with others
 
     def change(self, window: list[BodyObservation], target: Target) -> list[BodyObservation]:
-        if lies_there(window, target):
+        if shows_lying_person(window, target):
             return window  # who lies is as wide as a table, and may move no more than an arm
         finder = target.finder
         return self.without(window, finder.scene.floor, target.stillness, finder.beside())

@@ -20,23 +20,23 @@ from voodoo_jax.geometry.voxels import Cells, cells_of, touching
 from voodoo_jax.records.observation import BodyObservation, whole
 from voodoo_jax.records.recording import Frame
 
-CELL = 0.05  # metres: what is in the next cell but one has moved
+CELL = 0.05  # metres: a point two cells away has moved
 MOVED = 0.03  # of a thing's points that are where it was not, and of its places where it is no more: it has moved
-SHAKEN = 0.4  # the same where sensors shake: they may turn as floor and walls do not tell
-EVERY = 2  # frames: so often it is asked
+SHAKEN = 0.4  # the same for shaking sensors: floor and walls do not determine all rotations
+EVERY = 2  # frames between tests
 AWAY, EMPTY = 0.4, 0.2  # metres from where it was, its middle, and so much of that empty: it has moved in any case
 SLID = 0.7  # metres from where it was, its middle, though low and long, as dogs and carts go; by hand
 LEFT = 3.0  # times as much of it may be in new places as is no longer in old ones: arms hang before the trunk
 FLICKER = 2.0  # times as much must have moved since the first frame than since the last one: noise comes and goes
 ENOUGH = 15  # frames in which it is elsewhere: a thing that moves by itself
-LITTLE = 4  # frames in which what moves at all is elsewhere, at the end of waiting
-STIRRED = 10  # frames in which an arm or so of them is where nothing was: who moves no more than that; by hand
-BRIEF = 8  # frames: who is seen in fewer is nobody; by hand
-ASKS = DropMotionless()  # of which directions it is asked whether they move, and when
-# of these: of people who stand still 80 % move or more, of a cupboard before which somebody moves a third (measured)
+LITTLE = 4  # frames in which an object that moves at all is elsewhere, at the end of waiting
+STIRRED = 10  # frames in which about an arm is at an empty place, for people who move no more than that; by hand
+BRIEF = 8  # frames: an object seen in fewer is not a person; by hand
+ASKS = DropMotionless()  # which directions are tested for motion, and when
+# of these: of standing people 80 % move or more, of a cupboard behind a moving person a third (measured)
 SWAYING = 0.6
 WENT = 0.05  # metres from where it was: a sensor that sees other sides of things
-MANY = 20_000  # points of a frame by which it is asked what hides what
+MANY = 20_000  # points of a frame that decide occlusion
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Motion:
     def _compare(self, now: Sight, alone: bool, lying_on: Plane | None) -> None:
         """Compares with the sights at its first and its last comparison."""
         first, last = self._sights or (now, now)
-        # of what is known of more and more of it the middle moves, too
+        # the centre of an object of which more and more becomes visible moves, too
         away = np.linalg.norm(now.place - first.place) > AWAY and now.gone_from(first) > EMPTY
         least = SHAKEN if now.whole.T_fixed_steady is not None else MOVED
         changed, new = now.elsewhere(first) - least, now.newly_in(first) if alone else 0.0

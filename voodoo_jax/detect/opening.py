@@ -41,8 +41,8 @@ YAWS, SHIFTS, TRIED, STEPS = (-6.0, -3.0, 0.0, 3.0, 6.0), (-0.15, 0.0, 0.15), 4,
 # cosine between normals of one surface, or of an upright one and up; of a patch's extent, squared, at most; by hand
 FACING, FLAT = 0.8, 0.05
 NOISE = 0.015  # metres, of depth at 3 metres (Khoshelham and Elberink 2012, doi:10.3390/s120201437: 0.013)
-ON, OFF = 4 * NOISE, 2 * NOISE  # so near one surface ends; less is usual for calibrations, and between halves; by hand
-STAYS = 0.7  # of the frames: in so many something is where what is at rest is; by hand
+ON, OFF = 4 * NOISE, 2 * NOISE  # distances from which two surfaces are different, and up to which they agree; by hand
+STAYS = 0.7  # share of the frames with points at the place of a static surface; by hand
 PERSON = Build(1.70, 0.44)  # where nobody says who is looked for: the size of the body file `human`, measured
 
 
@@ -273,10 +273,10 @@ def _checked(path: Place | LogFile, settings: ReadSettings, build: Build, detect
 
 
 def read_log(path: Place, settings: ReadSettings | None = None) -> Recording:
-    """Read a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`. Recordings of other formats
-    are converted in passing.
+    """Reads a whole log into memory: see `open_checked`, `LogReader.frames` and `Recording`. Recordings of other
+    formats are converted first.
 
-    Raises LogError if the log cannot be read, holds nothing to track, or its units are in doubt; ValueError if
+    Raises LogError if the log cannot be read, has no usable measurements, or its units are ambiguous; ValueError if
     `settings.max_points` is less than 1.
     """
     with as_mcap(path, (settings or ReadSettings()).types) as (log, notes):

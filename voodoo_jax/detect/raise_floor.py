@@ -23,12 +23,12 @@ BIN = 0.02  # metres of height in which points are counted
 EVEN = 0.03  # metres from its top of the points on it
 CELL, LARGE = 0.1, 30  # metres, and cells of its top that are seen, at least
 FLAT = 3.0  # times as many points as in a layer above it
-BESIDE = 0.1  # metres from somebody: may be their own
+BESIDE = 0.1  # metres from a person: may be their own points
 FEET = 0.2  # metres above it
-AROUND = 0.2, 0.5  # metres from the feet: there its top is seen ...
+AROUND = 0.2, 0.5  # metres from the feet where its top is visible ...
 FEW = 0.02  # of as many points as in the direction with most
-SECTORS, SEEN = 8, 6  # ... in so many of so many directions, at least
-BED, BEDS = 0.85, 3  # metres above the floor: of what somebody may lie on, hospital beds among it; how many; by hand
+SECTORS, SEEN = 8, 6  # directions, and in how many of them, at least
+BED, BEDS = 0.85, 3  # metres above the floor of surfaces to lie on, such as hospital beds; their number; by hand
 # of the back of a sofa: metres above its seat at most and at least, and its length; cosine of its slope; by hand
 BACK, HIGH, LENGTH, UPRIGHT = 0.7, 0.28, 1.4, 0.17
 

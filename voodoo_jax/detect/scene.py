@@ -113,8 +113,8 @@ def _find_floor(points, up, rng) -> Plane | None:
 
 
 def _open(points, plane: Plane) -> bool:
-    """Whether most of the points on a plane have nothing right above them: not so the lower edge of what is seen of
-    walls and people."""
+    """Whether most of the points on a plane have nothing right above them, unlike the lower visible edges of walls and
+    people."""
     height = plane.height(points)
     place = cells_of(plane.level(points), PLACE)
     above = place[(height > 0.06) & (height < 0.3)]
@@ -122,7 +122,7 @@ def _open(points, plane: Plane) -> bool:
 
 
 def _lowest(points, up, up_is_sure) -> tuple[Plane, bool]:
-    """What stands for a floor that nobody sees, and whether it may be lower."""
+    """A substitute for a floor that is not visible, and whether the true floor may be lower."""
     lowest = float(np.percentile(points @ up, 0.5)) if len(points) else 0.0
     known = up_is_sure and -0.2 < lowest < 1.3
     # what is seen farther below z = 0 than a floor is thick (see _find_floor) stands on something lower

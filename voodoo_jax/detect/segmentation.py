@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float32, Int
 from scipy.spatial import KDTree
 
 from voodoo_jax.config.options import DetectSettings
-from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build, candidate, who_lies
+from voodoo_jax.detect.body_likelihood import HEADS, TELLING, Build, candidate, find_lying
 from voodoo_jax.detect.clearing import Cleared, Clearing, distances
 from voodoo_jax.detect.cut_in_two import joined
 from voodoo_jax.detect.heads import each_person
@@ -63,7 +63,7 @@ class BodySegmenter:
         self.hidden = False  # in part, by somebody else: what seems to be apart from the body, or left by it, may be it
         self.taken = np.zeros(0, int)  # indices of the points taken from the last frame
         self.thins = False  # whether points may be left out where the body has many more than are kept (detect.points)
-        self._steps = 0  # then: by so many the share of them is less that is looked at
+        self._steps = 0  # then: exponent of STEP, the share of them that is used
         self._surveyed_ns: int | None = None
         self.likely = 0.0  # to be the body: the last thing that was taken for it
         self.lies = False  # whether what is low and long may be it, see `lying`
@@ -331,7 +331,7 @@ class BodySegmenter:
         places = self.clearing.places(points)
 
         if self.lies:
-            best = who_lies(points, label, area, self.scene.floor, self.body.height)
+            best = find_lying(points, label, area, self.scene.floor, self.body.height)
             self.likely = float(best >= 0)
             if best >= 0 or self.scene is not self._given:
                 return best

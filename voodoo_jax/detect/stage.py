@@ -20,8 +20,8 @@ from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.recording import Frame
 from voodoo_jax.records.scene import Scene
 
-SCENE_FRAMES, SCENE_EVERY = 15, 3  # floor and walls are looked for in every third of so many first frames; by hand
-WINDOW = 1800  # frames by which furniture is told from the body at once; by hand
+SCENE_FRAMES, SCENE_EVERY = 15, 3  # number of first frames in which floor and walls are searched, and step; by hand
+WINDOW = 1800  # frames that a stage handles at once; by hand
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class PointStage(Named, Protocol):
     def __call__(self, frames: Iterable[BodyObservation], target: Target) -> Iterator[BodyObservation]: ...
 
 
-def lies_there(window: list[BodyObservation], target: Target) -> bool:
+def shows_lying_person(window: list[BodyObservation], target: Target) -> bool:
     """Whether the body was found as a lying person, and lies in most of these frames."""
     return target.finder.lies and mostly_lie(window, target.finder.scene.floor)
 

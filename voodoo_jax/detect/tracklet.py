@@ -17,15 +17,15 @@ from voodoo_jax.geometry.point_cloud import quantile
 from voodoo_jax.geometry.voxels import cells_of, touching
 from voodoo_jax.records.observation import BodyObservation
 
-SOME = 600  # points of somebody by which it is told who is nearer; by hand
-PACE = 2.5  # metres per second, of who is not seen for a while: a quick walk; by hand
-AROUND = 0.8  # metres that they may be elsewhere in any case; by hand
-LIKE = 0.07  # metres of height: who differs by more is somebody else; by hand
-WATCHED = 150  # frames, the last ones, by which it is asked whether somebody sways; five seconds, by hand
-HIDDEN = 0.02  # of somebody's points: so much is hidden of who is taken for hidden in part; by hand
-BLIND = 1.5  # seconds for which somebody whom nobody sees is thought to walk on; by hand
-SLOW = 0.3  # metres per second: who is slower stands; by hand
-WAY = 0.4  # seconds over which it is measured how fast somebody walks; by hand
+SOME = 600  # points of a person that decide which person is nearer; by hand
+PACE = 2.5  # metres per second, of a person who is hidden for a while: a quick walk; by hand
+AROUND = 0.8  # metres of uncertainty of their place in any case; by hand
+LIKE = 0.07  # metres of height by which two sights of one person may differ; by hand
+WATCHED = 150  # last frames in which swaying is tested; five seconds, by hand
+HIDDEN = 0.02  # share of hidden points from which a person counts as partly hidden; by hand
+BLIND = 1.5  # seconds for which a hidden person is assumed to walk on; by hand
+SLOW = 0.3  # metres per second: a slower person stands; by hand
+WAY = 0.4  # seconds over which walking speed is measured; by hand
 
 
 class Tracklet:
@@ -102,7 +102,7 @@ class Tracklet:
             hidden &= others.hides(some, np.full(len(some), sensor))
         finder.hidden = bool(hidden.mean() > HIDDEN)
         if finder.hidden:
-            # who walks on does so behind somebody, too
+            # a walking person also walks on behind another one
             some = some[hidden] + self._velocity() * np.float32(seconds)
             if not finder.unseen:
                 some = some[~touching(cells_of(some, STILL), cells_of(finder.last, STILL))]

@@ -73,9 +73,9 @@ class Tracklets:
         self._waiting: list[BodyObservation] = []  # frames that were not given yet, without points
         self._given: BodySegmenter | None = None  # of what was last given
         self._things: list[np.ndarray] = []  # points of what has not moved for long
-        self._passed = np.zeros((0, 3), np.int32)  # where things are among which nobody was found: see BodySegmenter
-        self._recent: deque[tuple[Frame, list[np.ndarray]]] = deque(maxlen=LOOK)  # and who was where
-        self._steps = 0  # by so many the share of a frame's points is less that is looked at
+        self._passed = np.zeros((0, 3), np.int32)  # places of objects that are no person: see BodySegmenter
+        self._recent: deque[tuple[Frame, list[np.ndarray]]] = deque(maxlen=LOOK)  # and the places of all people
+        self._steps = 0  # exponent of STEP: the share of points that is used
 
     @property
     def finder(self) -> BodySegmenter:
@@ -137,7 +137,7 @@ class Tracklets:
             tracklet.add(found := finder(clear, mine=None if alone else (owner == k) | (owner < 0)), self._number)
             owner[finder.taken] = k
             if not self.known or (tracklet is not self.main and not tracklet.is_person):
-                apart = not alone and before[k] is not None  # by an arm alone somebody is known who stands still else
+                apart = not alone and before[k] is not None  # a person standing still is recognised by an arm
                 tracklet.motion.note(found, clear.frame, apart, finder.scene.floor if finder.lies else None)
         if not alone:
             self._hide(seen, owner, before, seconds)
@@ -232,7 +232,7 @@ class Tracklets:
         for scene in with_beds(frame, self.finder.scene):
             finder = self.finder.lying(self.settings, scene)
             seen = finder(clear, taken)
-            if len(seen.points) >= TELLING and finder.likely == 1.0:  # not of somebody upright
+            if len(seen.points) >= TELLING and finder.likely == 1.0:  # not of an upright person
                 return finder, seen
         return None
 

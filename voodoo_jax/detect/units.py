@@ -18,7 +18,7 @@ from voodoo_jax.io.log_reader import FEW_POINTS, LogReader, Sample
 from voodoo_jax.records.recording import Frame
 
 FIRST, SPREAD = 3, 7  # messages that are looked at at once, and of the whole log where there is doubt; by hand
-USUAL = 0.3, 5.0  # metres: median distances that nobody doubts; measured: 1.5 to 3.6 in indoor recordings
+USUAL = 0.3, 5.0  # metres: usual median distances; measured: 1.5 to 3.6 in indoor recordings
 HEIGHT = 0.2, 4.0  # metres above the floor: where a sensor stands or hangs; by hand
 POSSIBLE = 0.4, 15.0  # metres: what is nearer or farther (median) no depth camera measures; by hand
 OPEN_AIR = 60.0  # metres: the same of laser scanners and other clouds; measured: 6 to 19 of cars' in streets
@@ -59,7 +59,7 @@ def _doubted(reader: LogReader, topic: str, samples: Sequence[Sample]) -> bool:
     frame = reader.coarse(FEW_POINTS).frame_of(topic, samples[0])
     if frame is None or not len(frame.points):
         return False
-    if reader.up[2] <= 0.99:  # without transforms nobody knows where the floor should be
+    if reader.up[2] <= 0.99:  # without transforms the height of the floor is unknown
         return False
     scene = find_scene([frame], reader.up)
     return scene.floor_seen and abs(scene.floor.offset) > NOT_ZERO

@@ -275,8 +275,8 @@ def _named(tracks: Tracks) -> list[FrameTransform]:
 
 
 def _transforms(tracks: Tracks, frame: int, time: Timestamp, named: list[FrameTransform]) -> list[FrameTransform]:
-    """Poses of limbs and joint centres in one frame, written into `named`: creating messages anew takes several times
-    as long. NaN poses are left out."""
+    """Poses of limbs and joint centres in one frame, written into `named`: creating new messages takes several times as
+    long. NaN poses are left out."""
     turns = np.tile(np.array([1.0, 0, 0, 0]), (len(named), 1))
     turns[: tracks.body.limb_count] = tracks.rotation[frame]
     places = np.concatenate([tracks.translation[frame], tracks.joints[frame]]).astype(float)

@@ -80,7 +80,7 @@ def arrays_in(stream: Any, wanted: Container[str] | None = None) -> dict[str, np
 
 
 def digest(arrays: Mapping[str, Any]) -> str:
-    """Of names, types, shapes and bytes of arrays: tells accidents, and not what somebody changes on purpose."""
+    """Checksum of names, types, shapes and bytes of arrays: it detects accidental changes, not deliberate ones."""
     made = hashlib.blake2b(digest_size=16)
     for name, value in sorted(arrays.items()):
         array = np.ascontiguousarray(value)

@@ -48,10 +48,10 @@ def between_edges(depth: Float32[np.ndarray, "row column"]) -> float:
 
 
 def on_sheets(depth: Float32[np.ndarray, "row column"], angle: float, every: int) -> Bool[np.ndarray, "row column"]:
-    """True for pixels in a smeared edge: steeper than surfaces are seen that end so soon. A floor or a wall that is
-    seen as obliquely goes on: the inverse of its depth is linear in the image.
+    """True for pixels in a smeared edge: steeper than visible surfaces, and soon at an end. A floor or a wall at the
+    same angle continues: the inverse of its depth is linear in the image.
 
-    **Arguments:** `depth` metres, of `every` so many-th row and column; 0 or NaN: nothing seen; `angle` between these
+    **Arguments:** `depth` metres, of each `every`-th row and column; 0 or NaN: no measurement; `angle` between these
     rows, radians.
     """
     z = np.where(depth > 0, depth, np.float32(np.nan))
@@ -71,7 +71,7 @@ def on_sheets(depth: Float32[np.ndarray, "row column"], angle: float, every: int
 
 
 def _shifted(z: Float32[np.ndarray, "row column"], by: int) -> Float32[np.ndarray, "row column"]:
-    """Of each pixel the one so many columns further on; NaN beyond the border."""
+    """For each pixel, the one that many columns further on; NaN beyond the border."""
     out = np.full(z.shape, np.float32(np.nan))
     if by > 0:
         out[:, :-by] = z[:, by:]

@@ -31,7 +31,7 @@ class Box(NamedTuple):
 
     @classmethod
     def around(cls, cells: Cells, margin: int) -> "Box":
-        """The box that holds some cells, and so many more on every side."""
+        """The box of some cells, enlarged by a number of cells on every side."""
         by_axis = cells.T
         low, high = by_axis.min(1), by_axis.max(1)
         x, y, z = (high - low + (2 * margin + 1)).tolist()
@@ -90,7 +90,7 @@ def unique_cells(cells: Cells) -> tuple[Int[np.ndarray, "unique 3"], Int[np.ndar
 
 
 class Grid:
-    """The cells that some points are in, numbered through once for all that is asked of them."""
+    """The cells that contain points, numbered once for all queries."""
 
     def __init__(self, cells: Cells, reach: int = 1):
         self.cells, self.reach = cells, reach  # as far as `near` may be asked for
@@ -99,7 +99,7 @@ class Grid:
             self.number = self.box.numbers(cells)
 
     def near(self, others: Int[np.ndarray, "other 3"], reach: int = 1) -> Bool[np.ndarray, " cell"]:
-        """Which cells have one of the others no farther off than so many cells along any axis."""
+        """Which cells have another cell within a number of cells along any axis."""
         if not len(self.cells) or not len(others):
             return np.zeros(len(self.cells), bool)
         box, other = self.box, self.box.inner_numbers(others)
@@ -141,8 +141,9 @@ class Grid:
 
 
 def spread(taken: Bool[np.ndarray, " cell"], steps: Sequence[int], reach: int) -> Bool[np.ndarray, " cell"]:
-    """Which cells, numbered through, are taken or near one that is, by so many cells along any axis; `steps` from a
-    cell's number to that of the next one along each. Those at the sides get some of the other side."""
+    """Which cells, by number, are taken or within a given number of cells of a taken one, along any axis; `steps` from
+    a cell's number to that of the next one along each axis. Cells at the borders also get some of the opposite border.
+    """
     for step in steps:
         done = 0
         while done < reach:
@@ -196,7 +197,7 @@ class Counted:
         return len(self._code)
 
     def add(self, cells: Cells, times: float | Float32[np.ndarray, " cell"]) -> None:
-        """Each cell that occurs was seen so many times more."""
+        """Adds `times` to the count of each cell that occurs."""
         code, first = np.unique(_codes(cells), return_index=True)
         times = np.broadcast_to(times, len(cells))[first]
         at = np.searchsorted(self._code, code)

@@ -103,7 +103,7 @@ def chunk_records(body: bytes, budget: Budget) -> tuple[list, str]:
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """What is packed in a chunk, if it is not too large: looked up in its head, before any memory is asked for."""
+    """The unpacked content of a chunk, if it is not too large: its header is checked before memory is allocated."""
     size, most = len(chunk.data), limits().chunk_bytes
     if chunk.compression == "zstd":
         # -1 where the packed data do not say it; where they do, the chunk's own word does not count

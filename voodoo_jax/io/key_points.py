@@ -15,12 +15,12 @@ from jaxtyping import Float, Int64
 from voodoo_jax.records.recording import Pairs, Rays, joined_rays
 
 MEET = 0.15  # metres between lines of sight to a point of one person, in the median, at most; by hand
-CLOSE = 0.08  # metres of a line of sight from the point that the others tell: what is farther off is wrong; by hand
-APART = 0.998  # cosine between lines of sight: of more parallel ones nothing is told; by hand
+CLOSE = 0.08  # metres of a line of sight from the point that the others give: one farther off is wrong; by hand
+APART = 0.998  # cosine between lines of sight: more parallel ones determine no point; by hand
 LEAST = 6  # points of a person that two cameras have to see; by hand
-AWAY = 0.5  # metres that somebody moves from frame to frame, at most; by hand
-GONE = 30  # frames for which somebody who is not seen is waited for; by hand
-BRIEF = 0.1  # of the frames with anybody: who is seen in fewer is nobody; by hand
+AWAY = 0.5  # metres that a person moves from frame to frame, at most; by hand
+GONE = 30  # frames without detections after which a person is gone; by hand
+BRIEF = 0.1  # of the frames with a person: one seen in fewer is none; by hand
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Sight:
 
 @dataclass
 class _Person:
-    """Somebody from when they come until they leave."""
+    """A person from their appearance until they leave."""
 
     points: dict[str, np.ndarray]  # where they were last
     last: int  # frame in which they were
@@ -116,7 +116,7 @@ def _take(people: list[_Person], i: int, left: list[list[Sight]]) -> None:
 
 
 def _settle(one: _Person, i: int, chosen: list[tuple[int, Sight]], left: list[list[Sight]]) -> bool:
-    """Somebody's points in a frame by what the cameras see of them, if that is enough."""
+    """A person's points in a frame from the views of the cameras, if there are enough."""
     points = triangulated([sight for _, sight in chosen]) if len(chosen) > 1 else {}
     shared = [name for name in points if name in one.points]
     if len(points) < LEAST or not shared:
@@ -135,7 +135,7 @@ def _remove(left: list[list[Sight]], camera: int, sight: Sight) -> None:
 
 
 def _off(sight: Sight, points: dict[str, np.ndarray]) -> float:
-    """How far, in the median, lines of sight are from somebody's points, metres; infinite if hardly any is known."""
+    """Median distance of lines of sight from a person's points, metres; infinite if hardly any is known."""
     known = [k for k, name in enumerate(sight.names) if name in points]
     if len(known) < LEAST:
         return np.inf
@@ -145,7 +145,7 @@ def _off(sight: Sight, points: dict[str, np.ndarray]) -> float:
 
 
 def _best_pair(left: list[list[Sight]]) -> tuple[tuple[int, Sight], tuple[int, Sight]] | None:
-    """Who is the same person in two cameras most likely; None if nobody is."""
+    """The two detections of two cameras that are most likely the same person; None if there are none."""
     found = []
     for a, b in combinations(range(len(left)), 2):
         for one in left[a]:
@@ -211,7 +211,7 @@ def _distance(origins: np.ndarray, directions: np.ndarray, point: np.ndarray) ->
 
 
 def _rays(prefix: str, points: dict[str, np.ndarray], looks: list[Sight]) -> Rays:
-    """The lines of sight that agree with somebody's points."""
+    """The lines of sight that agree with a person's points."""
     names, origins, directions, weights = [], [], [], []
     for sight in looks:
         for name, direction, weight in zip(sight.names, sight.directions, sight.weights):

@@ -133,7 +133,7 @@ def _by_frame(parts: list[_Placed]):
 def _place(
     scan: Scan, fixed: str, name: str, times: np.ndarray, counted: Counter[str], weight: float, after_ns: int
 ) -> _Placed | str:
-    """The features of a topic, or why it cannot be used; counts what is left out."""
+    """The features of a topic, or why it cannot be used; counts the messages that are left out."""
     found = scan.topics[name].gathered
     assert found is not None
     sources, values = np.array(found.frames, object), found.values

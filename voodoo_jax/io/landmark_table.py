@@ -185,7 +185,7 @@ class _Track(NamedTuple):
 
 
 def _displacement(tracks: list[_Track], since: int, until: int) -> float:
-    """How far those who have not held their places have moved between two stamps: the median, metres; 0: nobody has."""
+    """Median distance between two stamps of the markers that have moved, metres; 0 if none has."""
     away = []
     for one in tracks:
         a, b = np.searchsorted(one.stamps, (since, until)).tolist()

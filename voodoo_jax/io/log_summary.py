@@ -11,7 +11,7 @@ from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.read_plan import make_plan
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE
 from voodoo_jax.model.marker_names import describe_names
-from voodoo_jax.records.notes import NAME, as_few, plain
+from voodoo_jax.records.notes import NAME, as_few, is_remark, plain
 
 TOPICS = 500  # that are listed
 
@@ -54,7 +54,7 @@ class LogSurvey:
             lines.append(("  " + "  ".join(cells)).rstrip())
         if len(self.topics) > TOPICS:
             lines.append(f"  and {len(self.topics) - TOPICS} topics more")
-        return "\n".join(lines + [f"  note: {w}" for w in self.warnings])
+        return "\n".join(lines + [f"  note: {w[1:-1] if is_remark(w) else w}" for w in self.warnings])
 
 
 def damaged(scan: Scan, problem: LogError) -> str:

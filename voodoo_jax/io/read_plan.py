@@ -22,6 +22,7 @@ from voodoo_jax.io.skin_rays import plan_skin
 from voodoo_jax.io.stereo_pairs import STEREO_USE, picture_of
 from voodoo_jax.io.topic import DEPTH_USES, Problem, Topic, Unused
 from voodoo_jax.records.messages import PAIRS, RAYS, Colour, Image, stride
+from voodoo_jax.records.notes import remark
 from voodoo_jax.records.recording import NO_RAYS, Pairs, Rays, joined_rays
 
 _CELL = 0.1  # of azimuth and sine of the elevation: 0.01 steradians
@@ -91,7 +92,7 @@ class Plan:
         return replace(self, frames=planned, rays=again(self.rays), pairs=again(self.pairs))
 
 
-# 82 lines: one decision after the other, each for the next
+# 83 lines: one decision after the other, each for the next
 def make_plan(
     scan: Scan, settings: ReadSettings, origin: Float64[np.ndarray, "3"] | None = None, after_ns: int = -1
 ) -> Plan:
@@ -112,7 +113,8 @@ def make_plan(
     notes = [f"'{name}' is left out: {use.reason}." for name, use in unused.items() if use.problem not in silent]
     if not depth:
         kinds = " and ".join(sorted({scan.uses[name] for name in sources}))
-        notes.append(f"The log has no depth data that can be used; its frames come from {kinds}.")
+        note = f"The log has no depth data that can be used; its frames come from {kinds}."
+        notes.append(remark(note) if {*sources} <= {*of[PAIRS]} else note)
     fixed, kept = _choose_fixed_frame(scan, settings.fixed_frame.lstrip("/"), sources, notes)
     parts = Parts(scan.topics, scan.uses, settings)
     notes += parts.notes
@@ -234,7 +236,7 @@ def _choose_fixed_frame(scan: Scan, asked: str, sensors: list[str], notes: list[
         )
     fixed = asked or roots[best]
     if not tree.frames:
-        notes.append(f"The log has no transforms: results are in the frame '{fixed}' of the sensor.")
+        notes.append(remark(f"The log has no transforms: results are in the frame of its measurements, '{fixed}'."))
     kept = [name for name in sensors if tree.connected(frame[name], fixed)]
     for name in sensors:
         if name not in kept:

@@ -76,7 +76,7 @@ def in_reach(sizes, poses, points: Points, options: MatchOptions, present) -> Bo
 
 # 7 parameters: points by component, for products over an axis of 3 are slow
 def may_belong(limb, size, px, py, pz, points: Points, options: MatchOptions):
-    """Which points may belong to a limb: by its box, or because somebody knows."""
+    """Which points may belong to a limb: those in its box, and those that a segmentation has assigned to it."""
     inside = in_limb_box(size, px, py, pz, options.limb_enlarge)
     if points.limb is None:
         return inside

@@ -217,8 +217,8 @@ class Sums(NamedTuple):
 
 
 def sums(found: Match, second: bool = True) -> Sums:
-    """Moments as one product of matrices where all limbs have the same pairs. The second ones only where they are asked
-    for, and the squares on their own: the compiler cannot leave out a part of a product that nobody needs."""
+    """Moments as one product of matrices where all limbs have the same pairs. Second moments are computed only on
+    request, and the squares separately: the compiler cannot leave out unused parts of a product."""
     c, p = found.model, found.data
     first = [jnp.ones_like(p[0]), *p, *(k for x in c for k in (x, *(x * y for y in p)))]
     rows = jnp.stack([*first, *(c[i] * c[j] for i, j in SYMMETRIC if second)])

@@ -136,11 +136,11 @@ def coupled_twists(full: Float[Array, "limb6 limb6"], rhs: Float[Array, "limb 6"
 def stretched(
     twist: Float[Array, "limb 6"], before: Float[Array, "limb 6"], most: Float[Array, ""]
 ) -> Float[Array, "limb 6"]:
-    """A step, longer for limbs whose last one went the same way: where each is a constant share of the one before, all
-    together are one that is 1 / (1 - share) times as long (Aitken's extrapolation; of vectors: Irons and Tuck 1969,
-    doi:10.1002/nme.1620010306).
+    """A step, longer for limbs whose previous step had the same direction: if each step is a constant share of the
+    previous one, the sum of all is 1 / (1 - share) times as long (Aitken's extrapolation; for vectors: Irons and Tuck
+    1969, doi:10.1002/nme.1620010306).
 
-    **Arguments:** `before` what the last step asked for, zero: nothing is known; `most` times as long it gets, at most.
+    **Arguments:** `before` the previous step before extrapolation, zero: unknown; `most` the largest factor.
     """
     metres = jnp.array([TURN_RADIUS**2] * 3 + [1.0] * 3, twist.dtype)
     along, square = jnp.sum(metres * twist * before, -1), jnp.sum(metres * before * before, -1)

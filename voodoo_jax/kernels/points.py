@@ -30,7 +30,7 @@ class Sampling(eqx.Module):
 
 
 class MatchOptions(eqx.Module):
-    """Parameters of the matching; numbers are traced so that changing one compiles nothing anew."""
+    """Parameters of the matching; numbers are traced, so new values compile nothing."""
 
     body_enlarge: Float[Array, ""]  # metres
     limb_enlarge: Float[Array, ""]  # metres

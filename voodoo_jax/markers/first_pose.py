@@ -1,8 +1,8 @@
 """A first pose from named points alone: without a floor, an upright person or a known upward direction. Host side,
 NumPy.
 
-The rest pose is laid on the points by what most of them agree on (random samples of three), then every limb is turned
-about its joint, from the root outwards, to where its own points and its children's are. Wrong names are outvoted.
+The rest pose is aligned with the points by consensus (random samples of three). Then every limb is rotated about its
+joint, from the root outwards, to its own points and those of its children. Wrong names are outvoted.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
-"""Exchanged names of markers, for some time or for the whole recording: detects and corrects them. Host side.
+"""Detects and corrects exchanged marker names, for a time or for the whole recording. Host side.
 
-Within a recording an exchange is two markers that each jump to where the other one was; the names they have for longer
-are taken for right. Left and right exchanged from beginning to end is found by sizes that nobody has.
+Within a recording, an exchange is two markers that each jump to the place of the other; the names held for longer count
+as right. An exchange of left and right for the whole recording shows in body sizes that are impossible.
 """
 
 from dataclasses import replace

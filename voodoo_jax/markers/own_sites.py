@@ -1,8 +1,9 @@
-"""A recording's markers as points of the body: each has its own, for any number of markers on a limb. Host side.
+"""Points of the body for the markers of a recording: one for each marker, for any number of markers on a limb. Host
+side.
 
-A set's names say where a marker is put, to some centimetres; where it sits on this person is fitted. So every marker
-gets a feature point of its own. The points are counted by limb and rounded up: recordings of other sets need no program
-of their own.
+A marker's name gives its place on the body to some centimetres; a fit gives its place on this person. So every marker
+has a feature point of its own. Their number on each limb is rounded up, so that recordings of other sets need no new
+program.
 """
 
 from collections import Counter

@@ -1,8 +1,10 @@
-"""Which way is up where nothing but named points was recorded: laboratories have y up as often as z. Host side, NumPy.
+"""Estimates the upward direction of recordings of named points alone: in laboratories y is up as often as z. Host side,
+NumPy.
 
-The bodies that were tracked tell it: who stands or walks has the head over the feet, rests on these, and moves the
-trunk more than the foot that stands. What the log says is doubted only where bodies do not stand along it, and who lies
-stays lying: that is told by what rests, and by where the floor is, for laboratories have their zero on it.
+It uses the tracked bodies: a person who stands or walks has the head above the feet, rests on the feet, and moves the
+trunk more than the foot on the floor. The direction that the log states is kept unless bodies do not stand along it.
+For people who lie, the resting parts and the height of the floor decide, since laboratories have their zero on the
+floor.
 """
 
 from collections.abc import Sequence
@@ -14,23 +16,26 @@ from jaxtyping import Bool, Float
 
 from voodoo_jax.records.tracks import Tracks
 
-UPRIGHT = np.cos(np.radians(40))  # of the way from the feet to the neck: nearer to upwards somebody stands; by hand
-SELDOM = 0.1  # of the frames: who stands in so many does stand; by hand
-CLIMB = 1.5  # metres: hips that go farther go along the floor, not upwards; by hand
-# between trunk and legs of who stands straight: in 12 laboratories they are upright to 4 degrees (measured)
+UPRIGHT = np.cos(np.radians(40))  # of the direction from the feet to the neck for a standing person; by hand
+SELDOM = 0.1  # of the frames, in which a standing person stands at least; by hand
+CLIMB = 1.5  # metres: hips that move farther move along the floor, not upwards; by hand
+# between trunk and legs of a person who stands straight: in 12 laboratories they are upright to 4 degrees (measured)
 STRAIGHT = np.cos(np.radians(15))
-KNEES = np.cos(np.radians(35))  # bent by no more; by hand
-ALONG = np.cos(np.radians(8))  # so near to an axis of the frame upwards is that axis; by hand
-SPAN = 0.5  # seconds over which it is looked at who rests: noise of markers is little over them; by hand
-REST = 0.03  # metres per second: a trunk that is slower rests; by hand
-ANKLE, FLOOR = 0.08, 0.1  # metres above the floor, of who stands and of the lowest joint of who lies; by hand
-LIES = -1.0  # logarithm of the odds that somebody is recorded lying while the log says nothing wrong; by hand
+KNEES = np.cos(np.radians(35))  # of the largest bend of a straight knee; by hand
+ALONG = np.cos(np.radians(8))  # of the largest angle at which upwards is an axis of the frame; by hand
+SPAN = 0.5  # seconds over which rest is tested: noise of markers is small over them; by hand
+REST = 0.03  # metres per second: a slower trunk rests; by hand
+ANKLE, FLOOR = (
+    0.08,
+    0.1,
+)  # metres above the floor: a standing ankle, a lying person's lowest joint; by hand
+LIES = -1.0  # prior logarithm of the odds that a person lies and the log is right; by hand
 PELVIS, SIDES = ("l_hip", "r_hip"), ("l_talocrural", "r_talocrural")
 
 
 def with_upward(people: Sequence[Tracks], stated: Float[np.ndarray, "3"]) -> list[Tracks]:
-    """Tracks of everybody in a recording of named points with the upward direction, and a note if it differs from the
-    log's, `stated`."""
+    """Tracks of all people in a recording of named points, with the upward direction, and a note if it differs from
+    that of the log, `stated`."""
     found = upward(people, stated)
     if found @ stated > ALONG:
         return list(people)
@@ -102,8 +107,8 @@ def _way(tracks: Tracks) -> _Way:
 
 
 def _lies(tracks: Tracks, stands: np.ndarray, lies: np.ndarray) -> float:
-    """Logarithm of the odds, by the resting parts and the floor, that a person does not stand along one direction but
-    lies, with another one up."""
+    """Logarithm of the odds, by the resting parts and the floor, that a person lies, with another direction up, and
+    does not stand along this one."""
     found = [_at(tracks, names) for names in (("vc7",), PELVIS, SIDES[:1], SIDES[1:])]
     if any(x is None for x in found) or not tracks.tracked.any():
         return 0.0

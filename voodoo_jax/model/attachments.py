@@ -1,7 +1,7 @@
-"""Changes of the body during tracking: scale, sizes, limbs and held things come and go (Knoop 2006, sec. IV).
+"""Changes of the body during tracking: scale, sizes, limbs and held objects (Knoop 2006, sec. IV).
 
-Everything that will ever be part of the body is in it from the beginning, and `Body.present` says what is there: so a
-change is one of numbers, and compiles nothing anew.
+The body contains all parts that appear at any time, and `Body.present` states which are present. So a change is one of
+numbers, and compiles nothing.
 """
 
 from collections.abc import Iterator, Sequence

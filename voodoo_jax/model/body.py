@@ -57,12 +57,12 @@ class Body(eqx.Module):
     weights: Float[Leaf, " joint"]  # stiffness relative to the measured weight of a limb, times the ratio r
     centres: Float[Leaf, "centre 3"]  # joint centres in the frame of their limb, metres
     sites: Float[Leaf, "site 3"]  # feature points in the frame of their limb, metres
-    scale: Float[Leaf, ""]  # the length that all others follow (a person's stature), metres
+    scale: Float[Leaf, ""]  # the length that all others are multiples of (a person's stature), metres
     limits: Float[Leaf, "joint 3 2"]  # least and greatest swing about x and y, and twist; radians, infinite: none
-    presence: Float[Leaf, " limb"]  # 1, or 0: the limb is not there; a number, so that jax.grad takes a body
-    topology: Topology = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-    scale_name: str = eqx.field(static=True)  # what `scale` is called, "stature" for people
+    presence: Float[Leaf, " limb"]  # 1: the limb is present, 0: it is not; a float, for jax.grad
+    topology: Topology = eqx.field(static=True)  # names and connections of limbs, joints, centres and sites
+    name: str = eqx.field(static=True)  # of the body
+    scale_name: str = eqx.field(static=True)  # name of `scale`, "stature" for people
     modes: tuple[Mode, ...] = eqx.field(static=True, default=())  # statistical shape, most important first; may be none
 
     @property

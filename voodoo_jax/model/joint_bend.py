@@ -1,7 +1,7 @@
 """Angles by which joints are bent the wrong way, for any twist of round limbs about their own axes. Host side.
 
-A knee that bends forwards tells that front and back are exchanged. The angles of kernels.plausible cannot be asked for
-that: nobody sees how far a round thigh is turned about its axis, so a tracked one may have any twist.
+A knee that bends forwards shows that front and back are exchanged. The angles of kernels.plausible cannot be used for
+that: the twist of a round thigh about its axis is not visible, so a tracked one may have any.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
-"""Whether a posture is that of a person who faces ahead, or of one who is turned back to front. Host side.
+"""Whether a posture is that of a person who faces forwards, or of one tracked back to front. Host side.
 
-People lean ahead, hold hands and head before the trunk, and bend elbows backwards and knees forwards. Of a body that is
-fitted to somebody's back as if it were their front all that is the other way round, in whatever clothes.
+People lean forwards, hold hands and head in front of the trunk, and bend elbows backwards and knees forwards. For a
+body fitted to a person's back as if it were the front, all of this is reversed, whatever the clothes.
 """
 
 import numpy as np

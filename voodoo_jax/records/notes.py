@@ -69,6 +69,11 @@ def remark(sentence: str) -> str:
     return f"({sentence})"
 
 
+def is_remark(note: str) -> bool:
+    """Whether a note asks for nothing, see `remark`."""
+    return note.startswith("(")
+
+
 def as_few(notes: Iterable[str]) -> tuple[str, ...]:
     """The notes, each once, in their order; those that differ in a name or a number only, if there are many, as the
     first of them with the names of the others."""

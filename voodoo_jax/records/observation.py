@@ -90,13 +90,13 @@ def with_places(
 
 
 def that_differ(frames: Sequence[BodyObservation], least: int) -> list[int]:
-    """Which frames with so many points at least are no copies of the one before: no sensor measures the same noise
-    twice, and copies tell nothing of what is at rest."""
+    """Which frames with at least that many points are not copies of the previous one: a sensor never measures the same
+    noise twice, and copies are useless for detecting motion."""
     there = [k for k, f in enumerate(frames) if len(f.points) >= least]
     same = (np.array_equal(frames[a].points, frames[b].points) for a, b in pairwise(there))
     return there[:1] + [k for k, copied in zip(there[1:], same) if not copied]
 
 
 def assigned(frame: Frame | BodyObservation) -> Bool[np.ndarray, " point"]:
-    """Which points somebody has already said to be on the body, or on one of its limbs."""
+    """Which points a segmentation has assigned to the body, or to one of its limbs."""
     return np.zeros(len(frame.points), bool) if frame.part is None else frame.part >= 0

@@ -57,8 +57,7 @@ def joined_rays(some: Sequence[Rays]) -> Rays:
 
 @dataclass(frozen=True)
 class Picture:
-    """A calibrated colour image, or a rectified pair of them, still packed: a log that is not asked for its images
-    decodes none."""
+    """A calibrated colour image, or a rectified pair, still packed: images that are not used are never decoded."""
 
     topic: str
     stamp_ns: int  # nanoseconds
@@ -71,10 +70,10 @@ class Picture:
 
 @dataclass(frozen=True)
 class Frame:
-    """What all sensors measured at one time, in the recording's fixed frame.
+    """The measurements of all sensors at one time, in the recording's fixed frame.
 
-    `points` are of three kinds (Knoop 2007, sec. 5.1): `free`, nobody has said yet whether they belong to the body;
-    `body`, somebody has; `limb`, even to which limb.
+    `points` are of three kinds (Knoop 2007, sec. 5.1): `free`, on the body or elsewhere; `body`, assigned to the body;
+    `limb`, assigned to a limb.
     """
 
     time_ns: int  # stamp of the leading sensor (message header), nanoseconds
@@ -94,19 +93,19 @@ class Frame:
 
 @dataclass(frozen=True)
 class Recording:
-    """A log held in memory. `up` is the fixed frame's best known upward direction (unit vector)."""
+    """A log held in memory."""
 
-    path: str
-    fixed_frame: str
-    up: Float32[np.ndarray, "3"]
+    path: str  # of the log
+    fixed_frame: str  # name of the frame of all positions
+    up: Float32[np.ndarray, "3"]  # estimate of the upward direction in the fixed frame, unit vector
     sensors: tuple[str, ...]  # topic of each depth sensor, in the order of Frame.origins
-    frames: tuple[Frame, ...]
-    features: tuple[str, ...] = ()  # topics that gave rays and pairs
-    notes: tuple[str, ...] = ()  # what was left out, missing or damaged, one sentence each
-    # in the fixed frame, metres: all places of the frames are given from there; 0 but for large coordinates such as UTM
+    frames: tuple[Frame, ...]  # measurements of all sensors, in order of time
+    features: tuple[str, ...] = ()  # topics of 2D features and named points
+    notes: tuple[str, ...] = ()  # missing, damaged and unused parts of the log, one sentence each
+    # origin of all coordinates of the frames, in the fixed frame, metres; 0 except for large coordinates such as UTM
     origin: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    up_is_given: bool = False  # by a user, who knows better than what the frames show
-    sure: float = 1.0  # probability that places are right for which a calibration was assumed
+    up_is_given: bool = False  # by the setting read.up, which overrules the measurements
+    sure: float = 1.0  # probability that positions are right, below 1 where a part of the calibration was assumed
 
     def __len__(self) -> int:
         return len(self.frames)

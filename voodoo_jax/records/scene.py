@@ -19,7 +19,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Subject:
-    """Somebody in a recording. Several people are several subjects."""
+    """A person in a recording. Several people are several subjects."""
 
     number: int  # from 1: who is seen longest
     scene: Scene

@@ -41,7 +41,7 @@ class Status(IntEnum):
     """What happened in one frame."""
 
     TRACKED = 0  # the body explains the person's points
-    NOT_STARTED = 1  # before the tracker found somebody; poses are NaN
+    NOT_STARTED = 1  # before the tracker found a person; poses are NaN
     NO_DATA = 2  # no points on the person in this frame; poses are predicted, or NaN if the person is gone for longer
     FEATURES = 4  # no points, but 2D features or a few 3D ones: poses follow these and are predicted else
     LOST = 3  # the body does not explain the points, or hardly a joint can be trusted; poses are the best guess
@@ -60,27 +60,26 @@ def expected_share(confidence: Float32[np.ndarray, "frame joint"]) -> Float32[np
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the measurements say of poses, and the poses of each other. Leading axis: frame; NaN where there is none."""
+    """Fit of the poses to the measurements. Leading axis: frame; NaN where there is none."""
 
     residual: Float32[np.ndarray, " frame"]  # root mean square distance of the used points, metres
     explained: Float32[np.ndarray, " frame"]  # share of the person's points that the body explains, 0..1
     steps: Int32[np.ndarray, " frame"]  # ICP steps taken
     points: Int32[np.ndarray, " frame"]  # points given to the tracker
-    limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight per limb: 0 for a limb that nothing was seen of
-    # see trackers/icp/refine/forward_backward.py; metres; NaN: one pass only
+    limb_weight: Float32[np.ndarray, "frame limb"]  # measured weight of each limb: 0 for a limb without measurements
+    # distance of a limb between the forward and the backward pass, metres; NaN: one pass only
     passes_apart: Float32[np.ndarray, "frame limb"] | None = None
-    beyond_limits: Float32[np.ndarray, "frame bodyjoint"] | None = None  # of `body.topology.joints`, radians; 0: within
-    depth_inside: Float32[np.ndarray, "frame limb"] | None = None  # in another limb, more than in the rest pose; metres
-    # see trackers/icp/misfit.py: unexplained share of a limb's nearest points; their mean distance from it beyond
-    # noise, metres; share of its length that is bare though nothing hides it; share of its explained points that no
-    # other limb explains
-    limb_beside: Float32[np.ndarray, "frame limb"] | None = None
-    limb_distance: Float32[np.ndarray, "frame limb"] | None = None
-    limb_bare: Float32[np.ndarray, "frame limb"] | None = None
-    limb_own: Float32[np.ndarray, "frame limb"] | None = None
-    # logarithm of the odds that the body does not face the other way; see trackers/icp/refine/choose_facing.py
+    # excess over the limits of `body.topology.joints`, radians; 0: within
+    beyond_limits: Float32[np.ndarray, "frame bodyjoint"] | None = None
+    # depth inside another limb, beyond that in the rest pose, metres
+    depth_inside: Float32[np.ndarray, "frame limb"] | None = None
+    limb_beside: Float32[np.ndarray, "frame limb"] | None = None  # unexplained share of a limb's nearest points
+    limb_distance: Float32[np.ndarray, "frame limb"] | None = None  # their mean distance from it beyond noise, metres
+    limb_bare: Float32[np.ndarray, "frame limb"] | None = None  # share of its length that is visible but without points
+    limb_own: Float32[np.ndarray, "frame limb"] | None = None  # share of its points that no other limb explains
+    # logarithm of the odds that the body faces forwards, not backwards
     facing_odds: Float32[np.ndarray, " frame"] | None = None
-    matched: bool = False  # all points were measured by matching images, which errs otherwise than a depth sensor
+    matched: bool = False  # all points come from stereo matching
 
     @classmethod
     def blank(cls, count: int, limbs: int) -> "Evidence":
@@ -95,32 +94,32 @@ class Tracks:
     """Poses of a body over a recording, in the recording's fixed frame. NaN where there is none."""
 
     source: str  # path of the log
-    fixed_frame: str
+    fixed_frame: str  # name of the frame of all poses
     body: Body  # sizes as used or found, metres
-    time_ns: Int64[np.ndarray, " frame"]
+    time_ns: Int64[np.ndarray, " frame"]  # stamps of the log, nanoseconds
     rotation: Float32[np.ndarray, "frame limb 4"]  # T_fixed_limb, unit quaternion wxyz
     translation: Float[np.ndarray, "frame limb 3"]  # metres; float64 where coordinates are large, as in UTM
     joints: Float[np.ndarray, "frame joint 3"]  # joint centres `body.topology.centres`, metres
     status: Int8[np.ndarray, " frame"]  # values of Status
     evidence: Evidence  # residuals, weights and misfits
-    limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None  # turn (rad), shift (m) in the limb's frame
-    # of `joints`, square metres; solve/covariance.py
+    # rotation (radians) and translation (metres) in the limb's frame
+    limb_covariance: Float32[np.ndarray, "frame limb 6 6"] | None = None
+    # of `joints`, square metres
     joint_covariance: Float32[np.ndarray, "frame joint 3 3"] | None = None
-    # of `joints`: within 10 cm? 0..1; see trackers/shared/confidence.py
+    # probability that each of `joints` is within 10 cm of the true one
     joint_confidence: Float32[np.ndarray, "frame joint"] | None = None
-    # motion of sensors that the log describes as static, found by floor and walls: from places as if they were static
-    # to the fixed frame; None: they are static. See detect/camera_motion.py
+    # motion of sensors that the log describes as static, estimated from floor and walls: the transform to the fixed
+    # frame from coordinates computed as if they were static; None: they are static
     T_fixed_steady: Float64[np.ndarray, "frame 4 4"] | None = None
     up: Float32[np.ndarray, "3"] | None = None  # upwards in the fixed frame, unit vector; None: not known
-    # named 3D points that the body was tracked by, where there was no depth: root mean square distance of each from its
-    # place on the body, tracked frames, metres
+    # for logs of markers alone: root mean square distance of each from its fitted place on the body, metres
     marker_residual: Mapping[str, float] | None = None
     seconds: float = 0.0  # time spent on tracking, without reading, writing and compiling
     compile_seconds: float = 0.0  # time spent on compiling
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = field(default=())  # one sentence each; those in brackets need no action
     person: int = 1  # number among the people of the recording: 1 is in view for longest
     people: int = 1  # how many of them are tracked
-    names: tuple[str, ...] = ()  # of the joint centres where a convention gives them others than the body: with_names
+    names: tuple[str, ...] = ()  # of the joint centres, if they are not the body's own: see with_names
 
     @property
     def joint_names(self) -> tuple[str, ...]:

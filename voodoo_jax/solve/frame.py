@@ -48,7 +48,7 @@ def icp_step(poses: Poses, problem: Problem) -> tuple[Poses, StepInfo]:
 
 
 def _step(state: "Loop", problem: Problem) -> tuple[Poses, Float[Array, "limb 6"], StepInfo]:
-    """Poses after the next step of a loop, the step that was asked for, and the measurements on entry."""
+    """Poses after the next step of a loop, the step before extrapolation, and the measurements on entry."""
     poses = Poses(quat_normalize(state.poses.rotation), state.poses.translation)
     coupled = problem.options.solver == "coupled"
     pulls = pulls_of(seen_at(poses, problem, with_second=coupled), poses, problem)
@@ -59,8 +59,8 @@ def _step(state: "Loop", problem: Problem) -> tuple[Poses, Float[Array, "limb 6"
 def _stepped(
     state: "Loop", poses: Poses, pulls: Pulls, system: System | None, options: IcpOptions
 ) -> tuple[Poses, Float[Array, "limb 6"]]:
-    """Poses after a step by these pulls, and the step that was asked for. Goes further than that if the last step had
-    the same direction and the quality is no worse. `system` None: limb by limb."""
+    """Poses after a step by these pulls, and the step before extrapolation. Extrapolates if the previous step had the
+    same direction and the quality is no worse. `system` None: limb by limb."""
     if system is None:
         return _moved(poses, _limb_by_limb(poses, pulls)), state.asked
     asked = coupled_twists(*system)
@@ -128,13 +128,13 @@ def solve_frame(
     """Repeats the step until the quality measure changes by less than epsilon (from a near start, not `patient`, by ten
     times that), or max_steps is reached (sec. 3.2).
 
-    The coupled solver goes further than a step asks where steps go the same way (see kernels.gauss_newton.stretched).
-    From a near start it stops where the measure rises and no limb moves much any more, too: points then change
-    limbs to and fro, and going on takes more than twice the steps and finds nothing better. Not where pairs that nobody
-    measured may make it rise; with epsilon 0 all max_steps are taken.
+    The coupled solver extrapolates successive steps in the same direction (see kernels.gauss_newton.stretched). From a
+    near start it also stops when the measure rises and no limb moves much any more: points then change limbs back and
+    forth, and more than twice the steps find nothing better. This does not apply if pairs that are no measurements may
+    make it rise; with epsilon 0 all max_steps are taken.
 
-    `kind`: "lax" runs fastest, in forward mode of differentiation only; "checkpointed" can be reversed too: every step
-    keeps little more than the poses that it began with, and is done once more on the way back (docs/numerics.md#loops).
+    `kind`: "lax" is fastest, with forward-mode differentiation only; "checkpointed" also has the reverse mode: every
+    step stores little more than its initial poses, and is computed again on the way back (docs/numerics.md#loops).
     `capacity` bounds its steps at compile time.
     """
 

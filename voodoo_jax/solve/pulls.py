@@ -1,5 +1,5 @@
-"""What is measured in a frame from some poses, and what pulls at the limbs there: correspondences, bands, prediction
-(Knoop 2006 sec. III-B, 2007 secs. 3.2 and 4.3)."""
+"""The measurements of a frame at some poses, and the pulls on the limbs: correspondences, bands, prediction (Knoop 2006
+sec. III-B, 2007 secs. 3.2 and 4.3)."""
 
 from typing import Literal, NamedTuple
 
@@ -28,7 +28,7 @@ STEADY_RADIUS = 0.1  # metres: about what a limb's own points hold its rotation 
 
 
 class IcpOptions(eqx.Module):
-    """Parameters of a frame's solve. Numbers are traced arrays: changing one compiles nothing anew
+    """Parameters of a frame's solve. Numbers are traced arrays, so new values compile nothing
     (docs/numerics.md#recompiling)."""
 
     match: MatchOptions

@@ -1,4 +1,4 @@
-"""What every tracker takes and gives, and the table of trackers by name (setting `tracker`)."""
+"""The interface of all trackers, and the table of trackers by name (setting `tracker`)."""
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
@@ -19,12 +19,12 @@ Progress = Callable[[float], None]
 
 
 class Unsuitable(ValueError):
-    """A recording or body that the chosen tracker cannot take; says why, and which one can."""
+    """The chosen tracker cannot use a recording or body; the message states the reason, and a tracker that can."""
 
 
 @dataclass(frozen=True)
 class LogInfo:
-    """What a log says of itself beside its frames."""
+    """What a log states besides its frames."""
 
     path: str = ""
     fixed_frame: str = ""
@@ -36,14 +36,14 @@ class LogInfo:
     up_is_given: bool = False  # a user has said it
 
     def noted(self, *notes: str) -> "LogInfo":
-        """The same with more notes."""
+        """The same with additional notes."""
         before = self.notes
         return replace(self, notes=lambda: (*before(), *notes)) if notes else self
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be tracked in a log, and how."""
+    """A log to be tracked, with the body and the settings."""
 
     body: Body
     source: LogInfo
@@ -56,19 +56,19 @@ class Tracker:
     """Follows a body through the frames of a log."""
 
     def reads(self, read: ReadSettings) -> ReadSettings:
-        """How it wants logs to be read."""
+        """How this tracker reads logs."""
         return read
 
     def passes(self, settings: Settings) -> int:
-        """How often it reports each frame as done, reading not counted."""
+        """How often it reports each frame as done, not counting the reading."""
         return 1 + settings.looks_ahead("track")
 
     def prepare(self, task: Task) -> None:
         """Begins to compile, in threads, while the log is read."""
 
     def track(self, task: Task, frames: Iterable[Frame]) -> list[Tracks]:
-        """Tracks of everybody whom the tracker tells apart, `settings.detect.people` of them at most, who is seen
-        longest first; one at least. One row per frame, in the frames' own places. Raises Unsuitable."""
+        """Tracks of all people that the tracker distinguishes, at most `settings.detect.people` and at least one; the
+        person seen longest first. One row per frame of the log. Raises Unsuitable."""
         raise NotImplementedError
 
 
@@ -86,12 +86,12 @@ def tracker_of(settings: Settings) -> Tracker:
 
 
 def alone(settings: Settings) -> Settings:
-    """Settings with which the main person is tracked, and nobody else is looked for."""
+    """Settings that track only the main person and search for no others."""
     return replace(settings, detect=replace(settings.detect, people=1))
 
 
 def check_arguments(bodies: Iterable[Any], recordings: Iterable[Any]) -> None:
-    """Raises TypeError, with what to try, unless these are bodies and recordings in memory."""
+    """Raises TypeError, with a suggestion, unless these are bodies and recordings in memory."""
     for each in bodies:
         if not isinstance(each, Body):
             what, names = type(each).__name__, "vj.human(), vj.load_body(NAME) or vj.read_body(FILE)"
@@ -104,7 +104,7 @@ def check_arguments(bodies: Iterable[Any], recordings: Iterable[Any]) -> None:
 
 
 def source_of(recording: Recording) -> LogInfo:
-    """What a recording in memory says of itself."""
+    """What a recording in memory states besides its frames."""
     frames = recording.frames
     sensors = len(frames[0].origins) if frames and any(len(f.points) for f in frames) else 0
     names = {(*f.rays.names, *f.pairs.names) for f in frames}
@@ -114,6 +114,6 @@ def source_of(recording: Recording) -> LogInfo:
 
 
 def source_of_log(log: LogReader) -> LogInfo:
-    """What a log says of itself that is read frame by frame."""
+    """What a log read frame by frame states besides its frames."""
     sensors, names, parts = len(log.sensors), log.named_at_once, bool(log.parts)
     return LogInfo(log.path, log.fixed_frame, log.up, sensors, names, parts, lambda: log.notes, log.up_is_given)

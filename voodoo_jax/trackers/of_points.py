@@ -1,5 +1,5 @@
-"""The tracker of 3D points (setting `tracker = "icp"`): ICP where surfaces were measured, named points where those are
-all that a recording has."""
+"""The tracker of 3D points (setting `tracker = "icp"`): ICP for measured surfaces, and a fit of named points for
+recordings of these alone."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -37,6 +37,6 @@ class PointTracker(Tracker):
 
 
 def track_person(task: Task, scene: Scene, people: list[BodyObservation]) -> Tracks:
-    """Tracks a body through frames in which it was already told apart from its surroundings (see find_body)."""
+    """Tracks a body through frames in which it was separated from its surroundings before (see find_body)."""
     subject = Subject(1, scene, people)
     return track_named(task, subject) if names_alone(people) else placed(track_poses(task, subject))

@@ -20,7 +20,7 @@ from voodoo_jax._version import __version__
 from voodoo_jax.exporters.frames import seconds, spread, upright
 from voodoo_jax.exporters.limb_shapes import limb_rings, rings, side_of
 from voodoo_jax.model.body import Body, segment_lengths
-from voodoo_jax.records.notes import Html, all_of, filled
+from voodoo_jax.records.notes import Html, all_of, filled, is_remark
 from voodoo_jax.records.stretches import stretches
 from voodoo_jax.records.tracks import Tracks
 from voodoo_jax.storage.atomic import replacing
@@ -292,10 +292,10 @@ def _found(tracks: Tracks) -> list[tuple[str, str]]:
 
 
 def _doubts(tracks: Tracks) -> list[str]:
-    """Points to check: times without a pose, and the tracker's notes."""
+    """Points to check: times without a pose, and the tracker's notes that ask for something."""
     doubts = []
     if gaps := untracked(tracks):
         named = [f"{a:.1f} s" if b - a < 0.05 else f"{a:.1f} to {b:.1f} s" for a, b in gaps[:MOST_STRETCHES]]
         more = f" and {len(gaps) - MOST_STRETCHES} more" if len(gaps) > MOST_STRETCHES else ""
         doubts.append(f"not tracked: {', '.join(named)}{more}")
-    return [*doubts, *tracks.notes]
+    return [*doubts, *(note for note in tracks.notes if not is_remark(note))]

@@ -104,7 +104,8 @@ def _ros_calibration(m: Any) -> Calibration:
 
 
 def _rotation(numbers: Any) -> np.ndarray:
-    """The nine numbers of a rectifying rotation; all zeros, or none: nobody filled it in."""
+    """The nine numbers of a rectifying rotation; the identity if all are zero or missing: the driver did not fill them
+    in."""
     R = np.array(numbers, float)
     return R.reshape(3, 3) if R.size == 9 and np.any(R) else np.eye(3)
 

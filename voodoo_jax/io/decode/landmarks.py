@@ -115,7 +115,7 @@ def _marker(m: Any) -> list[Named]:
 
 
 def _ros_poses(m: Any) -> Features:
-    """Joints of a body without names, told by how many they are; others (particles, paths) are no joints."""
+    """Joints of a body without names, identified by their number; other arrays (particles, paths) are not joints."""
     names, stamp = numbered_names(len(m.poses)), ros_stamp(m.header)
     items, frame = [], frame_name(m.header.frame_id)
     for name, pose in zip(names or (), m.poses):

@@ -59,7 +59,7 @@ def _zstd(data: bytes, size: int) -> bytes:
 
 
 def _draco(data: bytes, names: tuple[str, ...]) -> Float32[np.ndarray, "point 3"]:
-    """Places in a cloud packed by Draco; `names` of its attributes where they are told apart by their order."""
+    """Positions in a cloud packed by Draco; `names` of its attributes, if their order identifies them."""
     try:
         import DracoPy
     except ImportError as missing:
@@ -101,7 +101,7 @@ def _count(data: bytes) -> int:
 
 
 def _behind_metadata(data: bytes, at: int) -> int:
-    """Where a file of Draco goes on behind its metadata: those of its attributes, then its own."""
+    """Position in a Draco file after its metadata: those of its attributes, then its own."""
     count, at = _varint(data, at)
     for _ in range(count):  # each takes bytes, so that they end where the data do
         _, at = _varint(data, at)

@@ -128,7 +128,7 @@ class LiveLog:
                 waiting = "nothing"
 
     def _first_messages(self) -> set[int]:
-        """Of each topic the first ones: what is said once may be among them."""
+        """The first messages of each topic, among them those that are sent only once."""
         seen: Counter[int] = Counter()
         kept = set()
         for k, (_, channel, _) in enumerate(self._items):

@@ -11,8 +11,8 @@ from jaxtyping import Float32, Int8, Int64
 from voodoo_jax.records.tracks import Status, Tracks, expected_share
 from voodoo_jax.trackers.shared.confidence import joint_confidence
 
-# somebody is there if once, for so many seconds on end, this was expected of the better half of the joints (of who is
-# cut off or behind something the others are hidden): measured, 0.60 at most for curtains, doors, robots and trolleys
+# a person is there if, for so many seconds in a row, this was expected of the better half of the joints (of those
+# cut off or behind an object the others are hidden): measured, 0.60 at most for curtains, doors, robots and trolleys
 # that move, 0.66 at least for people who are less than 10 cm off. A dummy on a trolley had 0.70
 CONFIRMED, LONG = 0.63, 1.0
 

@@ -34,22 +34,22 @@ from voodoo_jax.trackers.icp.runner import Runner
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
-# metres beside somebody's points: a line of sight meets them; a detector's error at 3 m. Measured: 0.067 and 0.15 give
-# 2 and 9 of 550 features to somebody else (experiments/numbers)
+# metres from a person's points within which a line of sight meets them: a detector's error at 3 m. 0.067 and 0.15 give
+# 2 and 9 of 550 features to another person (measured, experiments/numbers)
 IN_ITS_WAY = 0.1
-CLOSE = 0.15  # metres: whose points are so near to somebody's limbs may be mixed up; measured: with 0.25 0.2 cm worse
+CLOSE = 0.15  # metres from another person's limbs within which points may be mixed up; measured: with 0.25 0.2 cm worse
 # times track.prior_interval from copy to copy of a scan: over it the pull to the prediction is weakest (solve/scan);
-# measured: somebody with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
+# measured: a person with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
 LONG = 4
 FUSED = (
     "Points are on all sides of the body: clouds of several sensors were merged, and their positions are unknown. "
     "Points are matched to all sides of a limb."
 )
-# of somebody's points that change hands in a frame, and frames with so many: fewer make no difference. Measured: any
+# share of a person's points reassigned in a frame, and number of such frames: fewer make no difference. Measured: any
 # change in any frame instead gives the same in five of six logs, 0.2 cm more in one
 MOVED, FRAMES = 0.02, 3
-# of the area that is usually seen of somebody: who shows less is not tracked, and who shows so much is wholly in view.
-# Measured: with 0 for the first 7 % of who is said to be there in two-crossing are wrong, for the second 3.8 cm more
+# share of a person's usual visible area: with less they are not tracked, from the second on they are wholly in view.
+# Measured: with 0 for the first, 7 % of the frames of two-crossing are wrong, for the second 3.8 cm more
 SLIVER, WHOLE = 0.12, 0.5
 
 
@@ -130,7 +130,7 @@ def owned_in_turn(
     subjects: list[Subject], tracks: list[Tracks], close: Bool[np.ndarray, "person frame"], settings: Settings,
     near: float, visit: Visit | None = None,
 ) -> list[list[BodyObservation]]:  # fmt: skip
-    """All people's frames, with points of people who are `close` assigned anew.
+    """All people's frames, with points of people who are `close` assigned again.
 
     **Arguments:** `tracks` of the subjects so far, in whose poses each stretch of close frames begins; `near` metres: a
     point farther from every surface keeps its owner.

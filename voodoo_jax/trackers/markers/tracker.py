@@ -1,7 +1,5 @@
-"""A recording of named points alone: the person's sizes and where each point sits, then the body frame by frame.
-
-Host side.
-"""
+"""Tracks a recording of named points alone: estimates the person's sizes and the place of each point on the body, then
+the poses frame by frame. Host side."""
 
 import time
 from dataclasses import replace
@@ -49,8 +47,8 @@ MISNAMED = 0.2
 
 
 def prepare(task: Task) -> list[Thread]:
-    """Begins to compile or load, in the thread returned, what follows from the poses: while the log is read. What
-    poses are found with is known once names are."""
+    """Begins to compile or load the programs that follow after the poses, in the returned thread, while the log is
+    read. The program that finds the poses depends on the names."""
     if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         return []  # that may be this thread's alone
     body = with_own_sites(prepared(task.body, loaded(task.settings.changes)), {})[0]
@@ -70,7 +68,7 @@ class MarkerRunner(FrameRunner):
 
 
 class FromMarkers(Method):
-    """Segments begin with the pose of the nearest frame that has enough named points; nothing is refined after."""
+    """Segments begin with the pose of the nearest frame that has enough named points; there are no refinements."""
 
     def begin(self, run: FrameRunner, at: int, before: Poses | None) -> KnownStart:
         good = np.flatnonzero(run.table.enough(TO_START))
@@ -79,7 +77,7 @@ class FromMarkers(Method):
 
 
 class Sized(NamedTuple):
-    """A recording whose names are put right, with a body of the person's sizes that has a point for each."""
+    """A recording with corrected names, and a body of the person's sizes that has a site for each name."""
 
     body: Body
     people: list[BodyObservation]
@@ -90,7 +88,7 @@ class Sized(NamedTuple):
 
 
 def sized(task: Task, frames: list[BodyObservation]) -> Sized:
-    """Takes gaps out of frames, puts exchanged names right, and fits sizes and places of the points to some frames."""
+    """Removes gaps from frames, corrects exchanged names, and fits sizes and places of the points to some frames."""
     people, settings, named = with_names(task.body, frames, task.settings)
     people = without_gaps(people)
     body, own = with_own_sites(task.body, named.known.places)
@@ -134,11 +132,11 @@ def track_named(task: Task, subject: Subject) -> Tracks:
 
 
 def marker_confidence(tracks: Tracks, ahead: bool = True) -> Float32[np.ndarray, "frame joint"]:
-    """As joint_confidence, for recordings of named points alone, whose `limb_weight` is the number of those near their
-    places on each limb. Nothing is LOST by it: a set for legs alone is none to doubt as a whole.
+    """As joint_confidence, for recordings of named points alone, whose `limb_weight` is the number of points near their
+    places on each limb. It makes no frame LOST: a set for legs alone gives no reason to doubt the whole.
 
-    The logistic function was fitted to depth and is too sure of limbs without any: at most UNMARKED is said of a joint
-    whose own limb has none in the frame, even if a neighbour's markers hold it.
+    The logistic function was fitted to depth, and overestimates limbs without points: the confidence of a joint whose
+    own limb has none in the frame is at most UNMARKED, even if a neighbour's markers hold it.
     """
     found = joint_confidence(tracks, ahead)
     unmarked = tracks.evidence.limb_weight[:, np.array(tracks.body.topology.centre_limbs, int)] <= 0

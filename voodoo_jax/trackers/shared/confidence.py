@@ -30,22 +30,22 @@ CLOSE = 0.10  # metres
 EXPLAINED = 0.06
 BATCH = 4096  # frames of a recording that are looked at at once, 1 to 5 kB each: any gives the same
 CLUES = ("spread", "residual", "unexplained", "moved", "weight", "apart")
-# of a joint whose limb nothing tells of: nothing of a frame shows how far it hangs off. Of knees and ankles in a walk
+# of a joint whose limb has no measurements: a frame does not show how far off it is. Of knees and ankles in a walk
 # on a treadmill 12 % were within 10 cm, of joints of a recording without its legs', arms' or shanks' markers 39 %
 UNMARKED = 0.1
 MISFITS = ("beside", "bare", "all distance", "size", "inside", "beyond", "apart", "shared")
 # frames over which a limb's misfit is averaged, about a second. Measured: with 21 and 47 the log loss changes by 0.002
 # and -0.005
 AROUND = 31
-# of a limb's points, and metres: less tells nothing. Of 3, 5, 6 and 9 mm the first tells right from wrong best in kinds
-# of logs left out (0.952, 0.945, 0.941 and 0.937 with AT_LEAST 0, see experiments/trust)
+# share of a limb's points, and metres: less is harmless. Of 3, 5, 6 and 9 mm the first separates right from wrong best
+# in kinds of logs left out (0.952, 0.945, 0.941 and 0.937 with AT_LEAST 0, see experiments/trust)
 LEAST_SHARE, LEAST_DISTANCE = 0.03, 0.003
-# metres in another limb that count as one; metres between the passes that tell nothing; weight of a limb's own points,
-# those that no other limb explains, beyond which more tell nothing. Measured: times or over 1.5 the log loss of the
+# metres in another limb that count as one; harmless metres between the passes; weight of a limb's own points,
+# those that no other limb explains, beyond which more add nothing. Measured: times or over 1.5 the log loss of the
 # confidence changes by -0.003 and 0.007; -0.001 and 0.003; 0.0003 and -0.0006 (39 logs, experiments/numbers)
 DEEP, TOGETHER, PLENTY = 0.01, 0.05, 20.0
-# metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these tell
-# nothing, and so many beyond count at most: of who is small less, for children are people, too. Measured: each of the
+# metres: a usual stature and its standard deviation, men and women together (ANSUR II, 2012); so many of these are
+# harmless, and so many beyond count at most: of small people less, for children are people, too. Measured: each of the
 # last three times or over 1.5 changes no loss by more than 0.014; where all is 1.3 times as far as it should be, joints
 # are said to be right with 0.01 by them, with 0.31 by right_scale alone
 STATURE, STATURES, USUAL, UNUSUAL, SMALL = 1.70, 0.095, 2.7, 2.0, 0.9

@@ -1,1 +1,1 @@
-"""Refinements of what was tracked: each looks for one kind of error and tries what would be right."""
+"""Refinements of tracks: each detects one kind of error, and tries an alternative."""

@@ -1,7 +1,8 @@
-"""Which way somebody faces: where a start might as well face the other way, both are tracked. Host side.
+"""Chooses between the two ways a person may face: if a start could as well face the other way, both are tracked. Host
+side.
 
-Costs and joints that are bent the wrong way tell little where the body fits badly: knees in a skirt, or behind a desk,
-are bent by what is not a leg. The posture as a whole tells the more then.
+Costs and joints that are bent the wrong way mean little where the body fits badly: in a skirt or behind a desk, knees
+are fitted to points that are not on a leg. There the posture as a whole counts more.
 """
 
 from dataclasses import dataclass, replace
@@ -21,8 +22,8 @@ ALONE = 2 * float(np.log(FAR_RIVAL))  # logarithm of the odds of a start without
 
 @dataclass(frozen=True)
 class ChooseFacing(FacingOdds):
-    """Where the start has a rival that costs hardly more, or the body goes backwards, bends its joints the wrong way or
-    has the posture of one turned round, the rival is tracked too, and taken if the odds are clearly for it."""
+    """Tracks the rival of a start too, if it costs hardly more, or if the body walks backwards, bends its joints the
+    wrong way or has the posture of one turned back to front; the rival is taken if the odds clearly favour it."""
 
     name: ClassVar = "choose_facing"
     looks_ahead: ClassVar = True
@@ -46,7 +47,7 @@ class ChooseFacing(FacingOdds):
         return replace(_with_odds(other, -odds), start=start.rival, state=state)
 
     def _speaks_for(self, run: Runner, start: StartHypothesis, segment: Followed) -> bool:
-        """Whether how a segment goes speaks for the start's rival, though that costs clearly more."""
+        """Whether the motion of a segment favours the start's rival, although that costs clearly more."""
         assert start.rival is not None
         bends = start.rival.cost < RIVAL * start.cost * np.exp(np.mean(bent(run.body, segment.rotation)) / WRONG_WAY)
         return bool(bends) or gone(run, segment) < -self.step or posture_of(run, segment) < self.doubtful

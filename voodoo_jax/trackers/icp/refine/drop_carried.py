@@ -1,8 +1,8 @@
-"""What somebody carries or pushes: rucksacks, cartons, walkers. Host side, NumPy; looks ahead.
+"""Removes objects that a person carries or pushes: rucksacks, cartons, walkers. Host side, NumPy; looks ahead.
 
-Left in, it is taken for the trunk or for arms, and the rest follows. Two questions tell it. Where it is: a trunk is
-below its head, so what is at the trunk's height, but far to one side and broad, for most of the time, may be no part of
-it. Whether it is: without it the body explains what is left far better than it explained everything.
+If they were left in, they would be taken for the trunk or for arms, and other limbs would follow. Two criteria detect
+them. Place: a trunk is below its head, so points at the trunk's height, but far to one side and broad, for most of the
+time, may not be part of it. Fit: without them, the body explains the remaining points far better than it explained all.
 """
 
 from collections.abc import Iterator
@@ -29,8 +29,9 @@ CARRIED_NOTE = remark("The person carries or pushes something: its points were r
 
 @dataclass(frozen=True)
 class DropCarried:
-    """All tracked anew without what is carried or pushed, if that leaves far less unexplained. Lengths are shares of
-    the stature. Numbers were chosen by hand, on one of three draws of such scenes (experiments/stress)."""
+    """Tracks the recording again without the points of carried or pushed objects, if far less is then unexplained.
+    Lengths are shares of the stature. Numbers were chosen by hand, on one of three draws of such scenes
+    (experiments/stress)."""
 
     name: ClassVar = "drop_carried"
     looks_ahead: ClassVar = True
@@ -65,7 +66,7 @@ class DropCarried:
         return replace(other, notes=(*whole.notes, CARRIED_NOTE))
 
     def without(self, people: list[BodyObservation], floor: Plane) -> Iterator[BodyObservation] | None:
-        """The frames without what is carried; None if there is nothing of the kind."""
+        """The frames without carried objects; None if there are none."""
         seen = [k for k, f in enumerate(people) if len(f.points) >= 3 * FEW_POINTS]
         tops = np.array([floor.top(people[k].points) for k in seen])
         stature = float(np.percentile(tops, 75)) if seen else 0.0
@@ -82,8 +83,8 @@ class DropCarried:
     def _dropped(
         self, people: list[BodyObservation], floor: Plane, stature: float, ways: dict[int, tuple[float, np.ndarray]]
     ) -> Iterator[BodyObservation]:
-        """The frames without what lies far from the head the given way; `ways` by frame: height of the top, and a level
-        unit vector."""
+        """The frames without the points far from the head in a given direction; `ways` by frame: height of the top, and
+        a horizontal unit vector."""
         for k, frame in enumerate(people):
             if k in ways:
                 top, way = ways[k]
@@ -115,7 +116,7 @@ class DropCarried:
 
 
 def unexplained(whole: Whole) -> float:
-    """What a recording's poses cost beyond noise, mean of the frames that cost something; square metres."""
+    """Mean cost of a recording's poses beyond noise, over the frames with a cost; square metres."""
     segment = whole.segment
     there = np.isfinite(segment.residual) & (segment.explained > 0)
     noise = np.maximum([f.noise for f in whole.run.people], USUAL)

@@ -1,5 +1,5 @@
-"""Furniture that the body touches all the time and that is not flat: what is at rest and never explained by the body
-where it is well tracked. Host side, NumPy; looks ahead."""
+"""Removes furniture that the body touches all the time and that is not flat: points at rest that the body never
+explains where it is well tracked. Host side, NumPy; looks ahead."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -28,8 +28,8 @@ FURNITURE_NOTE = remark("Things at rest that touch the body are furniture: the l
 
 @dataclass(frozen=True)
 class DropUnexplained:
-    """All tracked anew without what is at rest and not explained by the body, as long as there is such a thing. Numbers
-    were chosen by hand, on experiments/people."""
+    """Tracks the recording again without points at rest that the body does not explain, as long as there are any.
+    Numbers were chosen by hand, on experiments/people."""
 
     name: ClassVar = "drop_unexplained"
     looks_ahead: ClassVar = True
@@ -56,8 +56,8 @@ class DropUnexplained:
     def without(
         self, people: list[BodyObservation], bodies: list[tuple[int, Body]], segment: Segment
     ) -> Iterator[BodyObservation] | None:
-        """The frames without what is at rest and not explained by the body, tracked as `segment` says; None if there is
-        hardly anything. `bodies` [(first frame, body)] as they were tracked."""
+        """The frames without points at rest that the body, tracked as in `segment`, does not explain; None if there are
+        hardly any. `bodies` [(first frame, body)] as they were tracked."""
         windows = [slice(at, min(at + WINDOW, len(people))) for at in range(0, len(people), WINDOW)]
         found = [self._leftovers(people, bodies, segment, window) for window in windows]
         if not any(map(len, found)):

@@ -1,9 +1,9 @@
-"""Forearms as long as a recording shows them, once it is tracked. Host side.
+"""Estimates the length of the forearms from a tracked recording. Host side.
 
-Of a limb that is longer than the body's, the one that hangs on it is measured farther out: the bands between them are
-stretched along it, but less than the limb is too short, because the measurements give way too. How much less was
-measured on people of known lengths, see experiments/forearms. Of all limbs only forearms are told well enough by this:
-hands are seen, and named by detectors, and nothing hangs on them.
+If a limb is longer than the body's, the next limb is measured farther out: the bands between them are stretched along
+the limb, but by less than the difference in length, since the measurements give way too. The ratio was measured on
+people of known lengths, see experiments/forearms. It is accurate enough for forearms only: hands are visible, detectors
+name them, and no other limb hangs on them.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ Some = TypeVar("Some", float, np.ndarray)
 
 
 class Stretch(NamedTuple):
-    """What the wrists of a recording tell."""
+    """The stretch of the wrists' bands in a recording."""
 
     gap: float  # of the wrists' bands along the forearms, median, share of the body's scale
     named: float  # share of the frames in which a detector names the hand
@@ -35,12 +35,12 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True)
 class FitForearms:
-    """Forearms as long as a recording's wrists say, of the body that comes with the package in its usual proportions,
-    which alone this was measured for. The poses stay as they are: forearms begin at the elbows, and reach farther.
+    """Sets the length of the forearms by the stretch of the wrists' bands. Only for the package's own body in its usual
+    proportions, for which it was measured. Poses do not change: forearms begin at the elbows, and reach farther.
 
-    A wrist's bands are stretched by a share of what the forearm is too short by (as far as people differ): told by
-    points alone, and so much more where a detector names the hand in every frame. From experiments/forearms; what suits
-    lengths best (0.113, 0.167, 0.0089) puts wrists 0.1 cm farther off than this does: people's hands are no cylinders.
+    The stretch of a wrist's bands is a share of the missing length (as people differ): one share for points alone, plus
+    another one if a detector names the hand in every frame. Values from experiments/forearms; those that suit lengths
+    best (0.113, 0.167, 0.0089) put wrists 0.1 cm farther off than these: people's hands are not cylinders.
     """
 
     name: ClassVar = "fit_forearms"
@@ -60,7 +60,7 @@ class FitForearms:
         return whole
 
     def fitted(self, body: Body, people: list[BodyObservation], names: FeatureNames, segment: Segment) -> Body:
-        """The body with the forearms that its tracks ask for, or the same one. **Arguments:** as for `stretch`."""
+        """The body with the forearms estimated from its tracks, or the same one. **Arguments:** as for `stretch`."""
         found = stretch(body, people, names, segment) if _is_usual(body) else None
         if found is None:
             return body
@@ -82,9 +82,9 @@ class FitForearms:
 def stretch(
     body: Body, people: list[BodyObservation], names: FeatureNames, segment: Segment | Tracks
 ) -> Stretch | None:
-    """What the wrists tell in frames where the body is tracked and the hand is seen; None without any.
+    """The stretch of the wrists' bands in frames where the body is tracked and the hand is visible; None without any.
 
-    **Arguments:** `people` and `segment` frames, and what was tracked in them; `names` of features.
+    **Arguments:** `people` and `segment` the frames and their tracks; `names` of features.
     """
     body, t = on_host(body), body.topology
     limbs = (*t.site_limbs, *t.centre_limbs)  # as in kernels.landmarks.named_points

@@ -1,4 +1,4 @@
-"""Results that may wait: a pass back in time from as far ahead as settings allow, made one with the pass forwards."""
+"""Delayed results: a backward pass from the permitted delay after each frame, combined with the forward pass."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,9 +12,9 @@ from voodoo_jax.trackers.shared.segment import Followed
 
 @dataclass(frozen=True)
 class FixedLag:
-    """Frames between half and all of `online_lag` ago, in a pass back in time from now, see ForwardBackward: the result
-    for a frame knows nothing that is later than that frame by more than the lag. With a pass for every frame each frame
-    would know all of it, and be tracked as often as there are frames in a lag; so each is tracked three times."""
+    """Frames between half and all of `online_lag` ago, in a backward pass from now, see ForwardBackward: the result for
+    a frame uses nothing later than that frame by more than the lag. A pass for every frame would use all of the lag,
+    but track each frame as often as a lag has frames; so each is tracked three times."""
 
     name: ClassVar = "fixed_lag"
     looks_ahead: ClassVar = False  # no farther than results wait

@@ -72,10 +72,11 @@ def combined(
     lengths: Float[np.ndarray, " limb"],
     agree: float = ForwardBackward.agree,
 ) -> Combined:
-    """Poses made of both passes: of each frame the better one, limbs on which they agree moved halfway to the other.
+    """Poses from both passes: in each frame those of the better one; limbs on which both agree are moved halfway to the
+    other.
 
-    Halfway: the place of the limb's origin, and the direction of its axis; how it is turned about its axis is left as
-    it is, for of a round limb nobody knows that.
+    Halfway concerns the position of the limb's origin and the direction of its axis. The rotation about its axis is
+    kept, since it is unknown for a round limb.
 
     **Arguments:** `taken` where the backward pass is the better one; `lengths` of the limbs, metres; `agree` see
     ForwardBackward.

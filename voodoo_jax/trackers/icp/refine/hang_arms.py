@@ -1,7 +1,7 @@
-"""Arms that somebody else, a thing or the trunk hides, and that were taken to lie on the trunk: as people's arms hang.
+"""Lets hidden arms hang that were placed on the trunk: arms behind another person, an object or the trunk itself.
 
-Nothing calls such an arm back: the trunk's points hold it, and it explains them. It has no points of its own, though
-(`limb_own`), for long. Where nothing would be seen of it if it hung, it hangs.
+Such an arm is not corrected otherwise: the trunk's points hold it, and it explains them. But for a long time it has no
+points of its own (`limb_own`). If it would be invisible hanging, it is moved to hang.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ APART = 0.15
 
 @dataclass(frozen=True)
 class HangArms:
-    """Hidden arms that lie on the trunk as they mostly are; joints and poses go with them."""
+    """Hidden arms that lie on the trunk hang down, as arms mostly do; joints and poses change with them."""
 
     name: ClassVar = "hang_arms"
     looks_ahead: ClassVar = True  # how long an arm has nothing of its own
@@ -47,9 +47,9 @@ class HangArms:
 
 
 def with_hung_arms(tracks: Tracks, people: list[BodyObservation]) -> Tracks:
-    """Tracks with hanging arms where they were on the trunk for long and, if they hung, nothing would be seen of them.
+    """Tracks with hanging arms where they were on the trunk for long and would be invisible when hanging.
 
-    **Arguments:** `people` points of the person in each frame, and what is before them.
+    **Arguments:** `people` points of the person in each frame, and points in front of them.
     """
     t = tracks.body.topology
     there = {"chest", *(f"{side}_{name}" for side in "lr" for name in ARM)} <= {*t.limbs}
@@ -74,7 +74,7 @@ def with_hung_arms(tracks: Tracks, people: list[BodyObservation]) -> Tracks:
 
 
 def _seen(tracks: Tracks, arm: list[int]) -> Bool[np.ndarray, " frame"]:
-    """In which frames forearm or hand have points that no other limb explains, over a second."""
+    """Frames in which forearm or hand have points that no other limb explains, over a second."""
     weight, share = tracks.evidence.limb_weight, tracks.evidence.limb_own
     assert share is not None
     own = weight * np.nan_to_num(share)
@@ -84,8 +84,8 @@ def _seen(tracks: Tracks, arm: list[int]) -> Bool[np.ndarray, " frame"]:
 
 
 def _hung(tracks: Tracks, arm: list[int], some: np.ndarray, much: Float[np.ndarray, " some"]) -> Poses:
-    """Poses [frame] of which some frames have the arm against the chest as in the rest pose, by so `much` of the way;
-    its shoulder stays where it is."""
+    """Poses [frame] with the arm of some frames moved to its rest pose against the chest by the share `much`; its
+    shoulder stays in place."""
     body, t = tracks.body, tracks.body.topology
     poses = Poses(tracks.rotation[some].astype(float), tracks.translation[some].astype(float))
     ends, rest = np.asarray(body.child_anchor.translation), np.asarray(body.rest.rotation, float)
@@ -103,7 +103,7 @@ def _hung(tracks: Tracks, arm: list[int], some: np.ndarray, much: Float[np.ndarr
 
 
 def _elsewhere(tracks: Tracks, hung: Poses, hand: int, some: np.ndarray) -> Bool[np.ndarray, " some"]:
-    """In which of some frames a hand is not where it would hang, over a second."""
+    """Frames in which a hand is not at its place when hanging, over a second."""
     away = np.linalg.norm(np.asarray(hung.translation)[:, hand] - tracks.translation[:, hand], axis=1)
     far = np.full((len(away), 1), np.nan)
     far[some, 0] = away[some]
@@ -113,7 +113,7 @@ def _elsewhere(tracks: Tracks, hung: Poses, hand: int, some: np.ndarray) -> Bool
 def _hidden(
     tracks: Tracks, hung: Poses, arm: list[int], some: np.ndarray, people: list[BodyObservation]
 ) -> Bool[np.ndarray, " some"]:
-    """In which of some frames hardly anything would be seen of a hung arm, over a second."""
+    """Frames in which a hanging arm would be nearly invisible, over a second."""
     frames = [as_measured(people[k]) for k in some]
     bare = np.full((len(people), 1), np.nan)
     rotation, translation = np.asarray(hung.rotation)[some], np.asarray(hung.translation)[some]

@@ -1,8 +1,9 @@
-"""Legs that nothing was seen of for long: as people stand and sit, not in line with a trunk or thigh that leans.
+"""Places legs without measurements as people stand and sit, not in line with a leaning trunk or thigh.
 
-A limb that nobody sees goes back to its rest pose, in line with the limb that carries it. Of somebody who bows behind a
-table, or whose feet are below the picture, legs would leave the floor. Thighs hang down from who is not lying, and
-shanks lean back, the more the farther the thigh goes ahead; they hang again under the thigh of somebody who sits.
+A limb without measurements returns to its rest pose, in line with the limb that carries it. If a person bows behind a
+table, or the feet are below the image, legs would leave the floor. So thighs hang down from a person who is not lying,
+and shanks lean backwards, the more the farther the thigh is forwards; below the thigh of a sitting person they hang
+again.
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +30,7 @@ LEG = ("thigh", "shank", "foot")
 
 @dataclass(frozen=True)
 class HangLegs:
-    """Hidden legs of people who are not lying as they mostly are; joints and poses go with them."""
+    """Hidden legs of people who are not lying are placed as they mostly are; joints and poses change with them."""
 
     name: ClassVar = "hang_legs"
     looks_ahead: ClassVar = True  # how long a limb stays hidden
@@ -40,7 +41,7 @@ class HangLegs:
 
 
 def with_hung_legs(tracks: Tracks, settings: TrackSettings) -> Tracks:
-    """Tracks with legs that were not seen as they mostly are, of a body that has legs as people's."""
+    """Tracks with hidden legs placed as they mostly are, for a body with a person's legs."""
     t, rest = tracks.body.topology, settings.hidden_rest
     there = {f"{side}_{name}" for side in "lr" for name in LEG} <= {*t.limbs} and {"l_knee", "r_knee"} <= {*t.joints}
     if tracks.up is None or rest <= 0 or not there:
@@ -61,12 +62,13 @@ def with_hung_legs(tracks: Tracks, settings: TrackSettings) -> Tracks:
 
 
 def long_hidden(shown: Float[np.ndarray, " frame"], time_ns: np.ndarray, rest: float) -> Float[np.ndarray, " frame"]:
-    """0 in frames in which a limb is seen, and nearer to 1 the farther such frames are, in units of `rest` seconds."""
+    """0 in frames in which a limb is visible, and nearer to 1 the farther such frames are, in units of `rest`
+    seconds."""
     return 1 - np.exp(-seconds_from(shown >= HIDDEN, time_ns) / rest)
 
 
 def seconds_from(seen: Bool[np.ndarray, " frame"], time_ns: np.ndarray) -> Float[np.ndarray, " frame"]:
-    """How far the nearest frame is in which something is `seen`, before or after; infinite where there is none."""
+    """Time to the nearest frame, before or after, that is `seen`; infinite without one."""
     time = time_ns / 1e9
     if not seen.any():
         return np.full(len(seen), np.inf)
@@ -78,7 +80,7 @@ def seconds_from(seen: Bool[np.ndarray, " frame"], time_ns: np.ndarray) -> Float
 def _hung(
     body: Body, poses: Poses, leg: list[int], much: tuple[np.ndarray, np.ndarray], up: Float[np.ndarray, "3"]
 ) -> Poses:
-    """Poses with one leg as it hangs: its thigh and its shank by so `much` of the way, frame by frame."""
+    """Poses with one leg moved to hang: its thigh and its shank by the share `much`, frame by frame."""
     t = body.topology
     thigh, shank, _ = leg
     hip, knee, ankle = ([*t.children].index(limb) for limb in leg)
@@ -111,7 +113,7 @@ def _hung(
 
 
 def turned(poses: Poses, limbs: list[int], top: Float[np.ndarray, "frame 3"], turn: Rotation) -> Poses:
-    """Poses with some limbs turned about a point of each frame."""
+    """Poses with some limbs rotated about a point of each frame."""
     rotation, translation = poses.rotation.copy(), poses.translation.copy()
     for limb in limbs:
         there = np.isfinite(rotation[:, limb])
@@ -122,7 +124,7 @@ def turned(poses: Poses, limbs: list[int], top: Float[np.ndarray, "frame 3"], tu
 
 
 def with_limbs(tracks: Tracks, poses: Poses, moved: Int[np.ndarray, " some"], limbs: list[int]) -> Tracks:
-    """Tracks with other poses of some limbs in some frames; joints go with their limbs."""
+    """Tracks with other poses of some limbs in some frames; joints move with their limbs."""
     t, joints = tracks.body.topology, tracks.joints.copy()
     rotation, translation = tracks.rotation.copy(), tracks.translation.copy()
     for limb in limbs:

@@ -1,7 +1,7 @@
-"""Takes out jumps of a segment: bodies do not jump from one frame to the next. Host side.
+"""Removes jumps of a segment: bodies do not jump from one frame to the next. Host side.
 
-Where two passes that disagree are put together, or a stretch that was tracked anew, limbs may be elsewhere at once: one
-of the two sides is wrong. Each is carried on over the other one, and kept where that explains more.
+Limbs may jump where two passes that disagree are joined, or where a stretch was tracked again: one of the two sides is
+wrong. Each side is continued across the jump, and kept where it explains more.
 """
 
 from dataclasses import dataclass
@@ -48,8 +48,8 @@ class MendDiscontinuities:
         return segment
 
     def jumps(self, body: Body, segment: Segment) -> list[int]:
-        """Frames in which a limb that carries others is elsewhere than in the frame before, the farthest jump first.
-        Hands and feet alone flicker where few points tell of them."""
+        """Frames in which a limb that carries others has moved far from its place in the previous frame, the farthest
+        jump first. Hands and feet alone flicker if they have few points."""
         carries = np.array(sorted(set(body.topology.parents)), int)
         if len(segment) < 2:
             return []

@@ -1,11 +1,10 @@
-"""Joint centres where people have them: by the pose, the side that is seen, the recording's bands.
+"""Moves joint centres to their anatomical places: by the pose, the visible side, and the stretch of the bands.
 
-A joint centre does not stay in its place on a cylinder: shoulders rise and come forward with the arm, the side of a
-limb that the sensor sees is nearer or farther than a cylinder's, points are drawn to a limb beside the right one, and
-thighs that are longer than the stature tells stretch the bands of knee and hip. What these say of a centre's place was
-learned by ridge regression on people whose joints are known (experiments/offsets, `learn.py`), of directions, their
-products, and waves over all of them (random Fourier features: Rahimi and Recht 2007). Where a recording tells
-little, the bands count for little.
+A joint centre is not fixed on a cylinder: shoulders rise and come forward with the arm; the visible side of a limb is
+nearer or farther than a cylinder's; points are matched to a neighbouring limb; and thighs longer than usual for the
+stature stretch the bands of knee and hip. Ridge regression learned the offsets on people with known joints
+(experiments/offsets, `learn.py`), from directions, their products, and waves over all of them (random Fourier features:
+Rahimi and Recht 2007). In recordings with few measurements, the bands count for little.
 """
 
 import tomllib
@@ -53,7 +52,7 @@ class Gaps(NamedTuple):
 
 
 class Learned(NamedTuple):
-    """What was learned for one joint centre."""
+    """The regression of one joint centre."""
 
     weights: Float64[np.ndarray, "feature 3"]  # shift in the limb's axes at rest (forward, left, up), of the stature
     usual: Float64[np.ndarray, " gap"]  # gaps of people, mean
@@ -62,7 +61,7 @@ class Learned(NamedTuple):
 
 @cache
 def learned() -> dict[str, Learned]:
-    """What the package brings along, by joint centre without its side."""
+    """The regressions in the package, by joint centre without its side."""
     text = files("voodoo_jax.trackers.icp.refine").joinpath("place_joints.toml").read_text()
     found = tomllib.loads(text)
     return {name: Learned(*(np.array(found[name][key]) for key in Learned._fields)) for name in LIMBS}
@@ -70,7 +69,7 @@ def learned() -> dict[str, Learned]:
 
 @cache
 def waves(directions: int) -> tuple[Float64[np.ndarray, "direction wave"], Float64[np.ndarray, " wave"]]:
-    """Frequencies and phases of the waves over so many numbers; of a generator whose numbers NumPy keeps for ever."""
+    """Frequencies and phases of the waves over that many numbers, from a generator whose numbers NumPy guarantees."""
     random = np.random.RandomState(0)  # noqa: NPY002
     return FREQUENCY * random.standard_normal((directions, WAVES)), random.uniform(0, 2 * np.pi, WAVES)
 
@@ -81,7 +80,7 @@ def plain(name: str) -> tuple[str, str]:
 
 
 def gaps_for(centre: str, gaps: dict[str, Gaps]) -> Gaps:
-    """Those of band_gaps that tell of a joint centre."""
+    """The band gaps that are used for a joint centre."""
     return gaps["legs" if centre in ("hip", "knee", "talocrural") else "upper"]
 
 
@@ -138,9 +137,10 @@ def seen_in(body: Body, tracks: Tracks, frames: Int[np.ndarray, " seen"], eyes: 
 def pose_features(
     body: Body, centre: str, tracks: Tracks, seen: Seen, side: str = ""
 ) -> Float64[np.ndarray, "seen feature"]:
-    """What the pose and the side that is seen say of a joint: 1, direction to the sensor, how far the other limb's
-    upward axis is turned, both axes of the trunk's limbs, upward axes of arms and legs, products of the first two and
-    their squares, waves over all directions. These are forward, left, up of the limb at rest. Right mirrored.
+    """Regression inputs of a joint from the pose and the visible side: 1, direction to the sensor, rotation of the
+    other limb's upward axis, both axes of the trunk's limbs, upward axes of arms and legs, products of the first two
+    and their squares, waves over all directions. Directions are forward, left, up of the limb at rest; those of right
+    joints are mirrored.
 
     **Arguments:** `side` of a centre in the middle: "r_" mirrors it.
     """
@@ -187,9 +187,8 @@ def sensor_places(people: list[BodyObservation]) -> Float64[np.ndarray, "frame 3
 
 @dataclass(frozen=True)
 class PlaceJoints:
-    """Joint centres moved to where people of known joints had them under what the recording shows. Poses and the body
-    stay as they are. Of the body that comes with the package or one fitted from it, by one sensor: for these alone it
-    was learned."""
+    """Moves joint centres by what was learned from people with known joints. Poses and the body do not change. Only for
+    the package's own body or one fitted from it, and one sensor, as learned."""
 
     name: ClassVar = "place_joints"
     looks_ahead: ClassVar = False  # online, bands are those of the frames until then
@@ -212,8 +211,8 @@ class PlaceJoints:
         return tracks
 
     def parts(self, first: int, last: int, ahead: bool) -> list[tuple[slice, slice]]:
-        """Parts of the frames of one body, and the frames whose bands tell of them: all of the body or, if not `ahead`,
-        those up to the part's first."""
+        """Parts of the frames with one body, and the frames whose bands are used for them: all frames of the body or,
+        if not `ahead`, those up to the part's first."""
         if ahead:
             return [(slice(first, last), slice(first, last))]
         parts, begin = [], first
@@ -233,7 +232,7 @@ class PlaceJoints:
     ) -> Tracks:  # fmt: skip
         """Tracks with the joints of frames `which` moved.
 
-        **Arguments:** `body` in its usual proportions; `eyes` of sensor_places; `gaps` of the bands that tell of them.
+        **Arguments:** `body` in its usual proportions; `eyes` of sensor_places; `gaps` of the bands that are used.
         """
         known = np.isfinite(tracks.rotation).all((1, 2)), np.isfinite(tracks.translation).all((1, 2))
         there = np.logical_and(*known)
@@ -277,8 +276,8 @@ def _smaller(body: Body, tracks: Tracks, frames: np.ndarray) -> np.ndarray:
 
 
 def persons_body(body: Body) -> Body | None:
-    """The default body in the scale of a body that is the same but for its forearms (fit_forearms); a body of its limbs
-    in sizes that a person may have as it is; of others None."""
+    """The default body in the scale of a body that equals it but for its forearms (fit_forearms); a body with its limbs
+    in plausible sizes of a person unchanged; for others None."""
     usual = _default()
     if body.topology != usual.topology:
         return None

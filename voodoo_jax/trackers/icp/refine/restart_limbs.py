@@ -1,8 +1,9 @@
-"""Looks again where a segment explains what was measured worse than elsewhere: a limb may be lost there. Host side.
+"""Starts limbs again where a segment explains the measurements worse than elsewhere: a limb may be lost there. Host
+side.
 
-A limb that no point reaches any more is not found again from where it is. So arms and legs are started anew in the
-middle of the trouble, and the whole body where it may be lost, in several poses, tracked there and back in time, and
-kept where they explain more.
+A limb that no points reach any more is not found again from its present pose. So arms and legs are started again in the
+middle of the bad stretch, and the whole body if it may be lost, in several poses, tracked from there in both
+directions, and kept where they explain more.
 """
 
 from dataclasses import dataclass
@@ -44,8 +45,8 @@ LEGS: tuple[tuple[Turn, ...], ...] = (
 
 @dataclass(frozen=True)
 class RestartLimbs:
-    """Limbs, or the whole body, started anew where little is explained, and kept where that explains more. Numbers were
-    chosen by hand."""
+    """Starts limbs, or the whole body, again where little is explained, and keeps them where they explain more. Numbers
+    were chosen by hand."""
 
     name: ClassVar = "restart_limbs"
     looks_ahead: ClassVar = True
@@ -69,8 +70,8 @@ class RestartLimbs:
         return segment
 
     def plain(self, people: list[BodyObservation], segment: Segment) -> Bool[np.ndarray, " frame"]:
-        """In which frames nothing better can be found: both passes agree on all limbs, and what is left of the points
-        is no more than their noise, as it was measured."""
+        """Frames in which nothing better can be found: both passes agree on all limbs, and the residual of the points
+        is no more than their measured noise."""
         if not people:
             return np.zeros(0, bool)
         noise = np.array([f.noise for f in people]) ** 2
@@ -94,7 +95,7 @@ class RestartLimbs:
         return [(start, end) for start, end in found if end - start >= self.fewest]
 
     def _looked(self, run: Runner, segment: Followed, start: int, end: int) -> Followed:
-        """The segment with limbs that were started anew between two of its frames, where they cost less."""
+        """The segment with limbs that were started again between two of its frames, where they cost less."""
         first, low, high = segment.first, max(0, start - self.around), min(len(segment), end + self.around)
         cost = pass_of(run, segment[low : high + run.settings.start.frames]).cost  # from frame `low` on
         at = start + int(np.argmax(self.passes.smoothed(cost)[start - low : end - low]))
