@@ -215,7 +215,7 @@ class Session:
     """Tracking in a thread of its own, from the first message until `end`."""
 
     def __init__(self, source: TopicSource, job: LiveJob, given: list[Any], say: Callable[[str], None]):
-        self.source, self.outcome = source, None
+        self.source, self.outcome, self._say = source, None, say
         self.problem = ""  # why it ended of itself
         self._thread = threading.Thread(target=self._run, args=(job, given, say), daemon=True)
         self._thread.start()
@@ -229,7 +229,12 @@ class Session:
             self.problem = f"{type(problem).__name__}: {problem}"
             say(self.problem)
 
-    def end(self, seconds: float = 30.0) -> None:
-        """Lets it track what has come, and write its results."""
+    def end(self, seconds: float = 600.0) -> bool:
+        """Lets it track what has come, and write its results, for `seconds` at most; whether it has ended."""
         self.source.ended = True
-        self._thread.join(seconds)
+        for _ in range(max(1, round(seconds / 15))):
+            self._thread.join(15.0)
+            if not self._thread.is_alive():
+                return True
+            self._say("still tracking the frames received so far; results are written after that")
+        return False

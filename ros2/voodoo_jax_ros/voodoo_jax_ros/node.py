@@ -65,7 +65,9 @@ class Track(LifecycleNode):
             self.destroy_subscription(subscription)
         self._heard = {}
         if self._session is not None:
-            self._session.end()
+            if not self._session.end():
+                self._say("gave up waiting: the results are not written")
+                return TransitionCallbackReturn.FAILURE
             if self._session.outcome is not None:
                 self._say(str(self._session.outcome))
         return super().on_deactivate(state)
