@@ -22,7 +22,7 @@ from voodoo_jax.geometry.plane import Plane
 from voodoo_jax.geometry.rigid import on_device
 from voodoo_jax.io.live.frames import LiveLog
 from voodoo_jax.io.live.sources import URLS, Source
-from voodoo_jax.io.log_reader import LogReader
+from voodoo_jax.io.opened_log import LogReader
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.scene import Scene

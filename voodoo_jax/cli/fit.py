@@ -15,8 +15,7 @@ from voodoo_jax.fitting.checkpoint import Progress
 from voodoo_jax.fitting.frames import TruthError
 from voodoo_jax.fitting.front import fit
 from voodoo_jax.fitting.gauss_newton import FitError
-from voodoo_jax.fitting.report import write_report
-from voodoo_jax.fitting.result import Fit
+from voodoo_jax.fitting.result import Fit, write_report
 from voodoo_jax.io.log_reader import LogError
 from voodoo_jax.model.body_file import BodyFileError, load_body, write_body
 from voodoo_jax.records.notes import shown

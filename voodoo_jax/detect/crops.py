@@ -6,7 +6,7 @@ from voodoo_jax.detect.delays import FAR
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.detect.units import AT_ZERO, SPREAD
 from voodoo_jax.io.calibrations import CROPPED
-from voodoo_jax.io.log_reader import LogReader
+from voodoo_jax.io.opened_log import LogReader
 from voodoo_jax.records.recording import Frame
 
 LEVEL, TILTED = 1.0, 2.0  # degrees: a floor by transforms as exact as they are, and one that is not; by hand

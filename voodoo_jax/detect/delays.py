@@ -16,7 +16,7 @@ from voodoo_jax.detect.body_likelihood import TELLING, Build
 from voodoo_jax.detect.find_gravity import upright
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.detect.segmentation import BodySegmenter
-from voodoo_jax.io.log_reader import LogReader
+from voodoo_jax.io.opened_log import LogReader
 
 MESSAGES, ROOM_POINTS = 24, 3000  # of each sensor, and of each message: measured to tell 0.15 s to 0.01 s
 VOXEL = 0.06  # metres: twice the noise of depth at 4 m (Khoshelham and Elberink 2012, doi:10.3390/s120201437)

@@ -23,10 +23,9 @@ from voodoo_jax.detect.segmentation import CELL
 from voodoo_jax.detect.units import FIRST, with_units
 from voodoo_jax.geometry.depth_edges import SMEARED, between_edges
 from voodoo_jax.geometry.voxels import Counted, cells_of
-from voodoo_jax.io.as_shown import TORN, is_decisive, off_level
 from voodoo_jax.io.container import LogFile, Place
 from voodoo_jax.io.convert.sources import as_mcap
-from voodoo_jax.io.log_reader import LogReader, open_log, read_whole
+from voodoo_jax.io.log_reader import TORN, LogReader, is_decisive, off_level, open_log, read_whole
 from voodoo_jax.records.messages import Image
 from voodoo_jax.records.recording import Frame, Recording
 

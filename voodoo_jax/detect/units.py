@@ -14,7 +14,7 @@ from voodoo_jax.detect.body_likelihood import Build
 from voodoo_jax.detect.find_gravity import LEAST, LIKELIER, LOW, likely_body, upright
 from voodoo_jax.detect.scene import find_scene
 from voodoo_jax.io.container import LogError
-from voodoo_jax.io.log_reader import FEW_POINTS, LogReader, Sample
+from voodoo_jax.io.opened_log import FEW_POINTS, LogReader, Sample
 from voodoo_jax.records.recording import Frame
 
 FIRST, SPREAD = 3, 7  # messages that are looked at at once, and of the whole log where there is doubt; by hand

@@ -27,11 +27,10 @@ from voodoo_jax.io.decode.registry import (
 )
 from voodoo_jax.io.given import given_cameras, given_transforms
 from voodoo_jax.io.landmark_table import Gathered, gather, unit_of, without_held, without_placeholders
-from voodoo_jax.io.pictures import UNSEARCHED, camera_topics
 from voodoo_jax.io.several_files import open_files
 from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, find_pairs
 from voodoo_jax.io.topic import POSE_USE, SKIN_USE, Topic, Unused
-from voodoo_jax.io.topic_roles import decide_uses
+from voodoo_jax.io.topic_roles import UNSEARCHED, camera_topics, decide_uses
 from voodoo_jax.io.transforms import Moving, Transform, TransformTree
 from voodoo_jax.records.messages import PAIRS, Calibration, Features, Image, many, moved
 from voodoo_jax.records.notes import plain

@@ -1,46 +1,30 @@
-"""Reads an MCAP sensor log: depth images, point clouds and named features, found by type, as frames in one fixed frame.
-
-The first of two passes collects stamps, calibrations, transforms and features, and assigns messages to frames; the
-second decodes the depth messages one by one. So memory stays bounded, and a calibration may come after the images.
+"""Opens MCAP logs, or reads them whole: depth images, point clouds and named features, found by type, as frames in one
+fixed frame. Poses of frames and kinds of distances are checked against planes in the first images.
 """
 
-from collections import Counter
-from collections.abc import Iterator
-from copy import copy
-from dataclasses import dataclass, replace
-from typing import Any
-
 import numpy as np
-from jaxtyping import Float, Float32, Int64
 
 from voodoo_jax.config.options import ReadSettings
-from voodoo_jax.config.toml import check_pairs
-from voodoo_jax.io.as_shown import TELLING, with_images_as_shown, with_settled_frames
-from voodoo_jax.io.calibrations import calibration_of, fitted, leeway
-from voodoo_jax.io.container import LogError, LogFile, Place, guarded
-from voodoo_jax.io.decode.image_codec import raw_of
-from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
-from voodoo_jax.io.frame_pass import UNREADABLE, FramePass
-from voodoo_jax.io.given import given_transforms
+from voodoo_jax.io.as_shown import TELLING, calibrated, flat_share, planes, seen_pixels
+from voodoo_jax.io.calibrations import BODY_OPTICAL
+from voodoo_jax.io.container import LogError, LogFile, Place
 from voodoo_jax.io.log_index import Scan
 from voodoo_jax.io.log_summary import LogSurvey, TopicSurvey, damaged, survey
-from voodoo_jax.io.measuring import Measuring
-from voodoo_jax.io.pictures import shape_of
-from voodoo_jax.io.pose_rays import NAMES, with_key_points
-from voodoo_jax.io.read_plan import Plan, make_plan
-from voodoo_jax.io.repeats import Repeats
-from voodoo_jax.records.messages import Cloud, Image, many, stride
-from voodoo_jax.records.notes import DAMAGED, as_few
-from voodoo_jax.records.recording import NO_PAIRS, NO_RAYS, Frame, Pairs, Rays, Recording
+from voodoo_jax.io.opened_log import LogReader
+from voodoo_jax.io.pose_rays import with_key_points
+from voodoo_jax.io.read_plan import make_plan
+from voodoo_jax.records.recording import Recording
 from voodoo_jax.sensors.pose_net import check_pose_net
 
 __all__ = ["LogError", "LogReader", "LogSurvey", "TopicSurvey", "open_log", "read_log", "survey"]
 
-BEGAN = "which repeat the first image, at the beginning: the sensor or its driver was frozen"
-FEW_POINTS = 5000  # of a message that are looked at to see whether it shows something
+LEVEL = np.cos(np.radians(15))  # so near to upwards a normal is a floor's; by hand
+# degrees, or 2 centimetres, by which a floor is off level at most where transforms are right; and the probability that
+# they are where two contradict each other and nothing tells; by hand
+FITS, TORN = 2.5, 0.5
 
 
-def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> "LogReader":
+def open_log(path: Place | LogFile, settings: ReadSettings | None = None) -> LogReader:
     """Scans a log and plans its frames; `frames()` of the result then yields them one by one.
 
     **Arguments:** `path` of a file, of a bag's folder, or those of several files that were recorded together.
@@ -70,7 +54,7 @@ def read_log(path: Place, settings: ReadSettings | None = None) -> Recording:
     return read_whole(open_log(path, settings))
 
 
-def read_whole(log: "LogReader") -> Recording:
+def read_whole(log: LogReader) -> Recording:
     """All frames of an opened log in memory. Raises as `LogReader.frames`."""
     frames = tuple(log.frames())
     return Recording(
@@ -79,256 +63,88 @@ def read_whole(log: "LogReader") -> Recording:
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Sample:
-    """One message of a depth topic, decoded in advance."""
-
-    number: int  # of the topic's messages
-    content: Cloud | Image
-    distances: Float[np.ndarray, " point"]  # from the sensor, in metres if its unit is the usual one
-
-
-class LogReader:
-    """A log opened for reading frame by frame. `notes` is complete once `frames()` has run through."""
-
-    def __init__(self, scan: Scan, plan: Plan, settings: ReadSettings):
-        self.scan, self._settings = scan, settings
-        self.path, self.fixed_frame, self.up, self.sensors = scan.log.path, plan.fixed_frame, plan.up, plan.sensors
-        self.origin, self.up_is_given = plan.origin, bool(settings.up)
-        self.features, self.parts = plan.features, plan.parts.names
-        self._plan = plan
-        self._notes = [*scan.notes, *scan.tree.notes, *plan.notes]
-        self.counted: Counter[tuple[str, str]] = Counter()  # events with messages, by topic and event
-        self._decoder, self._repeats = Decoder(), Repeats()
-        self.sure = 1.0  # probability that places are right for which a calibration was assumed
-        self.placed: tuple[str, ...] = ()  # transforms that were found, as read.transform says them
-        scales = check_pairs("read.scale", settings.scale)
-        radial = check_pairs("read.radial", settings.radial)
-        mirrors = check_pairs("read.mirror", settings.mirror)
-        self.measuring = Measuring(
-            scan.topics, scan.tree, plan.fixed_frame, settings, plan.parts,
-            scales={name: float(value) for name, value in scales.items()},
-            radial={name: word == "yes" for name, word in radial.items()},
-            mirrored={name: "xyz".index(axis) for name, axis in mirrors.items() if axis in ("x", "y", "z")},
-        )  # fmt: skip
-
-    @property
-    def scales(self) -> dict[str, float]:
-        """Metres per unit of topics, if unusual."""
-        return self.measuring.scales
-
-    def unit(self, topic: str) -> float:
-        """Usual metres per unit of a depth topic's encoding."""
-        sample = self.scan.topics[topic].sample
-        return sample.unit if isinstance(sample, Image) else 1.0
-
-    def frame_name(self, topic: str) -> str:
-        """The coordinate frame of a depth topic."""
-        return self.scan.topics[topic].sample.frame
-
-    def move(self, topic: str, T: Float[np.ndarray, "4 4"]) -> tuple[str, str]:
-        """Moves a static sensor by `T`, in the fixed frame. Returns the read.transform texts of its new pose and of
-        that of the log; both are empty if the log's transforms do not allow this."""
-        name, tree = self.frame_name(topic), self.scan.tree
-        before = tree.said(name)
-        if not tree.move(name, self.fixed_frame, T):
-            return "", ""
-        self.placed += (tree.said(name),)
-        return self.placed[-1], before
-
-    def moved_by(self, topic: str) -> set[str]:
-        """Topics of the transforms by which a sensor moves."""
-        frames = self.scan.tree.moving_between(self.frame_name(topic), self.fixed_frame)
-        return {self.scan.moves[frame] for frame in frames if frame in self.scan.moves}
-
-    @property
-    def given_frames(self) -> set[str]:
-        """Frames with a pose from read.transform."""
-        return {transform.child for transform in given_transforms(self._settings.transform)}
-
-    def is_image(self, topic: str) -> bool:
-        """Whether a topic's messages are images, not clouds."""
-        return isinstance(self.scan.topics[topic].sample, Image)
-
-    def with_scales(self, scales: dict[str, float]) -> "LogReader":
-        """The same log with other units of some topics, metres per unit."""
-        return self._with(scales={**self.scales, **scales})
-
-    def _with(self, **changes: Any) -> "LogReader":
-        """The same log with other fields of `measuring`."""
-        other = copy(self)
-        other.measuring = replace(self.measuring, **changes)
-        other._notes, other.counted = list(self._notes), Counter()
-        return other
-
-    def without_sheets(self, topics: frozenset[str]) -> "LogReader":
-        """The same log without the points in the smeared edges of some depth images, see geometry.depth_edges."""
-        return self._with(smeared=topics)
-
-    def with_crop(self, topic: str, moved: tuple[float, float], sure: float = 1.0) -> "LogReader":
-        """The same log with the principal point of a topic's cropped images moved by pixels to the right and down,
-        relative to a central crop; right with the probability `sure`."""
-        other = self._with(moved={**self.measuring.moved, topic: moved}, rays={}, turned={}, assumed={})
-        other.sure *= sure
-        return other
-
-    def leeway(self, topic: str) -> tuple[tuple[float, float], float]:
-        """Uncertainty of a topic's crop offset, pixels across and down, and the focal length, pixels."""
-        shape = shape_of(self.scan.topics[topic].sample)
-        c = None if shape is None else calibration_of(self.scan.topics, topic)
-        if shape is None or c is None:
-            return (0.0, 0.0), 1.0
-        try:
-            return leeway(c, shape), float(fitted(c, shape)[0].K[0, 0])
-        except ValueError:  # asked, or left out, where its images are used
-            return (0.0, 0.0), 1.0
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """Topics whose colour images are used by themselves, not as pairs."""
-        return tuple(self._plan.pictures.cameras) if self._plan.pictures is not None else ()
-
-    def depth(self, topic: str, image: Image, every: int = 1) -> Float32[np.ndarray, "row column"] | None:
-        """See Measuring.depth."""
-        return self.measuring.depth(topic, image, every)
-
-    def continued(self, scan: Scan, plan: Plan) -> "LogReader":
-        """The same log with later messages: a new scan and plan."""
-        other = copy(self)
-        other.scan, other._plan = scan, replace(plan, up=self.up)
-        other.sensors, other.features = plan.sensors, plan.features
-        other._notes, other.counted = [], Counter()
-        # what was assumed is said already
-        other.measuring = replace(self.measuring, topics=scan.topics, tree=scan.tree, parts=plan.parts, assumed={})
-        return other
-
-    def coarse(self, max_points: int) -> "LogReader":
-        """The same log with at most this many points of each message."""
-        other = self._with(settings=replace(self._settings, max_points=max_points))
-        other._settings = other.measuring.settings
-        return other
-
-    def stamps(self, topic: str) -> Int64[np.ndarray, " message"]:
-        """Stamps of a depth topic's messages in the order of reading, nanoseconds."""
-        return self._plan.stamps[self.sensors.index(topic)]
-
-    def say(self, note: str) -> None:
-        """Adds a note."""
-        self._notes.append(note)
-
-    def sampled(
-        self, topic: str, count: int, spread: bool = False, step: int = 1, at: Int64[np.ndarray, " time"] | None = None
-    ) -> list[Sample]:
-        """Some non-empty messages of a depth topic: the first ones (subsampled), or `spread` over the log, or those
-        nearest to some times (nanoseconds)."""
-        total = len(self.scan.topics[topic].stamps)
-        step = max(1, total // count) if spread else step
-        stamps = self.stamps(topic)
-        near = None if at is None else {int(np.argmin(np.abs(stamps - t))) for t in at}
-        last = total if spread else 60 + step * count  # two seconds of darkness
-        last = last if near is None else max(near, default=0)
-        found, decoder, number = [], Decoder(), -1
-        stereo = {pair.left for pair in self.scan.stereo}
-        wanted = lambda s, c: c.topic == topic and self.scan.kind(s, c) == self.scan.topics[topic].kind  # noqa: E731
-        for schema, channel, message in guarded(self.scan.log, wanted) if topic not in stereo else ():
-            number += 1
-            self.scan.log.clock.check()
-            if number > last:
-                break
-            if (number % step if near is None else number not in near) or schema is None:
-                continue
-            try:
-                content = decoder.message(schema, channel, message.data)
-                distances = _distances(content)
-            except DECODE_ERRORS:
-                continue
-            if len(distances) >= TELLING:
-                found.append(Sample(number, content, distances))
-            if len(found) == count:
-                break
-        return found
-
-    def frame_of(self, topic: str, sample: Sample) -> Frame | None:
-        """A frame of one message, in the fixed frame; None without a transform."""
-        at = int(self.stamps(topic)[sample.number])
-        measured = self.measuring.measured(topic, sample.content, at, self.counted)
-        if measured is None:
-            return None
-        sensor = np.zeros(len(measured.points), np.int32)
-        return Frame(at, measured.points.astype(np.float32), sensor, measured.origin[None].astype(np.float32))
-
-    def __len__(self) -> int:
-        """Number of frames planned; fewer come out if messages turn out to be broken or have no transform."""
-        return len(self._plan.frames)
-
-    @property
-    def named(self) -> list[tuple[Rays, Pairs]]:
-        """The features of each frame that has any."""
-        rays, pairs = self._plan.rays, self._plan.pairs
-        return [(rays.get(i, NO_RAYS), pairs.get(i, NO_PAIRS)) for i in rays.keys() | pairs.keys()]
-
-    @property
-    def named_at_once(self) -> set[tuple[str, ...]]:
-        """Names of the features of each frame that has any."""
-        net = NAMES if self._settings.pose_net else ()
-        return {(*r.names, *net, *p.names) for r, p in self.named} | ({net} if net else set())
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was left out, missing or damaged, one sentence each."""
-        return as_few([*self._notes, *self.measuring.assumed.values(), *self._losses(), *self._damage()])
-
-    def _damage(self) -> list[str]:
-        """A sentence if frames were lost to damage."""
-        lost = self.scan.lost({*self.sensors, *self.features})
-        lost += sum(n for (_, what), n in self.counted.items() if what == UNREADABLE)
-        lost += sum(self.scan.topics[name].broken for name in self.features)
-        if lost:
-            return [f"{DAMAGED}{many(lost)} that frames were to be made of {'is' if lost == 1 else 'are'} lost."]
-        # without statistics nobody knows how many there were
-        unsure = self.scan.log.declared is None and any("cannot be read" in text for text in self.scan.log.damage)
-        if unsure:
-            return [f"{DAMAGED}how many frames are lost is not known."]
-        return []
-
-    def _losses(self) -> list[str]:
-        counted = [f"'{topic}': {many(n)} {what}." for (topic, what), n in self.counted.items()]
-        counted += [f"'{topic}': {many(n)} {BEGAN}." for topic, n in self._repeats.began.items()]
-        return counted + self._plan.parts.losses()
-
-    def frames(self, origins: Float[np.ndarray, "sensor 3"] | None = None) -> Iterator[Frame]:
-        """Frames in the order of their stamps. `origins` are the last positions of sensors (NaN: unknown), updated in
-        place.
-
-        Raises LogError if not one message can be used.
-        """
-        self.scan.log.clock.restart()  # it goes by this thread, which may be another one than before
-        self.counted = Counter()
-        made = FramePass(
-            self.scan, self._plan, self._settings, self.measuring, self._decoder, self._repeats, self.counted,
-            self.no_origins() if origins is None else origins,
-        )  # fmt: skip
-        yield from made.frames()
-        if not made.made:
-            text = " ".join([f"'{self.path}': no depth message can be used.", *self._losses(), made.error]).strip()
-            if any(what == UNREADABLE for _, what in self.counted):
-                text = f"{text}. It is damaged, or was written by another version: copy it again."
-            raise LogError(damaged(self.scan, LogError(text)))
-
-    def no_origins(self) -> Float[np.ndarray, "sensor 3"]:
-        """Positions of sensors before their first measurement: NaN."""
-        return np.full((len(self.sensors), 3), np.nan) if self.sensors else np.zeros((1, 3))
+def with_settled_frames(reader: LogReader) -> LogReader:
+    """The reader with one of the two poses of each frame about which two publishers disagree: the one with a level
+    floor at height 0, if visible."""
+    for child, both in reader.scan.tree.torn.items():
+        count = 2 * min(len(e.stamps) for e in both)
+        off, lines = zip(*((off_level(reader), line) for line in (reader.scan.tree.choose(child, k) for k in (0, 1))))
+        best = int(np.argmin(off))
+        reader.scan.tree.choose(child, best)
+        decisive = is_decisive(off[best], off[1 - best])
+        reader.sure *= 1.0 if decisive else TORN
+        why = "the floor is level with the one that is used" if decisive else "it is unknown which one is right"
+        reader.say(
+            f"Frame '{child}' jumps between two poses, {count} times: two publishers disagree about it; {why}. "
+            f'--read.transform "{lines[best]}" says so, "{lines[1 - best]}" that it is the other.'
+        )
+    return reader
 
 
-def _distances(content: Cloud | Image) -> np.ndarray:
-    """Of a few thousand points from the sensor, in the usual unit; without those that saw nothing."""
-    if isinstance(content, Image):
-        raw = raw_of(content)
-        k = stride(*content.shape, FEW_POINTS)
-        # nothing, and the largest number, which some drivers write for it
-        z = np.zeros(0) if raw is None else raw[::k, ::k].ravel()
-        z = z[(z > 0) & (z < 65535)] if z.dtype == np.uint16 else z
-        found = z.astype(float) * content.unit
-    else:
-        found = np.linalg.norm(content.points(FEW_POINTS), axis=1)
-    return found[np.isfinite(found) & (found > 0)]
+def is_decisive(best: float, other: float) -> bool:
+    """Whether the better of two poses of a sensor is right, by `off_level` of both."""
+    return best < FITS and other > 2 * max(best, FITS / 4)
+
+
+def with_images_as_shown(reader: LogReader) -> LogReader:
+    """The reader with depth images interpreted as their planes show: as distances along the rays, or as optical images
+    in a frame of a camera's body."""
+    for topic in reader.sensors:
+        if not reader.is_image(topic) or (found := calibrated(reader.scan.topics, topic)) is None:
+            continue
+        xy, values = found
+        if topic not in reader.measuring.radial and flat_share(xy, values)[1]:
+            reader.measuring.radial[topic] = True
+            reader.say(
+                f"'{topic}' has distances along the rays, not along the optical axis, as its planes show "
+                f"(read.radial={topic}=yes; =no says that they are depths)."
+            )
+        if in_body_frame(reader, topic, xy, values):
+            reader.measuring.of_body |= {topic}
+            reader.say(
+                f"'{topic}' is given in '{reader.frame_name(topic)}', in which its floor would be upright: that is "
+                "the frame of a camera's body. Its images are treated as optical (z forwards, x to the right) there. "
+                "To override, give the transform of an optical frame, or set read.up."
+            )
+    return reader
+
+
+def off_level(reader: LogReader, topic: str = "") -> float:
+    """Deviation of the floor in a depth camera's first image from level at height 0 of the fixed frame, in units of a
+    degree or 2 centimetres; the best of all cameras, or that of one; infinite without a floor. Deviations of walls from
+    the axes of the frame count a tenth: rooms are often measured along them."""
+    least = np.inf
+    for name in (topic,) if topic else reader.sensors:
+        found = calibrated(reader.scan.topics, name) if reader.is_image(name) else None
+        at = int(reader.stamps(name)[0])
+        pose = reader.scan.tree.lookup(reader.fixed_frame, reader.frame_name(name), at, hold_ns=None)
+        if found is None or pose is None:
+            continue
+        ways, value = seen_pixels(*found)
+        seen = planes(ways, value) if len(value) >= TELLING else None
+        if seen is None or not len(seen.shares):
+            continue
+        normals = seen.normals @ pose[0].T
+        level = normals @ reader.up
+        walls = normals[np.abs(level) < 0.2]
+        aside = np.degrees(np.arccos(np.clip(np.abs(walls).max(1), 0, 1))).mean() if len(walls) else 0.0
+        heights = float((pose[1] + reader.origin) @ reader.up) - seen.distances
+        off = np.degrees(np.arccos(np.clip(level, -1, 1))) + np.abs(heights) / 0.02
+        least = min(least, float(off[level > LEVEL].min(initial=np.inf)) + 0.1 * float(aside))
+    return least
+
+
+def in_body_frame(reader: LogReader, topic: str, xy: np.ndarray, values: np.ndarray) -> bool:
+    """Whether the floor in a topic's first image is level, by the transforms, only if its frame is that of a camera's
+    body."""
+    frame, tree = reader.frame_name(topic), reader.scan.tree
+    pose = tree.lookup(reader.fixed_frame, frame, int(reader.stamps(topic)[0]), hold_ns=None)
+    if reader.up_is_given or pose is None or frame == tree.root(frame) or "optical" in frame.lower():
+        return False
+    ways, value = seen_pixels(xy, values)
+    if len(value) < TELLING:
+        return False
+    length = np.linalg.norm(ways, axis=1) if reader.measuring.radial.get(topic) else 1.0
+    normals = planes(ways, value / length).normals
+    stated, body = (np.max(normals @ turn.T @ reader.up, initial=-1.0) for turn in (pose[0], pose[0] @ BODY_OPTICAL))
+    return bool(stated < LEVEL < body)

@@ -13,23 +13,19 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from voodoo_jax.geometry import lens
-from voodoo_jax.io.calibrations import calibration_of, fitted, lens_of, rectified
+from voodoo_jax.io.calibrations import fitted, lens_of
 from voodoo_jax.io.container import Item
 from voodoo_jax.io.decode.image_codec import pixels
 from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
-from voodoo_jax.io.stereo_pairs import STEREO_USE, make_rig, picture_of
-from voodoo_jax.io.topic import Topic
+from voodoo_jax.io.log_index import Scan
+from voodoo_jax.io.stereo_pairs import make_rig, picture_of
+from voodoo_jax.io.topic_roles import UNSEEN, camera_topics
 from voodoo_jax.records.messages import Calibration, Colour, Image
 from voodoo_jax.records.recording import Picture
 
 if TYPE_CHECKING:
-    from voodoo_jax.io.log_index import Scan
     from voodoo_jax.sensors.stereo_rig import Rig
-
-_GREY = ("mono8", "8uc1")
-UNSEARCHED = "Skin detection leaves out '{}': {}."
-UNSEEN = "The images of '{}' are not used: {}."
 
 
 @dataclass(frozen=True)
@@ -41,30 +37,7 @@ class PicturePlan:
     notes: tuple[str, ...] = ()
 
 
-def camera_topics(
-    topics: dict[str, Topic], uses: dict[str, str], note: str = UNSEEN, of_pairs: bool = False
-) -> tuple[dict[str, Calibration], list[str]]:
-    """One topic of colour images for each calibrated camera (not compressed, then rectified), and notes on those that
-    cannot be used; of stereo pairs in use none, or `of_pairs` the left ones."""
-    found: dict[str, tuple[str, Calibration]] = {}
-    notes = []
-    pictures = {n: picture for n, t in topics.items() if (picture := picture_of(t.sample)) is not None}
-    for name in sorted(pictures, key=lambda n: (not pictures[n].step, not rectified(n), n)):
-        left, right = uses[name] == STEREO_USE, uses[name].startswith("right image of")
-        if pictures[name].encoding in _GREY or right or (left and not of_pairs):
-            continue
-        c = calibration_of(topics, name)
-        try:
-            if c is None:
-                raise ValueError("it has no calibration")
-            lens.pixel_rays(c.K, c.D, c.model, 2, 2)
-            found.setdefault(pictures[name].frame or name, (name, c))
-        except ValueError as problem:
-            notes.append(note.format(name, problem))
-    return dict(found.values()), notes
-
-
-def plan_pictures(scan: "Scan", fixed: str, times: Int64[np.ndarray, " frame"]) -> PicturePlan:
+def plan_pictures(scan: Scan, fixed: str, times: Int64[np.ndarray, " frame"]) -> PicturePlan:
     """The image of each single colour camera that is nearest in time to each frame (`times`, nanoseconds)."""
     cameras, notes = camera_topics(scan.topics, scan.uses)
     if scan.stereo:
@@ -89,7 +62,7 @@ def pose_matrix(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarra
 class PictureReader:
     """Makes Pictures of messages while a log is read."""
 
-    def __init__(self, scan: "Scan", fixed: str, cameras: dict[str, Calibration]):
+    def __init__(self, scan: Scan, fixed: str, cameras: dict[str, Calibration]):
         self._scan, self._fixed, self._cameras, self._decoder = scan, fixed, cameras, Decoder()
         self._rigs: dict[tuple, Any] = {}
 

@@ -13,10 +13,10 @@ from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps
 from voodoo_jax.io.landmark_table import Gathered
 from voodoo_jax.io.log_index import Scan
-from voodoo_jax.io.pictures import camera_topics
 from voodoo_jax.io.point_labels import Parts
 from voodoo_jax.io.stereo_pairs import picture_of
 from voodoo_jax.io.topic import DEPTH_USES, POSE_USE
+from voodoo_jax.io.topic_roles import camera_topics
 from voodoo_jax.records.messages import PAIRS, RAYS, many
 from voodoo_jax.records.recording import Picture, Rays, joined_rays
 from voodoo_jax.sensors.pose_net import KEY_POINTS, PoseNet, pose_files

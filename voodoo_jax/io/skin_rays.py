@@ -14,9 +14,9 @@ from voodoo_jax.io.decode.registry import DECODE_ERRORS, Decoder
 from voodoo_jax.io.frame_sync import clean_stamps, join_one
 from voodoo_jax.io.landmark_plan import FeaturePlan
 from voodoo_jax.io.log_index import Scan
-from voodoo_jax.io.pictures import UNSEARCHED
 from voodoo_jax.io.point_labels import Parts
 from voodoo_jax.io.stereo_pairs import picture_of
+from voodoo_jax.io.topic_roles import UNSEARCHED
 from voodoo_jax.records.messages import many
 from voodoo_jax.records.recording import Rays
 

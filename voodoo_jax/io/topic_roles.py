@@ -1,16 +1,20 @@
-"""Decides the use of each topic of a log."""
+"""Decides the use of each topic of a log, and which colour images are used."""
 
 from voodoo_jax.config.options import ReadSettings
 from voodoo_jax.geometry import lens
 from voodoo_jax.io.as_shown import compared
-from voodoo_jax.io.calibrations import bare, calibration_of, camera_of, fitted
+from voodoo_jax.io.calibrations import bare, calibration_of, camera_of, fitted, rectified
 from voodoo_jax.io.container import LogError
 from voodoo_jax.io.decode.image_codec import COLOUR_KIND
 from voodoo_jax.io.decode.registry import DEPTH_KINDS, FEATURE_KINDS
 from voodoo_jax.io.point_labels import label_field
-from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair
+from voodoo_jax.io.stereo_pairs import STEREO_USE, Pair, picture_of
 from voodoo_jax.io.topic import DEPTH_USES, Problem, Topic, Unused
-from voodoo_jax.records.messages import DEPTH_ENCODINGS, RAYS, Colour, Image
+from voodoo_jax.records.messages import DEPTH_ENCODINGS, RAYS, Calibration, Colour, Image
+
+_GREY = ("mono8", "8uc1")
+UNSEARCHED = "Skin detection leaves out '{}': {}."
+UNSEEN = "The images of '{}' are not used: {}."
 
 
 def decide_uses(
@@ -137,3 +141,26 @@ def _depth_use(topics: dict[str, Topic], name: str) -> str:
     except ValueError as error:
         return Unused.because(f"a depth image whose calibration is unusable: {error}", Problem.CALIBRATION)
     return "depth image"
+
+
+def camera_topics(
+    topics: dict[str, Topic], uses: dict[str, str], note: str = UNSEEN, of_pairs: bool = False
+) -> tuple[dict[str, Calibration], list[str]]:
+    """One topic of colour images for each calibrated camera (not compressed, then rectified), and notes on those that
+    cannot be used; of stereo pairs in use none, or `of_pairs` the left ones."""
+    found: dict[str, tuple[str, Calibration]] = {}
+    notes = []
+    pictures = {n: picture for n, t in topics.items() if (picture := picture_of(t.sample)) is not None}
+    for name in sorted(pictures, key=lambda n: (not pictures[n].step, not rectified(n), n)):
+        left, right = uses[name] == STEREO_USE, uses[name].startswith("right image of")
+        if pictures[name].encoding in _GREY or right or (left and not of_pairs):
+            continue
+        c = calibration_of(topics, name)
+        try:
+            if c is None:
+                raise ValueError("it has no calibration")
+            lens.pixel_rays(c.K, c.D, c.model, 2, 2)
+            found.setdefault(pictures[name].frame or name, (name, c))
+        except ValueError as problem:
+            notes.append(note.format(name, problem))
+    return dict(found.values()), notes

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from voodoo_jax.config.options import ReadSettings, Settings
-from voodoo_jax.io.log_reader import LogReader
+from voodoo_jax.io.opened_log import LogReader
 from voodoo_jax.model.body import Body
 from voodoo_jax.records.recording import Frame, Recording
 from voodoo_jax.records.tracks import Tracks

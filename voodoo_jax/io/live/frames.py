@@ -22,7 +22,7 @@ from voodoo_jax.io.decode.registry import DECODE_ERRORS, DEPTH_KINDS, FEATURE_KI
 from voodoo_jax.io.frame_sync import period_of
 from voodoo_jax.io.live.sources import ITEM, Source
 from voodoo_jax.io.log_index import Known, Scan
-from voodoo_jax.io.log_reader import LogReader
+from voodoo_jax.io.opened_log import LogReader
 from voodoo_jax.io.read_plan import Plan, make_plan
 from voodoo_jax.io.topic import DEPTH_USES
 from voodoo_jax.io.transforms import Transform
