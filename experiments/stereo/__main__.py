@@ -52,18 +52,20 @@ def told(log: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def flexible_numbers(logs: list[Path]) -> Trust:
-    """The numbers of the flexible tracker's confidence, by some logs."""
-    x, y = (np.concatenate(each) for each in zip(*map(told, logs)))
-    return fitted(x, y, x.shape[1])
+    """The numbers of the flexible tracker's confidence, by some logs that count alike."""
+    each = [(x, y, np.full(len(y), 1 / max(len(y), 1))) for x, y in map(told, logs)]
+    x, y, weight = (np.concatenate(parts) for parts in zip(*each))
+    return fitted(x, y, x.shape[1], weight)
 
 
 @users_cache()
-def main(
+def main(  # 7 parameters: the command's flags
     bodies: tyro.conf.Positional[Path],
     motions: tyro.conf.Positional[Path],
     logs: tyro.conf.Positional[Path],
     only: str = "",
     fit: bool = False,
+    calm: Path | None = None,
     out: Path = Path(__file__).parent,
 ) -> None:
     """How well fast movements are tracked by stereo pairs.
@@ -74,6 +76,7 @@ def main(
         logs: folder for the logs; those that are there are taken as they are.
         only: the logs whose names begin so.
         fit: print the numbers of the flexible tracker's confidence by the choosing half, too.
+        calm: folder of further logs that these numbers are fitted to, with *.truth.npz beside each.
         out: folder for stereo.md.
     """
     logs.mkdir(parents=True, exist_ok=True)
@@ -89,7 +92,7 @@ def main(
         if found:
             rows.append([f"**{half.name}**", *(cell for each in zip(*found) for cell in cells(list(each)))])
         if fit and half.name == "choosing":
-            print(flexible_numbers(paths))
+            print(flexible_numbers(paths + sorted(calm.glob("*.mcap") if calm else [])))
     head = [
         f"{name}: {what}" for name in TRACKERS for what in ("cm", "within 10 cm, %", "said, %", "right above wrong")
     ]

@@ -30,18 +30,19 @@ EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
 WEAK = 1e-3  # weight of the squared slopes: keeps them finite where everything is right
 
 
-def fitted(clues: np.ndarray, close: np.ndarray, count: int) -> Trust:
-    """The logistic function of the first `count` clues with the highest likelihood."""
+def fitted(clues: np.ndarray, close: np.ndarray, count: int, weight: np.ndarray | None = None) -> Trust:
+    """The logistic function of the first `count` clues with the highest likelihood; `weight` what each joint counts."""
     x, y = clues.reshape(-1, clues.shape[-1])[:, :count], close.ravel()
     known = np.isfinite(x).all(1)
     x, y = x[known], y[known].astype(float)
+    share = np.full(len(y), 1 / len(y)) if weight is None else weight[known] / weight[known].sum()
     middle, spread = x.mean(0), np.maximum(x.std(0), 1e-9)
     rows = np.c_[np.ones(len(x)), (x - middle) / spread]
 
     def cost(b: np.ndarray) -> tuple[float, np.ndarray]:
         z = rows @ b
-        slope = rows.T @ (expit(z) - y) / len(y) + 2 * WEAK * np.r_[0, b[1:]]
-        return float(np.mean(np.logaddexp(0, z) - y * z) + WEAK * b[1:] @ b[1:]), slope
+        slope = rows.T @ (share * (expit(z) - y)) + 2 * WEAK * np.r_[0, b[1:]]
+        return float(share @ (np.logaddexp(0, z) - y * z) + WEAK * b[1:] @ b[1:]), slope
 
     b = minimize(cost, np.zeros(rows.shape[1]), jac=True).x
     slopes = b[1:] / spread

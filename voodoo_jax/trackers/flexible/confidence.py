@@ -15,7 +15,7 @@ from voodoo_jax.trackers.flexible.filters import Seen
 from voodoo_jax.trackers.flexible.flexible_body import CENTRES, LIMBS, POINTS
 
 # of the clues below, from experiments/stereo
-CONSTANT, SLOPES = -14.226, (-0.775, 0.187, -2.032, 0.146, -0.753, 5.466)
+CONSTANT, SLOPES = -19.709, (-1.134, -0.265, -0.825, 0.648, -1.073, -2.071, 2.948)
 AROUND = 5  # frames over which clues are averaged: of single ones right is trusted above wrong less often, measured
 _FEW = 1e-3  # metres: less is not told from it, by hand
 
@@ -23,7 +23,8 @@ _FEW = 1e-3  # metres: less is not told from it, by hand
 def clues(found: Seen, ahead: bool = True) -> Float[np.ndarray, "frame point clue"]:
     """Of each point of the body, averaged over some frames: logarithms of the particles' spread, of the distance of
     the points around it to the surface, and of the share of points that nothing explains; log(1 + number) of the points
-    around it; logarithm of how far the hypotheses are apart there; how much of the limb is where depth is measured.
+    around it; logarithm of how far the hypotheses are apart there, and its mean over the body; how much of the limb is
+    where depth is measured.
 
     **Arguments:** `ahead` whether later frames may be looked at.
     """
@@ -37,7 +38,9 @@ def clues(found: Seen, ahead: bool = True) -> Float[np.ndarray, "frame point clu
     unexplained = np.broadcast_to(1 - np.asarray(found.explained)[:, None], spread.shape)
     log = lambda a, least: np.log(np.maximum(a, least))  # noqa: E731
     wide = log(np.asarray(found.wide), _FEW)
-    each = np.stack([log(spread, _FEW), log(off, _FEW), log(unexplained, 0.01), np.log1p(support), wide, solid], -1)
+    whole = np.broadcast_to(wide.mean(1, keepdims=True), wide.shape)
+    each = [log(spread, _FEW), log(off, _FEW), log(unexplained, 0.01), np.log1p(support), wide, whole, solid]
+    each = np.stack(each, -1)
     return uniform_filter1d(each, AROUND, 0, mode="nearest", origin=0 if ahead else AROUND // 2)
 
 
