@@ -30,7 +30,7 @@ from voodoo_jax.solve.scan import State, Visit, at_rest, options_from
 from voodoo_jax.storage.cores import at_once
 from voodoo_jax.trackers.base import Task
 from voodoo_jax.trackers.icp.misfit import AROUND, body_distance, evenly
-from voodoo_jax.trackers.icp.runner import Runner
+from voodoo_jax.trackers.icp.runner import LONG, Runner
 from voodoo_jax.trackers.icp.tracker import Unplaced, placed, track_poses, with_rating
 from voodoo_jax.trackers.shared.runner import FEW_POINTS
 
@@ -38,9 +38,6 @@ from voodoo_jax.trackers.shared.runner import FEW_POINTS
 # 2 and 9 of 550 features to another person (measured, experiments/numbers)
 IN_ITS_WAY = 0.1
 CLOSE = 0.15  # metres from another person's limbs within which points may be mixed up; measured: with 0.25 0.2 cm worse
-# times track.prior_interval from copy to copy of a scan: over it the pull to the prediction is weakest (solve/scan);
-# measured: a person with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
-LONG = 4
 FUSED = (
     "Points are on all sides of the body: clouds of several sensors were merged, and their positions are unknown. "
     "Points are matched to all sides of a limb."
@@ -245,6 +242,7 @@ def numbered(found: list[Tracks], order: list[int]) -> list[Tracks]:
 
 def held(frames: list[BodyObservation], count: int, interval: float) -> list[BodyObservation]:
     """Frames after copies of the first one, so that one or two scans take as many steps as the start of a recording."""
+    # measured: a person with arms stretched out 12.6 -> 6.6 cm beside copies at 30 Hz
     step = round(LONG * interval * 1e9)
     return [replace(f, time_ns=f.time_ns - k * step) for f in frames[:1] for k in range(count, 0, -1)] + frames
 

@@ -10,6 +10,7 @@ from voodoo_jax.trackers.icp.refine.choose_facing import ChooseFacing
 from voodoo_jax.trackers.icp.refine.drop_carried import DropCarried
 from voodoo_jax.trackers.icp.refine.drop_unexplained import DropUnexplained
 from voodoo_jax.trackers.icp.refine.fit_forearms import FitForearms
+from voodoo_jax.trackers.icp.refine.fit_stature import FitStature
 from voodoo_jax.trackers.icp.refine.fixed_lag import FixedLag
 from voodoo_jax.trackers.icp.refine.forward_backward import ForwardBackward
 from voodoo_jax.trackers.icp.refine.hang_arms import HangArms
@@ -27,7 +28,9 @@ REFINE: tuple[Stage, ...] = (
     *SETTLE, ChooseFacing(among=SETTLE), RestartLimbs(), MendDiscontinuities(), FixedLag(),
 )  # fmt: skip
 # of the recording
-FINISH: tuple[RecordingStage, ...] = (DropCarried(among=REFINE), DropUnexplained(among=REFINE), FitForearms())
+FINISH: tuple[RecordingStage, ...] = (
+    FitStature(among=REFINE), DropCarried(among=REFINE), DropUnexplained(among=REFINE), FitForearms(),
+)  # fmt: skip
 # of the tracks, once their poses stand
 PLACE = (PlaceJoints(), HangLegs(), HangArms())
 

@@ -6,17 +6,19 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 from voodoo_jax.config.options import StartSettings
-from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.geometry.rigid import Poses, on_host
 from voodoo_jax.model.attachments import directions, hung_on, pointing
 from voodoo_jax.model.body import Body
 from voodoo_jax.model.pose_library import Stance
 from voodoo_jax.records.observation import BodyObservation
-from voodoo_jax.solve.scan import State, Step
+from voodoo_jax.solve.scan import State, Step, at_rest, cost_of
 from voodoo_jax.trackers.icp.trials import Trial, in_pieces, run_trials
 from voodoo_jax.trackers.shared.runner import FEW_POINTS, TRACKS, FrameRunner
 
+LONG = 4.0  # times prior_interval: derived, over longer times a prediction does not count less (solve.scan)
 THING_FRAMES = 2  # times the frames of a start: a held thing has few points to tell where it points
 
 
@@ -25,17 +27,20 @@ class Runner(FrameRunner):
 
     def __init__(self, *given: Any, **named: Any):
         super().__init__(*given, **named)
+        self.known = False  # whether the body has had its size from the beginning
         self.stances: dict[int, Stance] = {}  # that segments began in, by first frame, the last time they were tracked
 
     def can_start(self, at: int) -> bool:
         reach = self.people[at : at + 3 * self.settings.start.frames]
         return any(len(f.points) >= FEW_POINTS for f in reach)
 
-    def anew(self, people: list[BodyObservation]) -> "Runner":
-        """The same recording with other points on the body, before its first frame; segments may start in the same
-        other stances again."""
+    def anew(self, people: list[BodyObservation] | None = None, known: Body | None = None) -> "Runner":
+        """The same recording with other points on the body, or with a body whose size is known, before its first frame;
+        segments may start in the same other stances again."""
         body, changes = self._given
-        other = Runner(body, self.options, people, self.scene, self.settings, changes, self.visit)
+        people = self.people if people is None else people
+        other = Runner(known or body, self.options, people, self.scene, self.settings, changes, self.visit)
+        other.sized = other.known = known is not None or self.known
         other.stances = self.stances
         return other
 
@@ -56,6 +61,15 @@ class Runner(FrameRunner):
         frames = min(THING_FRAMES * self.settings.start.frames, self.length)
         trial = self.trials(self.body, self.people[at : at + frames], starts)
         self.body = bodies[int(np.argmin(trial.cost))]
+
+    def alone(self, body: Body, starts: Poses, at: Int[np.ndarray, " frame"]) -> Float[np.ndarray, " frame"]:
+        """What up to TRACKS frames cost, each solved for itself from poses (leading axis: frame)."""
+        chunk, features = self._padded([self.people[k] for k in at], None)
+        # as after a long time, when a pose before tells little
+        seconds = np.full_like(chunk.seconds, LONG * float(self.options.prior_interval))
+        measured, states = (chunk.points, seconds, features), at_rest(starts)
+        asked = self._asked(body, self.options, measured, np.arange(len(at)), states, sure=False, each=True)
+        return cost_of(on_host(self.visit(*asked)[1]))[: len(at)]
 
     def trials(self, body: Body, frames: list[BodyObservation], starts: list[Poses]) -> Trial:
         """Tracks some frames from every start pose, the last one first."""

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from voodoo_jax.geometry.rigid import Poses
+from voodoo_jax.model.body import Body
 from voodoo_jax.records.observation import BodyObservation
 from voodoo_jax.records.tracks import Status
 from voodoo_jax.trackers.icp.initialise import begin, clearer
@@ -48,9 +49,11 @@ class Whole:
     enough: Bool[np.ndarray, " frame"]  # frames with points enough to look anew for a body that was lost
     notes: tuple[str, ...] = ()  # what stages want to be known
 
-    def tracked_anew(self, people: list[BodyObservation], stages: tuple[Stage, ...]) -> "Whole":
-        """The recording tracked again, with other points on the body."""
-        return track_whole(self.run.anew(people), self.begin, self.first, self.enough, stages)
+    def tracked_anew(
+        self, stages: tuple[Stage, ...], people: list[BodyObservation] | None = None, body: Body | None = None
+    ) -> "Whole":
+        """The recording tracked again, with other points on the body, or with a body whose size is known."""
+        return track_whole(self.run.anew(people, body), self.begin, self.first, self.enough, stages)
 
 
 @runtime_checkable

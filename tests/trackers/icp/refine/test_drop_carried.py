@@ -75,7 +75,7 @@ def test_it_is_taken_where_far_less_is_unexplained_then(rng, monkeypatch, cost, 
     assert unexplained(before) == pytest.approx(cost - 0.018**2)
     asked = []
 
-    def anew(whole: Whole, left, stages) -> Whole:
+    def anew(whole: Whole, stages, left) -> Whole:
         asked.append(sum(len(f.points) for f in left))
         return replace(whole_of(people, then), notes=whole.notes)
 

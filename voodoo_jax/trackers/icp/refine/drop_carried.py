@@ -60,7 +60,7 @@ class DropCarried:
         left = self.without(whole.run.people, whole.run.scene.floor)
         if left is None:
             return whole
-        other = whole.tracked_anew(spilled(left), self.among)
+        other = whole.tracked_anew(self.among, spilled(left))
         if unexplained(other) > self.better * before:
             return whole
         return replace(other, notes=(*whole.notes, CARRIED_NOTE))
