@@ -195,6 +195,28 @@ def chair(scene: Scene, at: np.ndarray, yaw: float, seat: float, rng: np.random.
                 put(0, 0.3 * j, 0.3, (0.5, 0.03, 0.55))
 
 
+def couch(scene: Scene, at: np.ndarray, yaw: float, rng: np.random.Generator) -> float:
+    """A bed or a sofa, on which somebody lies whose head is along x turned by yaw; its height."""
+    turn, u = Rotation.from_euler("z", yaw).as_matrix(), rng.uniform
+    high, wide, end = u(0.3, 0.75), u(0.75, 1.6), u(0.95, 1.1)
+
+    def put(x, y, z, size):
+        scene.box(turn @ [x, y, z] + [*at, 0], size, yaw)
+
+    put(0, 0, high / 2, (2 * end, wide, high))
+    if rng.random() < 0.5:  # a pillow
+        put(u(0.7, 0.9), 0, high, (0.3, u(0.4, 0.8), u(0.06, 0.24)))
+    for x in (-1, 1):  # boards or arms at its ends
+        if rng.random() < 0.35:
+            more = u(0.05, 0.5)
+            put(x * (end + 0.05), 0, (high + more) / 2, (u(0.04, 0.2), wide, high + more))
+    for y in (-1, 1):  # a back, rails, a wall
+        if rng.random() < 0.25:
+            more = u(0.1, 0.5)
+            put(0, y * (wide / 2 + 0.08), (high + more) / 2, (2 * end, u(0.04, 0.2), high + more))
+    return high
+
+
 def table(scene: Scene, at: np.ndarray, yaw: float, high: float, rng: np.random.Generator) -> None:
     turn, u = Rotation.from_euler("z", yaw).as_matrix(), rng.uniform
     deep, wide = u(0.5, 0.9), u(0.8, 1.8)
@@ -213,6 +235,7 @@ class People:
     def __init__(self, bodies: Path, motions: Path, test: bool):
         self.meshes = coarse(bodies)
         self.parts = parts_of(self.meshes)
+        self.trunk = np.unique(self.meshes.faces[np.isin(self.parts, [PARTS.index("chest"), PARTS.index("belly")])])
         every = np.arange(len(self.meshes.vertices))
         self.who = every[every % LEFT_OUT == 0] if test else every[every % LEFT_OUT != 0]
         self.clips = [read_clip(path, 1.0, 1) for path in sorted(motions.glob("humanoid3d_*.txt"))]
@@ -247,11 +270,10 @@ class People:
             chair(scene, at, yaw, wanted, rng)
             if rng.random() < 0.4:
                 table(scene, at + turn[:2, 0] * u(0.5, 0.75), yaw, wanted + u(0.2, 0.36), rng)
-        elif kind in LIES and rng.random() < 0.55:  # a bed
-            lift = u(0.35, 0.75)
-            along = (joints[JOINTS.index("skullbase")] - joints[JOINTS.index("l_knee")])[:2]
-            way = float(np.arctan2(along[1], along[0]))
-            scene.box((*at, lift / 2), (2.1, u(0.75, 1.6), lift), way)
+        elif kind in LIES or (kind == "floor" and rng.random() < 0.4):
+            along = joints[JOINTS.index("skullbase" if kind in LIES else "l_hip")] - joints[JOINTS.index("l_knee")]
+            lift = couch(scene, at, float(np.arctan2(along[1], along[0])), rng) if rng.random() < 0.65 else 0.0
+            lift -= vertices[self.trunk, 2].min() + u(0, 0.05 if lift > 0 else 0.02)  # limbs sink in
         vertices, joints = vertices + [0, 0, lift], joints + [0, 0, lift]
         parts = self.parts if label is None else np.full(len(self.parts), label, np.uint8)
         scene.mesh(vertices, self.meshes.faces, parts)

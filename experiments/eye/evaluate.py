@@ -1,7 +1,7 @@
-"""The eye judged: python -m experiments.eye.evaluate WEIGHTS.npz test DATA | logs EVERY LOG ...
+"""The eye judged: python -m experiments.eye.evaluate WEIGHTS.npz test DATA | rooms COUNT | logs EVERY LOG ...
 
-`test`: crops of people left out, by posture. `logs`: from scratch, every EVERY-th frame of logs with a truth beside
-them: found, joints, turned; false alarms where there is nobody.
+`test`: crops of people left out, by posture. `rooms`: false alarms in rooms with furniture and nobody. `logs`: from
+scratch, every EVERY-th frame of logs with a truth beside them: found, joints, turned; false alarms where nobody is.
 """
 
 import sys
@@ -16,11 +16,15 @@ from experiments.eye import net
 from experiments.eye.look import people
 from experiments.eye.midway import turned
 from experiments.eye.train import Pool
+from experiments.rooms.furnished import FURNITURE
 from experiments.scoreboard.tracked import read_known
 from voodoo_jax.kernels.eye import JOINTS
+from voodoo_jax.simulate.room import Box, Room, render_room
+from voodoo_jax.simulate.sensor import TOF_NOISE, add_noise, tof_camera
 from voodoo_jax.trackers.shared.eye import weights as weights_in
 
 FAR = 0.5  # metres: who is farther off is somebody else
+SURE = (0.0, 2.0, 4.0)  # logarithms of the odds that somebody is there
 SURER = (0.5, 1.0, 2.0, 3.0, 4.0)  # logarithms of odds
 
 
@@ -47,6 +51,28 @@ def on_crops(weights: Path, folder: Path) -> str:
         m = has & (found["odds"] >= low) & (found["odds"] < high)
         text += f"odds {low:.1f} to {high:.1f}: {m.sum()} crops, {100 * found['turned'][m].mean():.1f} % turned\n"
     return text
+
+
+def on_rooms(weights: Path, count: int) -> str:
+    """In how many rooms somebody is seen; a frame of each, looked at from scratch."""
+    found = []
+    for seed in range(count):
+        rng = np.random.default_rng([seed, 61])
+        camera = tof_camera(float(rng.uniform(0.7, 1.9)), float(rng.uniform(0.0, 0.2)))
+        boxes = tuple(
+            Box(float(rng.uniform(1.2, 4.5)), float(rng.uniform(-1.8, 1.8)), size, float(rng.uniform(0, np.pi)))
+            for size in rng.permutation(FURNITURE)[: rng.integers(2, 8)]
+        )
+        depth = add_noise(*render_room(camera, Room(boxes=boxes)), camera, TOF_NOISE, rng) / 1000
+        origin = np.array(camera.position)
+        points = (camera.rays() * depth.reshape(-1, 1) + origin)[depth.ravel() > 0]
+        found.append([s.person for s in people(weights, points, origin, most=9)])
+    above = [[sum(odds > low for odds in some) for some in found] for low in SURE]
+    rows = [
+        [f"{low:.0f}", f"{100 * np.mean(np.array(n) > 0):.0f}", f"{100 * np.mean(n):.0f}"]
+        for low, n in zip(SURE, above)
+    ]
+    return table(["logarithm of the odds above", "rooms with somebody, %", "seen in 100 rooms"], rows)
 
 
 def on_logs(weights: Path, every: int, logs: list[Path]) -> str:
@@ -98,5 +124,7 @@ def _cells(got: np.ndarray, false: float) -> list[str]:
 if __name__ == "__main__":
     if sys.argv[2] == "test":
         print(on_crops(Path(sys.argv[1]), Path(sys.argv[3])))
+    elif sys.argv[2] == "rooms":
+        print(on_rooms(Path(sys.argv[1]), int(sys.argv[3])))
     else:
         print(on_logs(Path(sys.argv[1]), int(sys.argv[3]), [Path(a) for a in sys.argv[4:]]))

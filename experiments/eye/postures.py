@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from experiments.people.motions import PARENT, Clip
 
 KINDS = {
-    "clip": 0.16, "stand": 0.2, "walk": 0.13, "lunge": 0.06, "bend": 0.07, "squat": 0.04, "sit": 0.12, "floor": 0.03,
-    "kneel": 0.04, "crawl": 0.04, "supine": 0.04, "prone": 0.03, "side": 0.03, "any": 0.01,
+    "clip": 0.14, "stand": 0.16, "walk": 0.1, "lunge": 0.05, "bend": 0.05, "squat": 0.04, "sit": 0.18, "floor": 0.04,
+    "kneel": 0.03, "crawl": 0.03, "supine": 0.07, "prone": 0.05, "side": 0.05, "any": 0.01,
 }  # fmt: skip
 LIES = ("supine", "prone", "side")
 # arms: forwards, outwards, turned inwards about the vertical, elbow; radians, mean and deviation; and how often
@@ -26,6 +26,8 @@ ARMS = np.array([
     [(-0.4, 0.2), (0.2, 0.1), (0.8, 0.2), (1.2, 0.3)],  # behind
     [(0.6, 1.0), (0.6, 0.7), (0.2, 0.6), (1.2, 0.8)],  # any
 ])  # fmt: skip
+# arms of who lies flat: outwards, elbow bent in the plane of the trunk; radians
+FLAT = np.array([[0.2, 0.15], [0.3, 0.3], [1.3, 1.4], [2.3, 1.2]])
 OFTEN = np.array([0.34, 0.14, 0.08, 0.06, 0.05, 0.05, 0.1, 0.05, 0.03, 0.1])
 
 
@@ -106,6 +108,11 @@ def _posture(rng: np.random.Generator, kind: str) -> dict[str, Rotation]:
         legs = [[n(0, 0.3), n(0.08, 0.1), np.clip(n(1.6, 0.2), 1.0, 2.3)] for _ in range(2)]
     elif kind in LIES:
         seen_by_floor = False
+        arms = [int(rng.choice([0, 1, 5, 6, 6, 6, 7])) for _ in range(2)]
+        if kind == "prone" and rng.random() < 0.75:  # the head to a side
+            neck = _turn(z=rng.choice([-1, 1]) * n(1.0, 0.3))
+        elif kind == "supine" and rng.random() < 0.5:  # on pillows
+            chest, neck = chest * _turn(y=u(0, 0.5)), neck * _turn(y=u(0, 0.5))
         root = {"supine": _turn(y=-np.pi / 2), "prone": _turn(y=np.pi / 2), "side": _turn(x=np.pi / 2)}[kind]
         root = _turn(*n(0, 0.06, 3)) * (root if kind != "side" or one else _turn(x=-np.pi / 2))
         bent = u(0, 1.3) if kind == "side" else 0.0
@@ -117,18 +124,29 @@ def _posture(rng: np.random.Generator, kind: str) -> dict[str, Rotation]:
     elif kind == "any":
         seen_by_floor, root = False, Rotation.random(rng=rng)
         legs = [[u(-0.4, 2.0), u(-0.1, 0.8), u(0, 2.4)] for _ in range(2)]
+    flat = kind == "prone" or (kind == "supine" and rng.random() < 0.5)  # arms in the plane of the trunk
+    tucked = rng.random() < 0.5
     found = {"root": root, "chest": chest, "neck": neck}
     for side, sign, arm, (ahead, out, knee) in zip("lr", (1, -1), arms, legs):
         if kind == "crawl":
             forward, outward, inwards, elbow = n(1.45, 0.2), n(0.1, 0.1), n(0, 0.1), abs(n(0, 0.2))
+        elif flat:
+            outward, elbow = FLAT[rng.integers(len(FLAT))] + n(size=2) * [0.25, 0.3]
+            forward, inwards = n(0, 0.1), -np.pi / 2
         else:
             forward, outward, inwards, elbow = n(*ARMS[arm].T)
         about = _turn(z=-sign * inwards)
-        found[f"{side}_upper_arm"] = about * _raised(forward, sign * max(outward, -0.15))
+        raised = _raised(forward, sign * max(outward, -0.15))
+        found[f"{side}_upper_arm"] = raised if flat else about * raised
         found[f"{side}_forearm"] = about * _raised(float(np.clip(elbow, 0, 2.5)), 0) * about.inv()
         thigh = _raised(ahead, sign * out)
+        if kind in LIES:  # toes fall outwards
+            thigh = thigh * _turn(z=sign * n(0.3, 0.4))
         found[f"{side}_thigh"] = root.inv() * thigh if seen_by_floor else thigh
         found[f"{side}_shank"] = _turn(y=knee)
-        level = ahead - knee if kind not in ("crawl", "kneel") and seen_by_floor else -abs(n(0.5, 0.4))
-        found[f"{side}_foot"] = _turn(y=float(np.clip(level, -0.9, 0.6)))
+        if kind in ("crawl", "kneel"):  # on the toes, or on the back of the foot
+            level = -abs(n(0.5, 0.4)) if tucked else n(0.9, 0.2)
+        else:  # who lies points the toes
+            level = min(ahead - knee, 0.6) if seen_by_floor else n(0.6, 0.3)
+        found[f"{side}_foot"] = _turn(y=float(np.clip(level, -0.9, 1.1)))
     return found

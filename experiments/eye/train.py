@@ -1,8 +1,8 @@
-"""Trains the eye: python -m experiments.eye.train FOLDER WEIGHTS.npz MINUTES [BATCH]
+"""Trains the eye: python -m experiments.eye.train FOLDER WEIGHTS.npz MINUTES [BATCH [FIRST.npz]]
 
 FOLDER has train*.npz and test*.npz of data.py; those that come while it trains are taken, too. It goes on from
-WEIGHTS.state if that is there; the rate falls with the processor time used of MINUTES. WEIGHTS.curve.json is the
-learning curve. On a GPU: MINUTES are then wall time, BATCH 256.
+WEIGHTS.state if that is there, or begins from FIRST.npz; the rate falls with the processor time used of MINUTES.
+WEIGHTS.curve.json is the learning curve. On a GPU: MINUTES are then wall time, BATCH 256.
 """
 
 import json
@@ -19,12 +19,14 @@ import optax  # pyright: ignore[reportMissingImports]
 
 from experiments.eye import net
 from experiments.eye.data import BACKGROUND, CLASSES, SHARD
+from experiments.eye.voxels import tokens_and_labels
 from voodoo_jax.kernels.eye import OTHER
-from voodoo_jax.trackers.shared.eye import FEATURES, TOKENS, tokens, view
+from voodoo_jax.trackers.shared.eye import FEATURES, TOKENS, view, weights
 
 RATE, WARM, KEEPS = 2e-3, 8_000, 0.998  # highest rate, crops until then, of the mean of weights
 CHECKS, ENOUGH = 24, 25  # times that it is measured, points of a person that are somebody
 SHARDS = 60  # in memory, at most
+AGAIN = 0.5  # of the rate, from weights that are there
 UP = np.array([0, 0, 1.0])
 
 
@@ -72,9 +74,7 @@ class Pool:
             if rng is not None:
                 points, labels, joints, sensor = seen_anew(points, labels, joints, sensor, rng)
             turn = view(sensor, UP)
-            out["tok"][row], at = tokens(points @ turn.T)
-            known = (at >= 0) & (labels < CLASSES)
-            np.add.at(out["hist"][row], (at[known], labels[known]), 1)
+            out["tok"][row], out["hist"][row] = tokens_and_labels(points @ turn.T, labels)
             body = int(np.sum(labels < BACKGROUND))
             out["joints"][row] = joints @ turn.T
             out["sensor"][row] = np.hypot(sensor[0], sensor[1]), sensor[2]
@@ -113,10 +113,10 @@ def seen_anew(points, labels, joints, sensor, rng: np.random.Generator):
     return points[kept], labels[kept], joints, sensor
 
 
-def main(folder: str, out: str, minutes: str, batch: str = "32") -> None:
+def main(folder: str, out: str, minutes: str, batch: str = "32", first: str = "") -> None:
     pool, test, many = Pool(Path(folder), "train"), Pool(Path(folder), "test"), int(batch)
     rng, clock = np.random.default_rng(0), time.process_time if jax.default_backend() == "cpu" else time.monotonic
-    params = net.init(jax.random.PRNGKey(0))
+    params = weights(Path(first)) if first else net.init(jax.random.PRNGKey(0))
     rule = optax.chain(optax.clip_by_global_norm(1.0), optax.inject_hyperparams(optax.adamw)(RATE, weight_decay=0.02))
     state: dict[str, Any] = dict(params=params, mean=params, opt=rule.init(params), seen=0, used=0.0, curve=[])
     saved, curve = Path(out).with_suffix(".state"), Path(out).with_suffix(".curve.json")
@@ -133,13 +133,14 @@ def main(folder: str, out: str, minutes: str, batch: str = "32") -> None:
         return params, jax.tree.map(lambda a, x: KEEPS * a + (1 - KEEPS) * x, mean, params), opt, told
 
     measured = jax.jit(net.measured)
+    highest = RATE * (AGAIN if first else 1.0)
     whole, begin = 60 * float(minutes), clock() - state["used"]
     some = range(0, min(test.count, 1536), 128)
     checks = [test.batch(np.arange(a, a + 128), None) for a in some]
     row: dict[str, float] = {}
     while state["used"] < whole:
         used = state["used"] / whole
-        rate = RATE * min(1.0, state["seen"] / WARM + 0.02) * max(0.01, 0.5 * (1 + np.cos(np.pi * used)))
+        rate = highest * min(1.0, state["seen"] / WARM + 0.02) * max(0.01, 0.5 * (1 + np.cos(np.pi * used)))
         b = pool.batch(rng.integers(pool.count, size=many), rng)
         params, mean, opt, told = step(state["params"], state["mean"], state["opt"], b, jnp.float32(rate))
         if state["seen"] < 400 * many:

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from experiments.eye import net
 from experiments.eye.data import BACKGROUND, CLASSES, JOINTS, Scene, seen
 from experiments.eye.postures import drawn
+from experiments.eye.voxels import tokens_and_labels
 from experiments.people.motions import PARENT, Clip
 from voodoo_jax.kernels.eye import JOINTS as NAMES
 from voodoo_jax.kernels.eye import LEFT, MIDDLES, OTHER, RIGHT, Told, forward, named
@@ -68,3 +69,14 @@ def test_left_and_right_are_told_by_facing():
         said, odds = named(Told(facing, facing, joints, facing[: len(JOINTS)], facing[0], facing))  # pyright: ignore[reportArgumentType]
         assert odds > 2 and np.allclose(np.asarray(said.joints)[LEFT, 1], left)
     assert np.array_equal(OTHER[OTHER], np.arange(len(JOINTS)))
+
+
+def test_compiled_voxels_are_those_of_the_package():
+    rng = np.random.default_rng(0)
+    points, labels = rng.normal([0, 0, 1.0], [0.3, 0.25, 0.5], (700, 3)), rng.integers(0, CLASSES, 700).astype(np.uint8)
+    made, hist = tokens_and_labels(points, labels)
+    wanted, at = tokens(points)
+    np.testing.assert_allclose(made, wanted, atol=1e-5)
+    for label in range(CLASSES):
+        some = (labels == label) & (at >= 0)
+        assert np.array_equal(hist[:, label], np.bincount(at[some], minlength=TOKENS))

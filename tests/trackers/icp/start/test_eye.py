@@ -1,5 +1,7 @@
 """What the learned eye sees: voxels of points, poses of joints, people who are turned and who are nobody."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +20,16 @@ from voodoo_jax.trackers.icp.trials import facing
 from voodoo_jax.trackers.shared import eye
 
 BODY = scaled(human(), 1.75)
+CHILD = """
+import os, sys
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(sys.argv[1])])
+import numpy as np
+from voodoo_jax.trackers.shared import eye
+points = np.random.default_rng(0).normal([0, 0, 1.0], [0.2, 0.25, 0.3], (300, 3))
+said = eye.told(eye.weights(), eye.tokens(points)[0], np.array([2.0, 1.2], np.float32))
+print(b"".join(np.asarray(each).tobytes() for each in said).hex())
+"""
 
 
 def joints_of(poses: Poses) -> np.ndarray:
@@ -101,3 +113,12 @@ def test_a_start_that_is_turned_costs_more(somebody, monkeypatch):
     assert found.poses is right.poses and found.cost == 1.2 and found.rival.poses is turned and found.rival.cost > 1.2
     monkeypatch.setattr(hypothesis, "person_in", lambda run, frame: None)
     assert ahead_first(run, wrong) is wrong
+
+
+def test_processes_and_threads_say_the_same_to_the_last_bit():
+    """One process on one processor, one on all."""
+    said = [
+        subprocess.run([sys.executable, "-c", CHILD, n], capture_output=True, check=True, text=True).stdout.strip()
+        for n in ("1", "256")
+    ]
+    assert len(said[0]) > 8 * len(JOINTS) and said[0] == said[1]
